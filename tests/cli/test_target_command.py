@@ -266,7 +266,7 @@ def test_gains_per_lead_are_caught_and_repaired(data_folder, outside, run, targe
 
 def test_out(tmp_path, outside, refused, run):
     recording = table(tmp_path / "rec.csv")
-    refused(["target", recording, "--out", outside], outside, "no ordinary file")
+    refused(["target", recording, "--out", outside], outside, "not an ordinary file")
     (outside / "file").write_text("mine")
     refused(["target", recording, "--out", outside / "file" / "t.nc"], "; choose another place")
     assert [p.name for p in outside.iterdir()] == ["file"]

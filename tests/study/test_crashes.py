@@ -111,8 +111,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path, monkeypatch, capsys):
     assert stop.value.code == 130
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert f"kept in {out}" in error
-    assert "the same command goes on" in error
+    assert f"stored in {out}; run the same command again" in error
 
 
 # --- disks

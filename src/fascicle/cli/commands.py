@@ -83,18 +83,18 @@ def simulate(
     heart: HeartArgument,
     out: OutOption = Path("simulation"),
     params: Annotated[Path | None, Option(help="TOML file with the twelve parameters.")] = None,
-    lv_tree: Annotated[Path | None, Option(help="LV tree of your own: VTU/VTP lines.")] = None,
-    rv_tree: Annotated[Path | None, Option(help="RV tree of your own: VTU/VTP lines.")] = None,
+    lv_tree: Annotated[Path | None, Option(help="LV Purkinje network: VTU/VTP lines.")] = None,
+    rv_tree: Annotated[Path | None, Option(help="RV Purkinje network: VTU/VTP lines.")] = None,
     cv: Annotated[float | None, Option(help="Purkinje conduction velocity (m/s).")] = None,
     root_time: Annotated[
-        float | None, Option(help="t_RV - t_LV of the roots (ms); negative: LV later.")
+        float | None, Option(help="RV-LV activation delay, t_RV - t_LV (ms); negative: LV later.")
     ] = None,
     fix: FixOption = None,
     scenario: Annotated[
         str | None,
         Option(
             help="Name ('fascicle scenarios' lists them), or TOML file with stimuli, blocked or "
-            "slow segments, junction delays, scar, more trees (docs/files.md)."
+            "slow segments, junction delays, scar, additional trees (docs/files.md)."
         ),
     ] = None,
     action_potential: Annotated[
@@ -107,11 +107,11 @@ def simulate(
     ] = None,
     kind: FormatOption = "png",
 ) -> Result:
-    """Run the forward model: activation map, trees, ECG, and what fired what.
+    """Run the forward model: activation map, Purkinje networks, ECG, and what activated what.
 
-    From parameters (an example network if none are given; --cv, --root-time and --fix override
-    them; 'fascicle parameters' lists what there is), or from two trees that you bring. A scenario
-    adds what is beyond the intrinsic beat:
+    The networks are grown from parameters (an example if none are given; --cv, --root-time and
+    --fix override them; 'fascicle parameters' lists them), or are two of your own. A scenario
+    says what differs from the intrinsic beat:
 
     ```toml
     [[inactive_root]]              # a tree whose root does not fire
@@ -177,11 +177,11 @@ def fit(
         list[str],
         Argument(
             metavar="TARGET[:SCENARIO]...",
-            help="Target made by 'fascicle target', with the scenario file (TOML) that it was "
-            "recorded in if it was not the intrinsic beat; or several of one heart.",
+            help="Target made by 'fascicle target', with a scenario file (TOML) if the recorded "
+            "beat was not intrinsic; or several targets of one heart.",
         ),
     ],
-    out: Annotated[Path, Option("--out", help="Study folder; started again, it resumes.")],
+    out: Annotated[Path, Option("--out", help="Study folder; the same command resumes it.")],
     settings_file: Annotated[
         Path | None, Option("--settings", help="TOML file of settings and parameters.")
     ] = None,
@@ -190,26 +190,24 @@ def fit(
     scheduler: SchedulerOption = None,
     device: Annotated[
         str | None,
-        Option(
-            help="An NVIDIA card that simulates: cuda, or cuda:1 for the second one (docs/gpu.md)."
-        ),
+        Option(help="NVIDIA GPU to simulate on: cuda, or cuda:1 for the second one (docs/gpu.md)."),
     ] = None,
     **settings: Any,
 ) -> Result:
-    """Learn the Purkinje networks that explain a target, and how sure the ECG is of them.
+    """Learn the Purkinje networks that explain a target, and how well the ECG constrains them.
 
-    Of several recordings, such as of the intrinsic beat and paced from a known site
-    ('fascicle fit HEART intrinsic.nc rv-paced.nc:rv.toml --out STUDY'), all must be explained by
-    the same networks; how much the others narrow what the first leaves open is said.
+    Several recordings, such as of the intrinsic beat and paced from a known site
+    ('fascicle fit HEART intrinsic.nc rv-paced.nc:rv.toml --out STUDY'), must be explained by the
+    same networks; the result says what the others add to the first.
 
     The posterior is sampled in two independent runs; the first line of the result says whether they
     agree, and whether the model explains the recording.
 
-    Every evaluation is kept as soon as it is done. Interrupt it whenever you like; the same command
-    goes on where it stopped.
+    Every evaluation is stored at once. The command may be interrupted at any time; run again, it
+    continues where it stopped.
 
-    What is learnt, and with which priors, may also stand in a settings file ('fascicle parameters'
-    lists what there is):
+    A settings file can also name the quantities to learn and their priors ('fascicle parameters'
+    lists them):
 
     ```toml
     effective = 500
@@ -252,18 +250,18 @@ def predict(
     scenario: Annotated[
         list[str] | None,
         Option(
-            help="Name ('fascicle scenarios' lists them) or TOML file of what to predict; may be "
-            "given several times. Without one: his-pacing, both roots fired together."
+            help="Name ('fascicle scenarios' lists them) or TOML file of a scenario; may be "
+            "given several times. Default: his-pacing, in which both roots fire together."
         ),
     ] = None,
     kind: FormatOption = "png",
     scheduler: SchedulerOption = None,
 ) -> Result:
-    """Predict pacings, blocks and ectopic beats with every network of the population.
+    """Predict pacing, blocks and ectopic beats with every network of the population.
 
     Each is compared with the intrinsic beat: QRS duration, activation times, dyssynchrony, QRS area
-    and more (docs/predictions.md), twelve-lead ECGs as the recorder would have them, activation
-    maps. Intervals are those of the networks, so of what the ECG leaves open.
+    and more (docs/predictions.md), twelve-lead ECGs as the recorder would show them, activation
+    maps. Intervals are over the networks: they show what the ECG does not determine.
     """
     from fascicle.forward.scenario_files import read_scenarios
     from fascicle.prediction.scenarios import predict as predict_scenarios
@@ -293,14 +291,16 @@ def predict(
 def compare(
     study: StudyArgument,
     first: Annotated[str, Argument(help="Scenario, by name or file.")],
-    second: Annotated[str, Argument(help="The one it is compared with.")],
+    second: Annotated[str, Argument(help="Scenario to compare it with.")],
     index: IndexOption = "total_activation_time",
-    threshold: Annotated[float, Option(help="Gain that matters, in the unit of the index.")] = 0.0,
+    threshold: Annotated[
+        float, Option(help="Least reduction that matters, in the unit of the index.")
+    ] = 0.0,
     scheduler: SchedulerOption = None,
 ) -> Result:
-    """Say how probably one scenario is better than another, by how much, and why.
+    """Print the probability that one scenario is better than another, by how much, and why.
 
-    Every network of the population decides for itself; 'intrinsic' is the intrinsic beat. All
+    They are compared in each network of the population; 'intrinsic' is the intrinsic beat. All
     indices are shown, since they may disagree.
     """
     from fascicle.forward.scenario_files import read_scenarios
@@ -337,12 +337,12 @@ def sweep(
         str | None,
         Option(
             "--segments",
-            help="Move the last stimulus of the tissue over all 17 segments of the left ventricle, "
+            help="Move the last myocardial stimulus over all 17 segments of the left ventricle, "
             "under this layer: endocardium or epicardium.",
         ),
     ] = None,
     radius: Annotated[
-        str | None, Option(help="Capture radii of the stimuli of the tissue: first:last:step (mm).")
+        str | None, Option(help="Capture radii of the myocardial stimuli: first:last:step (mm).")
     ] = None,
     index: IndexOption = "total_activation_time",
     networks: Annotated[int, Option(min=2, help="Networks of the population to use.")] = 60,
@@ -365,7 +365,7 @@ def sweep(
     ways = {delays: delay, segments: layer, radii: radius}
     asked = [(vary, how) for vary, how in ways.items() if how is not None]
     if len(asked) != 1:
-        raise InputError("give one of --delay, --segments and --radius: what is to vary")
+        raise InputError("give one of --delay, --segments and --radius, which say what to vary")
     ((vary, how),) = asked
     family = vary(case, how)
     with TerminalProgress() as progress:
@@ -382,7 +382,7 @@ def sweep(
 @every_command
 def scenarios(
     name: Annotated[
-        str | None, Argument(help="Print the file of this one, to copy and change.")
+        str | None, Argument(help="Print the file of this scenario, to copy and change.")
     ] = None,
 ) -> Result:
     """List the scenarios that come with fascicle, for `predict` and `simulate`."""
@@ -405,14 +405,14 @@ def scenarios(
 def parameters() -> Result:
     """List every quantity of the model: unit, default, range of its prior, meaning.
 
-    Any of them can be fixed in `simulate` and `fit` (--fix NAME=VALUE), and learnt (--free NAME)
-    but for those that count something. A heart's own values stand in its heart.toml.
+    Any of them can be fixed in `simulate` and `fit` (--fix NAME=VALUE), and all but counts can be
+    learnt (--free NAME). The values of a heart are in its heart.toml.
     """
     from fascicle.core.quantities import GROUPS, QUANTITIES, quantity
 
     rows = [("name", "unit", "default", "prior range", "meaning")]
     for known in (*QUANTITIES.values(), quantity("region_1_conductivity")):
-        # what is said of another fascicle is what the table says of the first
+        # the other fascicles are as the first
         if "_fascicle_" not in known.name or known.name.endswith("_1"):
             default = "" if known.default is None else f"{known.default:g}"
             prior = "" if known.is_integer else "{:.3g} to {:.3g}".format(*known.prior_range)
@@ -439,29 +439,29 @@ def report(
     scenario: Annotated[
         list[str] | None,
         Option(
-            help="Name ('fascicle scenarios' lists them) or TOML file of what to predict; may be "
-            "given several times. Without one: three pacings."
+            help="Name ('fascicle scenarios' lists them) or TOML file of a scenario; may be "
+            "given several times. Default: three kinds of pacing."
         ),
     ] = None,
     against: Annotated[
-        str, Option(help="The one of them that all are compared with, such as a block.")
+        str, Option(help="Scenario that all are compared with, such as a block.")
     ] = "intrinsic",
     out: Annotated[
-        Path | None, Option("--out", help="HTML file; report.html in the study.")
+        Path | None, Option("--out", help="HTML file; by default report.html in the study.")
     ] = None,
     figures: Annotated[
         list[str] | None,
         Option(
             "--format",
-            help="Also write the figures into the folder figures beside it, as png, svg or pdf; "
+            help="Also write the figures into the folder figures next to it, as png, svg or pdf; "
             "may be given several times.",
         ),
     ] = None,
     scheduler: SchedulerOption = None,
 ) -> Result:
-    """Write what a study found as one HTML file that opens offline.
+    """Write the results of a study as one HTML file that opens offline.
 
-    First the answer in words; then the recorded and the predicted ECG, a heart to turn with the
+    First the answer in words; then the recorded and the predicted ECG, a heart in 3-D with the
     activation of every scenario, the scenarios compared, parameters, convergence, inputs.
     """
     from fascicle.forward.scenario_files import read_scenarios
@@ -517,7 +517,7 @@ def template(
 def demo(
     out: Annotated[Path, Option("--out", help="Folder to write.")] = Path("fascicle-demo"),
     free_gain: Annotated[
-        bool, Option(help="Scale each simulated ECG: heart and body are not the patient's.")
+        bool, Option(help="Scale each simulated ECG: heart and torso are not the patient's.")
     ] = True,
 ) -> Result:
     """Do the whole job on the packaged heart and a real 12-lead ECG, in under two minutes."""

@@ -23,12 +23,12 @@ from fascicle.reporting.style import save
 from fascicle.study.fit import fit
 from fascicle.study.fitted import FittedStudy
 
-# The paper's method with a fraction of its budget: enough to see every stage work, not to trust the
-# numbers.
+# The paper's method with a fraction of its budget: every stage works, the numbers are not to be
+# trusted.
 SETTINGS: dict[str, Any] = {
     "method": "paper", "initial": 60, "steps": 60, "samples": 10, "draws": 500_000, "rounds": 4,
 }  # fmt: skip
-BLOCK = "left-bundle-branch-block"  # what the demonstration's pacings are for
+BLOCK = "left-bundle-branch-block"  # what the pacing of the demonstration treats
 
 
 def demo_recording() -> Path:
@@ -41,7 +41,7 @@ def demo_recording() -> Path:
 def blocked_scenarios() -> dict[str, Scenario]:
     """A left bundle branch block, and three pacings of a heart that has it.
 
-    His bundle pacing captures both branches below the block; the others leave it as it is.
+    His bundle pacing captures both branches below the block; the others do not.
     """
     scenarios = read_scenarios([BLOCK, *PACINGS])
     for name, scenario in scenarios.items():
@@ -59,7 +59,7 @@ def run_demo(
 
     The folder `out` gets ``target.nc`` and ``target.png``, ``study``, ``pacings`` and
     ``report.html``; run again, the study resumes. With `free_gain` simulations are scaled: the
-    heart and its torso are somebody else's.
+    heart and torso are not the patient's.
     """
     analysis = analyse(read_recording(demo_recording()))
     write_target(analysis.target, out / "target.nc")

@@ -5,18 +5,27 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from typer import Argument, Option
 
-from fascicle.cli.options import HeartArgument, OutOption, SchedulerOption, pool_at
+from fascicle.cli.options import (
+    Command,
+    HeartArgument,
+    OutOption,
+    SchedulerOption,
+    option,
+    pool_at,
+    with_options,
+)
 from fascicle.cli.output import Result, TerminalProgress, every_command, print_table
 from fascicle.core.errors import InputError, given_in
 
 if TYPE_CHECKING:
+    from fascicle.build.torso import TorsoOptions
     from fascicle.heart.endocardium import ChosenSeed
     from fascicle.heart.fibres import FibreAngles
     from fascicle.heart.heart import Heart
@@ -37,30 +46,11 @@ AnatomyArgument = Annotated[
 ]
 PartOption = Annotated[
     Path | None,
-    _option("Anatomy", "One of separate surfaces, which need not meet exactly; the base is made."),
-]
-TorsoOption = Annotated[
-    str,
-    _option("Torso", "'idealised', 'none' (unbounded conductor), or a closed surface of the skin."),
-]
-LungOption = Annotated[
-    list[Path] | None, _option("Torso", "Closed surface of a lung, with --torso FILE.")
-]
-HeightOption = Annotated[float | None, _option("Torso", "Of the person (m).")]
-WeightOption = Annotated[float | None, _option("Torso", "kg.")]
-ChestOption = Annotated[float | None, _option("Torso", "Circumference (cm).")]
-PoseOption = Annotated[
-    Literal["standard", "ras", "lps"],
     _option(
-        "Torso",
-        "How the heart lies in the idealised torso: 'standard' by its electrodes, or without "
-        "them by its axes; 'ras' (NIfTI) or 'lps' (DICOM) where its coordinates are the "
-        "patient's.",
+        "Anatomy", "One of separate surfaces, which need not meet exactly; a missing base is made."
     ),
 ]
-SeedOption = Annotated[
-    str | None, _option("Bundles", "Point of the endocardium: its number, from 0, or x,y,z in mm.")
-]
+SEEDS = ("lv_root", "lv_direction", "rv_root", "rv_direction")
 
 heart_app = typer.Typer(
     no_args_is_help=True,
@@ -68,12 +58,37 @@ heart_app = typer.Typer(
 )
 
 
+def _with_torso_and_bundles(torso: str) -> Callable[[Command], Command]:
+    """Give a command the options of the torso, which is `torso` by default, and of the bundles."""
+
+    def torso_option(name: str, kind: Any, text: str, default: Any = None) -> Any:
+        return option(name, kind, default, panel="Torso", help=text)
+
+    point = "Point of the endocardium: its number, from 0, or x,y,z in mm."
+    skin = "'idealised', 'none' (unbounded conductor), or a closed surface of the skin."
+    pose = (
+        "How the heart lies in the idealised torso: 'standard' by its electrodes, or without them "
+        "by its axes; 'ras' (NIfTI) or 'lps' (DICOM) where its coordinates are the patient's."
+    )
+    options = [
+        torso_option("torso", str, skin, torso),
+        torso_option("lung", list[Path] | None, "Closed surface of a lung, with --torso FILE."),
+        torso_option("height", float | None, "Height of the person (m)."),
+        torso_option("weight", float | None, "Weight of the person (kg)."),
+        torso_option("chest", float | None, "Circumference of the chest (cm)."),
+        torso_option("pose", Literal["standard", "ras", "lps"], pose, "standard"),
+        *(option(name, str | None, None, panel="Bundles", help=point) for name in SEEDS),
+    ]
+    return lambda command: with_options(command, options)
+
+
 @heart_app.command("build")
 @every_command
+@_with_torso_and_bundles("idealised")
 def heart_build(
     anatomy: AnatomyArgument = None,
     out: Annotated[
-        Path | None, Option("--out", help="Folder to write; without it, named as the file.")
+        Path | None, Option("--out", help="Folder to write; by default named after the file.")
     ] = None,
     edge_length: Annotated[float, Option(help="Mean edge of the mesh (mm).")] = 2.0,
     labels: Annotated[
@@ -88,19 +103,19 @@ def heart_build(
         str | None,
         _option(
             "Anatomy",
-            "Name of the file's array that holds them; without it 'label', 'class', 'surface' or "
-            "'boundary' is looked for.",
+            "Name of the file's array that holds them; by default 'label', 'class', 'surface' or "
+            "'boundary'.",
         ),
     ] = None,
     labels_file: Annotated[
-        Path | None, _option("Anatomy", "Labels of an STL: one number a line.")
+        Path | None, _option("Anatomy", "Labels of an STL: one number per line.")
     ] = None,
     remesh: Annotated[
         bool,
         _option(
             "Anatomy",
-            "Mesh the inside of a tetrahedral mesh again, for one with flat elements; its surface, "
-            "fibres and regions stay.",
+            "Remesh the inside of a tetrahedral mesh that has flat elements; its surface, fibres "
+            "and regions stay.",
         ),
     ] = False,
     lv_endocardium: PartOption = None,
@@ -111,29 +126,20 @@ def heart_build(
         str, _option("Fibres", "Helix angles, endocardium,epicardium (degrees).")
     ] = "60,-60",
     rv_angles: Annotated[str, _option("Fibres")] = "90,-25",
-    torso: TorsoOption = "idealised",
-    lung: LungOption = None,
-    height: HeightOption = None,
-    weight: WeightOption = None,
-    chest: ChestOption = None,
-    pose: PoseOption = "standard",
     electrodes: Annotated[
         Path | None,
         _option(
             "Torso",
-            "Nine electrodes, CSV name,x,y,z or JSON, which the idealised torso is fitted to; "
-            "without it, at its standard places.",
+            "Nine electrodes, CSV name,x,y,z or JSON, to which the idealised torso is fitted; "
+            "by default they are at its standard positions.",
         ),
     ] = None,
-    lv_root: SeedOption = None,
-    lv_direction: SeedOption = None,
-    rv_root: SeedOption = None,
-    rv_direction: SeedOption = None,
+    **around: Any,
 ) -> Result:
     """Build a heart folder from an anatomy: mesh, fibres, seeds, torso, electrodes, lead fields.
 
     One closed surface, with or without labels; separate surfaces; a segmentation; or a mesh of
-    your own. What was found is printed and drawn (check.png in the folder): look at it.
+    your own. The result is printed and drawn (check.png in the folder): look at it.
 
     ```
     fascicle heart build heart.vtp
@@ -143,7 +149,6 @@ def heart_build(
     """
     from fascicle.build.build_heart import build_heart
     from fascicle.build.read_anatomy import Source
-    from fascicle.build.torso import TorsoOptions
     from fascicle.heart.folder import LABELS_PICTURE, check_heart_folder
     from fascicle.reporting.heart import labels_figure
     from fascicle.reporting.style import save
@@ -158,17 +163,16 @@ def heart_build(
         remesh=remesh or None,
     )
     angles = _fibre_angles(lv_angles, rv_angles)
-    seeds = _seeds(lv_root, lv_direction, rv_root, rv_direction)
+    seeds, torso = _seeds(around), _torso(around, electrodes)
     folder = out if out is not None else Path(source.name)
-    files = (anatomy, *parts.values(), labels_file, electrodes, Path(torso), *(lung or ()))
+    files = (anatomy, *parts.values(), labels_file, electrodes, Path(around["torso"]), *torso.lungs)
     check_heart_folder(folder, [path for path in files if path is not None and path.is_file()])
-    measures = _given(height=height, weight=weight, chest=chest)
     with TerminalProgress() as progress:
         built = build_heart(
             source,
             edge_length=edge_length,
             angles=angles,
-            torso=TorsoOptions(torso, tuple(lung or ()), measures, pose, electrodes),
+            torso=torso,
             seeds=seeds,
             name=folder.resolve().name,
             progress=progress,
@@ -185,40 +189,31 @@ def heart_build(
 
 @heart_app.command("import")
 @every_command
+@_with_torso_and_bundles("none")
 def heart_import(
     mesh: Annotated[Path, Option(help="Tetrahedral mesh in mm (VTK, VTU, Gmsh).")],
-    fibres: Annotated[Path, Option(help="Fibres, one vector a point or a tetrahedron.")],
+    fibres: Annotated[Path, Option(help="Fibres, one vector per point or tetrahedron.")],
     lv_endocardium: Annotated[Path, Option(help="LV endocardium, open at the base.")],
     rv_endocardium: Annotated[Path, Option(help="RV endocardium, open at the base.")],
     electrodes: Annotated[Path, Option(help="Nine electrodes: CSV name,x,y,z or JSON.")],
     out: OutOption,
-    torso: TorsoOption = "none",
-    lung: LungOption = None,
-    height: HeightOption = None,
-    weight: WeightOption = None,
-    chest: ChestOption = None,
-    pose: PoseOption = "standard",
-    lv_root: SeedOption = None,
-    lv_direction: SeedOption = None,
-    rv_root: SeedOption = None,
-    rv_direction: SeedOption = None,
+    **around: Any,
 ) -> Result:
-    """Make a heart folder of finished parts: mesh, fibres, endocardia, electrodes.
+    """Make a heart folder from finished parts: mesh, fibres, endocardia, electrodes.
 
     Surfaces may be VTK, VTP, OBJ, STL, PLY or Gmsh. Fibres are matched by position, so their
     points may come in another order. Without seeds, sensible ones are found on the septal side of
     the base, pointing to the apex. Without **--torso idealised** the volume conductor is unbounded,
     and the ratios of the leads are wrong.
     """
-    from fascicle.build.torso import TorsoOptions, in_torso
+    from fascicle.build.torso import in_torso
     from fascicle.heart.assembly import assemble_heart
     from fascicle.heart.folder import check_heart_folder
     from fascicle.heart.labelled_surface import labelled_mesh
     from fascicle.mesh.formats.read import read_mesh
 
     check_heart_folder(out, [mesh, fibres, lv_endocardium, rv_endocardium, electrodes])
-    measures = _given(height=height, weight=weight, chest=chest)
-    surrounding = TorsoOptions(torso, tuple(lung or ()), measures, pose, electrodes)
+    torso = _torso(around, electrodes)
     heart = assemble_heart(
         mesh=read_mesh(mesh, "mesh"),
         fibres=read_mesh(fibres, "fibres"),
@@ -226,12 +221,12 @@ def heart_import(
             "lv": read_mesh(lv_endocardium, "LV endocardium"),
             "rv": read_mesh(rv_endocardium, "RV endocardium"),
         },
-        seeds=_seeds(lv_root, lv_direction, rv_root, rv_direction),
+        seeds=_seeds(around),
         electrodes=electrodes,
         name=out.resolve().name,
     )
     with TerminalProgress() as progress:
-        heart, notes = in_torso(heart, labelled_mesh(heart), surrounding, progress)
+        heart, notes = in_torso(heart, labelled_mesh(heart), torso, progress)
     return _write_and_check(heart, out, notes, {"lv": lv_endocardium, "rv": rv_endocardium})
 
 
@@ -241,13 +236,13 @@ def heart_check(
     heart: HeartArgument,
     picture: Annotated[
         Path | None,
-        Option(help="Picture to write (PNG, PDF, SVG); otherwise check.png in the folder."),
+        Option(help="Picture to write (PNG, PDF, SVG); by default check.png in the folder."),
     ] = None,
 ) -> Result:
     """Validate a heart folder; print and draw what it holds, with warnings and their remedies.
 
     Points are numbers of an endocardium's vertices, as --lv-root and --lv-direction of 'heart
-    build' take them. What the lines mean stands in docs/hearts.md.
+    build' take them. docs/hearts.md explains the lines.
     """
     from fascicle.core.files import check_writable
     from fascicle.heart.folder import PICTURE, load_heart
@@ -256,7 +251,7 @@ def heart_check(
     if picture is not None:
         check_picture(picture)
     loaded = load_heart(heart)
-    if picture is None and Path(heart).is_dir():  # the packaged heart has no place for one
+    if picture is None and Path(heart).is_dir():  # not for the packaged heart
         picture = Path(heart) / PICTURE
     if picture is not None:
         check_writable(picture, "--picture")
@@ -269,9 +264,9 @@ def heart_check(
 def heart_refine(heart: HeartArgument, out: OutOption) -> Result:
     """Cut every tetrahedron of a heart into eight.
 
-    Activation times, and the ECG with them, have an error that halves with the edge length; see
-    docs/error-budget.md. Fibres, regions and lead fields are those of the coarser mesh; endocardia,
-    electrodes and bundles stay. The torso is left out: the lead fields stand in the mesh.
+    The error of activation times, and so of the ECG, halves with the edge length
+    (docs/error-budget.md). Fibres, regions and lead fields are those of the coarser mesh;
+    endocardia, electrodes and bundles stay. The torso is left out: the mesh holds the lead fields.
     """
     from fascicle.build.refinement import refined
     from fascicle.heart.folder import MANIFEST, check_heart_folder, load_heart
@@ -297,18 +292,19 @@ def heart_simulate_prior(
     heart: HeartArgument,
     networks: Annotated[
         int | None,
-        Option("--networks", min=1, help="Networks of the prior; by default as a fit begins with."),
+        Option("--networks", min=1, help="Number of networks; by default that of a fit."),
     ] = None,
     workers: Annotated[
-        int | None, Option("--workers", min=1, help="Simulations at a time; one a core.")
+        int | None,
+        Option("--workers", min=1, help="Simulations at a time; by default one per core."),
     ] = None,
     scheduler: SchedulerOption = None,
 ) -> Result:
-    """Simulate networks of the prior once, so that fits of this heart are done sooner.
+    """Simulate networks of the prior once, which shortens every fit of this heart.
 
-    They are kept in the heart's folder and serve every recording, as long as the fit learns the
-    usual parameters with their usual ranges. Interrupt it whenever you like: the same command goes
-    on where it stopped, and a larger number adds to what is there.
+    They are stored in the heart's folder and serve every recording, if the fit learns the default
+    parameters with their default ranges. The command may be interrupted at any time: run again, it
+    continues where it stopped; a larger number adds to what is stored.
     """
     from fascicle.study.prior_simulations import simulate_prior
 
@@ -344,7 +340,7 @@ def _write_and_check(
     notes: Sequence[str] = (),
     sources: Mapping[str, object] | None = None,
 ) -> dict[str, Any]:
-    """Write a heart folder with its picture in it, and print notes and what it holds."""
+    """Write a heart folder and its picture, and print the notes and the contents."""
     from fascicle.heart.folder import PICTURE, write_heart
 
     for note in notes:
@@ -377,7 +373,7 @@ def _check(heart: Heart, charts: Mapping[str, Chart], picture: Path | None) -> d
 
 
 def _growable_charts(heart: Heart, sources: Mapping[str, object]) -> dict[str, Chart]:
-    """Build charts and seeds, which is where an endocardium shows what else is wrong with it."""
+    """Build charts and seeds, which refuse an endocardium on which no tree can grow."""
     from fascicle.purkinje.chart import build_chart
     from fascicle.purkinje.growth import find_seed
 
@@ -411,26 +407,29 @@ def _fibre_angles(lv: str, rv: str) -> FibreAngles:
     from fascicle.heart.fibres import FibreAngles
 
     angles: list[float] = []
-    for option, text in (("--lv-angles", lv), ("--rv-angles", rv)):
+    for name, text in (("--lv-angles", lv), ("--rv-angles", rv)):
         values = _floats(text, 2)
         if values is None or max(map(abs, values)) > 90:
             raise InputError(
-                f"{option} {text}: give two angles between -90 and 90 degrees, "
-                "endocardium,epicardium"
+                f"{name} {text}: give two angles between -90 and 90 degrees, endocardium,epicardium"
             )
         angles += map(math.radians, values)
     return FibreAngles(*angles)
 
 
-def _given(**measures: float | None) -> dict[str, float]:
-    """Measures of the person that are given."""
-    return {name: value for name, value in measures.items() if value is not None}
+def _torso(options: Mapping[str, Any], electrodes: Path | None) -> TorsoOptions:
+    from fascicle.build.torso import TorsoOptions
+
+    measures = {name: options[name] for name in ("height", "weight", "chest")}
+    known = {name: value for name, value in measures.items() if value is not None}
+    lungs = tuple(options["lung"] or ())
+    return TorsoOptions(options["torso"], lungs, known, options["pose"], electrodes)
 
 
-def _seeds(*texts: str | None) -> dict[str, tuple[ChosenSeed, ChosenSeed]]:
-    """Root and direction of the left, then of the right bundle, as the options give them."""
-    names = ("lv-root", "lv-direction", "rv-root", "rv-direction")
-    seeds = [_seed(f"--{name} {text}", text) for name, text in zip(names, texts, strict=True)]
+def _seeds(options: Mapping[str, Any]) -> dict[str, tuple[ChosenSeed, ChosenSeed]]:
+    """Root and direction of the left and of the right bundle, as the options say."""
+    named = [(f"--{name.replace('_', '-')} {options[name]}", options[name]) for name in SEEDS]
+    seeds = [_seed(where, text) for where, text in named]
     return {"lv": (seeds[0], seeds[1]), "rv": (seeds[2], seeds[3])}
 
 
@@ -450,7 +449,7 @@ def _seed(where: str, text: str | None) -> ChosenSeed:
 
 
 def _floats(text: str, count: int) -> list[float] | None:
-    """So many finite numbers between commas, or None where they are not."""
+    """`count` finite numbers between commas, else None."""
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:

@@ -1,7 +1,7 @@
 """Ctrl-C and SIGTERM: they end the program within two seconds, with nothing half-written.
 
-Python tells of a signal between two of its own instructions only, which may be minutes away while
-compiled code runs. A thread hears of it at once, and ends the process if that does not end by
+Python handles a signal only between two of its instructions, which may be minutes away while
+compiled code runs. A thread sees the signal at once, and ends the process if it does not end by
 itself.
 """
 
@@ -20,7 +20,7 @@ from typing import NoReturn
 
 from fascicle.core.files import remove_unfinished
 
-GRACE = 1.5  # s, in which what is running may end by itself
+GRACE = 1.5  # s in which the process may end by itself
 
 
 @dataclass
@@ -32,11 +32,11 @@ class Interruption:
 
     @property
     def status(self) -> int:
-        """Exit status that a shell gives to it."""
+        """Exit status by the convention of shells."""
         return 128 + (signal.SIGINT if self.number is None else self.number)
 
     def end(self, number: int, frame: FrameType | None) -> NoReturn:
-        """End what the main thread does, so that temporary files are removed."""
+        """Raise in the main thread, so that temporary files are removed."""
         self.number = number
         if number == signal.SIGINT:
             raise KeyboardInterrupt
@@ -44,17 +44,17 @@ class Interruption:
 
     def watch(self, reader: int) -> None:
         """End the process `GRACE` after a signal whose number comes through a pipe."""
-        while (told := os.read(reader, 1)) != b"":
-            if told[0] in (signal.SIGINT, signal.SIGTERM) and not self.over.wait(GRACE):
+        while (number := os.read(reader, 1)) != b"":
+            if number[0] in (signal.SIGINT, signal.SIGTERM) and not self.over.wait(GRACE):
                 remove_unfinished()
-                os._exit(128 + told[0])
+                os._exit(128 + number[0])
 
 
 @contextmanager
 def ended_promptly() -> Iterator[Interruption]:
-    """End the process within two seconds when it is asked to while the block runs.
+    """End the process within two seconds of a signal that arrives while the block runs.
 
-    Ctrl-C stays ignored where it is, as in a shell's background job.
+    Where Ctrl-C is ignored, as in a shell's background job, it stays so.
     """
     interruption = Interruption()
     numbers = [signal.SIGTERM]
@@ -80,12 +80,12 @@ def ended_promptly() -> Iterator[Interruption]:
 
 @contextmanager
 def resumable(out: Path) -> Iterator[None]:
-    """Say on Ctrl-C that the folder `out` keeps what is done; 130 is what shells expect then."""
+    """On Ctrl-C, say that the evaluations are in `out`; exit with 130, as shells expect."""
     try:
         yield
     except KeyboardInterrupt:
         print(
-            f"interrupted; what was evaluated is kept in {out}, and the same command goes on",
+            f"interrupted; evaluations are stored in {out}; run the same command again to go on",
             file=sys.stderr,
         )
         sys.exit(128 + signal.SIGINT)

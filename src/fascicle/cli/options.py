@@ -24,14 +24,14 @@ HeartArgument = Annotated[
 ]
 StudyArgument = Annotated[Path, Argument(help="Finished study folder.")]
 OutOption = Annotated[Path, Option("--out", help="Folder to write.")]
-FormatOption = Annotated[Literal["png", "svg", "pdf"], Option("--format", help="Of the pictures.")]
+FormatOption = Annotated[Literal["png", "svg", "pdf"], Option("--format", help="Picture format.")]
 SchedulerOption = Annotated[
     str | None,
     Option(
         "--scheduler",
         metavar="ADDRESS",
-        help="Of a Dask scheduler, such as tcp://10.0.0.1:8786, whose workers simulate "
-        "(docs/cluster.md); else the cores of this machine do.",
+        help="Dask scheduler, such as tcp://10.0.0.1:8786, whose workers simulate "
+        "(docs/cluster.md); by default the cores of this machine do.",
     ),
 ]
 IndexOption = Annotated[
@@ -42,13 +42,13 @@ IndexOption = Annotated[
     ),
 ]
 FixOption = Annotated[
-    list[str] | None, Option("--fix", help="Quantity at a value, NAME=VALUE, such as alpha=0.08.")
+    list[str] | None, Option("--fix", help="Quantity to fix, NAME=VALUE, such as alpha=0.08.")
 ]
 FreeOption = Annotated[
     list[str] | None,
     Option(
         "--free",
-        help="Quantity to learn, with its usual prior, such as gain; or a group of them: pose, "
+        help="Quantity to learn, with its default prior, such as gain; or a group: pose, "
         "electrodes or conductivities.",
     ),
 ]
@@ -79,7 +79,7 @@ def with_options(command: Command, options: Sequence[inspect.Parameter]) -> Comm
 
 
 def fit_options(command: Command) -> Command:
-    """Give a command an option for every field of `FitSettings`, which says all of it."""
+    """Give a command an option for every field of `FitSettings`, with its text and limits."""
     first = (
         "method", "effective", "evaluations", "prior_simulations", "gain_sd", "seed", "workers",
         "fewest_junctions",
@@ -102,7 +102,7 @@ def fit_options(command: Command) -> Command:
 
 
 def explicit(context: typer.Context, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of a command's settings that the user has given; the rest may come otherwise."""
+    """The settings that the user has typed; the others may come from a settings file."""
     sources = {name: context.get_parameter_source(name) for name in settings}
     default = "DEFAULT"  # of an Enum that Typer keeps to itself
     return {n: settings[n] for n, source in sources.items() if source and source.name != default}
@@ -117,7 +117,7 @@ def with_scenario(text: str) -> Path | tuple[Path, Path]:
 
 
 def pool_at(scheduler: str | None, progress: Progress) -> Cluster | None:
-    """Workers of the Dask scheduler at an address; none where no address is given."""
+    """Workers of the Dask scheduler at an address; None without an address."""
     if scheduler is None:
         return None
     if find_spec("distributed") is None:
@@ -128,7 +128,7 @@ def pool_at(scheduler: str | None, progress: Progress) -> Cluster | None:
 
 
 def fixed_values(fix: Sequence[str] | None, **named: float | None) -> dict[str, float]:
-    """Read items such as 'alpha=0.08', and values of options that are named as their quantity."""
+    """Read items such as 'alpha=0.08', and options that have the name of a quantity."""
     from fascicle.core.quantities import checked
 
     items = [(f"--{n.replace('_', '-')}", n, v) for n, v in named.items() if v is not None]
@@ -150,11 +150,11 @@ def fixed_values(fix: Sequence[str] | None, **named: float | None) -> dict[str, 
 
 
 def wanted_parameters(free: Sequence[str] | None, fix: Sequence[str] | None) -> dict[str, object]:
-    """What the options say of each quantity, for `fascicle.fit`."""
+    """The argument `parameters` of `fascicle.fit`, from --free and --fix."""
     from fascicle.study.space import FREE
 
     fixed = fixed_values(fix)
     for name in free or ():
         if name in fixed:
-            raise InputError(f"--free {name}: it is fixed as well; give one of the two")
+            raise InputError(f"--free {name}: it is fixed as well; give either --free or --fix")
     return {**dict.fromkeys(free or (), FREE), **fixed}

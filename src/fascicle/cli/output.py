@@ -1,4 +1,4 @@
-"""Options that every command has, what it says and where, and how far long runs are."""
+"""Options that every command has, where its output goes, and the progress of long runs."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from fascicle.core.progress import ProgressLines, duration, time_left, write_wit
 if TYPE_CHECKING:
     from rich.progress import Progress as Bars
 
-Result = Mapping[str, Any] | Sequence[Any]  # of a command, for --json
+Result = Mapping[str, Any] | Sequence[Any]  # what a command returns, for --json
 
 
 class NotAllDoneError(Exception):
-    """A command has done what it could, `result`, which is not all; it ends with exit status 1."""
+    """Part of a command has failed: the rest, `result`, is printed and the exit status is 1."""
 
     def __init__(self, result: Result) -> None:
         super().__init__("not all is done")
@@ -38,7 +38,7 @@ class NotAllDoneError(Exception):
 
 
 def every_command(command: Callable[..., Result]) -> Callable[..., None]:
-    """Give a command the options that every one has, and print its result where JSON is asked for.
+    """Give a command the options that every one has, and print its result as JSON for --json.
 
     Parameters
     ----------
@@ -47,14 +47,16 @@ def every_command(command: Callable[..., Result]) -> Callable[..., None]:
     """
 
     @functools.wraps(command)
-    def run(quiet: bool, as_json: bool, log: Path | None, allow_outside: bool, **own: Any) -> None:
+    def run(
+        quiet: bool, as_json: bool, log: Path | None, allow_outside: bool, **arguments: Any
+    ) -> None:
         status, begun = 0, time.monotonic()
         with ExitStack() as around:
             if allow_outside:
                 around.enter_context(outside_allowed())
-            around.enter_context(_saying(quiet, as_json, log))
+            around.enter_context(_redirected(quiet, as_json, log))
             try:
-                result = command(**own)
+                result = command(**arguments)
             except NotAllDoneError as ended:
                 result, status = ended.result, 1
             taken = time.monotonic() - begun
@@ -68,26 +70,26 @@ def every_command(command: Callable[..., Result]) -> Callable[..., None]:
     of_all = functools.partial(option, panel="Every command")
     options = [
         of_all("quiet", bool, False, "--quiet", "-q", help="Print nothing but errors."),
-        of_all("as_json", bool, False, "--json", help="Print the result as JSON, and no words."),
+        of_all("as_json", bool, False, "--json", help="Print the result as JSON and nothing else."),
         of_all(
             "log", Path | None, None, metavar="FILE",
-            help="Add to this file, with times, what is said of the run.",
+            help="Append all messages to this file, with times.",
         ),
         of_all(
             "allow_outside", bool, False, "--allow-outside",
-            help="Read files outside its folder that a file names.",
+            help="Let files name files outside their own folder.",
         ),
     ]  # fmt: skip
     return with_options(run, options)
 
 
 def print_row(what: str, text: object) -> None:
-    """Print a line of a result: what it is, and what was found."""
+    """Print a line of a result: its name and its text."""
     print(f"{what:<22} {text}")
 
 
 def print_table(rows: Sequence[Sequence[str]]) -> None:
-    """Print texts in columns, each as wide as it must be."""
+    """Print texts in columns, each as wide as its longest text."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         print("  ".join(f"{text:<{n}}" for text, n in zip(row, widths, strict=True)).rstrip())
@@ -95,7 +97,7 @@ def print_table(rows: Sequence[Sequence[str]]) -> None:
 
 @dataclass(frozen=True)
 class Output:
-    """Where a command says how far it is: the standard error unless it is quiet, and a log."""
+    """Where progress goes: standard error unless the command is quiet, and a log."""
 
     screen: TextIO | None
     log: TextIO | None = None
@@ -111,8 +113,8 @@ _output: ContextVar[Output | None] = ContextVar("output of the command that runs
 
 
 @contextmanager
-def _saying(quiet: bool, as_json: bool, log: Path | None) -> Iterator[None]:
-    """Send what is printed in the block where the options say."""
+def _redirected(quiet: bool, as_json: bool, log: Path | None) -> Iterator[None]:
+    """Send what the block prints to the screen and to the log, as the options say."""
     with ExitStack() as around:
         file = around.enter_context(_opened(log)) if log is not None else None
         output = Output(None if quiet else sys.stderr, file)
@@ -134,7 +136,7 @@ def _saying(quiet: bool, as_json: bool, log: Path | None) -> Iterator[None]:
 
 
 class _Copied(io.TextIOBase):
-    """A stream whose lines go to the log, too."""
+    """A stream whose lines also go to the log."""
 
     def __init__(self, stream: TextIO | None, output: Output) -> None:
         self._stream, self._output, self._line = stream, output, ""
@@ -167,7 +169,7 @@ def _opened(log: Path) -> TextIO:
 
 
 def _plain(value: Any) -> Any:
-    """The same in what JSON has: numbers of NumPy as numbers, what is not finite as null."""
+    """Convert to JSON's types: NumPy numbers to numbers, those that are not finite to null."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, Path):
@@ -213,7 +215,7 @@ class TerminalProgress(ProgressLines):
         )
 
     def _write(self, line: str) -> None:
-        """Add a line to the log, and to what is no terminal."""
+        """Add a line to the log, and to a screen that is not a terminal."""
         self._output.note(line)
         screen = self._output.screen
         if screen is not None and not screen.isatty():

@@ -1,4 +1,4 @@
-"""What the commands print of their results."""
+"""How the commands print their results."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def print_simulation(simulation: Simulation, summary: Mapping[str, Any]) -> None:
-    """Print times, what fired what, and what was never reached."""
+    """Print times, how junctions were activated, and what was never reached."""
     from fascicle.reporting.names import MEASURES
 
     print_row("total activation time", f"{simulation.total_activation_time:.1f} ms")
@@ -46,7 +46,7 @@ def print_simulation(simulation: Simulation, summary: Mapping[str, Any]) -> None
 
 
 def print_fit(fitted: FittedStudy, summary: Mapping[str, Any]) -> None:
-    """Print of a study and its summary.json: verdict, match, and what the ECG determines."""
+    """Print verdict, match and constrained parameters of a study and its summary.json."""
     from fascicle.study.population import Posterior
 
     population, count = fitted.population, len(fitted.study.records())
@@ -74,11 +74,11 @@ def print_fit(fitted: FittedStudy, summary: Mapping[str, Any]) -> None:
 
 
 def _print_agreement(summary: Mapping[str, Any]) -> None:
-    """Print how the mean of the networks' ECGs agrees with the recorded QRS."""
+    """Print how well the mean ECG of the networks agrees with the recorded QRS."""
     from fascicle.core.leads import LEADS
     from fascicle.reporting.names import MEASURES
 
-    if "explained_power" not in summary:  # of a study that was fitted before it was measured
+    if "explained_power" not in summary:  # a study of an older version
         return
     explained, correlation = summary["explained_power"], summary["correlation"]
     leads = [lead for lead in LEADS if explained[lead] is not None]
@@ -111,10 +111,10 @@ def _print_posterior(posterior: Posterior, fitted: FittedStudy) -> None:
     print_row("log evidence", f"{one:.1f} and {other:.1f} in two runs")
     print_row("effective sample", f"{posterior.effective.sum():.0f}")
     if not posterior.converged:
-        print_row("parameters", "nothing is said of them: the runs do not agree")
+        print_row("parameters", "not reported: the runs do not agree")
         return
     if len(fitted.recordings) > 1 and posterior.first_alone is None:
-        print_row("first recording alone", "not converged: what the others add cannot be said")
+        print_row("first recording alone", "not converged: what the others add is unknown")
     for statement in fitted.statements.parameters:
         print_row(statement.name, statement)
     for pair in fitted.statements.correlated:
@@ -134,7 +134,7 @@ def _print_population(population: Population) -> None:
 
 
 def print_verdict(fitted: FittedStudy) -> None:
-    """Print whether to trust a study, and what to bear in mind of every number that follows."""
+    """Print whether a study can be trusted, and the caution that holds for its numbers."""
     print_row("result", fitted.verdict)
     if (text := fitted.statements.caution_text) is not None:
         print_row("caution", text)
@@ -174,18 +174,18 @@ def interval(values: Floats, digits: str = ".0f") -> str:
 
 
 def _print_capture(predicted: Mapping[str, Predicted]) -> None:
-    """Warn of stimuli of the tissue that come too late, or lie in scar, in some networks."""
+    """Warn of myocardial stimuli that come too late, or lie in scar, in some networks."""
     for name, found in predicted.items():
         for number, share in enumerate(found.captured, 1):
             if share < 1:
                 print(
-                    f"warning: {name}: stimulus {number} of the tissue captures in {share:.0%} of "
-                    "the networks; elsewhere a front is there before it, or it lies in scar"
+                    f"warning: {name}: myocardial stimulus {number} captures in {share:.0%} of "
+                    "the networks; in the others its site is already activated, or is scar"
                 )
 
 
 def print_reductions(predicted: Mapping[str, Predicted], against: str) -> None:
-    """Print by how much scenarios shorten the total activation time of one before them."""
+    """Print by how much the scenarios after `against` shorten its total activation time."""
     from fascicle.prediction.comparison import compare
 
     names = list(predicted)
@@ -235,10 +235,10 @@ def comparison_result(
     threshold: float,
     parameters: Mapping[str, Floats],
 ) -> dict[str, Any]:
-    """Compare the first of two scenarios with the second, by every index and closely by one.
+    """Compare the first of two scenarios with the second, by every index and by one in detail.
 
-    `predicted` holds the two and what could be measured, `parameters` those of the networks;
-    `threshold` is the gain that matters, in the unit of `index`.
+    `predicted` holds the two and the scenarios of further measurements, `parameters` the values of
+    the networks; `threshold` is the least reduction that matters, in the unit of `index`.
     """
     from fascicle.prediction.comparison import compare, missing_blocks
     from fascicle.prediction.index_names import COMPARED
@@ -283,7 +283,7 @@ def print_sweep(swept: Swept, index: str) -> None:
     found, varied = swept.predicted, swept.varied
     values = np.array([each.indices[index] for each in found.values()])
     least = np.abs(values) == np.abs(values).min(axis=0)
-    best = (least / least.sum(axis=0)).mean(axis=1)  # those that tie share a network
+    best = (least / least.sum(axis=0)).mean(axis=1)  # ties share a network
     rows = [(varied, f"{index_label(index)}, 90 % of the networks", "how often best")]
     for key, row, share in zip(found, values, best, strict=True):
         name = SEGMENTS[int(key) - 1] if varied == SEGMENT else f"{key:g}"

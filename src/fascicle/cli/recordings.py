@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 def target(
     recording: Annotated[Path, Argument(help=f"One of {known_formats()}.")],
     out: Annotated[
-        Path, Option("--out", help="Target to write (netCDF, .nc); a .png goes beside it.")
+        Path, Option("--out", help="Target to write (netCDF, .nc), with a picture (.png).")
     ],
     onset: Annotated[float | None, Option(help="QRS onset (ms from R, negative).")] = None,
     offset: Annotated[float | None, Option(help="QRS offset (ms from R).")] = None,
@@ -46,8 +46,7 @@ def target(
         list[str] | None, Option(help="Reversed electrodes or leads, such as RA-LA or V1-V2.")
     ] = None,
     shared_gain: Annotated[
-        bool,
-        Option("--shared-gain", help="All leads share one gain, whatever the file says of each."),
+        bool, Option("--shared-gain", help="Use one gain for all leads, in place of the file's.")
     ] = False,
     digits_per_mv: Annotated[
         float | None,
@@ -55,10 +54,10 @@ def target(
     ] = None,
     noise: Annotated[float | None, Option(help="Standard deviation of a single beat (mV).")] = None,
     sampling_rate: Annotated[
-        float | None, Option(help="Samples per second (Hz), if the file does not say.")
+        float | None, Option(help="Sampling rate (Hz), if the file does not state it.")
     ] = None,
     unit: Annotated[
-        str | None, Option(help="Unit of the leads (nV, uV, mV, V), if the file does not.")
+        str | None, Option(help="Unit of the leads (nV, uV, mV, V), if the file states none.")
     ] = None,
     lowpass: Annotated[
         float | None, Option(help="Zero-phase low-pass (Hz); none by default.")
@@ -70,7 +69,7 @@ def target(
     recorder_lowpass: Annotated[
         float | None,
         Option(
-            help="The recorder's own low-pass (Hz, -3 dB), if the file does not say; estimated "
+            help="The recorder's low-pass (Hz, -3 dB), if the file does not state it; estimated "
             "from the spectrum by default."
         ),
     ] = None,
@@ -78,10 +77,10 @@ def target(
 ) -> Result:
     """Turn a recording into a target: aligned beats, their mean and spread, the QRS window.
 
-    Beats are found, sorted by shape and aligned; those of the commonest shape (class A) make the
-    target. A page beside it (.png) shows the recording with every beat's number and class, the
-    beats on top of one another, and the QRS window. Look at it, and change what you would have
-    drawn differently:
+    Beats are detected, grouped by morphology and aligned; those of the largest class (A) make the
+    target. A page (.png) shows the recording with every beat's number and class, the beats on top
+    of one another, and the QRS window. Look at it, and change what you would have marked
+    differently:
 
     ```
     fascicle target ecg.hea --out t.nc --exclude-beat 3 --onset -52
@@ -102,7 +101,7 @@ def target(
     from fascicle.reporting.recording import recording_figure
     from fascicle.reporting.style import save
 
-    picture = _picture_beside(out, recording, kind)
+    picture = _picture_path(out, recording, kind)
     choices = TargetOptions(
         onset=onset,
         offset=offset,
@@ -134,7 +133,7 @@ def target(
 def _corrected(
     recording: Recording, gain: float | None, inverted: Sequence[str], swapped: Sequence[str]
 ) -> Recording:
-    """Recording after the gain (digits per mV), then polarity, then exchanges are set right."""
+    """Recording with gain (digits per mV), then polarity, then reversed leads corrected."""
     from fascicle.recording.corrections import invert, share_gain, swap
     from fascicle.recording.readers.names import lead_name
 
@@ -163,7 +162,7 @@ def _gain(shared: bool, digits_per_mv: float | None) -> float | None:
 
 
 def print_analysis(analysis: Analysis) -> None:
-    """Print what was found in a recording, every check with its figure, and the warnings."""
+    """Print the analysis of a recording, every check with its value, and the warnings."""
     from fascicle.recording.analysis import Unused
 
     recording = analysis.recording
@@ -192,19 +191,19 @@ def print_analysis(analysis: Analysis) -> None:
 
 
 def _check_row(finding: CheckResult) -> tuple[str, ...]:
-    """Name, value and limit of a check, with the side on which all is fine, and its outcome."""
+    """Name, value, limit with the acceptable side, unit and outcome of a check."""
     check, unknown = finding.check, math.isnan(finding.value)
     fine = finding.severity.value == "ok"
     limit = _figure(check.limit)
     if not unknown and not math.isnan(check.limit):
         limit = ("≤ " if (finding.value < check.limit) == fine else "≥ ") + limit
-    # of what the recording is too short for, or lacks
+    # the recording is too short for it, or lacks what it needs
     outcome = "not checked" if unknown and fine else finding.severity.value
     return check.name, _figure(finding.value), limit, check.unit, outcome
 
 
 def _result(analysis: Analysis) -> dict[str, object]:
-    """What is printed of a target, as a program wants it."""
+    """The printed values of a target, for --json."""
     target = analysis.target
     return {
         "read_with": analysis.read_with,
@@ -233,7 +232,7 @@ def _result(analysis: Analysis) -> dict[str, object]:
 
 
 def _print_target(target: Target) -> None:
-    """Print the figures of a target; its warnings go to the standard error."""
+    """Print the values of a target; its warnings go to standard error."""
     import numpy as np
 
     print_row("filters", "; ".join(map(str, target.filters)) or "none known")
@@ -262,7 +261,7 @@ def _print_target(target: Target) -> None:
 
 
 def _figure(value: float) -> str:
-    """Four digits at most, or a dash for what the file does not say."""
+    """Four digits at most, or a dash for a value that is not known."""
     if math.isnan(value):
         return "-"
     if abs(value) >= 1e6:
@@ -270,18 +269,20 @@ def _figure(value: float) -> str:
     return f"{value:.4f}".rstrip("0").rstrip(".") if abs(value) < 100 else f"{value:.0f}"
 
 
-def _picture_beside(out: Path, recording: Path, kind: str) -> Path:
-    """Name of the page; both it and the target must be fit to be written."""
+def _picture_path(out: Path, recording: Path, kind: str) -> Path:
+    """Path of the page; neither it nor the target may replace the recording or a folder."""
     picture = out.with_suffix(f".{kind}") if out.name else out
     for path in (out, picture):
         exists = path.exists()
         if exists and (not path.is_file() or (recording.exists() and path.samefile(recording))):
             raise OutputError(
-                f"{path}: is the recording itself, or no ordinary file; give another name to write "
-                "to, such as target.nc (--out)"
+                f"{path}: is the recording itself, or not an ordinary file; give another name "
+                "to write to, such as target.nc (--out)"
             )
     if picture == out:
-        raise OutputError(f"{out}: is the name of the picture; give a target's, such as target.nc")
+        raise OutputError(
+            f"{out}: is the name of the picture; give the target another, such as target.nc"
+        )
     return picture
 
 

@@ -1,4 +1,4 @@
-"""`fascicle study …`: what finished studies found; `fascicle cohort`: many patients at once."""
+"""`fascicle study …`: results of finished studies; `fascicle cohort`: many patients at once."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from fascicle.study.fitted import FittedStudy
 
 study_app = typer.Typer(
-    no_args_is_help=True, help="Say again what finished studies found, and compare them."
+    no_args_is_help=True, help="Show the results of finished studies, and compare them."
 )
 
 
@@ -43,7 +43,7 @@ def written_summary(folder: Path) -> dict[str, object]:
 @study_app.command("show")
 @every_command
 def study_show(study: StudyArgument) -> Result:
-    """Print what a study is of and what it found, as 'fascicle fit' did at its end."""
+    """Print the inputs and the results of a study, as 'fascicle fit' did at its end."""
     from fascicle.study.fit import load_study
 
     with TerminalProgress() as progress:
@@ -67,18 +67,18 @@ def study_compare(
         list[Path], Argument(metavar="STUDY STUDY...", help="Finished study folders.")
     ],
 ) -> Result:
-    """Set the parameters of several studies side by side, and say where they disagree.
+    """Compare the parameters of several studies, and show where they disagree.
 
-    Medians and 90 % of the networks. Of two studies, such as of one patient before and after a
-    therapy, or by two methods, the distance of the medians is given, too, in standard deviations of
-    both together.
+    Medians and 90 % of the networks. For two studies, such as of one patient before and after a
+    therapy, or by two methods, also the distance of the medians, in standard deviations of both
+    together.
     """
     import numpy as np
 
     from fascicle.study.fit import load_study
 
     if len(studies) < 2:
-        raise InputError("give two studies or more, to be compared")
+        raise InputError("give two or more studies to compare")
     with TerminalProgress() as progress:
         fitted = [load_study(study, progress) for study in studies]
     for number, (folder, each) in enumerate(zip(studies, fitted, strict=True), 1):
@@ -112,7 +112,7 @@ def study_compare(
 
 
 def _parameters(fitted: FittedStudy) -> Mapping[str, Floats]:
-    """What the networks say of each parameter; nothing where that is not to be trusted."""
+    """Values of each parameter in the networks; none if the runs have not converged."""
     from fascicle.study.population import Posterior
 
     population = fitted.population
@@ -140,13 +140,13 @@ def cohort(
         str | None,
         Option(
             metavar="I/N",
-            help="Of the rows only I, I + N, I + 2N and so on: task I of N of a job array.",
+            help="Fit only rows I, I + N, I + 2N and so on: task I of N of a job array.",
         ),
     ] = None,
 ) -> Result:
-    """Fit every patient of a table, and write a report of each and a page of all.
+    """Fit every patient of a table, and write a report for each and a page for all.
 
-    The table names a heart and a recording for each, and perhaps settings:
+    The table names a heart and a recording for each, and optionally settings:
 
     ```
     patient,heart,recording,effective
@@ -154,8 +154,8 @@ def cohort(
     bert,hearts/bert,targets/bert.nc,500
     ```
 
-    What is wrong with one patient does not stop the others. Interrupt it whenever you like; the
-    same command goes on where it stopped, and tries again those that failed. The exit status is 0
+    An error in one patient does not stop the others. The command may be interrupted at any time;
+    run again, it continues where it stopped and retries those that failed. The exit status is 0
     if all are fitted, 1 if some are not, 2 if the table is wrong.
 
     Without a scheduler patients are fitted here, one after the other, on all cores; with one, each
