@@ -149,6 +149,7 @@ def refuse(*_):
     raise InputError("not seen")
 
 
+@pytest.mark.slow  # two minutes of waiting
 def test_a_scheduler_that_is_lost_while_a_patient_is_fitted(table, tmp_path):
     """One line, and the next one goes on with what was evaluated."""
     out = tmp_path / "out"
