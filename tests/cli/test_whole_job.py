@@ -114,8 +114,7 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[pytest.mark.slow] if "/" in name else []) for name in DAMAGE],
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if "/" in name else []) for name in DAMAGE]
 )
 def test_damaged_copies_are_restored(study, target, tmp_path, name):
     """What a study keeps of its heart and recording, when it is fitted again."""
