@@ -1,7 +1,5 @@
 """A Dask scheduler and its workers, in processes that a test can stop and kill."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from contextlib import contextmanager

@@ -4,8 +4,6 @@ Within a phase the threads' items run one after the other, in an order that can 
 `THREADS`, on threads that run at the same time and meet where phases end.
 """
 
-from __future__ import annotations
-
 import ctypes
 import hashlib
 import os

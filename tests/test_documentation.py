@@ -1,7 +1,5 @@
 """The documentation's site builds without a warning, and names everything that is public."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

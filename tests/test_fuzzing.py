@@ -3,8 +3,6 @@
 `python -m benchmarks.fuzzing` does the same with 20,000 files of each kind.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from benchmarks.fuzzing.attempts import outcomes

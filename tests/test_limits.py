@@ -3,8 +3,6 @@
 Each is read in a process of its own, so that the memory it takes can be seen.
 """
 
-from __future__ import annotations
-
 import base64
 import gzip
 import json

@@ -1,7 +1,5 @@
 """`fascicle cohort`: its exit statuses, and what it prints."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

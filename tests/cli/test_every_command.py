@@ -1,7 +1,5 @@
 """What every command takes: --quiet, --json, --log, --allow-outside; progress in plain lines."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -4,8 +4,6 @@ What is wrong with surfaces, labels, segmentations and torsos is tried in tests/
 tests/torso; here one of each kind, and what the options say.
 """
 
-from __future__ import annotations
-
 import pickle
 
 import anatomies

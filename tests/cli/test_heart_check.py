@@ -1,7 +1,5 @@
 """`fascicle heart check` and other commands on heart folders, good and spoilt."""
 
-from __future__ import annotations
-
 import shutil
 
 import pytest

@@ -1,7 +1,5 @@
 """`fascicle heart export` of a built heart, read back by `fascicle` and by others."""
 
-from __future__ import annotations
-
 import anatomies
 import meshio
 import numpy as np

@@ -1,7 +1,5 @@
 """`fascicle heart refine`: the finer heart, what it costs, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from fascicle.core.parameters import read_parameters

@@ -1,7 +1,5 @@
 """`fascicle heart import` of a patient's heart, as published."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

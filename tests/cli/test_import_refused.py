@@ -1,7 +1,5 @@
 """`fascicle heart import` with parts or places that cannot be used: one line, nothing left."""
 
-from __future__ import annotations
-
 import json
 import os
 import pickle

@@ -1,7 +1,5 @@
 """`fascicle heart import` on the small heart: what must work."""
 
-from __future__ import annotations
-
 import json
 
 import meshio

@@ -1,7 +1,5 @@
 """Ctrl-C and SIGTERM end the program soon, whatever runs, and leave nothing half-written."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """What a table does not say is asked for, with guesses that work."""
 
-from __future__ import annotations
-
 import re
 from itertools import chain
 

@@ -1,7 +1,5 @@
 """The program as a program: help, imports, exit statuses."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`fascicle parameters`, and the options --fix, --free and --settings."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """`fascicle simulate`: what it writes, and what it refuses."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

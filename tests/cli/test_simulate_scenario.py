@@ -1,7 +1,5 @@
 """`fascicle simulate --scenario`: what it writes and says, and what it refuses."""
 
-from __future__ import annotations
-
 import csv
 import json
 

@@ -1,7 +1,5 @@
 """`fascicle target` from the command line; the recordings themselves: tests/io."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import re

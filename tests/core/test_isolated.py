@@ -1,7 +1,5 @@
 """Reading in a child process: what comes back, and that no file can do this process harm."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """Priors: the map from the unit cube against SciPy's distributions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.stats

@@ -1,7 +1,5 @@
 """What no heart and no recording has is refused in one line of four digits, wherever it enters."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 
