@@ -83,7 +83,7 @@ def checked(default_heart):
 def test_the_page_on_a_heart_names_what_it_shows(checked):
     assert [axes.get_title() for axes in checked.axes] == [
         "endocardia and bundles (front)", "fibres, epicardium", "fibres, endocardia, front half",
-        "torso, from the front", "torso, from the left", "fibre angles: median, middle half",
+        "torso, from the front", "torso, from the left", "fibre angles: median and IQR",
         "wall thickness",
     ]  # fmt: skip
     seeds, *_, front, left, helix, thickness = checked.axes

@@ -264,7 +264,7 @@ def test_a_single_beat_shows_the_stated_noise_and_its_filters():
     np.testing.assert_allclose(high - low, 0.1)
     np.testing.assert_allclose((high + low) / 2, target.beats[0, 1])
     found = texts(figure)
-    assert {"the beat", "± 0.05 mV, noise as stated"} <= set(found)
+    assert {"the beat", "± 0.05 mV, stated noise"} <= set(found)
     assert "filters: low-pass 40 Hz (order 2), the recorder's, as the user says" in found
     assert any(text.startswith("heart rate unknown") for text in found)
 

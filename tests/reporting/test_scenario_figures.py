@@ -90,7 +90,7 @@ def test_a_swept_segment_has_the_size_of_its_delay():
     figure = sweep_figure(Swept(SEGMENT, found, {}), "lv_rv_delay", "pacing")
     numbers = {text.get_text() for text in figure.axes[0].texts if text.get_text().isdigit()}
     assert numbers == {str(k) for k in range(1, 18)}
-    assert figure.get_suptitle() == "pacing: median LV-RV delay, either way, by stimulated segment"
+    assert figure.get_suptitle() == "pacing: median LV-RV delay (absolute) by stimulated segment"
 
 
 @pytest.mark.parametrize("varied", [DELAY, SEGMENT])

@@ -1,4 +1,4 @@
-"""Activation of the heart and of its Purkinje networks, seen from several sides."""
+"""Figures of the activation of the heart and of its Purkinje networks."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ SPREAD = "standard deviation (ms)"
 
 @dataclass(frozen=True)
 class ActivationRow:
-    """One activation of the heart: a row of the figure, by its label.
+    """One activation of the heart, a labelled row of the figure.
 
     Attributes
     ----------
     activation : (n,) array
-        Time at each vertex of the heart (ms); inf or NaN where none arrives.
+        Activation time of each vertex of the heart (ms); inf or NaN if it is not activated.
     trees : tuple of (PurkinjeTree, (n_nodes,) array)
         Purkinje networks and the times at their nodes (ms); may be empty.
     """
@@ -69,7 +69,7 @@ class ActivationRow:
 
 
 def total_time(value: float) -> str:
-    """A total activation time (ms) as rows are named, on lines that are short enough."""
+    """A total activation time (ms) for the label of a row, on short lines."""
     return f"total activation\ntime {value:.0f} ms"
 
 
@@ -77,15 +77,15 @@ def total_time(value: float) -> str:
 def activation_figure(heart: Heart, rows: Sequence[ActivationRow], what: str) -> Figure:
     """Draw activations of one heart, or other times, as isochrone bands, one row each.
 
-    All rows share the colours, all hearts one scale in space, all Purkinje networks another.
+    All rows share the colours; all hearts share one spatial scale, all Purkinje networks another.
 
     Returns
     -------
     Figure
-        Row by row the views of `heart_views`, then each side's Purkinje network on its endocardium,
-        seen from that side through the near wall; last the colour bar, named `what` the times are,
-        which spans those of the hearts: earlier or later ones of the Purkinje networks share its
-        pointed ends.
+        In each row the views of `heart_views`, then each side's Purkinje network on its
+        endocardium, seen from that side through the near wall. The colour bar, labelled `what`,
+        spans the times of the hearts; earlier or later times of the Purkinje networks have the
+        colours of its pointed ends.
     """
     views = heart_views(heart)
     sides = {tree.side for row in rows for tree, _ in row.trees}
@@ -147,7 +147,7 @@ def _bands(rows: Sequence[ActivationRow]) -> BoundaryNorm:
 
 
 def _coloured(heart: Heart, activation: Floats, norm: BoundaryNorm) -> list[Surface]:
-    """The surface of the heart in bands, and in grey where no activation arrives."""
+    """The surface of the heart in bands; tissue that is not activated is grey."""
     triangles, levels = heart.boundary[0], np.asarray(norm.boundaries, dtype=float)
     known = np.isfinite(activation)
     reached = known[triangles].all(axis=1)
@@ -177,7 +177,7 @@ def _draw_tree(
     times: Floats,
     norm: BoundaryNorm,
 ) -> None:
-    """Segments on the far wall drawn fully, those on the near wall as a faint veil."""
+    """Segments on the far wall drawn opaque, those on the near wall faint."""
     centres = cKDTree(endocardium.vertices[endocardium.triangles].mean(axis=1))
     normals = triangle_normals(endocardium.vertices, endocardium.triangles)
     child = np.flatnonzero(tree.parents >= 0)

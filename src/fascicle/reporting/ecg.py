@@ -35,13 +35,13 @@ class EcgGroup:
     Attributes
     ----------
     name, member : str
-        What the legend calls them, and one of them: ``"beat"`` or ``"network"``.
+        Name of the group in the legend, and of one ECG: ``"beat"`` or ``"network"``.
     time : (t,) array
         Time (ms).
     leads : (n, 12, t) array
         Potential (mV); NaN where an ECG has ended.
     share : float
-        Of the ECGs that the band holds at every time, in the middle; 1 for their range.
+        Central share of the ECGs that the band holds at every time; 1 for their range.
     """
 
     name: str
@@ -53,7 +53,7 @@ class EcgGroup:
 
     @property
     def label(self) -> str:
-        """Name, and how many ECGs the line and the band stand for."""
+        """Name of the group, with the meaning of line and band and the number of ECGs."""
         count = len(self.leads)
         band = "range" if self.share == 1 else f"{self.share:.0%}"
         shown = f"mean and {band} of {count} {self.member}s" if count > 1 else f"1 {self.member}"
@@ -92,8 +92,8 @@ def ecg_figure(
 ) -> Figure:
     """Draw groups of 12-lead ECGs over one another in the clinical 3 × 4 layout.
 
-    Lines are means over a group, bands hold its `share`; every group has its own time axis, and all
-    axes have the same limits (ms, mV). There is a note for each lead, and a caption below.
+    Lines are means over a group, bands hold its `share`. All axes have the same limits (ms, mV).
+    Each lead has its note; the caption stands below.
     """
     figure = style.new_figure(10.0, 6.2, title)
     grid = figure.subplots(ROWS, len(LEADS) // ROWS, sharex=True, sharey=True)
@@ -110,7 +110,7 @@ def ecg_figure(
 
 
 def _set_scales(panels: Iterable[Axes], groups: Sequence[EcgGroup]) -> None:
-    """One scale for all leads, on a grid of whole ECG-paper boxes."""
+    """One scale for all leads, in whole boxes of ECG paper."""
     start = min(float(group.time.min()) for group in groups)
     stop = max(float(group.time.max()) for group in groups)
     low = min(float(np.nanmin(group.leads)) for group in groups)
@@ -145,9 +145,9 @@ def target_figure(target: Target) -> Figure:
 def draw_target(figure: Figure | SubFigure, target: Target) -> None:
     """Draw every lead of a target, all to one scale.
 
-    Beats are thin lines (at most 100 of them, evenly over the recording), their mean a thick one,
-    on a band of one standard deviation each way; the window is shaded, its ends with theirs, and
-    broken lines are the ends of the global QRS.
+    Thin lines are beats (at most 100, evenly spread over the recording), the thick line is their
+    mean, the band ± 1 SD. The QRS window and ± 1 SD about its ends are shaded; broken lines mark
+    the global QRS.
     """
     start = max(target.qrs_onset - 80, float(target.time[0]))  # ms
     stop = min(target.qrs_offset + 120, float(target.time[-1]))
@@ -174,26 +174,26 @@ def draw_target(figure: Figure | SubFigure, target: Target) -> None:
 
 
 def _handles(target: Target, drawn: int) -> list[tuple[Any, str]]:
-    """What a legend of the panels shows: an artist and its text each."""
+    """Artists of the legend, each with its text."""
     count = len(target.beats)
     mean, band = Line2D([], [], color="black"), Patch(**BAND)
     handles: list[tuple[Any, str]] = [(mean, "mean"), (band, "± 1 SD from beat to beat")]
     if target.noise is not None:
         name = "the beat" if count == 1 else f"mean of {count} beats"
-        handles = [(mean, name), (band, f"± {target.noise:.3g} mV, noise as stated")]
+        handles = [(mean, name), (band, f"± {target.noise:.3g} mV, stated noise")]
     if count > 1:
         beats = f"{drawn} of {count} beats" if drawn < count else f"{count} beats"
         handles.insert(0, (Line2D([], [], color=Colour.BLUE, linewidth=0.6), beats))
     handles.append((Patch(**WINDOW), "QRS window"))
     if target.onset_sd > 0 or target.offset_sd > 0:
-        handles.append((Patch(**UNCERTAIN), "its ends ± 1 SD"))
+        handles.append((Patch(**UNCERTAIN), "QRS onset and offset ± 1 SD"))
     return [*handles, (Line2D([], [], **GLOBAL_END), "global QRS (outermost leads)")]
 
 
 def _limits(target: Target, mean: Floats) -> tuple[float, float]:
-    """Limits (mV) that hold the mean where it is shown, and beats and band in the QRS window.
+    """Limits (mV) that hold the visible mean, and beats and band in the QRS window.
 
-    An artefact outside the window may leave the panel rather than flatten all of them.
+    An artefact outside the window may leave the panel; otherwise it would flatten all of them.
     """
     band = target.standard_deviation[:, target.qrs_samples]
     inside = target.mean[:, target.qrs_samples]
@@ -217,7 +217,7 @@ def _draw_window(axes: Axes, target: Target) -> None:
 
 
 def _draw_beats(axes: Axes, target: Target, lead: int, drawn: Integers) -> None:
-    """Thin lines, thinner where there are many."""
+    """Thin lines, thinner for many beats."""
     if len(target.beats) > 1:
         few = len(drawn) <= 15
         lines = [np.stack([target.time, beat], axis=1) for beat in target.beats[drawn, lead]]

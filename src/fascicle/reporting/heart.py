@@ -1,4 +1,4 @@
-"""A heart to be confirmed by eye: the labels of its surface, and one page on all that it holds."""
+"""Figures to check a heart by eye: the labels of its surface, and a page on the whole heart."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ WALL_COLOURS = dict(zip(WALLS, (Colour.VERMILION, Colour.GREEN, Colour.BLUE), st
 def labels_figure(surface: LabelledSurface | LabelledMesh) -> Figure:
     """Draw labels from the front, the back and the base, and without the epicardium, to one scale.
 
-    The surface is closed, or a mesh's boundary, with base, epicardium and both endocardia, in any
-    frame. The legend gives the area of each label. The front is where it is if LV and RV are
-    labelled rightly.
+    The surface is closed, or a mesh's boundary, in any frame, with base, epicardium and both
+    endocardia. The legend gives the area of each label. The views are right if LV and RV are
+    labelled correctly.
     """
     views = _label_views(surface)
     boxes = [view.box(surface.vertices[np.unique(surface.triangles)]) for view in views]
@@ -60,7 +60,7 @@ def labels_figure(surface: LabelledSurface | LabelledMesh) -> Figure:
         parts = []
         for label, (_, colour) in LABELS.items():
             triangles = surface.having(label)
-            if view is views[-1]:  # cavities as if they were full
+            if view is views[-1]:  # cavities appear as solid casts
                 if label is Label.EPICARDIUM:
                     continue
                 triangles = triangles[:, ::-1] if label in ENDOCARDIA else triangles
@@ -77,7 +77,7 @@ def labels_figure(surface: LabelledSurface | LabelledMesh) -> Figure:
 
 
 def label_areas(surface: LabelledSurface | LabelledMesh) -> dict[Label, float]:
-    """Area (cm²) of each label that the surface has."""
+    """Area (cm²) of each label on the surface."""
     areas = triangle_areas(surface.vertices, surface.triangles)
     return {
         label: float(areas[surface.labels == label].sum()) / 100
@@ -87,7 +87,7 @@ def label_areas(surface: LabelledSurface | LabelledMesh) -> dict[Label, float]:
 
 
 def _label_views(surface: LabelledSurface | LabelledMesh) -> list[View]:
-    """Cameras in the frame of the left cavity's opening and apex and of the right cavity."""
+    """Cameras in a frame defined by the LV cavity's opening and apex, and by the RV cavity."""
     left_cavity, right_cavity = (surface.having(label) for label in ENDOCARDIA)
     opening = surface.vertices[max(boundary_loops(left_cavity), key=len)].mean(axis=0)
     wall = surface.vertices[np.unique(left_cavity)]
@@ -107,11 +107,11 @@ def _label_views(surface: LabelledSurface | LabelledMesh) -> list[View]:
 
 @style.styled
 def check_figure(heart: Heart, check: HeartCheck) -> Figure:
-    """Draw what a person should look at before trusting a heart.
+    """Draw what a person should check before using a heart.
 
-    Above: endocardia with the bundles' roots and directions, fibres on the epicardium and on the
-    endocardia. Below: the torso with its electrodes from the front and from the left; helix angles
-    through the walls, and their thickness.
+    Above: endocardia with the roots and directions of the bundles; fibres on the epicardium and on
+    the endocardia. Below: the torso with its electrodes, from the front and from the left; helix
+    angles through the walls; wall thickness.
     """
     view = heart_views(heart)["anterior"]
     size = largest([view.box(heart.vertices)])
@@ -130,15 +130,15 @@ def check_figure(heart: Heart, check: HeartCheck) -> Figure:
         _draw_fibres(axes, View(name, view.axes, view.centre), heart, part, step, box, size)
     scale_bar(hearts[0], 20)
     front, left, helix, thickness = lower.subplots(1, 4, width_ratios=(1, 1, 1.1, 1.1))
-    for axes, camera in zip((front, left), body_views(heart.electrodes), strict=True):
+    for axes, camera in zip((front, left), torso_views(heart.electrodes), strict=True):
         _draw_torso(axes, camera, heart)
     _plot_helix(helix, check)
     _plot_thickness(thickness, check)
     return figure
 
 
-def body_views(electrodes: Floats) -> tuple[View, View]:
-    """Cameras in front of a person and on the left, from the electrodes (9, 3) alone (mm)."""
+def torso_views(electrodes: Floats) -> tuple[View, View]:
+    """Cameras in front and on the left of the torso, from the electrodes (9, 3) (mm) alone."""
     left, back, up = torso_axes(electrodes)
     centre = (electrodes.min(axis=0) + electrodes.max(axis=0)) / 2
     return (
@@ -148,7 +148,7 @@ def body_views(electrodes: Floats) -> tuple[View, View]:
 
 
 def _draw_seeds(axes: Axes, view: View, heart: Heart, box: Floats, size: Floats) -> None:
-    """Far walls of the endocardia, with where each bundle starts and where it heads."""
+    """Far walls of the endocardia, with the root and direction of each bundle."""
     colours = [LABELS[label][1] for label in ENDOCARDIA]
     walls = [
         Surface(e.vertices, e.triangles, {"color": colour, "opacity": 0.55})
@@ -186,7 +186,7 @@ def _draw_fibres(
 
 
 def _draw_torso(axes: Axes, view: View, heart: Heart) -> None:
-    """Skin and lungs seen through, the heart, and the electrodes by name."""
+    """The heart, transparent skin and lungs, and the named electrodes."""
     parts = [Surface(heart.vertices, heart.boundary[0], {"color": Colour.VERMILION})]
     torso = heart.torso
     if torso is not None:
@@ -204,7 +204,7 @@ def _draw_torso(axes: Axes, view: View, heart: Heart) -> None:
     colours = [Colour.VERMILION if each else Colour.BLUE for each in limb]
     x, y = screen.T
     axes.scatter(x, y, s=22, c=colours, edgecolors="white", linewidths=0.6, zorder=3)
-    # apart where they stand close together in either view (points)
+    # offsets of names (points) that keep apart electrodes close together in either view
     away = {"RA": (-9, 4), "LA": (9, 4), "V1": (0, 5), "V2": (-11, 0), "V3": (-9, -9)}
     away |= {"V4": (2, -12), "V5": (0, 5), "V6": (6, -11)}
     for name, place in zip(ELECTRODES, screen, strict=True):
@@ -216,7 +216,7 @@ def _draw_torso(axes: Axes, view: View, heart: Heart) -> None:
 
 
 def _plot_helix(axes: Axes, check: HeartCheck) -> None:
-    """Median and middle half of the angles in ten layers, wall by wall."""
+    """Median and interquartile range of the angles in ten layers of each wall."""
     axes.axhline(0, color=Colour.GREY, linewidth=0.5)
     edges = np.linspace(0, 1, 11)
     for name, helix in check.helix.items():
@@ -228,20 +228,20 @@ def _plot_helix(axes: Axes, check: HeartCheck) -> None:
             axes.fill_between(middle, spread[0], spread[2], color=colour, alpha=0.15, lw=0)
             axes.plot(middle, spread[1], color=colour, label=name)
     axes.set(xlim=(0, 1), ylim=(-95, 95), yticks=range(-90, 91, 30))
-    axes.set(title="fibre angles: median, middle half", xlabel="depth (0 inside, 1 outside)")
+    axes.set(title="fibre angles: median and IQR", xlabel="depth (0 endo, 1 epi)")
     axes.set_ylabel("helix angle (degrees)")
     if axes.lines[1:]:
         axes.legend()
 
 
 def _quartiles(angle: Floats) -> Floats:
-    """Quartiles of axes (degrees), which -90 and 90 are the same for: about their mean axis."""
+    """Quartiles of axes (degrees) about their mean axis; -90 and 90 are the same axis."""
     mean = np.degrees(np.angle(np.exp(2j * np.radians(angle)).sum())) / 2
     return np.asarray(mean + np.percentile((angle - mean + 90) % 180 - 90, [25, 50, 75]))
 
 
 def _plot_thickness(axes: Axes, check: HeartCheck) -> None:
-    """Share of each wall over its thickness."""
+    """Histogram of each wall's thickness, in percent of its points."""
     walls = {name: wall for name, wall in zip(WALLS, check.walls, strict=True) if wall.size}
     most = max((np.percentile(wall, 99) for wall in walls.values()), default=1.0)
     bins = np.linspace(0, float(most) * 1.1, 30).tolist()

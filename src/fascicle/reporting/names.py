@@ -1,4 +1,4 @@
-"""What quantities, indices and measures are called in figures, tables and words."""
+"""Names of quantities, indices and measures in figures, tables and sentences."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from fascicle.prediction.index_names import INDICES
 
 
 class Measure(NamedTuple):
-    """What is measured in recorded and in simulated ECGs alike: name, unit, how it is measured."""
+    """A measure of recorded and simulated ECGs: name, unit and definition."""
 
     name: str
     unit: str
@@ -31,7 +31,7 @@ MEASURES = {
 
 
 def parameter_name(name: str) -> str:
-    """Name of a quantity of the model as a reader knows it, such as ``LV fascicle 1 length``."""
+    """Name of a quantity of the model for readers, such as ``LV fascicle 1 length``."""
     match = re.fullmatch(r"(lv|rv)_(initial|fascicle)_(length|angle)(?:_(\d+))?", name)
     if match is not None:
         side, stretch, what, number = match.groups()
@@ -51,7 +51,7 @@ def parameter_label(name: str, unit: str) -> str:
 
 
 def index_name(index: str) -> str:
-    """Name of an index as a reader knows it."""
+    """Name of an index for readers."""
     if f"{index}_ms" in MEASURES:
         return MEASURES[f"{index}_ms"].name
     return _words(index).replace("LV RV", "LV-RV")

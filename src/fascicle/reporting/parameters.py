@@ -1,4 +1,4 @@
-"""What a fit says of the parameters, and how it went."""
+"""Figures of a fit: parameters of its networks, and convergence."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ def pair_figure(
     *,
     title: str = "",
 ) -> Figure:
-    """Lower-triangle pair plot on the whole prior range, d (d+1)/2 axes, row by row.
+    """Lower-triangle pair plot over the whole prior ranges, d (d+1)/2 axes, row by row.
 
-    Scatter below the diagonal; on it, the histogram as a density against the prior as a broken
-    line. Every panel marks the best-fitting parameters, and those of a synthetic target's `truth`.
-    Samples are the networks', (n,) of each of the d parameters in its own unit.
+    Scatter plots below the diagonal; on it, the histogram as a density, and the prior density as a
+    broken line. Every panel marks the best-fitting parameters, and a synthetic target's `truth`.
+    `samples` has the networks' values (n,) of each of the d parameters, in its unit.
     """
     count = len(space)
     figure = style.new_figure(0.95 * count + 2.5, 0.95 * count + 2.0, title)
@@ -72,7 +72,7 @@ def pair_figure(
 
 
 def _draw_marginal(axes: Axes, parameter: Parameter, sample: Floats, marks: Marks) -> None:
-    """Histogram, in bins finer than usual, for they span the whole prior."""
+    """Histogram with fine bins, because they span the whole prior."""
     bins = int(np.clip(2 * np.sqrt(len(sample)), 10, 40))
     edges = np.linspace(parameter.lower, parameter.upper, bins + 1)
     density, _ = np.histogram(sample, edges, density=True)
@@ -104,26 +104,26 @@ def _name_outer(axes: Axes, x: Parameter, y: Parameter, *, bottom: bool, left: b
     axes.set_xlim(x.lower, x.upper)
     axes.xaxis.set_major_locator(MaxNLocator(3, prune="both", steps=[1, 2, 2.5, 5, 10]))
     axes.tick_params(labelbottom=bottom, labelleft=left)
-    below, beside = (
+    below, left_of = (
         textwrap.fill(parameter_label(p.name, p.unit), 13, break_long_words=False) for p in (x, y)
     )
     if bottom:
         axes.set_xlabel(below)
     if left:
-        axes.set_ylabel("density" if x is y else beside)
+        axes.set_ylabel("density" if x is y else left_of)
 
 
 @style.styled
 def prior_figure(space: ParameterSpace, values: Mapping[str, Floats]) -> Figure:
-    """Histograms of networks, (n,) of each parameter, over the priors, on the whole ranges."""
+    """Histograms of the networks' values (n,) of each parameter, with the prior densities."""
     count = len(space.parameters)
     rows = -(-count // 4)
     figure = style.new_figure(8.4, 1.35 * rows)
     panels = figure.subplots(rows, 4, squeeze=False)
-    shares = np.linspace(0.005, 0.995, 200)  # of a prior, for its curve
+    shares = np.linspace(0.005, 0.995, 200)  # quantiles of a prior at which its curve is drawn
     for panel, parameter in zip(panels.flat, space.parameters, strict=False):
         at = parameter.from_unit(shares)
-        inside = np.clip(values[parameter.name], at[0], at[-1])  # what lies beyond is at the ends
+        inside = np.clip(values[parameter.name], at[0], at[-1])  # values beyond count at the ends
         edges = np.linspace(at[0], at[-1], 25)
         panel.hist(inside, edges, density=True, color=Colour.VERMILION, alpha=0.6)
         panel.plot(at, np.gradient(shares, at), color=Colour.GREY)
@@ -136,11 +136,11 @@ def prior_figure(space: ParameterSpace, values: Mapping[str, Floats]) -> Figure:
 
 @style.styled
 def convergence_figure(losses: Floats, stages: Sequence[str], null: float) -> Figure:
-    """Loss of every evaluation and the best so far, against the null loss.
+    """Loss of every evaluation, the best so far, and the null loss.
 
-    Losses (n,) (mV²) in the order of evaluation, NaN where the parameters were infeasible, are dots
-    on a logarithmic axis, the running best steps, infeasible ones ticks along the upper edge. The
-    stages (n,) are shaded and named; a broken line is the loss of a flat line, `null`.
+    Losses (n,) (mV²), in the order of evaluation, are dots on a logarithmic axis; the best so far
+    is a step line. Infeasible parameters (NaN) are ticks along the upper edge. The stages (n,) are
+    shaded and named. A broken line marks the null loss `null`, that of a flat line.
     """
     figure = style.new_figure(7.0, 3.8)
     axes = figure.subplots()
@@ -177,7 +177,7 @@ def _draw_stages(axes: Axes, stages: Sequence[str]) -> None:
     for index, (name, run) in enumerate(groupby(stages)):
         last = first + len(list(run))
         axes.axvspan(first, last, color=("#F3F3F3", "#FFFFFF")[index % 2], linewidth=0, zorder=0)
-        narrow = last - first < 0.15 * len(stages)  # so is slanted, away from its neighbours
+        narrow = last - first < 0.15 * len(stages)  # then the name is slanted
         axes.text(
             (first + last) / 2, 1.02, name, transform=axes.get_xaxis_transform(), va="bottom",
             ha="left" if narrow else "center", rotation=30 if narrow else 0,

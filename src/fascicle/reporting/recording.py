@@ -1,4 +1,4 @@
-"""One page that shows what a target was made of: the recording, its beats, the QRS window."""
+"""One page on how a target was made: the recording, its beats, the QRS window."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from fascicle.reporting.ecg import draw_target
 from fascicle.reporting.style import Colour
 
 SAMPLES = 1000.0 / SAMPLING_STEP  # a second
-# Of the classes that the target is not made of; what is left shares the grey
+# Colours of the classes that the target does not use; any further ones are grey
 CLASSES = (Colour.VERMILION, Colour.GREEN, Colour.PURPLE, Colour.ORANGE, Colour.SKY)
 
 
 @style.styled
 def recording_figure(analysis: Analysis) -> Figure:
-    """Draw the page from which a cardiologist judges a target.
+    """Draw the page (A4, upright) from which a cardiologist judges a target.
 
-    An upright A4. The strip above shows up to ten seconds of all leads as they were recorded, beats
-    numbered and coloured by class. The panels below, row by row, show the target: its beats, their
-    mean and spread, and the QRS window.
+    The strip above shows up to ten seconds of all leads as recorded, with beats numbered and
+    coloured by class. The panels below show the target: its beats, their mean and spread, and the
+    QRS window.
     """
     name = PureWindowsPath(analysis.recording.source).name or analysis.recording.source
     figure = style.new_figure(8.27, 11.69)
@@ -47,9 +47,9 @@ def recording_figure(analysis: Analysis) -> Figure:
 
 
 def strip_span(analysis: Analysis) -> tuple[float, float]:
-    """What the strip shows (s): the first ten seconds with about as many used beats as any.
+    """Start and end of the strip (s): the first ten seconds with nearly the most used beats.
 
-    Of a shorter recording it shows all, and 2.5 s at least, in which a single beat is large.
+    A shorter recording is shown whole, on at least 2.5 s.
     """
     duration = analysis.signal.shape[1] / SAMPLES
     length = min(max(duration, 2.5), 10.0)
@@ -62,14 +62,14 @@ def strip_span(analysis: Analysis) -> tuple[float, float]:
 
 
 def class_colours(analysis: Analysis) -> dict[str, str]:
-    """Colour of each class: blue for the chosen one, grey where the others run out."""
+    """Colour of each class: blue for the chosen one, grey once the other colours are used up."""
     others = [known.label for known in analysis.classes if known.label != analysis.chosen]
     colours = dict.fromkeys([*others, *(beat.label for beat in analysis.beats)], str(Colour.GREY))
     return colours | dict(zip(others, CLASSES, strict=False)) | {analysis.chosen: Colour.BLUE}
 
 
 def _lines(analysis: Analysis) -> list[str]:
-    """Measures, what the user has said of the file, filters, warnings, beats that are not used."""
+    """Measurements, reading options, filters, warnings and unused beats."""
     lines = [_measures(analysis)]
     if analysis.read_with:
         lines.append(style.short(f"read with {'; '.join(analysis.read_with)}", 250))
@@ -109,7 +109,7 @@ def _measures(analysis: Analysis) -> str:
 
 
 def _draw_strip(axes: Axes, analysis: Analysis, colours: Mapping[str, str]) -> None:
-    """All leads below one another, to one scale (mV), with numbers above the beats."""
+    """All leads, one below the other, to one scale (mV), with numbers above the beats."""
     start, stop = strip_span(analysis)
     signal = analysis.signal[:, round(start * SAMPLES) : round(stop * SAMPLES)]
     time = start + np.arange(signal.shape[1], dtype=np.float64) / SAMPLES
@@ -150,9 +150,9 @@ def _absence(lead: Floats) -> str:
 
 
 def _without_artefacts(level: Floats, time: Floats, spikes: Floats) -> tuple[Floats, bool]:
-    """Leads (12, n) less what leaves their room by more than 1 mV, and whether anything does.
+    """Leads (12, n) clipped 1 mV beyond their usual range, and whether anything was clipped.
 
-    Their room is what they fill for 99.8 % of the time, pacing spikes apart.
+    The usual range holds a lead for 99.6 % of the time, pacing spikes excluded.
     """
     calm = np.nan_to_num(level)
     for sample in np.searchsorted(time, spikes[(spikes >= time[0]) & (spikes <= time[-1])]):
@@ -164,9 +164,9 @@ def _without_artefacts(level: Floats, time: Floats, spikes: Floats) -> tuple[Flo
 
 
 def _baselines(level: Floats) -> tuple[Floats, float]:
-    """Where the baselines of leads (12, n) lie so that they do not cross, and the height (mV).
+    """Baselines at which leads (12, n) do not cross, and the height of the strip (mV).
 
-    The height is 16 mV at least, which on the page makes the boxes squares as on ECG paper.
+    The height is at least 16 mV, which makes the boxes square, as on ECG paper.
     """
     flat = np.nan_to_num(level)
     between = np.quantile(flat[1:] - flat[:-1], 0.998, axis=1)
@@ -174,7 +174,7 @@ def _baselines(level: Floats) -> tuple[Floats, float]:
     needed = np.maximum([top, *between, bottom], 0.5) + 0.1
     needed[0] += 0.8  # numbers of beats
     apart = np.quantile(flat[1:], 0.998, axis=1) - np.quantile(flat[:-1], 0.002, axis=1)
-    more = np.maximum(apart + 0.1 - needed[1:-1], 0.0)  # so as never to reach into one another
+    more = np.maximum(apart + 0.1 - needed[1:-1], 0.0)  # then leads never overlap
     needed[1:-1] += more * min(1.0, max(16.0 - needed.sum(), 0.0) / max(more.sum(), 0.1))
     needed += max(16.0 - needed.sum(), 0.0) / len(needed)
     return -np.cumsum(needed)[:-1], float(needed.sum())
@@ -183,7 +183,7 @@ def _baselines(level: Floats) -> tuple[Floats, float]:
 def _draw_traces(
     axes: Axes, time: Floats, traces: Floats, analysis: Analysis, colours: Mapping[str, str]
 ) -> None:
-    """Each lead as one line a colour: that of its class from 100 ms before R to 400 ms after it."""
+    """Each lead as one line per colour; a beat's colour spans 100 ms before R to 400 ms after."""
     shades = np.full(len(time), str(Colour.GREY), dtype=object)
     ends = [beat.time - 0.1 for beat in analysis.beats[1:]] + [np.inf]
     for beat, end in zip(analysis.beats, ends, strict=True):
@@ -196,7 +196,7 @@ def _draw_traces(
 
 
 def _number_beats(axes: Axes, analysis: Analysis, colours: Mapping[str, str]) -> None:
-    """Number of each beat above its R peak, hollow where the target lacks the beat."""
+    """Number of each beat above its R peak, hollow if the target does not use the beat."""
     start, stop = axes.get_xlim()
     several = len(analysis.classes) > 1
     for beat in analysis.beats:
@@ -211,12 +211,12 @@ def _number_beats(axes: Axes, analysis: Analysis, colours: Mapping[str, str]) ->
 
 
 def _class_legend(figure: SubFigure, analysis: Analysis, colours: Mapping[str, str]) -> None:
-    """What colours and marks of the strip mean."""
-    kept = [known for known in analysis.classes if known.label == analysis.chosen]
+    """Legend of the strip's colours and marks."""
+    chosen = [known for known in analysis.classes if known.label == analysis.chosen]
     others = [known for known in analysis.classes if known.label != analysis.chosen]
     handles: list[tuple[Any, str]] = [
         (Line2D([], [], color=colours[known.label], linewidth=2.2), _class_text(known))
-        for known in [*kept, *others[: len(CLASSES)]]
+        for known in [*chosen, *others[: len(CLASSES)]]
     ]
     if rest := others[len(CLASSES) :]:
         text = f"{len(rest)} more classes, {sum(known.count for known in rest)} beats"

@@ -1,4 +1,4 @@
-"""What scenarios do in the networks: indices, ECGs, activations, and what a sweep found."""
+"""Figures of predicted scenarios: indices, ECGs, activations and sweeps."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ SHOWN = (
     "qrs_duration", "global_qrs_duration", "total_activation_time", "lv_dyssynchrony",
     "lv_rv_delay", "qrs_area",
 )  # fmt: skip
-HALF, MOST = (25, 75), (5, 95)  # percentiles of what half and 90 % of the networks span
+HALF, MOST = (25, 75), (5, 95)  # percentiles that bound half and 90 % of the networks
 
 
 @style.styled
 def index_figure(predicted: Mapping[str, Predicted]) -> Figure:
-    """Draw indices of scenarios, a row each, the first, the intrinsic beat, in grey.
+    """Draw indices of scenarios, one row each; the first, the intrinsic beat, is grey.
 
-    A panel for each index of `SHOWN`: the median, and what half and 90 % of the networks span.
+    Each index of `SHOWN` has a panel, with the median and the ranges of half and 90 % of networks.
     """
     figure = style.new_figure(8.7, 2 * (0.65 + 0.28 * len(predicted)))
     panels = figure.subplots(2, len(SHOWN) // 2, sharey=True)
@@ -63,7 +63,7 @@ def index_figure(predicted: Mapping[str, Predicted]) -> Figure:
 
 
 def scenario_ecg_figure(predicted: Mapping[str, Predicted], name: str) -> Figure:
-    """Draw the ECG of a scenario over that of the intrinsic beat: means, and what 90 % span."""
+    """Draw the ECGs of a scenario and of the intrinsic beat: means and 90 % of the networks."""
     intrinsic, found = _with_intrinsic(predicted, name)
     shown = [intrinsic] if found is intrinsic else [intrinsic, found]
     time, ecgs = qrs_aligned(*shown)
@@ -91,7 +91,7 @@ def scenario_activation_figure(
 
 
 def spread_figure(heart: Heart, predicted: Mapping[str, Predicted]) -> Figure:
-    """Draw how far the networks' activations are apart, a row a scenario, in the same colours."""
+    """Draw the networks' SD of activation, one row per scenario, in the same colours."""
     rows = [
         ActivationRow(textwrap.fill(name, 22), found.maps["activation_sd"])
         for name, found in predicted.items()
@@ -110,7 +110,7 @@ def _with_intrinsic(predicted: Mapping[str, Predicted], name: str) -> tuple[Pred
 
 
 def _row(found: Predicted, label: str, number: int) -> ActivationRow:
-    """One network, from its first activation on."""
+    """One network; times are counted from its first activation."""
     beat, total = found.beats[number], found.indices["total_activation_time"][number]
     trees = tuple((tree, times.astype(float)) for tree, times in beat.trees)
     name = f"{label}\n{total_time(total)}"
@@ -118,13 +118,13 @@ def _row(found: Predicted, label: str, number: int) -> ActivationRow:
 
 
 def sweep_figure(swept: Swept, index: str, name: str) -> Figure:
-    """Draw an index over what was varied: a curve, or a bull's eye of the segments."""
+    """Draw an index over the quantity that a sweep varies: a curve, or a bull's eye of segments."""
     values = {key: found.indices[index] for key, found in swept.predicted.items()}
     if swept.varied != SEGMENT:
         return curve_figure(values, index, swept.varied, name)
     title = f"median {index_name(index)}"
-    if index in SIGNED:  # of a delay, its size
-        values, title = {key: np.abs(each) for key, each in values.items()}, f"{title}, either way,"
+    if index in SIGNED:  # absolute delay
+        values, title = {key: np.abs(each) for key, each in values.items()}, f"{title} (absolute)"
     medians = np.full(len(SEGMENTS), np.nan)
     for key, each in values.items():
         medians[int(key) - 1] = np.nanmedian(each)
@@ -134,8 +134,8 @@ def sweep_figure(swept: Swept, index: str, name: str) -> Figure:
 
 @style.styled
 def curve_figure(values: Mapping[float, Floats], index: str, varied: str, name: str) -> Figure:
-    """Draw an index (n,) over what was varied: median, and what half and 90 % of networks span."""
-    title = f"{style.short(name)}: median, half and 90 % of the networks"
+    """Draw an index (n,) over the varied quantity: median, range of half and 90 % of networks."""
+    title = f"{style.short(name)}: median, range of half and 90 % of the networks"
     figure = style.new_figure(5.6, 3.6, title)
     axes, found = figure.subplots(), np.array(list(values.values()))
     for share, opacity in ((MOST, 0.2), (HALF, 0.35)):
@@ -151,7 +151,7 @@ def bulls_eye_figure(values: Floats, title: str, unit: str) -> Figure:
     """Draw values (17,) of the segments of the left ventricle, seen from the apex; NaN is white."""
     figure = style.new_figure(4.6, 4.2, title)
     axes = figure.add_subplot(projection="polar")
-    # less is lighter, and better; ordered for every colour vision
+    # lower is lighter, and better; the order is visible with any colour vision
     colours = ScalarMappable(Normalize(np.nanmin(values), np.nanmax(values)), "cividis_r")
     number = iter(values)
     for ring, count in enumerate((6, 6, 4, 1)):  # sectors from outside, the anterior one first

@@ -1,4 +1,4 @@
-"""The look of all figures, in one place, and the way to disk."""
+"""Style of all figures, and how they are saved."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ P = ParamSpec("P")
 
 
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """Make a function that draws a figure do so with the settings of `RC`, whatever the user's."""
+    """Decorate a function that draws a figure: it uses `RC` instead of the user's settings."""
 
     @wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
@@ -74,7 +74,7 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
 
 def new_figure(width: float, height: float, title: str = "") -> Figure:
-    """Figure (inch) in a constrained layout, of no pyplot window and no global state."""
+    """Figure (inch) with a constrained layout, independent of pyplot."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     if title:
@@ -83,17 +83,17 @@ def new_figure(width: float, height: float, title: str = "") -> Figure:
 
 
 def head(figure: Figure | SubFigure, text: str, **looks: Any) -> None:
-    """Write a text above a figure from the left, in as many lines as it takes."""
-    text = re.sub(r"(?<!\\)\$", r"\$", text)  # or what is wrapped is measured as a formula
+    """Write a text above a figure, left-aligned and wrapped."""
+    text = re.sub(r"(?<!\\)\$", r"\$", text)  # else Matplotlib measures wrapped text as a formula
     figure.suptitle(text, x=0.01, ha="left", wrap=True, parse_math=True, **looks)
 
 
 def mark(figure: Figure, caution: str | None) -> Figure:
-    """Write above a figure why it is not to be relied on, if there is a reason."""
+    """Write above a figure why it should not be relied on, if there is a caution."""
     if caution is not None:
         title = f"{caution}\n{figure.get_suptitle()}".strip()
         head(figure, title, color="#B34700", fontweight="bold", fontsize=RC["figure.titlesize"])
-        for each in figure.legends:  # below that line, for which there is room twice
+        for each in figure.legends:  # below that line
             top = 1 - 0.16 / figure.get_figheight()
             each.set_bbox_to_anchor((0, 0, 1, top), figure.transFigure)
     return figure
@@ -121,7 +121,7 @@ def legend(figure: Figure | SubFigure, handles: Sequence[tuple[Any, str]], **pla
 
 
 def short(text: str, most: int = 40) -> str:
-    """Text on one line, its middle left out where it has more than so many characters."""
+    """Text on one line; an ellipsis replaces its middle beyond `most` characters."""
     text = " ".join(text.split())
     if len(text) <= most:
         return text
@@ -134,11 +134,11 @@ def signed(value: float) -> str:
 
 
 def save(figure: Figure, path: Path | str) -> Path:
-    """Write a figure whole or not at all, in the format of the path's suffix; returns the path."""
+    """Write a figure atomically, in the format of the path's suffix; returns the path."""
     path = Path(path)
     check_picture(path)
     with atomic_path(path) as temporary, warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph")  # of a name in another script: a box is drawn
+        warnings.filterwarnings("ignore", "Glyph")  # missing from the font: drawn as a box
         figure.savefig(temporary, dpi=150)
     return path
 
@@ -151,7 +151,7 @@ def check_picture(path: Path) -> None:
 
 
 def check_kinds(kinds: Sequence[str]) -> None:
-    """Refuse kinds of files that no figure can be written as."""
+    """Refuse file formats in which no figure can be written."""
     check_items(kinds, str, "figures", f"kinds of files: {', '.join(KINDS)}")
     for kind in kinds:
         if kind not in KINDS:

@@ -1,4 +1,4 @@
-"""Surfaces as VTK renders them off screen, in orthographic views of the heart's own frame."""
+"""Surfaces rendered off screen by VTK, in orthographic views aligned with the heart."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class View:
         Rows are the unit vectors to the right, upwards and away from the eye; right-handed as
         right × up = towards the eye.
     centre : (3,) array
-        Position (mm) that lands on the origin.
+        Position (mm) of the origin of the screen.
     """
 
     name: str
@@ -52,7 +52,7 @@ class View:
 class Surface:
     """Vertices (n, 3) (mm) and triangles (m, 3) to draw; `pyvista.Plotter.add_mesh` has the look.
 
-    Only triangles that turn counter-clockwise to the eye are seen.
+    Only triangles that appear counter-clockwise are visible.
     """
 
     vertices: Floats
@@ -61,12 +61,12 @@ class Surface:
 
 
 def heart_views(heart: Heart) -> dict[str, View]:
-    """Place cameras in the heart's own frame, whatever frame its coordinates are in.
+    """Place cameras in the heart's intrinsic frame, whatever the frame of its coordinates.
 
-    The long axis runs from the centre of the left endocardium's opening to its farthest point; the
-    patient's left is where the left cavity lies from the right one, across that axis; the front
-    follows, as in every heart that is not mirrored. The base is up, and in the view of that name
-    as tipping the anterior view towards the eye brings it: the front down, the left on the right.
+    The long axis runs from the centre of the LV endocardium's opening to its farthest point. The
+    patient's left is the direction from the right to the left cavity, perpendicular to that axis;
+    the front follows. The base is up; the view of the base has the front below and the patient's
+    left on the right.
     """
     base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
     towards_left = heart.lv.vertices.mean(axis=0) - heart.rv.vertices.mean(axis=0)
@@ -83,8 +83,8 @@ def heart_views(heart: Heart) -> dict[str, View]:
 def upright_frame(up: Floats, left: Floats, positions: Floats) -> tuple[Floats, Floats]:
     """Unit vectors to the left, the back and upwards, the rows of (3, 3), and a centre (3,) (mm).
 
-    It is the middle of the box along them that holds the positions (n, 3); `left` need not be
-    perpendicular to `up`.
+    The centre is the middle of the box along these vectors that holds the positions (n, 3). `left`
+    need not be perpendicular to `up`.
     """
     up = unit(up)
     left = unit(left - (left @ up) * up)
@@ -94,10 +94,10 @@ def upright_frame(up: Floats, left: Floats, positions: Floats) -> tuple[Floats, 
 
 
 def draw_surfaces(axes: Axes, view: View, *surfaces: Surface, box: Floats, size: Floats) -> None:
-    """Draw surfaces into axes, which then are in mm and show no frame.
+    """Draw surfaces into axes, which then are in mm and have no frame.
 
-    Shown is a width and height, `size` (2,) (mm), about the middle of a box of the screen, of which
-    `box` (2, 2) has the lower left and the upper right corner (mm).
+    The axes show a width and height, `size` (2,) (mm), about the middle of `box` (2, 2), the lower
+    left and the upper right corner of a rectangle on the screen (mm).
     """
     low, high = box.mean(axis=0) - size / 2, box.mean(axis=0) + size / 2
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
@@ -122,7 +122,7 @@ def scale_bar(axes: Axes, length: float) -> None:
 
 
 def largest(boxes: list[Floats]) -> Floats:
-    """Width and height (mm) of panels in which each of the boxes fits, with a margin."""
+    """Width and height (mm) of panels that hold the largest of the boxes, with a margin."""
     return np.asarray(1.04 * np.max([np.ptp(box, axis=0) for box in boxes], axis=0))
 
 
@@ -159,12 +159,12 @@ def _rendered(
 
 @cache
 def _plotter() -> Any:
-    """The one plotter; None where VTK finds no way to render, in which it would crash."""
+    """The one plotter; None where VTK cannot render and would crash."""
     import pyvista
     from vtkmodules.vtkCommonCore import vtkLogger
 
     before = vtkLogger.GetCurrentVerbosityCutoff()
-    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)  # it tells of every way that it tries
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)  # it reports every backend that it tries
     try:
         plotter = pyvista.Plotter(off_screen=True, lighting="none")
     finally:

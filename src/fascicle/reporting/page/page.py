@@ -63,7 +63,7 @@ def report(
     figures: Sequence[str] = (),
     against: str = INTRINSIC,
 ) -> list[Path]:
-    """Write a study and what scenarios do in its networks as one HTML file.
+    """Write a study and its predicted scenarios as one HTML file.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def report(
         Called with how many networks are simulated; by default lines on standard error say so.
     figures : sequence of str
         Also write the figures, as ``"png"``, ``"svg"`` or ``"pdf"``, into the folder ``figures``
-        beside it.
+        next to it.
     against : str
         The scenario that the others are compared with, if not the intrinsic beat.
 
@@ -89,8 +89,8 @@ def report(
     Raises
     ------
     InputError
-        If the study has no network, a scenario is not there or does not fit its heart, or `against`
-        is none of them.
+        If the study has no network, a scenario does not exist or does not fit the heart, or
+        `against` is not one of the scenarios.
     """
     fitted = as_study(fitted, progress)
     check_population(fitted)
@@ -99,7 +99,7 @@ def report(
     check_text(against, "against")
     if against not in scenarios:
         raise InputError(
-            f"'{against}', which others are to be compared with, is none of the scenarios "
+            f"'{against}', with which the others are to be compared, is not one of the scenarios "
             f"{', '.join(scenarios)}; add it to them (--scenario {against})"
         )
     out = as_path(out, "out") if out is not None else fitted.folder / "report.html"
@@ -132,7 +132,7 @@ def write_report(
 
 
 def picture(drawing: Drawing) -> dict[str, Any]:
-    """A figure for the page: a data URL of 256 colours, a third of the size, and its numbers."""
+    """A figure for the page, with its numbers: a data URL of 256 colours, a third of the size."""
     drawn, content = io.BytesIO(), io.BytesIO()
     drawing.figure.savefig(drawn, format="png", dpi=110)
     colours = Image.open(drawn).convert("RGB").quantize(256, dither=Image.Dither.NONE)
@@ -194,7 +194,7 @@ def _content(
 
 
 def _row(name: str, found: Predicted) -> tuple[str, list[Any], tuple[str, float]]:
-    """Percentiles of the indices that are shown, and the segment that is most often the latest."""
+    """Percentiles of the indices of the table, and the segment most often activated last."""
     cells = [np.nanpercentile(found.indices[index], [5, 50, 95]) for index in SHOWN]
     return name, cells, next(iter(latest_segments(found).items()))
 
@@ -213,10 +213,10 @@ def _template() -> Any:
 
 
 def _file(name: str) -> Any:
-    """A file of the page, which is inserted as it is."""
+    """A file of the page, inserted unescaped."""
     return Markup((files("fascicle") / "reporting" / "page" / name).read_text(encoding="utf-8"))
 
 
 def _safe(content: Mapping[str, Any]) -> Any:
-    """JSON that no browser takes for the end of its script."""
+    """JSON that cannot end the script that holds it."""
     return Markup(json.dumps(content, allow_nan=False).replace("<", "\\u003c"))

@@ -1,4 +1,4 @@
-"""What the viewer of a report shows, as small as a page needs it: quantised, in base64."""
+"""Data of the report's viewer, quantised and in base64 to keep the page small."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from fascicle.prediction.predicted import Predicted, PredictedBeat
 from fascicle.reporting.surfaces import heart_views
 from fascicle.study.activation_maps import since_first
 
-NONE = 65_535  # a quantised value that is none; others go up to one less
-# Fields of a scenario besides the networks': name in `Predicted.maps`, what it is, unit, kind
+NONE = 65_535  # marks a missing quantised value; others are lower
+# Fields over all networks: name in `Predicted.maps`, label, unit, kind
 MAPS = (
     ("activation_mean", "mean of the networks", "ms", "time"),
     ("activation_sd", "spread: standard deviation over the networks", "ms", "scalar"),
-    ("probability_latest_fifth", "probability to be in the latest-activated 20 %", "1", "scalar"),
+    ("probability_latest_fifth", "P(among the latest-activated 20 %)", "1", "scalar"),
 )
 
 
 def scene(heart: Heart, predicted: Mapping[str, Predicted]) -> dict[str, Any]:
     """Surface of a heart with the activations of scenarios, JSON for ``fascicleViewer``.
 
-    Fields of one name have one scale, so that colours mean the same in all scenarios. It ends where
-    the last of these fields does: one slow network does not stretch that of the median ones.
+    Fields of one name share one scale, so that colours mean the same in all scenarios. The scale
+    ends at the largest value of these fields; one slow network does not stretch that of the median.
     """
     triangles = heart.boundary[0]
     shown, numbered = np.unique(triangles, return_inverse=True)
@@ -69,7 +69,7 @@ def scene(heart: Heart, predicted: Mapping[str, Predicted]) -> dict[str, Any]:
 
 
 def _fields(found: Predicted, shown: Integers) -> list[dict[str, Any]]:
-    """Values at the vertices that are shown."""
+    """Values at the visible vertices."""
     extremes = found.extremes()
     fields = [
         (f"activation_{which}", f"network of {which} total activation time", "ms", "time",
@@ -106,7 +106,7 @@ def _positions(points: Floats, low: Floats, high: Floats) -> str:
 
 
 def _quantised(values: Floats, low: float, high: float) -> str:
-    """Values from `low` to `high` in steps; what is not finite as `NONE`."""
+    """Values from `low` to `high` in steps; non-finite ones are `NONE`."""
     share = (np.where(np.isfinite(values), values, low) - low) / max(high - low, 1e-9)
     steps = np.round(np.clip(share, 0, 1) * (NONE - 1))
     return _encoded(np.where(np.isfinite(values), steps, NONE).astype("<u2"))
