@@ -87,7 +87,7 @@ def accuracy(
     bodies: list[dict[str, float]],
 ) -> None:
     """Errors of fields and ECG at some bodies."""
-    heart, response = model.heart, model.body(BODY).response
+    heart, response = model.heart, model.torso(BODY).response
     own = conductor.conductivity[: len(heart.tetrahedra)]
     stiffness = assemble_stiffness(heart.vertices, heart.tetrahedra, own)
     leads = lead_matrix()[INDEPENDENT_ROWS]
@@ -141,7 +141,7 @@ def accuracy(
 
 def cost(model: fascicle.ForwardModel, network: Values, bodies: list[dict[str, float]]) -> None:
     """Milliseconds of the lead fields of a body, and of an ECG in it."""
-    body = model.body(BODY)
+    body = model.torso(BODY)
     own, activation = model.prepared.electrocardiograph, simulated(model, network).activation
     times = []
     for values in 3 * bodies:
@@ -183,14 +183,13 @@ def table(model: fascicle.ForwardModel, network: Values) -> dict[str, list[float
     """What each quantity moves, at one standard deviation and at the ends; loss over flat line."""
     plain = simulated(model, network)
     losses: dict[str, list[float]] = {}
-    bodies, names = [], []
+    changes = []
     for name in BODY:
         known = QUANTITIES[name]
         kind, sd = known.default_prior or ("normal", 0.0)
         near = [known.default - sd, known.default + sd] if kind == "normal" else np.exp([-sd, sd])
         for value in (known.prior_range[0], *near, known.prior_range[1]):
-            bodies.append({name: float(value)})
-            names.append((name, float(value)))
+            changes.append((name, float(value)))
     print("quantity | value | loss (mV²) | QRS (ms) | axis (degrees)")
     onset, offset = qrs_window(plain.leads, STEP)
     recorded = plain.leads[:, onset:offset]
@@ -198,7 +197,8 @@ def table(model: fascicle.ForwardModel, network: Values) -> dict[str, list[float
     print(
         f"neutral | | 0 (flat line {flat:.2f}) | {plain.qrs_duration:.0f} | {axis(plain.leads):.0f}"
     )
-    for (name, value), leads in zip(names, model.in_bodies(plain.activation, bodies), strict=True):
+    for name, value in changes:
+        leads = model.leads_in_torso(plain.activation, {name: value})
         shares = losses.setdefault(name, [])
         if not isinstance(leads, np.ndarray):
             print(f"{name} | {value:.3g} | {leads.reason} | |")
@@ -245,7 +245,7 @@ def main() -> None:
     heart = fascicle.load_heart(arguments.heart)
     model = fascicle.ForwardModel(heart)
     begin = time.perf_counter()
-    response = model.body(BODY).response
+    response = model.torso(BODY).response
     print(f"{heart.name}: response in {time.perf_counter() - begin:.0f} s (little if it was kept), "
           f"{len(response.modes)} modes, {len(response.solved)} torsos")  # fmt: skip
     torso = torso_of(heart)

@@ -164,7 +164,7 @@ def another_body(
     times = simulation.activation[:count]
     while True:
         body = body_values(space.from_unit(rng.random(len(space))))
-        (leads,) = model.in_bodies(times, [body])
+        leads = model.leads_in_torso(times, body)
         if not isinstance(leads, InvalidTorso):
             return replace(simulation, leads=leads, onset=first_sample(times))
 
@@ -477,7 +477,7 @@ def main() -> None:
             simulate_prior(given.heart, given.prior_simulations, progress=progress)
         if given.physics == "other" and fascicle.load_heart(given.heart).torso is not None:
             model = ForwardModel(fascicle.load_heart(given.heart), progress=progress)
-            model.body(OF_THE_BODY)  # kept on disk, where each process finds it
+            model.torso(OF_THE_BODY)  # kept on disk, where each process finds it
         paths = [given.out / f"truth-{number:04d}.json" for number in range(given.truths)]
         left = [(number, path, given) for number, path in enumerate(paths) if not path.exists()]
         with ProcessPoolExecutor(given.processes) as pool:

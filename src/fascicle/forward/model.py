@@ -26,7 +26,6 @@ from fascicle.core.progress import Progress, check_progress
 from fascicle.core.quantities import Changes, body_values, checked, quantity
 from fascicle.core.ranges import check_items, check_kind
 from fascicle.core.shared_files import SharedFile, read_shared, write_shared
-from fascicle.forward.body import BodyModel, body_model, prepare_response
 from fascicle.forward.cable.template import default_template
 from fascicle.forward.ecg.electrocardiogram import ActionPotential, Electrocardiograph, first_sample
 from fascicle.forward.eikonal.activation import Coupling, attach, solve
@@ -35,6 +34,7 @@ from fascicle.forward.preparation import Prepared, as_arrays, from_arrays, prepa
 from fascicle.forward.primitives import FURTHEST_STIMULUS
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Signals, SimulatedBeat, Simulation, check_activation
+from fascicle.forward.torso_model import TorsoModel, prepare_response, torso_model
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
@@ -148,8 +148,8 @@ class ForwardModel:
         self._tissue = lru_cache(TISSUES)(partial(_tissue, heart, prepared, self.conduction))
         self.sites = Sites(heart)
         self._progress = progress
-        self._body: BodyModel | None = None
-        self._first_body = Lock()
+        self._torso: TorsoModel | None = None
+        self._torso_lock = Lock()
         self.electrocardiograph = self._tissue(self.conduction).electrocardiograph
 
     def __repr__(self) -> str:
@@ -167,29 +167,29 @@ class ForwardModel:
         rules = self.rules.with_values(anatomy)
         return self._grow(rules, tuple(sorted(anatomy.items())))
 
-    def body(self, wanted: Sequence[str]) -> BodyModel:
+    def torso(self, wanted: Sequence[str]) -> TorsoModel:
         """Lead fields as a function of the torso, built when first used: minutes, once per heart.
 
         Parameters
         ----------
         wanted : sequence of str
-            Quantities of the torso that ask for it.
+            Quantities of the torso that need it; an error names the first.
 
         Raises
         ------
         InputError
             If the heart lies in an unbounded conductor.
         """
-        with self._first_body:
-            if self._body is None:
+        with self._torso_lock:
+            if self._torso is None:
                 response = prepare_response(self.heart, self.conduction, wanted, self._progress)
-                self.use_body(response)
-            assert self._body is not None
-            return self._body
+                self.use_response(response)
+            assert self._torso is not None
+            return self._torso
 
-    def use_body(self, response: TorsoResponse) -> None:
-        """Take a response that is at hand, of this heart and conduction, instead of building it."""
-        self._body = body_model(self.heart, self.conduction, response)
+    def use_response(self, response: TorsoResponse) -> None:
+        """Use a response that was built for this heart and conduction."""
+        self._torso = torso_model(self.heart, self.conduction, response)
 
     def simulate(
         self, parameters: Mapping[str, float], scenario: Scenario | None = None
@@ -219,9 +219,11 @@ class ForwardModel:
         """
         values = complete(parameters)
         check_kind(scenario, (Scenario, NoneType), "scenario", SCENARIO)
-        body = body_values(values)
-        if body and isinstance(found := self.body([*body]).lead_coefficients(body), InvalidTorso):
-            return found
+        torso = body_values(values)
+        if torso:
+            coefficients = self.torso([*torso]).lead_coefficients(torso)
+            if isinstance(coefficients, InvalidTorso):
+                return coefficients
         trees = self.grow(values)
         if isinstance(trees, InvalidTree):
             return trees
@@ -287,42 +289,26 @@ class ForwardModel:
         )
 
     def _leads(self, times: Floats, tissue: Tissue, values: Mapping[str, float]) -> Floats:
-        """The twelve leads (mV), in the torso that the values say."""
-        body = body_values(values)
-        if not body:
+        """The twelve leads (mV), in the torso of these values."""
+        torso = body_values(values)
+        if not torso:
             return np.asarray(values.get("gain", 1.0) * tissue.electrocardiograph.leads(times))
-        found = self._in_body(times, values)
-        if isinstance(found, InvalidTorso):
-            raise InputError(f"{', '.join(body)}: {found.reason}; give smaller changes")
-        return found
+        leads = self.leads_in_torso(times, values)
+        if isinstance(leads, InvalidTorso):
+            raise InputError(f"{', '.join(torso)}: {leads.reason}; give smaller changes")
+        return leads
 
-    def in_bodies(
-        self, activation: Floats, bodies: Sequence[Mapping[str, float]]
-    ) -> list[Floats | InvalidTorso]:
-        """The ECG of one activation in several torsos.
-
-        Parameters
-        ----------
-        activation : (n,) array
-            Activation time of each vertex (ms).
-        bodies : sequence of mappings of name to float
-            Quantities of the torso, gain and regions.
-
-        Returns
-        -------
-        list of (12, n_time) arrays or InvalidTorso
-            Leads (mV), in their order.
-        """
-        return [self._in_body(activation, checked(body)) for body in bodies]
-
-    def _in_body(self, activation: Floats, values: Mapping[str, float]) -> Floats | InvalidTorso:
-        model = self.body([*values])
-        coefficients = model.lead_coefficients(values)
+    def leads_in_torso(
+        self, activation: Floats, values: Mapping[str, float]
+    ) -> Floats | InvalidTorso:
+        """The twelve leads (mV) of an activation (ms), given checked quantities of the torso."""
+        torso = self.torso([*values])
+        coefficients = torso.lead_coefficients(values)
         if isinstance(coefficients, InvalidTorso):
             return coefficients
-        found = model.electrocardiograph(self.prepared.electrocardiograph, coefficients)
+        ecg = torso.electrocardiograph(self.prepared.electrocardiograph, coefficients)
         scale = self.conduction.with_values(values).scale(self.heart)
-        return np.asarray(values.get("gain", 1.0) * found.scaled(scale).leads(activation))
+        return np.asarray(values.get("gain", 1.0) * ecg.scaled(scale).leads(activation))
 
     @overload
     def simulate_many(
@@ -384,9 +370,9 @@ class ForwardModel:
         if executor is None:
             raise InputError("give an executor, or a backend such as fascicle.GpuBackend()")
         check_kind(executor, Executor, "executor", "one of concurrent.futures, or a subclass")
-        bodies = [name for network in networks for name in body_values(network)]
-        if bodies:
-            self.body(bodies)  # built here, not by every worker
+        torso = [name for network in networks for name in body_values(network)]
+        if torso:
+            self.torso(torso)  # built here, not by every worker
         if isinstance(executor, ThreadPoolExecutor):
             return list(executor.map(lambda p: self.simulate(p, scenario), networks))
         with TemporaryDirectory(prefix="fascicle-") as folder:
@@ -400,7 +386,7 @@ class ForwardModel:
     def __reduce__(self) -> tuple[Any, ...]:
         """Send it to another process with all that is prepared."""
         arrays = as_arrays(self.prepared, self.heart)
-        response = None if self._body is None else self._body.response
+        response = None if self._torso is None else self._torso.response
         settings = self.conduction, self.rules, self.action_potential
         return _received, (arrays, response, *settings)
 
@@ -416,7 +402,7 @@ def _received(
     heart, prepared = from_arrays(arrays, action_potential)
     model = ForwardModel(heart, conduction, rules, action_potential, prepared)
     if response is not None:
-        model.use_body(response)
+        model.use_response(response)
     return model
 
 

@@ -1,14 +1,14 @@
-"""What depends on a heart alone: computed once, kept on disk beside it, keyed by its content."""
+"""What depends on a heart alone: computed once, cached in its folder under its content."""
 
 from __future__ import annotations
 
 import os
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -34,7 +34,9 @@ from fascicle.purkinje.growth import Seed, find_seed
 from fascicle.torso.lead_fields import resolve_lead_fields
 
 ONCE = "once per heart"
-KEPT = 4  # files in a heart's cache; the oldest go
+KEPT = 4  # conductions in a heart's cache; the oldest go
+
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
@@ -75,28 +77,41 @@ def prepare(
     progress : Progress, optional
         Progress callback for what takes a while.
     """
-    found = heart_cache(heart, conduction, "prepared")
-    if found is None:
-        return build(heart, conduction, action_potential, progress)
-    cache, key = found
+    return cached(
+        heart,
+        conduction,
+        "prepared",
+        lambda: build(heart, conduction, action_potential, progress),
+        as_arrays,
+        lambda arrays: from_arrays(arrays, action_potential, heart)[1],
+        most=KEPT,
+    )
+
+
+def cached(
+    heart: Heart,
+    conduction: Conduction,
+    kind: str,
+    make: Callable[[], Made],
+    arrays_of: Callable[[Made], Mapping[str, Any]],
+    restored: Callable[[Mapping[str, Any]], Made],
+    most: int | None = None,
+) -> Made:
+    """What depends on heart and conduction: from the cache in the heart's folder, or made."""
+    if heart.folder is None or not os.access(heart.folder, os.W_OK):
+        return make()
+    cache, key = ArrayCache(heart.folder / DISPOSABLE, kind), f"{heart.digest} {conduction}"
     arrays = cache.read(key)
     if arrays is not None:
         with suppress(KeyError, TypeError, ValueError):  # of another layout
-            return from_arrays(arrays, action_potential, heart)[1]
-    prepared = build(heart, conduction, action_potential, progress)
-    cache.keep(key, as_arrays(prepared), most=KEPT)
-    return prepared
-
-
-def heart_cache(heart: Heart, conduction: Conduction, kind: str) -> tuple[ArrayCache, str] | None:
-    """Cache and key of what depends on heart and conduction; None where nothing can be written."""
-    if heart.folder is None or not os.access(heart.folder, os.W_OK):
-        return None
-    return ArrayCache(heart.folder / DISPOSABLE, kind), f"{heart.digest} {conduction}"
+            return restored(arrays)
+    made = make()
+    cache.keep(key, arrays_of(made), most)
+    return made
 
 
 def share_prepared(heart: Heart, copy: Path) -> None:
-    """Give a copy of a heart's folder what is prepared in the original, as links to the same files.
+    """Link the prepared files of a heart into a copy of its folder.
 
     Where links cannot be made, as between two disks, the copy is prepared when it is first used.
     """
@@ -116,13 +131,7 @@ def build(
     action_potential: ActionPotential,
     progress: Progress | None = None,
 ) -> Prepared:
-    """Prepare a heart; see `prepare`, which looks whether that was done before.
-
-    Parameters
-    ----------
-    heart, conduction, action_potential, progress
-        As there.
-    """
+    """Prepare a heart without the cache; parameters as for `prepare`."""
     charts = {e.side: build_chart(e) for e in heart.endocardia}
     barycentric = barycentric_gradients(heart.vertices, heart.tetrahedra)
     electrocardiograph = build_electrocardiograph(
@@ -153,7 +162,7 @@ def _seeds(heart: Heart, charts: dict[str, Chart]) -> dict[str, Seed]:
 
 
 def as_arrays(prepared: Prepared, heart: Heart | None = None) -> dict[str, Any]:
-    """Give the arrays by name, and those of the heart if it is given."""
+    """The arrays by name, with those of the heart if given."""
     myocardium = prepared.myocardium
     parts = {
         "mesh": myocardium.mesh._asdict(),
@@ -180,7 +189,7 @@ def _attributes(part: object, *names: str) -> dict[str, Any]:
 def from_arrays(
     arrays: Mapping[str, Any], action_potential: ActionPotential, heart: Heart | None = None
 ) -> tuple[Heart, Prepared]:
-    """Put together what `as_arrays` took apart; the heart, if it is not there, is as given."""
+    """The inverse of `as_arrays`; the heart is read from the arrays unless it is given."""
     parts: defaultdict[str, dict[str, Any]] = defaultdict(dict)
     for key, array in arrays.items():
         part, name = key.split(".")

@@ -381,7 +381,7 @@ def _simulated_and_compared(
     model = ForwardModel(heart, rules=rules, progress=progress)
     backend = usable(backend, model, [*space.names, *fixed], recordings[0][1])
     if body := body_values(dict.fromkeys((*space.names, *fixed), 0.0)):
-        model.body([*body])  # built here, not by every worker
+        model.torso([*body])  # built here, not by every worker
     compared = tuple(
         TargetComparison(
             target,

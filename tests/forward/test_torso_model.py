@@ -1,4 +1,4 @@
-"""Bodies in the forward model. The response is a crude one: its accuracy is tested elsewhere."""
+"""Torsos in the forward model. The response is a crude one: its accuracy is tested elsewhere."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def model(default_heart):
     # kept nowhere: other tests would take the crude response for the heart's
     model = fascicle.ForwardModel(replace(default_heart, folder=None))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fascicle.forward.body.build_response", quick)
-        model.body(["heart_up"])
+        patch.setattr("fascicle.forward.torso_model.build_response", quick)
+        model.torso(["heart_up"])
     return model
 
 
@@ -49,7 +49,7 @@ def test_neutral_bodies_are_the_plain_model(default_model):
     plain = default_model.simulate(EXAMPLE_PARAMETERS)
     found = default_model.simulate(with_body(**neutral))
     np.testing.assert_array_equal(found.leads, plain.leads)
-    assert default_model._body is None
+    assert default_model._torso is None
 
 
 @pytest.mark.slow
@@ -79,10 +79,11 @@ class TestModel:
         assert change[8] > 0.05
         assert np.delete(change, 8).max() < 1e-6
 
-    def test_many_bodies_of_one_activation(self, model):
+    def test_one_activation_in_other_torsos(self, model):
         bodies = [{"heart_up": 5.0}, {"v1_left": -20.0, "gain": 1.5}, {"chest_size": 1.1}]
         plain = model.simulate(EXAMPLE_PARAMETERS)
-        for found, body in zip(model.in_bodies(plain.activation, bodies), bodies, strict=True):
+        for body in bodies:
+            found = model.leads_in_torso(plain.activation, body)
             np.testing.assert_allclose(found, model.simulate(with_body(**body)).leads, atol=1e-9)
 
     def test_other_processes(self, model):
@@ -105,7 +106,7 @@ class TestModel:
         assert "skin" in found.reason
 
     def test_files(self, model, tmp_path):
-        response = model.body(["heart_up"]).response
+        response = model.torso(["heart_up"]).response
         cache = ArrayCache(tmp_path, "body")
         cache.write("it", response.arrays())
         again = cache.read("it")

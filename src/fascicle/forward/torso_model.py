@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.threads import one_thread
 from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, channel_weights
 from fascicle.forward.ecg.lead_field import nodal_gradients
-from fascicle.forward.preparation import heart_cache
+from fascicle.forward.preparation import ONCE, cached
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
 from fascicle.kernels.jit import CHANNELS
@@ -26,12 +26,11 @@ from fascicle.torso.variation.conductor import InvalidTorso, build_conductor
 from fascicle.torso.variation.response import TorsoResponse
 from fascicle.torso.variation.training import build_response
 
-STAGE, ONCE = "body", "once per heart"
 SEED = 0  # of the torsos that are solved: the same in every run
 
 
 @dataclass(frozen=True)
-class BodyModel:
+class TorsoModel:
     """Lead fields as a function of the torso, and what each of their modes adds to the ECG.
 
     Attributes
@@ -55,27 +54,27 @@ class BodyModel:
 
         Notes
         -----
-        The factor on the myocardium's conductivity divides these and multiplies its sources, so
-        that it counts through its ratio to the other tissues only.
+        The factor on the myocardium's conductivity divides these and multiplies its sources: only
+        its ratio to the other tissues counts.
         """
-        found = self.response.coefficients(values)
-        if isinstance(found, InvalidTorso):
-            return found
-        return np.asarray(lead_matrix()[INDEPENDENT_ROWS] @ found)
+        coefficients = self.response.coefficients(values)
+        if isinstance(coefficients, InvalidTorso):
+            return coefficients
+        return np.asarray(lead_matrix()[INDEPENDENT_ROWS] @ coefficients)
 
     @one_thread
     def electrocardiograph(
-        self, own: Electrocardiograph, coefficients: Floats
+        self, standard: Electrocardiograph, coefficients: Floats
     ) -> Electrocardiograph:
         """The ECG integral in another torso.
 
-        What the modes leave of the lead fields in the heart's own torso is kept, as large against
-        the rest as it is there: in a torso that hardly differs nothing is lost.
+        The part of the standard torso's lead fields that the modes do not span is scaled with the
+        rest, so a torso that hardly differs loses nothing.
 
         Parameters
         ----------
-        own : Electrocardiograph
-            Of the heart's own torso.
+        standard : Electrocardiograph
+            Of the torso in the heart's folder.
         coefficients : (8, k) array
             See `lead_coefficients`.
         """
@@ -85,12 +84,12 @@ class BodyModel:
         size = np.linalg.norm(coefficients, axis=1) / np.linalg.norm(neutral, axis=1)
         change = (coefficients - size[:, None] * neutral).astype(np.float32)
         flat = self.weights.reshape(-1, change.shape[1])
-        weights = size.astype(np.float32) * own.weights
+        weights = size.astype(np.float32) * standard.weights
         weights += (flat @ change.T).reshape(weights.shape)
-        return replace(own, weights=weights)
+        return replace(standard, weights=weights)
 
 
-def body_model(heart: Heart, conduction: Conduction, response: TorsoResponse) -> BodyModel:
+def torso_model(heart: Heart, conduction: Conduction, response: TorsoResponse) -> TorsoModel:
     """The weights of a response's modes in the ECG."""
     barycentric = barycentric_gradients(heart.vertices, heart.tetrahedra)
     intracellular = conduction.intracellular(heart.fibres)
@@ -100,49 +99,26 @@ def body_model(heart: Heart, conduction: Conduction, response: TorsoResponse) ->
         part = gradients[start : start + CHANNELS]
         found = channel_weights(barycentric, heart.volumes, intracellular, part)
         weights[:, :, start : start + CHANNELS] = found[:, :, : len(part)]
-    return BodyModel(response, weights)
+    return TorsoModel(response, weights)
 
 
 def prepare_response(
     heart: Heart, conduction: Conduction, wanted: Sequence[str], progress: Progress | None = None
 ) -> TorsoResponse:
-    """The response of a heart's lead fields to the torso, or what was kept of it before.
-
-    Parameters
-    ----------
-    heart, conduction : Heart, Conduction
-        What it depends on.
-    wanted : sequence of str
-        Quantities that ask for it, for an error.
-    progress : Progress, optional
-        Progress callback: it takes minutes.
-
-    Raises
-    ------
-    InputError
-        If the heart lies in an unbounded conductor.
-    """
+    """The response of a heart's lead fields to the torso, cached; see `ForwardModel.torso`."""
     if heart.torso is None and heart.lead_fields is None:
         raise InputError(
             f"parameter '{wanted[0]}': {heart.name} has no torso; build the heart again with one "
             "(fascicle heart build), or leave the parameter out"
         )
-    found = heart_cache(heart, conduction, "body")
-    if found is None:
-        return _build(heart, conduction, progress)
-    cache, key = found
-    arrays = cache.read(key)
-    if arrays is not None:
-        with suppress(TypeError):  # of another layout
-            return TorsoResponse(**arrays)
-    response = _build(heart, conduction, progress)
-    cache.keep(key, response.arrays())
-    return response
 
+    def make() -> TorsoResponse:
+        torso = torso_of(heart, stage_progress(progress, "torso", ONCE))
+        conductor = build_conductor(heart, torso, conduction)
+        report = stage_progress(progress, "torso response", ONCE)
+        return build_response(conductor, np.random.default_rng(SEED), report)
 
-def _build(heart: Heart, conduction: Conduction, progress: Progress | None) -> TorsoResponse:
-    torso = torso_of(heart, stage_progress(progress, "torso", ONCE))
-    conductor = build_conductor(heart, torso, conduction)
-    return build_response(
-        conductor, np.random.default_rng(SEED), stage_progress(progress, STAGE, ONCE)
-    )
+    def restored(arrays: Mapping[str, Any]) -> TorsoResponse:
+        return TorsoResponse(**arrays)
+
+    return cached(heart, conduction, "body", make, TorsoResponse.arrays, restored)
