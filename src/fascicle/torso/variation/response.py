@@ -160,6 +160,8 @@ class TorsoResponse:
         """Every array, by its name, for files."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
+    __getstate__ = arrays  # what is remembered stays in its process
+
 
 def at_electrodes(values: Floats, moved: Floats) -> Floats:
     """Values (9, c) at the electrodes, of those at all places, where V1 to V6 are moved (6, 2)."""
