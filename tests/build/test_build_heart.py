@@ -1,7 +1,5 @@
 """Hearts built in a torso: where it lies, its electrodes and lead fields, and what keeps them."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Hearts in other software's files read back equal, as meshes and as hearts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

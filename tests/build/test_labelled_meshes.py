@@ -1,7 +1,5 @@
 """Tetrahedra with labels of their surface, from every format; errors in one line."""
 
-from __future__ import annotations
-
 import meshio
 import numpy as np
 import pytest

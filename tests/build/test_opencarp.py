@@ -1,7 +1,5 @@
 """Hearts and trees for openCARP: what is written reads back; damaged files are refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

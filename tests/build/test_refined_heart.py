@@ -1,7 +1,5 @@
 """Every tetrahedron in eight: no gaps, what is inherited, and the same model."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Label maps in NIfTI and NRRD: the same positions from both, and damaged ones in one line."""
 
-from __future__ import annotations
-
 import nibabel
 import nrrd
 import numpy as np

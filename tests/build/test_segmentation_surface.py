@@ -3,8 +3,6 @@
 Volumes are compared with the label map's and positions with the exact ellipsoids'.
 """
 
-from __future__ import annotations
-
 import igl
 import numpy as np
 import pytest

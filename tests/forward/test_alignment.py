@@ -1,7 +1,5 @@
 """Alignment by FFT against shifts tried one by one in closed form; the gain against a minimiser."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import example, given, settings

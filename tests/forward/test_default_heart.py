@@ -1,7 +1,5 @@
 """The whole forward model on the packaged heart: clinical signs, conventions, refusals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from clinical import assert_left_bundle_branch_block, assert_normal

@@ -1,7 +1,5 @@
 """The example network grows on any heart."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

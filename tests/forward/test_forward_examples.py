@@ -1,7 +1,5 @@
 """The examples of docs/extending.md that concern the forward model."""
 
-from __future__ import annotations
-
 import pickle
 import re
 from pathlib import Path

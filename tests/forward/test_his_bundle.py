@@ -1,7 +1,5 @@
 """The His bundle: the intrinsic beat stays, and what runs backwards goes as through one tree."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from builders import case

@@ -1,7 +1,5 @@
 """`simulate_many`: any executor, same results in order, small tasks; and what is remembered."""
 
-from __future__ import annotations
-
 import multiprocessing
 import pickle
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor

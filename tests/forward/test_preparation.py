@@ -1,7 +1,5 @@
 """What depends on a heart alone is kept on disk: read back the same, and never in the way."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 

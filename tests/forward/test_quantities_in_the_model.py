@@ -1,7 +1,5 @@
 """What each quantity does in the forward model, and what is computed again for it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import igl

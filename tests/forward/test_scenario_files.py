@@ -1,7 +1,5 @@
 """Scenario files, read or refused; and the table of what fired what."""
 
-from __future__ import annotations
-
 import csv
 import io
 from dataclasses import replace

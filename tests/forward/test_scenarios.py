@@ -1,7 +1,5 @@
 """Scenarios: what each does to the packaged heart, and exact answers where there are any."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """An action potential from a table, in place of the built-in one."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

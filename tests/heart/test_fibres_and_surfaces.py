@@ -1,7 +1,5 @@
 """Fibres, endocardia and seeds on shapes whose answers are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

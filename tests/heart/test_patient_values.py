@@ -1,7 +1,5 @@
 """A patient's values in heart.toml: kept and counted, or refused where they would not count."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

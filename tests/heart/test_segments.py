@@ -1,7 +1,5 @@
 """Segments of the left ventricle: by hand on ellipsoids, by the electrodes on real hearts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Named sites lie where their names say, in every heart."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

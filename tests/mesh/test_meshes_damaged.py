@@ -4,8 +4,6 @@ Several of these made VTK print to the terminal, return garbage in place of the 
 crash the process (binary PLY), and meshio leave the program or search for ever.
 """
 
-from __future__ import annotations
-
 import meshio
 import numpy as np
 import pytest

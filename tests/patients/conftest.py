@@ -1,7 +1,5 @@
 """Two small targets of the packaged heart, and tables that name them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

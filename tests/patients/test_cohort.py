@@ -1,7 +1,5 @@
 """Many patients: what is wrong with one does not stop the others, and all goes on where it was."""
 
-from __future__ import annotations
-
 import csv
 import json
 import multiprocessing

@@ -1,7 +1,5 @@
 """Predictions that a study keeps: the same as simulated ones, and never those of another study."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

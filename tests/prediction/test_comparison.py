@@ -1,7 +1,5 @@
 """Comparisons whose answer is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

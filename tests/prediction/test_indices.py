@@ -1,7 +1,5 @@
 """Indices of activations and ECGs whose values are known by hand."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Scenarios over a population, the library of them, and what is made of their activations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Families of scenarios: what moves, and what is refused."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

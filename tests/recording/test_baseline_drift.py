@@ -1,7 +1,5 @@
 """Beats whose baseline drifts are left out, and no others."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

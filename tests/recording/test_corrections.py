@@ -1,7 +1,5 @@
 """Corrections of a recording: the true leads come back."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """R peaks where leads are bad or absent, at the ends, and in short pieces."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

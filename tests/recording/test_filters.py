@@ -1,7 +1,5 @@
 """Gains of filters, which of them a target has passed, and what is found in a spectrum."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Recordings whose leads were recorded one group after another, made of complete ones."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Beats of synthetic rhythms, sorted by shape."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Targets of recordings, synthetic ones whose QRS is known exactly and real ones."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Residual covariance of targets whose covariance is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Synthetic recordings are what they say."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Pacing spikes: found, taken out, and not seen where there are none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Targets to and from netCDF."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The QRS windows of signals whose ends are known, and how sure their ends are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

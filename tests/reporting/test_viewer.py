@@ -1,7 +1,5 @@
 """The heart of a report in a real browser: it paints, and every control does what it says."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

@@ -1,7 +1,5 @@
 """What tests of pools and comparisons evaluate."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Agreement of networks with a recording, against a second computation."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A card evaluates as threads do; what it does not simulate is refused, or done on threads."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """What a study learns and what it holds fixed, and settings files."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a result says of itself."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the inference sees: evaluations, in order, however many workers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

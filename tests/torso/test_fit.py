@@ -1,7 +1,5 @@
 """The idealised torso shaped to electrodes, against bodies that are known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

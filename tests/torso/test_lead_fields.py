@@ -1,7 +1,5 @@
 """Lead fields: what holds on any mesh."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lead fields of balls against closed forms and series."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from spheres import (

@@ -1,7 +1,5 @@
 """Torsos in files: that of a heart folder, and the user's own surfaces."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

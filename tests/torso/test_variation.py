@@ -1,7 +1,5 @@
 """Lead fields as a function of the body, on a ball of all tissues."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

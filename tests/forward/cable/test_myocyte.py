@@ -1,7 +1,5 @@
 """The cell model against a second implementation and published values."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

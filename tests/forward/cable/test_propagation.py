@@ -1,7 +1,5 @@
 """Fronts in the cable: speed, convergence, scaling."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The template of the ECG, and its file."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 

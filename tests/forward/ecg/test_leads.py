@@ -1,7 +1,5 @@
 """The twelve leads: sum rules, no common potential, the template."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Potentials of fronts: polarity, the integral by brute force, what counts and what does not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from builders import box, solve_without_trees

@@ -1,7 +1,5 @@
 """Junctions and the myocardium beneath: what is read, what is fired, what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from builders import activate, box_tissue, heart_vertices, line_tree, straight_times, vertex_at

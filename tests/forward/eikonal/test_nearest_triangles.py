@@ -1,7 +1,5 @@
 """Junctions on the tissue's surface: from the endocardium's triangle as by a search of all."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import igl

@@ -3,8 +3,6 @@
 In a uniform box they are geodesics, √(dᵀD⁻¹d); in others none may be shorter than the geodesic.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Travel times inside trees, entered at the root, at leaves, at any node, or several of these."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from builders import activate, box_tissue, heart_vertices, line_tree

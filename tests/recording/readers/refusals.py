@@ -1,7 +1,5 @@
 """What every reader must do with files that it cannot use."""
 
-from __future__ import annotations
-
 import pytest
 
 from fascicle.core.errors import InputError

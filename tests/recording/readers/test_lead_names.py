@@ -1,7 +1,5 @@
 """Spellings of leads and units."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """How the reader of a recording is chosen, and files that are none."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Recordings from HDF5 and MATLAB files, good, bad and damaged."""
 
-from __future__ import annotations
-
 import time
 
 import h5py

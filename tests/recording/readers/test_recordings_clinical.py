@@ -1,7 +1,5 @@
 """HL7 aECG, GE MUSE XML and SCP-ECG files, good and wrong."""
 
-from __future__ import annotations
-
 import re
 import struct
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """DICOM waveform objects, good and bad, and a published one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pydicom
 import pytest

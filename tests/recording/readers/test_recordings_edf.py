@@ -1,7 +1,5 @@
 """EDF recordings, good, bad and damaged."""
 
-from __future__ import annotations
-
 import edfio
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Recordings from tables, good and bad."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

@@ -3,8 +3,6 @@
 Signal files are packed here, from the text of signal(5), and not by the library that reads them.
 """
 
-from __future__ import annotations
-
 import hashlib
 
 import numpy as np
