@@ -1,4 +1,4 @@
-"""Predictions that are kept in the study, so that no command simulates the same twice."""
+"""Prediction cache of a study, so that no command simulates the same twice."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ Trees = Sequence[tuple[PurkinjeTree, ...]]  # of each network
 
 @dataclass(frozen=True)
 class PredictionCache:
-    """The predictions of one population that are in a study's folder, a file a scenario.
+    """Cached predictions of one population in a study's folder, one file per scenario.
 
-    `population` is the SHA-256 of its networks and gains, and of what a study is of.
+    `population` is the SHA-256 of the study's configuration, networks and gains.
     """
 
     fitted: FittedStudy
@@ -41,7 +41,7 @@ class PredictionCache:
 
     @classmethod
     def of(cls, fitted: FittedStudy) -> PredictionCache:
-        """Name those of a study."""
+        """Cache of a study."""
         digest = hashlib.sha256(fitted.study.config.model_dump_json().encode())
         gains = fitted.gains if fitted.gains is not None else np.empty(0)
         for values in (*fitted.population.values.values(), gains):
@@ -53,7 +53,7 @@ class PredictionCache:
         return ArrayCache(self.fitted.folder / "predictions", self.population[:12])
 
     def read(self, scenarios: Mapping[str, Scenario]) -> dict[str, Predicted]:
-        """Read what there is of scenarios; a file that is damaged is none."""
+        """Read the cached predictions of scenarios; damaged files are ignored."""
         files = {
             name: arrays
             for name, scenario in scenarios.items()
@@ -68,7 +68,7 @@ class PredictionCache:
         }
 
     def write(self, predicted: Mapping[str, Predicted]) -> None:
-        """Keep predictions where that can be done; not those with trees of their own."""
+        """Cache predictions if the folder is writable, except those with custom networks."""
         folder = self._cache.folder
         if not os.access(folder if folder.exists() else folder.parent, os.W_OK):
             return  # a study that may only be read is simulated again each time
@@ -80,7 +80,7 @@ class PredictionCache:
                 self._cache.write(scenario_text(found.scenario), _arrays(found))
 
     def _trees(self) -> Trees:
-        """The heart's own trees in every network, grown again: that takes a few ms each."""
+        """Grow the intrinsic Purkinje networks again, which takes a few ms each."""
         population, simulator = self.fitted.population, self.fitted.simulator
         every = [population.parameters(k) for k in range(len(population))]
         parameters = [{**simulator.fixed, **each} for each in every]
@@ -95,7 +95,7 @@ def _grown(parameters: Mapping[str, float], model: ForwardModel) -> tuple[Purkin
 
 
 def _arrays(found: Predicted) -> dict[str, NDArray[Any]]:
-    """What is kept of n networks: arrays of unequal lengths one after the other."""
+    """Arrays to store for n networks; those of unequal lengths are concatenated."""
     times = [[times for _, times in beat.trees] for beat in found.beats]
     return {
         "leads": np.concatenate([beat.leads for beat in found.beats], axis=1),
@@ -109,7 +109,7 @@ def _arrays(found: Predicted) -> dict[str, NDArray[Any]]:
 
 
 def _whole(arrays: Arrays, trees: Trees) -> bool:
-    """Whether arrays are all there, and of sizes that agree."""
+    """Whether all arrays exist and their sizes agree."""
     if {*arrays} != NAMES or arrays["lengths"].ndim != 1:
         return False
     count, samples = len(trees), int(arrays["lengths"].sum())
@@ -124,7 +124,7 @@ def _whole(arrays: Arrays, trees: Trees) -> bool:
 
 
 def _predicted(scenario: Scenario, arrays: Arrays, trees: Trees) -> Predicted:
-    """Put together again what `_arrays` took apart."""
+    """Inverse of `_arrays`."""
     lengths = arrays["lengths"]
     leads = np.split(arrays["leads"], np.cumsum(lengths)[:-1], axis=1)
     filtered = np.split(arrays["filtered"], np.cumsum(lengths + 2 * RINGING)[:-1], axis=1)

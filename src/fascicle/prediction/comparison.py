@@ -1,4 +1,4 @@
-"""Which of two scenarios is better, how probably, by how much, and what explains the spread."""
+"""Comparison of two scenarios: reduction of an index, its probability and its variance."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from fascicle.recording.window import OFFSET_ERROR, ONSET_ERROR
 
 SIGNED = ("lv_rv_delay",)
 INTERVAL = (5, 95)  # percentiles
-FEWEST = 20  # networks; of fewer no correlation is spoken of
-# What could be measured besides the recording, and with which standard deviation: an ECG while the
-# right ventricle is paced, with the uncertainty of its QRS window; electrograms of the intrinsic
-# beat, with some 5 ms for where in them the activation is.
+FEWEST = 20  # independent networks below which no correlation is reported
+# Further measurements, with their standard deviations: an ECG during right ventricular pacing, with
+# the uncertainty of its QRS window; electrograms of the intrinsic beat, with some 5 ms for the
+# activation time within them.
 PACED = "rv-apical-pacing"
 MEASURABLE = {
     (PACED, "qrs_duration"): float(np.hypot(ONSET_ERROR, OFFSET_ERROR)),
@@ -33,7 +33,7 @@ MEASURABLE = {
 
 
 def missing_blocks(name: str, predicted: Mapping[str, Predicted], against: str) -> str:
-    """Say that a pacing lacks a block of what it is compared with; empty if it does not.
+    """Warn that a pacing scenario lacks a block of the scenario it is compared with; else empty.
 
     His bundle pacing, which may capture below a block, lacks none.
     """
@@ -56,9 +56,9 @@ class Comparison:
     index, unit : str
         One of `COMPARED`, and its unit.
     reductions : (n,) array
-        By how much the first scenario's index is less than the second's.
+        Second scenario's index less the first's.
     effective : float
-        How many independent networks the n are worth, at most n.
+        Effective number of independent networks, at most n.
     """
 
     index: str
@@ -75,7 +75,7 @@ class Comparison:
         return float(more.mean() + same.mean() / 2)
 
     def standard_error(self, threshold: float = 0.0) -> float:
-        """Of that probability, because there are only so many independent networks."""
+        """Standard error of that probability for the effective number of networks."""
         count = self.effective
         share = (count * self.probability(threshold) + 0.5) / (count + 1)  # not 0 where all agree
         return float(np.sqrt(share * (1 - share) / count))
@@ -100,14 +100,14 @@ class Comparison:
     def variance_explained_by(self, parameters: Mapping[str, Floats]) -> list[tuple[str, float]]:
         """Share of the reduction's variance, in ranks, that each parameter alone explains.
 
-        Squared rank correlations, adjusted for how few networks there are, the largest first; none
-        of fewer than `FEWEST` independent ones. Parameters that are strongly correlated have the
-        same share each; what no parameter goes with by itself is in none.
+        Squared rank correlations, adjusted for the effective number of networks, the largest first;
+        empty below `FEWEST`. Strongly correlated parameters each have the shared part; joint
+        effects of several parameters are in none.
 
         Parameters
         ----------
         parameters : mapping of name to (n,) array
-            Of the networks.
+            Values in the networks.
         """
         if self.effective < FEWEST:
             return []
@@ -119,8 +119,8 @@ class Comparison:
     ) -> list[tuple[str, str, float]]:
         """Share of the reduction's variance, in ranks, that a further measurement would remove.
 
-        The squared rank correlation of what is measured with the reduction, less what the error of
-        the measurement leaves of it.
+        The squared rank correlation of the measured index with the reduction, times the
+        measurement's reliability.
 
         Parameters
         ----------
@@ -141,7 +141,7 @@ class Comparison:
         return sorted(found, key=lambda item: -item[2])
 
     def _explained_by(self, values: Floats) -> float:
-        """Squared rank correlation with the reduction, less what as many numbers have by chance."""
+        """Squared rank correlation with the reduction, adjusted for chance correlation."""
         left = 1 - _rank_correlation(values, self.reductions) ** 2
         return max(0.0, 1 - left * (self.effective - 1) / (self.effective - 2))
 
@@ -159,7 +159,7 @@ def compare(first: Predicted, second: Predicted, index: str) -> Comparison:
     Raises
     ------
     InputError
-        If the index is none of them, or the networks are not as many.
+        If the index is not one of them, or the networks differ.
     """
     for scenario in (first, second):
         check_kind(scenario, Predicted, "scenario", "one of what fascicle.predict returned")
@@ -176,7 +176,7 @@ def compare(first: Predicted, second: Predicted, index: str) -> Comparison:
 
 
 def _of_the_same_networks(first: Predicted, second: Predicted) -> bool:
-    """Whether the heart's own trees, which no scenario changes, are the same."""
+    """Whether the intrinsic Purkinje networks, which no scenario changes, are the same."""
     return all(
         np.array_equal(one.nodes, other.nodes)
         for a, b in zip(first.beats, second.beats, strict=True)
@@ -186,6 +186,6 @@ def _of_the_same_networks(first: Predicted, second: Predicted) -> bool:
 
 def _rank_correlation(a: Floats, b: Floats) -> float:
     ranks = np.array([rankdata(a), rankdata(b)])
-    if (np.ptp(ranks, axis=1) == 0).any():  # all alike: nothing goes with it
+    if (np.ptp(ranks, axis=1) == 0).any():  # constant values correlate with nothing
         return 0.0
     return float(np.corrcoef(ranks)[0, 1])

@@ -23,7 +23,7 @@ INDICES = {
 }
 """Names of the indices, and their units."""
 
-# Indices of which less is better; of a delay between the sides, less either way
+# Indices for which lower is better; for LV-RV delay, a lower absolute value
 COMPARED = (
     "qrs_duration", "global_qrs_duration", "total_activation_time", "lv_activation_time",
     "rv_activation_time", "activation_time_90", "activation_time_95", "lv_rv_delay",
@@ -32,7 +32,7 @@ COMPARED = (
 
 
 def check_index(index: str) -> None:
-    """Refuse an index that is none of `COMPARED`."""
+    """Refuse an index that is not in `COMPARED`."""
     if not isinstance(index, str) or index not in COMPARED:
         raise InputError(
             f"index {shown(index)} is not compared; choose one of {', '.join(COMPARED)}"

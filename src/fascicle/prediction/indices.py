@@ -1,4 +1,4 @@
-"""What is read off an activation and its ECG: durations, synchrony, peaks, the area of the QRS.
+"""Indices of an activation and its ECG: durations, synchrony, peaks, QRS area.
 
 Definitions and sources stand in docs/predictions.md, which a test holds to the names of
 `fascicle.prediction.index_names`.
@@ -56,7 +56,7 @@ class Territories:
 
     @classmethod
     def of(cls, heart: Heart, places: Places) -> Territories:
-        """Those of a heart."""
+        """Territories of a heart."""
         right = places.segment == RIGHT
         vertices = (np.unique(heart.tetrahedra[chosen]) for chosen in (~right, right))
         free = places.wall == Wall.LV
@@ -81,10 +81,9 @@ class Territories:
 def indices(
     simulation: Simulation, territories: Territories, stimulus: float | None = None
 ) -> dict[str, float]:
-    """Compute all indices of a simulation whose first stimulus is given at a time (ms).
+    """Compute all indices of a simulation whose first stimulus is at a time (ms).
 
-    Without a stimulus what is counted from it is NaN, as is what refers to a wave that is not
-    there.
+    Indices counted from the stimulus are NaN without one; those of a missing wave are NaN.
     """
     return {**_of_activation(simulation.activation, territories), **_of_ecg(simulation, stimulus)}
 

@@ -1,4 +1,4 @@
-"""What scenarios do in the networks of a population: what is kept of each simulation."""
+"""Predictions of scenarios in the networks of a population, and the data stored for each."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from fascicle.forward.simulation import Simulation
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.study.activation_maps import activation_maps
 
-RINGING = 40  # samples on either side, for what the recorder's filters add
+RINGING = 40  # samples on either side, for the ringing of the recorder's filters
 
 
 @dataclass(frozen=True)
 class PredictedBeat:
-    """What is kept of one simulation, in single precision: of a fine heart there are hundreds.
+    """Data stored for one simulation; times are in single precision to save memory.
 
     Attributes
     ----------
     leads : (12, n_time) array
         ECG (mV) every 1 ms, with the gain that matches the recording best, or that was drawn.
     filtered : (12, n_time + 2 * `RINGING`) array
-        The same as the recorder would have it, from `RINGING` samples before to as many after. A
-        steep filter rings about the QRS, so that indices are not read off it.
+        The ECG after the recorder's filters, with `RINGING` samples more on either side. Indices
+        are not measured on it, because steep filters ring about the QRS.
     activation : (n,) array
-        Activation time of each vertex of the heart (ms); inf where no front arrives.
+        Activation time of each vertex of the heart (ms); inf if not activated.
     trees : tuple of (PurkinjeTree, (n_nodes,) array)
-        The trees, left first, and when each of their nodes is reached (ms).
+        The Purkinje networks, left first, with the activation times of their nodes (ms).
     captured : (n_stimuli,) bool array
-        Which of the scenario's stimuli of the tissue came before any front was there.
+        Which of the scenario's myocardial stimuli captured.
     """
 
     leads: Floats
@@ -47,7 +47,7 @@ class PredictedBeat:
 
     @classmethod
     def of(cls, simulation: Simulation, leads: Floats, filtered: Floats) -> PredictedBeat:
-        """What is kept of a simulation; `leads` and `filtered` as above."""
+        """Store a simulation; `leads` and `filtered` as above."""
         times = (each.astype(np.float32) for each in simulation.coupled.trees)
         trees = tuple(zip(simulation.trees, times, strict=True))
         activation = simulation.activation.astype(np.float32)
@@ -56,7 +56,7 @@ class PredictedBeat:
 
 @dataclass(frozen=True)
 class Predicted:
-    """What one scenario does in n networks.
+    """One scenario in n networks.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Predicted:
     indices : mapping of name to (n,) array
         `INDICES` of each.
     effective : float
-        How many independent networks they are worth; n, if nothing less is known.
+        Effective number of independent networks; inf if unknown, which counts as n.
     """
 
     scenario: Scenario
@@ -87,7 +87,7 @@ class Predicted:
         }
 
     def matches_first(self, other: Predicted) -> bool:
-        """Whether the first networks of both do the same."""
+        """Whether the first network has the same ECG, activation and indices in both."""
         one, another = self.beats[0], other.beats[0]
         return (
             np.array_equal(one.leads, another.leads)
@@ -100,7 +100,7 @@ class Predicted:
 
     @property
     def captured(self) -> Floats:
-        """Share of the networks that each stimulus of the tissue captures, shape (n_stimuli,)."""
+        """Share of the networks that each myocardial stimulus captures, shape (n_stimuli,)."""
         return np.asarray(np.mean([beat.captured for beat in self.beats], axis=0))
 
     @cached_property

@@ -37,7 +37,7 @@ PRIOR_NETWORKS = 60
 
 
 def with_intrinsic_beat(scenarios: Mapping[str, Scenario]) -> dict[str, Scenario]:
-    """The heart's intrinsic beat, and the scenarios, none of which may have its name."""
+    """Put the intrinsic beat before the scenarios, none of which may have its name."""
     if scenarios.get(INTRINSIC, Scenario()) != Scenario():
         raise InputError(
             f"{scenarios[INTRINSIC].source or 'a scenario'}: '{INTRINSIC}' is the intrinsic beat, "
@@ -54,7 +54,7 @@ def predict(
 ) -> dict[str, Predicted]:
     """Simulate the intrinsic beat and scenarios in every network of a study.
 
-    The trees stay as they were learnt, and all else of a network that a scenario does not change.
+    The Purkinje networks are as learnt; only what the scenario names differs.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def predict(
     progress : Progress, "lines" or None
         Called with how many networks are simulated; by default lines on standard error say so.
     networks : sequence of Network, optional
-        Those of the study, all of them, where they are simulated already.
+        All networks of the study, if they are simulated already.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def predict(
     Raises
     ------
     InputError
-        If the study has no network, there is no such scenario, or it does not fit the heart.
+        If the study has no network, or a scenario does not exist or does not fit the heart.
     """
     with shown_progress(progress) as shown:
         fitted = as_study(fitted, shown)
@@ -104,7 +104,7 @@ def predict(
 
 
 def _up_to_date(fitted: FittedStudy, kept: Mapping[str, Predicted]) -> dict[str, Predicted]:
-    """Those of kept predictions of which the first network still does the same, to the last bit."""
+    """Cached predictions that a new simulation of the first network repeats to the last bit."""
     if not kept:
         return {}
     first = fitted.networks(chosen=[0])
@@ -142,10 +142,10 @@ def simulate_scenarios(
     progress: Progress | None = None,
     of: str = "",
 ) -> dict[str, Predicted]:
-    """Simulate scenarios in networks, which were simulated in the scenario of a recording.
+    """Simulate scenarios in networks that were simulated in the scenario of a recording.
 
-    The ECGs pass the recording's filters. A scenario is a stage of the progress, of its name and
-    the text `of`.
+    The ECGs pass the recording's filters. Each scenario is a stage of the progress, named after it
+    and the text `of`.
     """
     model, response = simulator.model, recording.target.response
     territories = Territories.of(model.heart, model.sites.places)
@@ -153,7 +153,7 @@ def simulate_scenarios(
     for name, scenario in scenarios.items():
         report, beats, found = stage_progress(progress, name + of), [], []
         try:
-            # in that of the recording they are simulated already
+            # the recording's scenario is simulated already
             new = None if scenario == (recording.scenario or Scenario()) else scenario
             each_network = partial(_simulate, territories, scenario, new, response)
             for beat, values in simulator.pool.map(each_network, networks, model):
@@ -186,7 +186,7 @@ def _simulate(
 
 
 def prior_networks(simulator: PointSimulator, progress: Progress | None = None) -> list[Network]:
-    """Networks of the prior, the simulator's space, which know nothing of the recording."""
+    """Networks drawn from the prior, independent of the recording."""
     points = prior_points(len(simulator.space), PRIOR_NETWORKS)
     report, networks = stage_progress(progress, "networks of the prior"), []
     for done, point in enumerate(points, 1):
@@ -199,14 +199,14 @@ def prior_networks(simulator: PointSimulator, progress: Progress | None = None) 
 
 
 def qrs_aligned(*predicted: Predicted) -> tuple[Floats, list[Floats]]:
-    """ECGs of scenarios as the recorder would have them, from the QRS onsets on, on one time axis.
+    """ECGs of scenarios as the recorder would show them, aligned at the QRS onset.
 
     Returns
     -------
     time : (t,) array
         Time from QRS onset (ms).
     ecgs : list of (n, 12, t) arrays
-        Potentials (mV) of each scenario, of all until the longest QRS of all has ended.
+        Potentials (mV) of each scenario, up to the end of the longest QRS.
     """
     windows = [[qrs_window(beat.leads, STEP) for beat in each.beats] for each in predicted]
     longest = max(offset - onset for each in windows for onset, offset in each)

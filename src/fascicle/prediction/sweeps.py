@@ -1,4 +1,4 @@
-"""Families of scenarios: a delay, the place of a stimulus, or what it captures, varied."""
+"""Families of scenarios that vary a delay, the site of a stimulus or its capture radius."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import check_population, simulate_scenarios
 from fascicle.study.fitted import FittedStudy
 
-MOST = 200  # scenarios of a sweep
+MOST = 200  # scenarios in a sweep
 SEGMENT = "segment"
 DELAY = "delay of the last stimulus after the first (ms)"
 RADIUS = "capture radius (mm)"
@@ -33,14 +33,14 @@ class Sweep(NamedTuple):
 
 @dataclass(frozen=True)
 class Swept:
-    """What a `Sweep` does in n networks, and why some of its scenarios cannot be simulated."""
+    """A `Sweep` simulated in n networks, and why some scenarios are impossible."""
 
     varied: str
     predicted: dict[float, Predicted]
     impossible: dict[float, str]
 
     def called(self, key: float) -> str:
-        """What a scenario of the family is called, such as ``"20 ms"``."""
+        """Name of a scenario of the family, such as ``"20 ms"``."""
         unit = self.varied.partition("(")[2].strip(")")
         return f"{key:g} {unit}" if unit else f"segment {key:g}"
 
@@ -48,9 +48,9 @@ class Swept:
 def simulate_sweep(
     fitted: FittedStudy, sweep: Sweep, networks: int, progress: Progress | None = None
 ) -> Swept:
-    """Simulate a family of scenarios in so many networks, evenly spread over a study's population.
+    """Simulate a family of scenarios in some networks, evenly spread over a study's population.
 
-    A segment may hold no tissue, or scar that nothing fires: the others are simulated all the same.
+    Scenarios that cannot be simulated, as of a segment without excitable tissue, are skipped.
 
     Raises
     ------
@@ -78,14 +78,14 @@ def simulate_sweep(
 
 
 def delays(scenario: Scenario, given: str) -> Sweep:
-    """The scenario with its last stimulus so long (ms) after its first; negative, before it.
+    """The scenario with a varied delay (ms) of its last stimulus after its first.
 
     Parameters
     ----------
     scenario : Scenario
         With two stimuli at least.
     given : str
-        ``"first:last:step"``, numbers that go up, both ends included.
+        ``"first:last:step"`` in ascending order, both ends included; negative: before the first.
     """
     stimuli = scenario.of(Stimulus)
     if len(stimuli) < 2:
@@ -98,7 +98,7 @@ def delays(scenario: Scenario, given: str) -> Sweep:
 
 
 def segments(scenario: Scenario, layer: str) -> Sweep:
-    """The scenario with its last stimulus of the tissue in each segment, in one of `LAYERS`."""
+    """The scenario with its last myocardial stimulus in each segment, in one of `LAYERS`."""
     if layer not in LAYERS:
         raise InputError(f"there is no layer '{layer}'; choose {' or '.join(LAYERS)}")
     moved = _of_the_myocardium(scenario)[-1:]
@@ -109,7 +109,7 @@ def segments(scenario: Scenario, layer: str) -> Sweep:
 
 
 def radii(scenario: Scenario, given: str) -> Sweep:
-    """The scenario with other capture radii (mm) of its stimuli of the tissue, as of `delays`."""
+    """The scenario with varied capture radii (mm) of its myocardial stimuli, as in `delays`."""
     changed = _of_the_myocardium(scenario)
     return Sweep(RADIUS, {r: _changed(scenario, changed, radius=r) for r in _numbers(given)})
 
