@@ -47,7 +47,7 @@ def test_the_options_of_every_command(run, monkeypatch, command):
      "heart simulate-prior default"],
 )  # fmt: skip
 def test_what_simulates_many_networks_may_do_so_on_a_cluster(refused, asked):
-    refused([*asked.split(), "--scheduler", "here"], "'here' is no address of a Dask scheduler")
+    refused([*asked.split(), "--scheduler", "here"], "'here' is not an address of a Dask scheduler")
 
 
 @pytest.mark.parametrize("command", ["compare", "sweep"])

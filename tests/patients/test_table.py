@@ -48,8 +48,8 @@ def test_other_separators(read, separator):
     [
         ("", "t.csv, line 1: column 'patient'"),
         (f"{HEAD}\n\n", "t.csv: has no patient"),
-        (b"PK\x03\x04\xff\xfe", "t.csv: is no table in text"),
-        (f'{HEAD}\nanna,"default,a.nc\n', "t.csv: is no table in text"),
+        (b"PK\x03\x04\xff\xfe", "t.csv: is not a table in text"),
+        (f'{HEAD}\nanna,"default,a.nc\n', "t.csv: is not a table in text"),
         (f"{HEAD},hart\n{ROW},x\n", "line 1: column 'hart'"),
         (f"{HEAD},heart\n{ROW},x\n", "line 1: column 'heart'"),
         ("patient,heart\nanna,default\n", "line 1: column 'recording'"),

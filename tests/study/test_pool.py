@@ -358,7 +358,7 @@ class TestCluster:
     def test_what_is_no_address(self, address):
         from fascicle.study.cluster import Cluster
 
-        with pytest.raises(InputError, match="is no address of a Dask scheduler; it prints"):
+        with pytest.raises(InputError, match="is not an address of a Dask scheduler; it prints"):
             Cluster(address)
 
     def test_where_no_scheduler_is(self, monkeypatch):

@@ -1,4 +1,4 @@
-"""Fit every patient of a table, here or on the workers of a Dask cluster; the page of all."""
+"""Fit every patient of a table, here or on the workers of a Dask cluster; overview page."""
 
 from __future__ import annotations
 
@@ -34,37 +34,37 @@ def cohort(
     cluster: Cluster | None = None,
     progress: Progress | Lines | None = "lines",
 ) -> list[Outcome]:
-    """Fit every patient of a table, and write a report of each and a page of all.
+    """Fit every patient of a table; write a report of each and an overview page.
 
-    Started again it goes on: finished patients are left as they are, those that failed are tried
-    again. What is wrong with one patient does not stop the others.
+    A second call resumes: finished patients are skipped, those that failed are tried again. The
+    failure of one patient does not stop the others.
 
     Parameters
     ----------
     table : path
-        CSV file with the columns ``patient``, ``heart``, ``recording``, perhaps ``scenario``,
-        ``settings`` and fields of `fascicle.FitSettings`; paths count from its folder.
+        CSV file with the columns ``patient``, ``heart``, ``recording``, optionally ``scenario``,
+        ``settings`` and fields of `fascicle.FitSettings`; paths are relative to its folder.
     out : path
         Folder to write: ``studies/NAME``, ``results.csv``, ``index.html``.
     only : str, optional
-        ``"i/n"``: of the rows only i, i + n, i + 2n and so on, for jobs of an array. They may run
-        at the same time.
+        ``"i/n"``: only rows i, i + n, i + 2n and so on, for array jobs, which may run at the same
+        time.
     cluster : Cluster, optional
-        Whose workers fit a patient each (`fascicle.Cluster`); else patients are fitted here, one
-        after the other.
+        Its workers fit one patient each (`fascicle.Cluster`); without, patients are fitted here,
+        one after the other.
     progress : Progress, optional
-        Called with how many patients are done, and with the stages of the one who is fitted here.
+        Called with the number of finished patients, and with the stages of a fit made here.
 
     Returns
     -------
     list of Outcome
-        Of the rows that were asked for, as they ended: `patient`, `status`, `reason`, `verdict`,
+        One for each chosen row, as they finish: `patient`, `status`, `reason`, `verdict`,
         `converged`, `explained`, `parameters` and more.
 
     Raises
     ------
     InputError
-        If the table is not one, the folder cannot be used, or workers do not see it.
+        If the table is invalid, the folder cannot be used, or workers do not see it.
 
     Examples
     --------
@@ -85,7 +85,7 @@ def outcomes(
     cluster: Cluster | None = None,
     progress: Progress | None = None,
 ) -> Iterator[Outcome]:
-    """Give the outcomes of `cohort` as soon as they are there; the page is that of all so far."""
+    """Yield the outcomes of `cohort` as patients finish, and update the overview each time."""
     table, folder = as_path(table, "table"), as_path(out, "folder").absolute()
     patients = read_table(table, folder)
     mine = part_of(patients, only)
@@ -101,36 +101,36 @@ def outcomes(
 
 
 def _check_folder(folder: Path) -> None:
-    """Refuse a folder that is no cohort and cannot become one."""
+    """Refuse a folder that holds other files and no cohort."""
     check_writable(folder / PAGE)
-    own = (PATIENTS, STUDIES, PAGE, RESULTS)
-    foreign = [path.name for path in folder.iterdir() if path.name not in own]
+    written = (PATIENTS, STUDIES, PAGE, RESULTS)
+    foreign = [path.name for path in folder.iterdir() if path.name not in written]
     if foreign and not (folder / PATIENTS).is_dir():
         raise OutputError(
-            f"{folder}: holds '{foreign[0]}' and is no cohort; give another folder (--out)"
+            f"{folder}: holds '{foreign[0]}' and is not a cohort; give another folder (--out)"
         )
 
 
 def _fitted(
     patients: Sequence[Patient], cluster: Cluster | None, progress: Progress | None
 ) -> Iterator[Outcome]:
-    """Fit patients, those first that are done already, and say how many are done."""
+    """Fit patients, finished ones first, and report how many are done."""
     ordered = sorted(patients, key=lambda patient: patient.outcome.status is not Status.FITTED)
     finished = sum(patient.outcome.status is Status.FITTED for patient in patients)
     done = 0
 
     def report(message: str) -> None:
-        # not before: the time that finished ones take says nothing of the time that is left
+        # skipped patients take no time, and would spoil the estimate of the time left
         if progress is not None and done >= finished:
             progress("patients", done, len(patients), message)
 
     if cluster is None:
-        found = _fitted_here(ordered, report, progress)
+        ended = _fitted_here(ordered, report, progress)
     else:
         from fascicle.patients.workers import fit_on_workers
 
-        found = fit_on_workers(cluster, ordered, report)
-    for outcome in found:
+        ended = fit_on_workers(cluster, ordered, report)
+    for outcome in ended:
         done += 1
         report("")
         yield outcome
@@ -150,14 +150,14 @@ def _fitted_here(
 
 
 def write_overview(folder: Path, table: Path, patients: Sequence[Patient]) -> None:
-    """Write table and page of what has become of all patients of a cohort so far.
+    """Write the table and the page of all outcomes of a cohort so far.
 
-    Others may do so at the same time: where a patient was done meanwhile it is written again, so
-    that whoever writes last leaves the whole.
+    Other processes may write them at the same time: they are rewritten until no outcome has changed
+    meanwhile, so the last writer leaves them complete.
     """
     outcomes: list[Outcome] = []
-    while (found := [patient.outcome for patient in patients]) != outcomes:
-        outcomes = found
+    while (current := [patient.outcome for patient in patients]) != outcomes:
+        outcomes = current
         rows = [
             outcome.row() | {"heart": patient.heart, "recording": patient.recording}
             for patient, outcome in zip(patients, outcomes, strict=True)
@@ -177,10 +177,10 @@ def _page(table: Path, outcomes: Sequence[Outcome]) -> str:
 
     from fascicle import __version__
 
-    own = files("fascicle")
+    package = files("fascicle")
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    template = (own / "patients" / "overview.html").read_text(encoding="utf-8")
-    style = (own / "reporting" / "page" / "style.css").read_text(encoding="utf-8")
+    template = (package / "patients" / "overview.html").read_text(encoding="utf-8")
+    style = (package / "reporting" / "page" / "style.css").read_text(encoding="utf-8")
     fitted = [outcome for outcome in outcomes if outcome.status is Status.FITTED]
     return environment.from_string(template).render(
         version=__version__,
@@ -195,7 +195,7 @@ def _page(table: Path, outcomes: Sequence[Outcome]) -> str:
 
 
 def answer(outcomes: Sequence[Outcome]) -> str:
-    """What has become of all, in one line."""
+    """Summary of all outcomes in one line."""
 
     def counted(numbers: Mapping[str, int]) -> list[str]:
         return [f"{number} {what}" for what, number in numbers.items() if number]

@@ -1,4 +1,4 @@
-"""What has become of a patient, in a file of its own."""
+"""Outcome of one patient of a cohort, stored as a JSON file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fascicle.study.population import Posterior
 
 
 class Status(StrEnum):
-    """How far a patient is."""
+    """Whether a patient has been fitted."""
 
     FITTED = "fitted"
     FAILED = "failed"
@@ -24,7 +24,7 @@ class Status(StrEnum):
 
 
 class Estimate(BaseModel):
-    """A parameter in the networks (median, 5th and 95th percentile); whether the ECG says it."""
+    """Median, 5th and 95th percentile of a parameter; whether the ECG constrains it."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -39,12 +39,12 @@ class Estimate(BaseModel):
 
 
 class Outcome(BaseModel):
-    """What has become of a patient; docs/files.md says more of the fields.
+    """Outcome of a patient; docs/files.md describes the fields.
 
-    `converged` and `explained` are None where there is no posterior; `explained_power` is the share
-    of the recorded QRS that the mean of the networks explains, over all leads, and
-    `explained_by_a_network` that of each of them (median). `parameters` is empty where they are not
-    to be relied on; `error_file` holds the traceback of a bug.
+    `converged` and `explained` are None without a posterior; `explained_power` is the share of the
+    recorded QRS that the mean of the networks explains, over all leads, and
+    `explained_by_a_network` the median share that one network explains. `parameters` is empty if
+    the fit has not converged; `error_file` holds the traceback of a bug.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -72,7 +72,7 @@ class Outcome(BaseModel):
 
     @classmethod
     def of(cls, patient: str, fitted: FittedStudy, seconds: float) -> Outcome:
-        """Sum up a study that has just been written."""
+        """Summarise a study that has just been written."""
         summary = json.loads((fitted.folder / "summary.json").read_text(encoding="utf-8"))
         qrs = summary.get("qrs_duration_ms", {"recorded": None, "networks": {"median": None}})
         noticed = fitted.recordings[0].target.provenance.get("warnings", "").splitlines()
@@ -93,27 +93,27 @@ class Outcome(BaseModel):
         )
 
     def row(self) -> dict[str, Any]:
-        """It in the columns of a table, with three for each parameter."""
+        """Row of the results table, with three columns for each parameter."""
         row = self.model_dump(exclude={"error_file", "parameters", "warnings"})
         row["warnings"] = "; ".join(self.warnings)
-        for name, found in self.parameters.items():
-            row |= {name: found.median, f"{name}_5": found.lower, f"{name}_95": found.upper}
+        for name, each in self.parameters.items():
+            row |= {name: each.median, f"{name}_5": each.lower, f"{name}_95": each.upper}
         return row
 
 
 def _estimates(fitted: FittedStudy) -> dict[str, Estimate]:
-    """Of every parameter; of none where the runs do not agree."""
+    """Estimates of all parameters; empty if the runs of a posterior do not agree."""
     population, space = fitted.population, fitted.simulator.space
     determined: dict[str, bool] = {}
     if isinstance(population, Posterior):
         if not population.converged:
             return {}
         determined = {each.name: each.constrained for each in fitted.statements.parameters}
-    found = {}
+    estimates = {}
     for known in space.parameters:
         lower, median, upper = np.percentile(population.values[known.name], [5, 50, 95])
-        found[known.name] = Estimate(
+        estimates[known.name] = Estimate(
             unit=known.unit, median=median, lower=lower, upper=upper,
             determined=determined.get(known.name),
         )  # fmt: skip
-    return found
+    return estimates

@@ -32,7 +32,7 @@ PATIENTS, STUDIES = "patients", "studies"  # folders of a cohort
 
 @dataclass(frozen=True)
 class Patient:
-    """A row of the table, and the folder of the cohort that it is in."""
+    """A row of the table, and the folder of its cohort."""
 
     name: str  # also of the study
     cohort: Path
@@ -40,7 +40,7 @@ class Patient:
     recording: Path  # target (.nc), or in any format of `fascicle.read_recording`
     scenario: Path | None = None  # in which it was recorded, if that was not the intrinsic beat
     settings_file: Path | None = None  # TOML file of settings and parameters
-    settings: Mapping[str, Any] = field(default_factory=dict)  # count more than the file
+    settings: Mapping[str, Any] = field(default_factory=dict)  # override those of the file
 
     @property
     def study(self) -> Path:
@@ -54,48 +54,48 @@ class Patient:
 
     @property
     def folder(self) -> Path:
-        """Folder of what has become of the patient, which one process at a time writes."""
+        """Folder of the patient's outcome, which one process at a time writes."""
         return self.cohort / PATIENTS / self.name
 
     @property
     def outcome_file(self) -> Path:
-        """What has become of the patient; see `outcome`."""
+        """File of the patient's outcome."""
         return self.folder / "outcome.json"
 
     @property
     def outcome(self) -> Outcome:
-        """What has become of the patient so far; one of another version is made again."""
+        """Stored outcome; `NOT_DONE` if there is none, or one of another version."""
         try:
             return Outcome.model_validate_json(self.outcome_file.read_text(encoding="utf-8"))
         except (FileNotFoundError, ValidationError):
             return Outcome(patient=self.name, status=Status.NOT_DONE)
 
     def ended(self, outcome: Outcome) -> Outcome:
-        """Write down what has become of the patient."""
+        """Store the patient's outcome."""
         write_text(self.outcome_file, outcome.model_dump_json(indent=2) + "\n")
         return outcome
 
     def failed(self, reason: str, error_file: Path | None = None) -> Outcome:
-        """Write down why the patient cannot be fitted."""
+        """Store the reason why the patient cannot be fitted."""
         return self.ended(
             Outcome(patient=self.name, status=Status.FAILED, reason=reason, error_file=error_file)
         )
 
     def bug(self, error: BaseException) -> Outcome:
-        """Write down an error that nobody has foreseen, with its traceback."""
+        """Store an unexpected error, with its traceback."""
         path = self.folder / "error.txt"
         write_text(path, "".join(traceback.format_exception(error)))
         what = f"{type(error).__name__}: {one_line(error)}"
         return self.failed(f"bug: {what} (traceback in {path})", path)
 
     def given(self) -> tuple[FitSettings, Mapping[str, Any]]:
-        """Settings, and what is learnt; the row counts more than its file."""
+        """Settings, and the parameters to learn; the row overrides its settings file."""
         given = read_settings(self.settings_file) if self.settings_file is not None else {}
         parameters = given.pop(PARAMETERS, {})
         return checked_settings(given | {**self.settings}), parameters
 
     def check(self) -> Outcome | None:
-        """Refuse a patient whose files are missing or whose settings are impossible, at once."""
+        """Outcome of a patient whose files are missing or settings invalid; else None."""
         try:
             if self.heart != DEFAULT_HEART and not (Path(self.heart) / MANIFEST).is_file():
                 raise FileError(
@@ -112,14 +112,14 @@ class Patient:
 
 
 def fit_patient(patient: Patient, pool: Pool, progress: Progress | None = None) -> Outcome:
-    """Fit a patient and write the report, or what keeps it from being fitted.
+    """Fit a patient and write the report, or the reason of the failure.
 
-    A finished study is left as it is, if it is that of the row.
+    A finished study of the same row is not changed.
 
     Raises
     ------
     HeldError
-        If another process works on the patient.
+        If another process is fitting the patient.
     """
     with study_lock(patient.folder):
         began = time.monotonic()
@@ -141,13 +141,13 @@ def fit_patient(patient: Patient, pool: Pool, progress: Progress | None = None) 
 
 
 def _is_done(patient: Patient, inputs: Inputs) -> bool:
-    """Whether the study of these inputs is finished, with its report."""
+    """Whether the study of these inputs and its report are finished."""
     finished = is_finished(patient.study, inputs.config) and patient.report.is_file()
     return finished and patient.outcome.status is Status.FITTED
 
 
 def _inputs(patient: Patient) -> Inputs:
-    """Read all that the row names; a recording becomes the target that needs no choices."""
+    """Read the files of the row; a recording becomes a target by default options."""
     settings, parameters = patient.given()
     path, scenario = patient.recording, patient.scenario
     is_target = path.suffix.lower() == ".nc"

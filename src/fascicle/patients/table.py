@@ -1,4 +1,4 @@
-"""The table of a cohort: a patient a row."""
+"""The table of a cohort: one patient a row."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ NEEDED = ("patient", "heart", "recording")  # columns
 
 
 def read_table(path: Path | str, cohort: Path) -> list[Patient]:
-    """Read the table of a cohort; its paths count from its folder.
+    """Read the table of a cohort; paths are relative to the table's folder.
 
-    A line names the columns, which commas, semicolons or tabs separate; then comes a line for each
-    patient. Refusals name the line.
+    The first line names the columns, separated by commas, semicolons or tabs; each further line
+    describes a patient. Error messages name the line.
     """
     path = as_path(path, "table")
     check_file(path, (".csv", ".tsv"), "table of patients")
@@ -29,7 +29,7 @@ def read_table(path: Path | str, cohort: Path) -> list[Patient]:
     for number, cells in _lines(path):
         with given_in(f"{path}, line {number}"):
             patient = _patient(path.parent.absolute(), cells, cohort)
-            # some systems do not tell capitals apart
+            # some file systems ignore case
             if patients.setdefault(patient.name.lower(), patient) is not patient:
                 raise FileError(f"patient '{patient.name}' is there twice; give another name")
     if not patients:
@@ -38,7 +38,7 @@ def read_table(path: Path | str, cohort: Path) -> list[Patient]:
 
 
 def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
-    """Cells that say something, by column, of the lines that have any, with their numbers."""
+    """Numbers of the lines that are not empty, with their non-empty cells by column."""
     try:
         text = path.read_text(encoding="utf-8-sig")
         # spreadsheets write semicolons where the comma is a decimal point
@@ -49,7 +49,7 @@ def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
         lines = [(reader.line_num, cells) for cells in reader]
     except (UnicodeDecodeError, csv.Error) as error:
         raise FileError(
-            f"{path}: is no table in text ({one_line(error)}); save it as CSV (UTF-8)"
+            f"{path}: is not a table in text ({one_line(error)}); save it as CSV (UTF-8)"
         ) from None
     known = (*NEEDED, "scenario", "settings", *FitSettings.model_fields)
     wrong = [name for name in columns if name not in known or columns.count(name) > 1]
@@ -70,11 +70,11 @@ def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
 
 
 def _patient(folder: Path, given: Mapping[str, str], cohort: Path) -> Patient:
-    """A patient of the cells of a line."""
+    """Make a patient from the cells of a line."""
     for name in NEEDED:
         if name not in given:
             raise FileError(f"no {name} is given; fill the cell")
-    # a folder's name on every system, and as it is in a link
+    # valid as a folder name on every system, and unescaped in a link
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", given["patient"]):
         raise FileError(
             f"{shown(given['patient'])} cannot be the name of a folder; use letters from a to z, "

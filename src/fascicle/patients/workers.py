@@ -1,8 +1,8 @@
 """The patients of a cohort on the workers of a Dask cluster.
 
-A worker has one patient at a time, whatever the number of its threads, all of which simulate. Where
-a patient goes is decided here and not by the scheduler: that would give a worker as many patients
-as it has threads, and count the end of a worker against all of them.
+A worker fits one patient at a time and simulates on all its threads. Patients are assigned here
+and not by the scheduler, which would give a worker as many patients as it has threads, and count
+the loss of a worker against all of them.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ def fit_on_workers(
     attempts: int = 10,
     pause: float = 30.0,
 ) -> Iterator[Outcome]:
-    """Fit patients, a worker each; outcomes as soon as they are there.
+    """Fit each patient on one worker; yield outcomes as patients finish.
 
-    Where a worker is lost, its patient goes on at another one, with the evaluations that are kept.
-    So many `attempts` has a patient whose workers were lost, or who is held by another process;
-    who is held is tried again after a `pause` (s).
+    If a worker is lost, another one resumes its patient from the stored evaluations. A patient
+    whose workers are lost, or whom another process is fitting, is tried `attempts` times, with a
+    `pause` (s) before every attempt but the first.
 
     Raises
     ------
     InputError
         If a worker does not see the folder of the cohort, or the scheduler is lost.
     """
-    waiting = deque((patient, 1) for patient in patients)  # and which attempt it is
-    running: dict[Any, tuple[Patient, int, str]] = {}  # futures: who, and at which worker
+    waiting = deque((patient, 1) for patient in patients)  # with the number of the attempt
+    running: dict[Any, tuple[Patient, int, str]] = {}  # patient, attempt, address
     for patient in patients:
         patient.folder.parent.mkdir(parents=True, exist_ok=True)
     try:
@@ -69,7 +69,7 @@ def fit_on_workers(
                     continue
                 del running[future]
                 outcome = _ended(future, patient)
-                cluster.cancel([future])  # a lost worker's is not begun again there
+                cluster.cancel([future])  # so that the scheduler does not restart a lost worker's
                 if outcome.status is not Status.NOT_DONE:
                     yield outcome
                 elif attempt < attempts:
@@ -86,14 +86,14 @@ def fit_on_workers(
 
 
 def _ended(future: Any, patient: Patient) -> Outcome:
-    """What has become of a patient who was at work; `NOT_DONE` where the worker was lost."""
+    """Outcome of a patient whose fit has ended; `NOT_DONE` if the worker was lost."""
     try:
         if future.status != "pending":
             outcome: Outcome = future.result(timeout=30)
             return outcome
-    except (KilledWorker, CancelledError, OSError):  # lost, perhaps before it has told
+    except (KilledWorker, CancelledError, OSError):  # lost, perhaps before it returned its outcome
         pass
-    except InputError:  # not of the patient, which is an outcome
+    except InputError:  # about the cluster or the folder; a patient's own become outcomes
         raise
     except Exception as error:  # noqa: BLE001 - a bug in one must not stop the others; it is shown
         return patient.bug(error)
@@ -101,11 +101,11 @@ def _ended(future: Any, patient: Patient) -> Outcome:
 
 
 def _fit_here(patient: Patient, pause: float, outside: bool) -> Outcome:
-    """What a worker does; the outcome is `NOT_DONE` where another process works on the patient."""
+    """Fit a patient on this worker; `NOT_DONE` if another process is fitting the patient."""
     worker = get_worker()
     time.sleep(pause)
     _check_seen(patient)
-    # or xarray, which sees Dask here, asks the scheduler for leave to write a file
+    # else xarray, which detects Dask here, asks the scheduler for a lock to write a file
     with dask.config.set(scheduler="threads"), outside_allowed() if outside else nullcontext():
         try:
             return fit_patient(patient, Threads(worker.state.nthreads), _stopped(worker))
@@ -127,7 +127,7 @@ def _check_seen(patient: Patient, patience: float = 30.0) -> None:
 
 
 def _stopped(worker: Worker) -> Progress:
-    """Progress callback that ends a fit for which nobody waits any more, or whose worker closes."""
+    """Progress callback that ends a fit that was cancelled, or whose worker is closing."""
     key = worker.get_current_task()
 
     def check(stage: str, done: int, total: int, message: str) -> None:

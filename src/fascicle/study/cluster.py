@@ -62,7 +62,7 @@ class Cluster(Remote):
     Raises
     ------
     InputError
-        If it is no address, or no scheduler answers there.
+        If it is not an address, or no scheduler answers at it.
     """
 
     def __init__(self, address: str, progress: Progress | Lines | None = "lines") -> None:
@@ -70,8 +70,8 @@ class Cluster(Remote):
             r"(tcp|tls)://[^/\s]+:\d{1,5}", address
         ):
             raise InputError(
-                f"{shown(address)} is no address of a Dask scheduler; it prints its own when it "
-                "starts, such as tcp://10.0.0.1:8786"
+                f"{shown(address)} is not an address of a Dask scheduler; it prints its own when "
+                "it starts, such as tcp://10.0.0.1:8786"
             )
         self.progress = progress_of(progress)
         try:

@@ -189,7 +189,7 @@ def read_inputs(
         )
     space, fixed = study_space(settings.method, parameters, heart)
     if settings.free_gain and ("gain" in space.names or "gain" in fixed):
-        raise InputError("the gain is a parameter and free of its own; leave --free-gain out")
+        raise InputError("the gain is a parameter already; leave --free-gain out")
     config = StudyConfig(
         heart=heart.digest,
         **_hashes(recordings),
@@ -234,7 +234,7 @@ def fit_inputs(
 
 
 def _completed(fitted: FittedStudy, progress: Progress | None) -> FittedStudy:
-    """Simulate what was found, compare a posterior with the recording, and write it all."""
+    """Simulate the networks, compare a posterior with the recording, and write the results."""
     networks, agreements, predictions = fitted.networks(progress), [], []
     rng = np.random.default_rng([fitted.study.config.seed, PREDICTION])
     for number, each in enumerate(fitted.recordings):
@@ -281,11 +281,11 @@ def _likelihoods(
 ) -> list[Likelihood]:
     """The built-in likelihood of each recording."""
     rng = np.random.default_rng([config.seed, PRIOR])
-    found: list[Likelihood] = []
+    likelihoods: list[Likelihood] = []
     for each in recordings:
         known = prior_knowledge(simulator, each.target, each.scenario, rng, progress)
-        found.append(likelihood_of(each.target, known, _gain_sd(config)))
-    return found
+        likelihoods.append(likelihood_of(each.target, known, _gain_sd(config)))
+    return likelihoods
 
 
 def _prior(simulator: PointSimulator) -> PriorSimulations | None:
@@ -299,9 +299,9 @@ def _prior(simulator: PointSimulator) -> PriorSimulations | None:
 
 
 def _gain_sd(config: StudyConfig) -> float:
-    """Of the gain about 1; 0 where the gain is a parameter of its own."""
-    own = "gain" in config.fixed or "gain" in config.parameter_space.names
-    return 0.0 if own else config.gain_sd
+    """Prior SD of the gain about 1; 0 if the gain is itself a parameter."""
+    is_parameter = "gain" in config.fixed or "gain" in config.parameter_space.names
+    return 0.0 if is_parameter else config.gain_sd
 
 
 def as_study(given: GivenStudy, progress: Progress | Lines | None = None) -> FittedStudy:

@@ -1,4 +1,4 @@
-"""A fitted study: its population, simulated, and what it says of itself."""
+"""A fitted study: its networks, their simulation, verdict and warnings."""
 
 from __future__ import annotations
 
@@ -37,10 +37,9 @@ class FittedStudy:
     population : Population
         The networks that explain the target, and the best one.
     checks : Checks, optional
-        Of a posterior against its recording.
+        How a posterior agrees with its recordings.
     gains : (n,) array, optional
-        By which the ECG of each network of a posterior is scaled: drawn from what the first
-        recording says of it.
+        Factor on the ECG of each network of a posterior, drawn given the first recording.
     """
 
     study: Study
@@ -54,17 +53,17 @@ class FittedStudy:
 
     @property
     def folder(self) -> Path:
-        """Where it is."""
+        """Folder of the study."""
         return self.study.folder
 
     @property
     def settings(self) -> FitSettings:
-        """Of the fit."""
+        """Settings of the fit."""
         return self.study.config
 
     @cached_property
     def statements(self) -> Statements:
-        """All that it says of itself."""
+        """Verdict, caution, warnings, and what the ECG says of the parameters."""
         return Statements(self)
 
     @property
@@ -79,12 +78,12 @@ class FittedStudy:
 
     @property
     def of_the_paper(self) -> bool:
-        """Whether the networks were found by the paper's method."""
+        """Whether the networks were selected by the paper's method."""
         return self.settings.method == "paper"
 
     @property
     def candidates(self) -> list[Evaluation]:
-        """What was tried for the population."""
+        """Candidates that the paper's method tried for the population."""
         return [r.evaluation for r in self.study.records() if r.stage is Stage.REJECTION]
 
     @property
@@ -144,10 +143,10 @@ class FittedStudy:
         chosen = range(len(self.population)) if chosen is None else chosen
         report = stage_progress(progress, "networks")
         learnt = [self.population.parameters(k) for k in chosen]
-        found: list[Network] = []
+        simulated: list[Network] = []
         for network in networks(self.simulator, self.recordings[recording], learnt):
             if self.gains is not None and recording == 0:
-                network = replace(network, drawn_gain=float(self.gains[chosen[len(found)]]))
-            found.append(network)
-            report(len(found), len(chosen))
-        return found
+                network = replace(network, drawn_gain=float(self.gains[chosen[len(simulated)]]))
+            simulated.append(network)
+            report(len(simulated), len(chosen))
+        return simulated

@@ -1,4 +1,4 @@
-"""The networks that a study finds, and their file: ArviZ InferenceData."""
+"""The networks of a study, and their file: ArviZ InferenceData."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # it brings the surrogate, which takes long to load
 
 Item = TypeVar("Item")
 
-# The file that holds the networks, called what it is
+# File of the networks, by method
 RESULT: dict[Method, str] = {"paper": "population.nc", "posterior": "posterior.nc"}
 FIRST_ALONE = "posterior_first_alone"  # group of that file
 
@@ -46,7 +46,7 @@ class Population:
     losses : (n,) array
         Mismatch (mV²).
     best : mapping of name to float
-        The parameters with the least mismatch that the search has found.
+        Parameters with the least mismatch of all evaluations.
     best_loss : float
         That mismatch (mV²).
     """
@@ -180,7 +180,7 @@ def write_population(
             p.name: p.from_unit(share)[None]
             for p, share in zip(space.parameters, shares.T, strict=True)
         }
-    with warnings.catch_warnings():  # nothing accepted is no mistake in the shape of the arrays
+    with warnings.catch_warnings():  # ArviZ takes an empty population for transposed arrays
         warnings.filterwarnings("ignore", "More chains")
         data = az.from_dict(
             **split,

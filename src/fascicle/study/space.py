@@ -115,7 +115,7 @@ def read_settings(path: Path | str) -> dict[str, Any]:
     values = read_toml(path, "write lines like 'steps = 100'")
     parameters = values.get(PARAMETERS, {})
     if not isinstance(parameters, dict):
-        raise InputError(f"{path}: 'parameters' is no table; write [parameters] above them")
+        raise InputError(f"{path}: 'parameters' is not a table; write [parameters] above them")
     try:
         FitSettings(**{name: value for name, value in values.items() if name != PARAMETERS})
         for name, value in without_groups(parameters).items():

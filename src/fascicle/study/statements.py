@@ -1,4 +1,4 @@
-"""What a result says of itself: verdict, caution, warnings, and what the ECG says of parameters."""
+"""Verdict, caution and warnings of a result, and what the ECG says of its parameters."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from fascicle.study.settings import FitSettings
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.target_comparison import Network, TargetComparison
 
-MOST_LEFT = 0.35  # of the signal (root mean square): an eighth of its energy is not the model's
-LEAST_EXPLAINED = 1 - MOST_LEFT**2  # of its energy
+MOST_LEFT = 0.35  # unexplained, root mean square over the signal's: an eighth of its energy
+LEAST_EXPLAINED = 1 - MOST_LEFT**2  # share of the energy
 INTERVAL = (5, 95)  # percentiles of a 90 % credible interval
 
 
 class Result(Protocol):
-    """What statements are made of: a `fascicle.study.fitted.FittedStudy`."""
+    """Input of `Statements`: a `fascicle.study.fitted.FittedStudy`."""
 
     @property
     def settings(self) -> FitSettings: ...  # noqa: D102
@@ -53,7 +53,7 @@ class Result(Protocol):
 
 
 class Caution(Enum):
-    """Why numbers are not to be taken for facts: for sentences, and for tables and figures."""
+    """Why the numbers cannot be relied on: for sentences, and for tables and figures."""
 
     NOT_CONVERGED = "not to be relied on", "not to be relied on: the fit has not converged"
     POOR_FIT = (
@@ -98,9 +98,9 @@ class ResultWarning:
 class ParameterStatement:
     """What the ECG says of one parameter.
 
-    `lower` and `upper` bound the posterior's 90 % credible interval; `contraction` is 1 less its
-    variance over the prior's, in shares of the prior, 0 to 1; `first_alone`, of several recordings,
-    half of the 90 % interval that the first alone leaves.
+    `lower` and `upper` bound the posterior's 90 % credible interval; `contraction` is 1 − posterior
+    variance / prior variance, in quantiles of the prior, 0 to 1; `first_alone` is half of the 90 %
+    interval given the first of several recordings alone.
     """
 
     name: str
@@ -113,7 +113,7 @@ class ParameterStatement:
 
     @property
     def constrained(self) -> bool:
-        """Whether the ECG constrains it: it leaves half of the prior's variance at most."""
+        """Whether the ECG constrains it: half of the prior's variance is removed at least."""
         return self.contraction >= 0.5
 
     def __str__(self) -> str:
@@ -144,7 +144,7 @@ class Correlated:
 
 
 class Statements:
-    """All that a result says of itself."""
+    """All statements about a result."""
 
     def __init__(self, result: Result) -> None:
         self._result = result
@@ -177,9 +177,9 @@ class Statements:
 
     @property
     def caution(self) -> Caution | None:
-        """What to say with every number; None of a posterior that can be relied on.
+        """What to say with every number; None if the posterior can be relied on.
 
-        The population of the paper's method is no posterior, which its verdict says: also None.
+        Also None of the paper's population, whose verdict says that it is not a posterior.
         """
         if self.converged is None:
             return None
@@ -194,7 +194,7 @@ class Statements:
 
     @cached_property
     def parameters(self) -> tuple[ParameterStatement, ...]:
-        """What the ECG says of every parameter; nothing where the runs do not agree."""
+        """What the ECG says of every parameter; empty if the runs do not agree."""
         posterior = self._result.population
         if not (isinstance(posterior, Posterior) and posterior.converged):
             return ()
@@ -206,7 +206,7 @@ class Statements:
 
     @cached_property
     def correlated(self) -> tuple[Correlated, ...]:
-        """Pairs of parameters whose rank correlation is beyond 0.7; none of what is not agreed."""
+        """Pairs of parameters with rank correlation of 0.7 or more; empty if not converged."""
         return correlated(self._result.population) if self.converged else ()
 
     @cached_property
@@ -282,11 +282,11 @@ def correlated(posterior: Population) -> tuple[Correlated, ...]:
     from scipy.stats import spearmanr
 
     names: Sequence[str] = list(posterior.values)
-    found = (
+    pairs = (
         Correlated(a, b, float(spearmanr(posterior.values[a], posterior.values[b]).statistic))
         for a, b in combinations(names, 2)
     )
-    return tuple(pair for pair in found if abs(pair.rank_correlation) >= 0.7)
+    return tuple(pair for pair in pairs if abs(pair.rank_correlation) >= 0.7)
 
 
 def prediction_statement(values: Floats, prior: Floats) -> str:
@@ -300,7 +300,7 @@ def prediction_statement(values: Floats, prior: Floats) -> str:
 
 
 def has_few_junctions(network: Network) -> bool:
-    """Whether a tree of a network has so few junctions that it hardly is one."""
+    """Whether a tree of a network has fewer junctions than a usable tree."""
     return any(len(tree.junctions) < FEW_JUNCTIONS for tree in network.simulation.trees)
 
 
@@ -343,7 +343,7 @@ def _warnings(result: Result) -> Iterator[tuple[Kind, str]]:
 
 
 def _poor_fit(result: Result) -> str:
-    """Warn of networks that are not the patient's; empty if they may be."""
+    """Warn of networks that cannot be the patient's; empty if they may be."""
     if result.settings.method == "paper":
         if result.explained >= 0.5:  # of the QRS; less is not the patient's network
             return ""
@@ -440,14 +440,14 @@ def _of_the_paper(result: Result) -> Iterator[tuple[Kind, str]]:
 
 
 def _regions_taken_as_healthy(result: Result) -> str:
-    """Warn of labelled regions of which nothing is said."""
+    """Warn of labelled regions without conduction properties."""
     model, simulator = result.simulator.model, result.simulator
     if model.heart.regions is None:
         return ""
-    own = {region.label for region in model.conduction.regions}
+    described = {region.label for region in model.conduction.regions}
     learnt = region_labels((*simulator.space.names, *simulator.fixed))
-    there = {int(label) for label in np.unique(model.heart.regions)}
-    healthy = sorted(there - own - learnt.keys() - {0})  # 0 is ordinary tissue
+    labels = {int(label) for label in np.unique(model.heart.regions)}
+    healthy = sorted(labels - described - learnt.keys() - {0})  # 0 is ordinary tissue
     if not healthy:
         return ""
     return (
@@ -457,7 +457,7 @@ def _regions_taken_as_healthy(result: Result) -> str:
 
 
 def _at_end_of_range(result: Result) -> str:
-    """Warn of parameters that were stopped by their ranges, not found."""
+    """Warn of parameters that are limited by their ranges, not by the ECG."""
     space, population = result.simulator.space, result.population
     crowded = {}  # 40 % of the networks in an outer tenth of the prior
     for parameter in space.parameters:
@@ -471,15 +471,15 @@ def _at_end_of_range(result: Result) -> str:
         for name, share in zip(space.names, best, strict=True)
         if min(share, 1 - share) < 0.01 and name not in crowded
     ]
-    found = []
+    reasons = []
     if stopped:
-        found.append(f"the best network lies at the end of the range of {', '.join(stopped)}")
+        reasons.append(f"the best network lies at the end of the range of {', '.join(stopped)}")
     if crowded:
         ends = ", ".join(f"{name} ({where})" for name, where in crowded.items())
-        found.append(f"networks crowd at an end of the range of {ends}")
-    if not found:
+        reasons.append(f"networks crowd at an end of the range of {ends}")
+    if not reasons:
         return ""
     return (
-        f"{'; '.join(found)}: what they say of that is the range's, or makes up for another fault "
+        f"{'; '.join(reasons)}: these values are the range's, or compensate for another error "
         "of heart and torso"
     )

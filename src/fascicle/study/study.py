@@ -48,7 +48,7 @@ class StudyConfig(FitSettings):
     named by hashes.
     """
 
-    # a delay may be infinite, which is no number in strict JSON
+    # a delay may be infinite, which strict JSON cannot hold
     model_config = ConfigDict(ser_json_inf_nan="constants")
 
     heart: str
@@ -168,7 +168,7 @@ class Study:
 
 
 def check_study_folder(folder: Path) -> None:
-    """Refuse a folder that is no study and cannot become one."""
+    """Refuse a folder that holds other files and no study."""
     if not folder.exists():
         return
     try:

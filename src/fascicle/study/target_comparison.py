@@ -46,7 +46,7 @@ class Network:
     gain : float
         By which its simulated ECG was scaled to give `predicted`; 1 unless the gain is free.
     drawn_gain : float, optional
-        Of a posterior, the gain that was drawn with it, in place of the best one.
+        Gain that was drawn with a network of a posterior, in place of the best one.
     """
 
     parameters: Mapping[str, float]
