@@ -22,13 +22,13 @@ from fascicle.torso.variation.training import build_response
 TISSUES = ("lung", "blood", "myocardium", "body")
 
 
-def with_body(**values):
+def with_torso(**values):
     return EXAMPLE_PARAMETERS | values
 
 
 @pytest.fixture(scope="module")
 def model(default_heart):
-    """Of the default heart, with few bodies solved."""
+    """Of the default heart, with few torsos solved."""
     quick = partial(build_response, mode_torsos=4, modes=20, outer_torsos=14)
     # kept nowhere: other tests would take the crude response for the heart's
     model = fascicle.ForwardModel(replace(default_heart, folder=None))
@@ -38,16 +38,16 @@ def model(default_heart):
     return model
 
 
-def test_an_unbounded_conductor_has_no_body(default_heart):
+def test_an_unbounded_conductor_has_no_torso(default_heart):
     unbounded = fascicle.ForwardModel(replace(default_heart, lead_fields=None, folder=None))
     with pytest.raises(InputError, match=r"'heart_up': .* has no torso"):
-        unbounded.simulate(with_body(heart_up=5.0))
+        unbounded.simulate(with_torso(heart_up=5.0))
 
 
-def test_neutral_bodies_are_the_plain_model(default_model):
+def test_neutral_torsos_are_the_plain_model(default_model):
     neutral = {name: QUANTITIES[name].default for name in BODY}
     plain = default_model.simulate(EXAMPLE_PARAMETERS)
-    found = default_model.simulate(with_body(**neutral))
+    found = default_model.simulate(with_torso(**neutral))
     np.testing.assert_array_equal(found.leads, plain.leads)
     assert default_model._torso is None
 
@@ -56,25 +56,25 @@ def test_neutral_bodies_are_the_plain_model(default_model):
 class TestModel:
     def test_all_conductivities_alike_scale_nothing(self, model):
         plain = model.simulate(EXAMPLE_PARAMETERS)
-        alike = model.simulate(with_body(**{f"{name}_conductivity": 1.6 for name in TISSUES}))
+        alike = model.simulate(with_torso(**{f"{name}_conductivity": 1.6 for name in TISSUES}))
         np.testing.assert_allclose(alike.leads, plain.leads, rtol=1e-5, atol=1e-6)
 
-    def test_a_body_that_hardly_differs(self, model):
+    def test_a_torso_that_hardly_differs(self, model):
         plain = model.simulate(EXAMPLE_PARAMETERS).leads
-        near = model.simulate(with_body(heart_up=1e-3)).leads
-        far = model.simulate(with_body(heart_up=15.0)).leads
+        near = model.simulate(with_torso(heart_up=1e-3)).leads
+        far = model.simulate(with_torso(heart_up=15.0)).leads
         assert np.abs(near - plain).max() < 1e-3 * np.abs(plain).max()
         assert np.abs(far - plain).max() > 0.05 * np.abs(plain).max()
 
     def test_activation_stays(self, model):
         plain = model.simulate(EXAMPLE_PARAMETERS)
-        other = model.simulate(with_body(myocardium_conductivity=0.6, heart_left=9.0))
+        other = model.simulate(with_torso(myocardium_conductivity=0.6, heart_left=9.0))
         np.testing.assert_array_equal(other.activation, plain.activation)
 
     def test_a_moved_electrode_changes_its_lead_alone(self, model):
         """But for the terminal's reference, which the chest electrodes have no part in."""
         plain = model.simulate(EXAMPLE_PARAMETERS).leads
-        moved = model.simulate(with_body(v3_up=20.0)).leads
+        moved = model.simulate(with_torso(v3_up=20.0)).leads
         change = np.abs(moved - plain).max(axis=1) / np.abs(plain).max()
         assert change[8] > 0.05
         assert np.delete(change, 8).max() < 1e-6
@@ -84,10 +84,10 @@ class TestModel:
         plain = model.simulate(EXAMPLE_PARAMETERS)
         for body in bodies:
             found = model.leads_in_torso(plain.activation, body)
-            np.testing.assert_allclose(found, model.simulate(with_body(**body)).leads, atol=1e-9)
+            np.testing.assert_allclose(found, model.simulate(with_torso(**body)).leads, atol=1e-9)
 
     def test_other_processes(self, model):
-        networks = [with_body(heart_up=5.0), EXAMPLE_PARAMETERS]
+        networks = [with_torso(heart_up=5.0), EXAMPLE_PARAMETERS]
         with ProcessPoolExecutor(1) as pool:
             found = model.simulate_many(networks, pool)
         for one, network in zip(found, networks, strict=True):
@@ -101,7 +101,7 @@ class TestModel:
             "heart_up": -20.0,
         }
         corner |= {"heart_rotation_up": 0.349, "heart_rotation_left": -0.349}
-        found = model.simulate(with_body(**corner))
+        found = model.simulate(with_torso(**corner))
         assert isinstance(found, InvalidTorso)
         assert "skin" in found.reason
 

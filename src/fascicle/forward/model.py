@@ -104,7 +104,7 @@ class ForwardModel:
 
     Notes
     -----
-    What depends on heart and conduction alone is kept on disk beside the heart and read back when
+    What depends on heart and conduction alone is cached in the heart's folder and read back when
     both are the same again (`fascicle.forward.preparation`).
 
     Examples
