@@ -96,7 +96,7 @@ class Table:
 
     @classmethod
     def key_names(cls) -> list[str]:
-        """Names of its keys as declared; fields that are not compared are no keys of the file."""
+        """Names of its keys as declared; fields that are not compared are not keys of the file."""
         return [field.name for field in fields(cls) if field.compare]  # type: ignore[arg-type]
 
     @classmethod

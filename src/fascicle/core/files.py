@@ -88,7 +88,7 @@ def atomic_folder(folder: Path, disposable: Collection[str] = ()) -> Iterator[Pa
 
 @contextmanager
 def _replaced(path: Path, is_folder: bool) -> Iterator[Path]:
-    """Give a temporary file or folder beside `path`, removed afterwards if it is still there.
+    """Give a temporary file or folder next to `path`, removed afterwards if it is still there.
 
     That the disk is full is said of `path`, also where a file in its temporary folder met it.
     """
@@ -174,7 +174,7 @@ def as_path(value: object, what: str, needed: str = "a path") -> Path:
 
 
 def check_file(path: Path, formats: Iterable[str], purpose: str) -> None:
-    """Refuse a path that is no file, or whose suffix is none of `formats`, such as ``".csv"``.
+    """Refuse a path that is not a file, or whose suffix is none of `formats`, such as ``".csv"``.
 
     Those of Python pickles, which run code when they are opened, are never among them. `purpose`
     is what the file holds, for the message.

@@ -189,7 +189,7 @@ QUANTITIES: dict[str, Quantity] = {
     q.name: q for q in (*_of_trees(), *_of_conduction(), *_of_body())
 }
 BODY = tuple(q.name for q in QUANTITIES.values() if q.changes is Changes.BODY)
-# Names that stand for several quantities where these are freed
+# Names of groups of quantities that can be freed together
 GROUPS: dict[str, tuple[str, ...]] = {
     "pose": tuple(n for n in BODY if n.startswith("heart_")),
     "electrodes": tuple(n for n in BODY if n[0] == "v" or n == "chest_electrodes_up"),

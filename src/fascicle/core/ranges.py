@@ -96,26 +96,26 @@ def within(name: str, value: Any, what: str) -> float:
 
 
 def check_count(value: Any, what: str, least: int = 1) -> None:
-    """Refuse what is no whole number, or less than `least`."""
+    """Refuse a value that is not a whole number, or less than `least`."""
     whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
     if not whole or value < least:
         raise ValueRefusedError(f"{what} is {shown(value)}; give a whole number, {least} or more")
 
 
 def check_kind(value: object, kind: type | tuple[type, ...], what: str, needed: str) -> None:
-    """Refuse what is no object of a class; `what` it is and what is `needed`, for the message."""
+    """Refuse a value of another class; the message says `what` it is and what is `needed`."""
     if not isinstance(value, kind):
         raise ValueRefusedError(f"{what} is {shown(value)}; give {needed}")
 
 
 def check_items(values: object, kind: type | tuple[type, ...], what: str, needed: str) -> None:
-    """Refuse what is no list or tuple of objects of a class; see `check_kind`."""
+    """Refuse a value that is not a list or tuple of such objects; see `check_kind`."""
     if not isinstance(values, list | tuple) or not all(isinstance(one, kind) for one in values):
         raise ValueRefusedError(f"{what}: {shown(values)} was given; give a list of {needed}")
 
 
 def check_position(value: Any, what: str) -> None:
-    """Refuse what is no position of three possible coordinates (mm)."""
+    """Refuse a value that is not a position of three coordinates (mm) in range."""
     if isinstance(value, str) or not hasattr(value, "__len__") or len(value) != 3:
         raise ValueRefusedError(f"{what} is {shown(value)}; give three coordinates (mm)")
     for coordinate in value:
@@ -132,7 +132,7 @@ def check_array(name: str, values: Floats, what: str) -> None:
 
 
 def check_text(value: Any, what: str) -> None:
-    """Refuse what is no text that fits into a line of 200 characters."""
+    """Refuse a value that is not a text of one line of at most 200 characters."""
     if not isinstance(value, str) or not value.isprintable() or len(value) > 200:
         raise ValueRefusedError(f"{what} is {shown(value)}; give a text, of one line")
 

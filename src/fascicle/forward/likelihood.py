@@ -2,7 +2,7 @@
 
 What is compared are a few coefficients: the first cosines (DCT-II) over the QRS window and `MARGIN`
 on either side of it, of each independent lead. Finer ones tell how small branches happen to
-collide, which is no patient's. The recording is silent outside its QRS window, as it is in the
+collide, which no patient shows. The recording is isoelectric outside its QRS window, as in the
 loss. With V(s) the coefficients of the simulation that is shifted by s, and V̂ those of the mean
 recorded beat::
 

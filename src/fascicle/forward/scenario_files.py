@@ -120,7 +120,7 @@ def read_scenarios(names: Sequence[str | Path] | str | Path) -> dict[str, Scenar
 def read_scenario(path: Path | str) -> tuple[Scenario, tuple[Region, ...]]:
     """Read a scenario, and the regions of the myocardium that conduct otherwise in it.
 
-    Files of trees are looked for beside the scenario.
+    Paths of tree files count from the folder of the scenario.
 
     Raises
     ------

@@ -33,7 +33,7 @@ from fascicle.torso.variation.conductor import InvalidTorso
 PICTURES = [  # of what the folder holds; whoever writes it may draw them
     f"{what}.{kind}" for what in ("ecg", "activation") for kind in ("png", "svg", "pdf")
 ]
-FURTHEST_JUNCTION = 5.0  # mm; a leaf further from the tissue is no junction
+FURTHEST_JUNCTION = 5.0  # mm; a leaf further from the tissue is not a junction
 
 
 def simulate_inputs(

@@ -203,7 +203,7 @@ def lv_apex(mesh: LabelledMesh) -> Integers:
     """The vertices at the apex of the LV: the endocardial and the epicardial one, shape (2,).
 
     Those furthest from the endocardium's opening along the long axis, from its middle to the
-    endocardial vertex furthest from it. Of the epicardium only what is nearer to the LV than to
+    endocardial vertex furthest from it. On the epicardium only what is nearer to the LV than to
     the RV counts: the RV's apex may reach as low.
     """
     endocardium = np.unique(mesh.having(Label.LV_ENDOCARDIUM))

@@ -43,7 +43,7 @@ class Evaluation:
 
     @property
     def log_likelihood(self) -> float:
-        """Of all recordings together; NaN where it was not asked for."""
+        """Sum over all recordings; NaN where it was not computed."""
         return float(self.log_likelihoods.sum()) if len(self.log_likelihoods) else np.nan
 
     @property

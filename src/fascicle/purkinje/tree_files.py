@@ -163,12 +163,12 @@ def _read_opencarp_tree(path: Path | str, purpose: str) -> MeshFile:
 def _merged(points: Floats, segments: Integers, lengths: Floats) -> tuple[Floats, Integers, Floats]:
     """Points, segments and lengths with points in one place made one.
 
-    Only for lines that are no tree as they stand: polylines often repeat the points they share.
-    Two nodes of a tree may well lie in one place and be different nodes.
+    Only for lines that do not form a tree as they are: polylines often repeat shared points. Two
+    nodes of a tree may well lie in one place and be different nodes.
     """
     kept, number = np.unique(merged_vertices(points, SAME_POINT), return_inverse=True)
     segments = number[segments]
-    real = segments[:, 0] != segments[:, 1]  # a point repeated along a polyline is no segment
+    real = segments[:, 0] != segments[:, 1]  # a point repeated along a polyline gives no segment
     return points[kept], segments[real], lengths[real]
 
 

@@ -148,7 +148,7 @@ def _to_dataset(target: Target) -> xr.Dataset:
 
 def _attributes(target: Target) -> dict[str, str | float | int]:
     numbers = {key: getattr(target, name) for key, (name, _) in NUMBERS.items()}
-    # a path may hold bytes that are no text
+    # a path may hold bytes that are not text
     texts = {key: str(text).encode("utf-8", "replace") for key, text in target.provenance.items()}
     filters = [
         {

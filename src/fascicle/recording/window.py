@@ -21,7 +21,7 @@ from fascicle.recording.detection import complete_leads
 from fascicle.recording.filters import MAINS, Filter, FilterKind
 
 SMOOTHING = 4.0  # ms; standard deviation of the Gaussian derivative
-# Error of the method where there is no noise (ms), bias included: 95 % within two of it
+# Error of the method without noise (ms), bias included: 95 % within two of it
 ONSET_ERROR, OFFSET_ERROR = 5.0, 7.0
 CORE_SMOOTHING = 10.0  # ms; leaves 1 % of 50 Hz interference
 STANDS_OUT = 1.8  # speed over that of the quietest stretch nearby from which it is more than noise
@@ -46,7 +46,7 @@ class QrsWindows(NamedTuple):
 class _Search(NamedTuple):
     """How an end of the QRS is looked for."""
 
-    level: float  # share of the highest speed that counts as moving where there is no noise
+    level: float  # share of the highest speed that counts as moving without noise
     # Time that makes a speed of a curvature (ms): at the top of a P wave or of a notch the leads
     # stand still for a moment, but turn.
     turning: float

@@ -17,12 +17,12 @@ from fascicle.study.target_comparison import Network
 
 @dataclass(frozen=True)
 class Agreement:
-    """Of the mean of the networks' ECGs with the recorded mean beat, within the QRS window.
+    """Agreement of the networks' mean ECG with the recorded mean beat, within the QRS window.
 
     Attributes
     ----------
     explained, correlation : (12,) arrays
-        Of each lead: explained power, 1 − Σ(recorded − predicted)² / Σ recorded²; Pearson's
+        For each lead: explained power, 1 − Σ(recorded − predicted)² / Σ recorded²; Pearson's
         correlation. NaN where a lead is not used.
     explained_over_all, correlation_over_all : float
         The same over all leads together.

@@ -31,12 +31,12 @@ class Checks:
     Attributes
     ----------
     share : float
-        Size (root mean square) of what a network leaves of the recorded QRS over that of the QRS,
-        median of the networks.
+        Root mean square of a network's residual over that of the recorded QRS, median of the
+        networks.
     probabilities : mapping of str to float
-        How probable a recording at least as far from the networks is, of every lead, of the window
-        QRS duration and of the axis. Of a lead, with the least discrepancy that the likelihood
-        knows: a larger one would excuse what it is there to show.
+        Probability of a recording at least as far from the networks, for each lead, the window QRS
+        duration and the axis; for a lead with the smallest discrepancy of the likelihood, since a
+        larger one would hide a misfit.
     """
 
     share: float

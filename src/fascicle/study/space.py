@@ -38,8 +38,8 @@ def study_space(
     The method ``"paper"`` learns the paper's parameters of bundles and fascicles, root time and
     Purkinje conduction velocity; ``"posterior"`` also the speed constant of the myocardium, where
     the heart does not say it. `wanted` says what differs, as `parameters` of `fascicle.fit`; a
-    group of `GROUPS` that is ``"free"`` stands for all of its quantities, of which what is said of
-    one alone counts.
+    group of `GROUPS` that is ``"free"`` frees all of its quantities but those that are given
+    separately.
     """
     chosen = {name: _chosen(name, value) for name, value in without_groups(wanted).items()}
     numbers = {

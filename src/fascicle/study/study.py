@@ -121,7 +121,7 @@ class Study:
     def run(self, objective: Objective, progress: Progress | None = None) -> Population:
         """Do what is left of the study, and give its result.
 
-        A finished study gives its result again. Of what is stored a few points are evaluated again,
+        A finished study gives its result again. A few stored points are evaluated again,
         to see that the forward model is still the same: `objective` must give the same result for
         the same point whenever it is asked.
         """

@@ -194,7 +194,7 @@ class FittedTrunk:
 
     @cached_property
     def _displacement(self) -> RBFInterpolator:
-        """Of least norm; inverse multiquadrics fall off over 80 mm, so far away nothing moves."""
+        """The least-norm displacement; its inverse multiquadrics fall off over 80 mm."""
         return RBFInterpolator(
             self.electrodes,
             self.on_skin - self.electrodes,

@@ -90,7 +90,7 @@ def read_torso_surfaces(
     """Read the user's own torso: closed skin around the heart, and lungs, in its coordinates (mm).
 
     Surfaces are welded (STL repeats every point), turned outwards, and remeshed if they are far
-    finer than a torso needs. Of tetrahedra only the outer surface is used; lungs are other files.
+    finer than a torso needs. Of a volume mesh the outer surface is used; lungs are separate files.
 
     Raises
     ------

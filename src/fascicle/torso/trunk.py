@@ -120,7 +120,7 @@ class TrunkSize:
 
     @cached_property
     def half_width(self) -> float:
-        """Of the chest's outline at the level of V1 (mm)."""
+        """Half the width of the chest's outline at the level of V1 (mm)."""
         angle = np.linspace(0, 2 * np.pi, 721)
         outline = np.stack([np.cos(angle), np.sin(angle)])
         outline = np.sign(outline) * np.abs(outline) ** (2 / SQUARENESS)
@@ -130,7 +130,7 @@ class TrunkSize:
 
     @property
     def half_depth(self) -> float:
-        """Of the chest's outline at the level of V1 (mm)."""
+        """Half the depth of the chest's outline at the level of V1 (mm)."""
         return self.flatness * self.half_width
 
     def level(self, fraction: float) -> float:

@@ -187,7 +187,7 @@ def default_template() -> CableTemplate:
     Notes
     -----
     The paper says "a 1D cable simulation with the Ten Tusscher-Panfilov model" and not which cell.
-    One template stands for all layers, so what the layers differ in would enter the ECG with the
+    One template represents all layers, so their differences would enter the ECG with the
     wrong sign somewhere; the endocardial type has least of it. On the packaged heart with the
     example parameters, 5 ms after the last activation, the largest lead is at 0.007 mV with the
     endocardial template and at 0.052 and 0.066 mV with the epicardial and the mid-myocardial one,

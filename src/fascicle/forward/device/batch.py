@@ -39,7 +39,7 @@ NETWORKS = 512  # at a time: 3 MB each, and several for each of a card's process
 # ms; where activation ends later, or never begins, the processor says whether that can be
 LATEST = 2000.0
 BITS = 64  # a bit of a word says that a node waits
-SPARE_BINS = 8  # of a histogram, beside those between the first activation and the last
+SPARE_BINS = 8  # of a histogram, in addition to those between the first activation and the last
 
 
 class Device(Protocol):

@@ -147,7 +147,7 @@ def _vtk_complaints() -> Iterator[list[str]]:
 
 
 def _cells(grid: Any) -> tuple[dict[int, Integers], dict[int, Integers], dict[str, int]]:
-    """Cells of the kinds used here, the cell of the file that each stands for, and other kinds.
+    """Cells of the kinds used here, the cell of the file that each comes from, and other kinds.
 
     A line of several points becomes as many segments as it has.
     """

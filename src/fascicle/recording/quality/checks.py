@@ -20,7 +20,7 @@ from fascicle.recording.quality.check_result import Check, CheckResult, Severity
 from fascicle.recording.quality.limb_leads import check_identities, check_reversal
 from fascicle.recording.recording import Recording
 
-FLAT = Check("smallest lead", "uV", 1.0)  # standard deviation below which there is no signal
+FLAT = Check("smallest lead", "uV", 1.0)  # standard deviation below which a lead holds no signal
 CONSTANT = Check("longest constant stretch", "s", 2.0)  # longer than between two beats of most
 DUPLICATED = Check("duplicated leads, correlation", "", 0.9999)
 # for adults, of P. Kligfield et al., Recommendations for the standardization and interpretation of
@@ -208,7 +208,7 @@ def _interference(values: Floats, rate: float, mains: float) -> float:
 def _wander(values: Floats, rate: float) -> float:
     """Peak-to-peak amplitude (mV), 1st to 99th percentile, of one lead below 0.5 Hz.
 
-    Below that frequency there is no ECG (AHA/ACC/HRS, Circulation 115:1306, 2007).
+    Below that frequency an ECG has no content (AHA/ACC/HRS, Circulation 115:1306, 2007).
     """
     x, coarse_rate = coarse(values, rate)
     low = butter(2, 0.5, fs=coarse_rate, output="sos")

@@ -42,7 +42,7 @@ class _Array:
 
     @property
     def values(self) -> Floats:
-        """Without axes of length one; numbers that stand for missing samples are NaN."""
+        """Without axes of length one; numbers that mark missing samples become NaN."""
         values = np.array(self.numbers, dtype=np.float64).squeeze()
         missing = [entry.value for entry in self.metadata if entry.key is Key.MISSING]
         values[np.isin(values, missing)] = np.nan

@@ -70,7 +70,7 @@ def millivolts(unit: str) -> float | None:
     """Return how many mV one such unit is, or None when the unit is unknown.
 
     Understands nV, uV (with u or either code point of the Greek letter), mV, V and the words
-    (``microvolts``), in any case: a megavolt is no unit of an ECG.
+    (``microvolts``), in any case: a megavolt is not a unit of an ECG.
     """
     sizes = {"nv": 1e-6, "uv": 1e-3, "mv": 1.0, "v": 1e3}
     sizes |= {"nanovolt": 1e-6, "microvolt": 1e-3, "millivolt": 1.0, "volt": 1e3}
@@ -129,7 +129,7 @@ def key_of(name: str) -> Key | None:
 
 
 def entry_of(name: str, content: Any) -> Entry | None:
-    """Make an entry of texts or numbers; None where they are neither, or the name is no key."""
+    """Make an entry of texts or numbers; None where they are neither, or the name is not a key."""
     key, values = key_of(name), np.ravel(np.asarray(content))
     if key is None or not 0 < values.size <= 1000:
         return None

@@ -62,7 +62,7 @@ class _Column:
     def numbers(self, path: Path) -> Floats:
         """The cells as numbers (n,); empty cells are NaN."""
         values = np.full(len(self.cells), np.nan)
-        if self.cells.dtype.kind in "iuf":  # else one cell at least is no number
+        if self.cells.dtype.kind in "iuf":  # else at least one cell is not a number
             values = self.cells.to_numpy(dtype=np.float64)
         wrong = ~np.isfinite(values) & self.cells.notna().to_numpy()
         if wrong.any():
@@ -80,7 +80,7 @@ class _Column:
 def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
     """Read a table of samples by the schema in ``docs/recordings.md``.
 
-    Columns that are no leads are named but not read. Where there are a lead and a rhythm strip of
+    Columns other than leads are named but not read. Where there are a lead and a rhythm strip of
     the same lead, the longer one is the lead.
     """
     columns, metadata = _parsed(path)
@@ -154,7 +154,7 @@ def _parsed(path: Path) -> tuple[list[_Column], list[Entry]]:
             f"{path}: no table of samples (its first line is '{header[:40]}'); the first line must "
             "name the columns, separated by commas, semicolons or tabs, such as time_ms,I_mV,II_mV"
         )
-    # where both 1,5 and 0.5 stand in a table, one of them is no number
+    # where a table holds both 1,5 and 0.5, one of them is not a number
     commas = separator != "," and re.search(r"\d,\d", cells) and not re.search(r"\d\.\d", cells)
     with warnings.catch_warnings():
         warnings.simplefilter("error", pd.errors.ParserWarning)  # more cells than in the header
@@ -220,7 +220,7 @@ def _column(spelt: str, names: Sequence[str], cells: pd.Series) -> _Column:
 
 
 def _lead_or_rhythm(name: str) -> tuple[str | None, bool]:
-    """Return the lead that a name stands for, and whether as a rhythm strip."""
+    """Return the lead that a name means, and whether it is a rhythm strip."""
     strip = r"[\s_(.-]*(?<![a-z])(?:rhythm(?:[\s_]strip)?|long)(?![a-z])\)?[\s_.-]*"
     rest, found = re.subn(strip, "", name, count=1, flags=re.IGNORECASE)
     return lead_name(rest), found > 0
@@ -249,7 +249,7 @@ def _agreed_rate(path: Path, rates: dict[str, float | None]) -> float | None:
     """
     found = [(who, rate) for who, rate in rates.items() if rate is not None]
     for who, rate in found[1:]:
-        if not abs(rate - found[0][1]) <= 2e-3 * found[0][1]:  # more is no rounding
+        if not abs(rate - found[0][1]) <= 2e-3 * found[0][1]:  # more is not rounding
             raise InputError(
                 f"{path}: sampling rate is {found[0][1]:g} Hz {found[0][0]}, {rate:g} Hz {who}; "
                 "correct the wrong one"
@@ -269,7 +269,7 @@ def _rate_of(
             "or give the sampling rate in Hz by --sampling-rate",
             step,
         )
-    # the step is no number where there are too few times or one is missing or far too large
+    # the step is NaN where there are too few times or one is missing or far too large
     if not step > 0 or (steps < 0).any():
         raise InputError(
             f"{path}: times {where} are missing or do not increase from row to row; sort or "
