@@ -39,7 +39,7 @@ class Stimulus(Primitive, table="stimulus"):
     tree: Annotated[Name | None, "the tree whose node it fires; without, the myocardium"] = None
     site: Annotated[Name | None, "where, by the name of a site, in place of a position"] = None
     radius: Annotated[CaptureRadius, "what lies within it is captured, too"] = 0.0
-    part: Annotated[Name | None, "part of the tree that is fired, as of `slow_conduction`"] = None
+    part: Annotated[Name | None, "stimulated part of the tree, as in `slow_conduction`"] = None
 
     def __post_init__(self) -> None:
         if (self.position is None) == (self.site is None):
@@ -185,7 +185,7 @@ class His(Primitive, table="his", once=True):
         beat.roots[:2], beat.his = roots, replace(his, branches=[*his.branches, *others])
 
     def conducted(self, roots: Sequence[float], nearest: float) -> tuple[list[float], HisBundle]:
-        """When it fires the left and the right root (ms), and what joins them.
+        """When it activates the left and the right root (ms), and what joins them.
 
         Parameters
         ----------

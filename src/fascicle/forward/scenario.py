@@ -140,13 +140,13 @@ class Beat:
 
     @property
     def points(self) -> Floats:
-        """Points of the myocardium that are fired (mm): stimuli, then the vertices they capture."""
+        """Stimulated points of the myocardium (mm): stimuli, then the vertices they capture."""
         points = [point for point, *_ in (*self._stimuli, *self._captured)]
         return np.array(points, dtype=float).reshape(-1, 3)
 
     @property
     def point_times(self) -> list[float]:
-        """When each of the `points` is fired (ms)."""
+        """When each of the `points` is stimulated (ms)."""
         captured = (time for _, time, _ in self._captured)
         return [*(time for _, time in self._stimuli), *captured]
 

@@ -249,7 +249,7 @@ def write_ecg(path: Path, ecg: xr.DataArray) -> None:
 
 
 def sites_table(simulation: Simulation) -> str:
-    """List as CSV what fired what: a row a junction, then a row a stimulus in the myocardium."""
+    """List as CSV what activated each site: a row for each junction, then for each stimulus."""
     lines = ["site,kind,tree,node,x_mm,y_mm,z_mm,time_ms,fired,entered_by"]
     coupled, site = simulation.coupled, 0
     for tree, times, retrograde, entered_by in zip(

@@ -45,7 +45,7 @@ class HisBundle:
     Attributes
     ----------
     fires : float
-        When it is fired from outside (ms); inf if not.
+        When it is activated from outside (ms); inf if not.
     branches : sequence of float
         Travel time to the root of each tree (ms); inf where it is blocked, or goes to none.
     """
@@ -328,7 +328,7 @@ def _firing_times(
     stimuli: Sequence[float],
     node_times: Sequence[tuple[int, int, float]],
 ) -> Floats:
-    """When each node of the trees, and each stimulus, is fired from outside (ms); inf if not."""
+    """When each node of the trees and each stimulus is activated from outside (ms), or inf."""
     firing = np.full(len(coupling.lengths), np.inf)
     firing[coupling.roots] = root_times
     for tree_number, node, moment in node_times:
