@@ -72,8 +72,7 @@ READERS = [
     ),
     _built_in(
         "DICOM waveform", ".dcm", "dicom.read_dicom",
-        "the group with the most leads; groups that follow one another are put side by side in "
-        "time",
+        "the group with the most leads; groups that follow one another are joined in time",
         lambda start: start[128:132] == b"DICM",
     ),
     _built_in(
