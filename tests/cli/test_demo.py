@@ -18,7 +18,7 @@ def test_the_demonstration_ends_with_a_report_of_three_pacings(run, tmp_path, mo
     gains = ended.out.split("total activation time against left-bundle-branch-block:\n")[1]
     names = [line.split()[0] for line in gains.splitlines()[:3]]
     assert names == ["his-pacing", "left-bundle-branch-pacing", "biventricular-pacing"]
-    assert "that of left-bundle-branch-block, by" in page.read_text()
+    assert "compared with left-bundle-branch-block" in page.read_text()
     assert {path.name for path in (tmp_path / "demo" / "pacings").iterdir() if path.is_dir()} == {
         "intrinsic", "left-bundle-branch-block", *names,
     }  # fmt: skip

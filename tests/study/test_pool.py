@@ -372,11 +372,11 @@ class TestCluster:
 
 
 @pytest.mark.slow
-def test_a_fit_on_a_cluster_is_that_of_one_machine(cluster, problem, tmp_path):
+def test_a_fit_on_a_cluster_is_that_of_one_machine(cluster, recordings, tmp_path):
     """To the last bit, by the command."""
     from fascicle.recording.target_files import write_target
 
-    write_target(problem.target, tmp_path / "target.nc")
+    write_target(recordings[0].target, tmp_path / "target.nc")
     small = ["--effective", "20", "--evaluations", "400", "--prior-simulations", "200"]
     found = []
     for name, more in (("here", []), ("there", ["--scheduler", cluster.scheduler_address])):
