@@ -37,7 +37,9 @@ def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
             f"{path}: damaged, or of a kind that is not read; export it as HL7 aECG or DICOM"
         )
     record, remarks, wrong = _parsed(found["parser_class"], path)
-    _check_one_recording(record.source_format, path)
+    is_xml = record.source_format in ("hl7_aecg", "ge_muse_xml")
+    root = _xml_root(path) if is_xml else None
+    _check_one_recording(record.source_format, path, root)
     # programs other than MUSE write 0 for every checksum of its files
     unwritten = record.source_format == "ge_muse_xml" and not re.search(
         rb"<LeadDataCRC32>\s*0*[1-9]", path.read_bytes()
@@ -55,7 +57,7 @@ def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
         provenance["remarks"] = "; ".join(remarks)
     return RawRecording(
         _channels(record, path),
-        _rate(record, leads, path),
+        _rate(record, leads, root),
         found["name"],
         _filters(record, leads),
         provenance,
@@ -93,15 +95,15 @@ def _parsed(parser: Any, path: Path) -> tuple[Any, list[str], list[str]]:
     return record, remarks, wrong
 
 
-def _check_one_recording(source_format: str, path: Path) -> None:
+def _check_one_recording(source_format: str, path: Path, root: ET.Element | None) -> None:
     """Refuse what the library reads the first of: several subjects or recordings in one file."""
     several = ""
     if source_format == "scp_ecg":
         data = path.read_bytes()
         rest = data[int.from_bytes(data[2:6], "little") :]  # after what is stated as its size
         several = f"{len(rest)} bytes follow the first one" if rest.strip(b"\0") else ""
-    elif source_format in ("hl7_aecg", "ge_muse_xml"):
-        elements = list(_xml_root(path).iter())
+    elif root is not None:
+        elements = list(root.iter())
         nested = sum(element.tag.lower() == "restingecg" for element in elements)
         named = ("trialSubject", "PatientDemographics")
         people = {_identity(element) for element in elements if element.tag in named}
@@ -170,7 +172,7 @@ def _channels(record: Any, path: Path) -> list[Channel]:
     return placed + [channel for channel in channels if channel.lead is None]
 
 
-def _rate(record: Any, leads: Sequence[Any], path: Path) -> float | None:
+def _rate(record: Any, leads: Sequence[Any], root: ET.Element | None) -> float | None:
     """Samples per second, which the library rounds to an integer; None where they are a guess."""
     raw, first = record.raw_metadata, (leads or record.leads)[0]
     if not raw.get("sampling_rate_stated", True):
@@ -181,14 +183,14 @@ def _rate(record: Any, leads: Sequence[Any], path: Path) -> float | None:
         return float(1e6 / raw["rhythm_sample_interval_us"])
     if record.source_format == "mfer":
         return float(raw["sampling_rates"][record.leads.index(first)])
-    if record.source_format == "ge_muse_xml":
-        return _muse_rate(path)
+    if record.source_format == "ge_muse_xml" and root is not None:
+        return _muse_rate(root)
     return float(raw.get("exact_sampling_rates", {}).get(first.label, first.sampling_rate))
 
 
-def _muse_rate(path: Path) -> float:
+def _muse_rate(root: ET.Element) -> float:
     """Samples per second of the rhythm: SampleBase times ten to the SampleExponent."""
-    for waveform in _xml_root(path).findall("Waveform"):
+    for waveform in root.findall("Waveform"):
         texts = {e.tag.lower(): "".join(e.itertext()).strip() for e in waveform}
         if texts.get("waveformtype", "").lower() in ("rhythm", ""):
             break
