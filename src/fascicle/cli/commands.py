@@ -150,10 +150,9 @@ def simulate(
         simulation, inputs = simulate_inputs(make_model, params, lv_tree, rv_tree, overrides, case)
     if scenario is not None:
         inputs["scenario"] = str(scenario)
-    built_in = (
-        "built-in (ten Tusscher-Panfilov)" if loaded.action_potential is None else "heart.toml"
-    )
-    inputs["action_potential"] = built_in if action_potential is None else str(action_potential)
+    brought = loaded.action_potential is not None
+    default = "heart.toml" if brought else "built-in (ten Tusscher-Panfilov)"
+    inputs["action_potential"] = default if action_potential is None else str(action_potential)
     summary = write_simulation(loaded, simulation, out, inputs)
     zero = "firing of the first root" if case is None else "time 0 of the scenario"
     pictures = draw_simulation(loaded, simulation, out, kind, zero)
