@@ -15,7 +15,7 @@ or adds truths.
 With `--physics other` the truth is of another model than the one that is fitted: it is activated
 on tetrahedra of half the edge length, with three left fascicles in every second truth, fibres
 turned by some 10 degrees in the wall, other anisotropy, a fast endocardial layer, and delays at the
-junctions; its ECG is that of another body, with the heart and the electrodes elsewhere and other
+junctions; its ECG is that of another torso, with the heart and the electrodes elsewhere and other
 conductivities (`docs/quantities.md`; in an unbounded conductor, with electrodes off by some 10 mm
 and 8 degrees). No discrepancy is added: the physics makes it. With `--noise` the beats differ
 from their mean as those of a recorded target do.
@@ -63,7 +63,7 @@ from fascicle.build.refinement import refined
 from fascicle.cli.output import TerminalProgress
 from fascicle.core.files import write_text
 from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, LIMB_LEADS, limb_leads_from
-from fascicle.core.quantities import body_values
+from fascicle.core.quantities import torso_values
 from fascicle.forward.ecg.electrocardiogram import first_sample
 from fascicle.forward.likelihood import SHARES, discrepancy_in_time
 from fascicle.forward.model import ForwardModel
@@ -97,7 +97,7 @@ PAD = 100  # samples before and after the simulated ECG
 COLUMNS, PANEL = 6, 1.6  # of the figure; inch
 MAPPED = 60  # draws whose activation is simulated
 TOGETHER = {"root_time": 0.0}
-OF_THE_BODY = ("pose", "electrodes", "conductivities")
+TORSO_GROUPS = ("pose", "electrodes", "conductivities")
 PREDICTED = ("activation time", "with both roots together", "end along the axis", "QRS duration")
 
 
@@ -138,7 +138,7 @@ def turned(heart: Heart, degrees: float) -> Heart:
 def other_physics(heart: str, rng: np.random.Generator) -> tuple[ForwardModel, Any, Any]:
     """A model of the heart that is not the one that is fitted, and its own prior."""
     fine = turned(finer(heart), rng.normal(0, TURNED))
-    if fine.lead_fields is not None:  # the ECG will be that of `another_body`
+    if fine.lead_fields is not None:  # the ECG will be that of `another_torso`
         fine = replace(fine, lead_fields=None, torso=None)
     else:
         turn = Rotation.from_rotvec(np.radians(rng.normal(0, OFF_ANGLE / np.sqrt(3), 3)))
@@ -156,15 +156,15 @@ def other_physics(heart: str, rng: np.random.Generator) -> tuple[ForwardModel, A
     return ForwardModel(fine), space, fixed
 
 
-def another_body(
+def another_torso(
     model: ForwardModel, simulation: Simulation, count: int, rng: np.random.Generator
 ) -> Simulation:
-    """A simulation on a finer mesh, of which `count` vertices are the model's, in another body."""
-    space, _ = study_space("posterior", dict.fromkeys(OF_THE_BODY, "free"), model.heart)
+    """A simulation on a finer mesh, of which `count` vertices are the model's, in another torso."""
+    space, _ = study_space("posterior", dict.fromkeys(TORSO_GROUPS, "free"), model.heart)
     times = simulation.activation[:count]
     while True:
-        body = body_values(space.from_unit(rng.random(len(space))))
-        leads = model.leads_in_torso(times, body)
+        torso = torso_values(space.from_unit(rng.random(len(space))))
+        leads = model.leads_in_torso(times, torso)
         if not isinstance(leads, InvalidTorso):
             return replace(simulation, leads=leads, onset=first_sample(times))
 
@@ -279,7 +279,7 @@ def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, A
     true = (model, space, fixed) if given.physics == "same" else other_physics(heart, rng)
     point, simulation = truth_of(true[0], true[1], true[2], rng)
     if given.physics == "other" and model.heart.lead_fields is not None:
-        simulation = another_body(model, simulation, len(axis), rng)
+        simulation = another_torso(model, simulation, len(axis), rng)
     if of_paper:
         target = synthetic_target(simulation.leads, rng, BEATS_OF_THE_PAPER)
         simulator, recording = PointSimulator(model, space, fixed), TargetComparison(target)
@@ -477,7 +477,7 @@ def main() -> None:
             simulate_prior(given.heart, given.prior_simulations, progress=progress)
         if given.physics == "other" and fascicle.load_heart(given.heart).torso is not None:
             model = ForwardModel(fascicle.load_heart(given.heart), progress=progress)
-            model.torso(OF_THE_BODY)  # kept on disk, where each process finds it
+            model.torso(TORSO_GROUPS)  # kept on disk, where each process finds it
         paths = [given.out / f"truth-{number:04d}.json" for number in range(given.truths)]
         left = [(number, path, given) for number, path in enumerate(paths) if not path.exists()]
         with ProcessPoolExecutor(given.processes) as pool:

@@ -12,7 +12,7 @@ import numpy as np
 import fascicle
 from benchmarks.fuzzing.kinds import small_model
 from benchmarks.fuzzing.seeds import parameters
-from fascicle.core.quantities import BODY, QUANTITIES
+from fascicle.core.quantities import QUANTITIES, TORSO_QUANTITIES
 from fascicle.study.settings import checked_settings
 from fascicle.study.space import study_space
 
@@ -44,8 +44,8 @@ def any_value(rng: np.random.Generator) -> Any:
 
 
 def _simulate(rng: np.random.Generator) -> Any:
-    # those of the body take minutes once; `tests/core/test_ranges.py` has them
-    names = [name for name in QUANTITIES if name not in BODY]
+    # those of the torso take minutes once; `tests/core/test_ranges.py` has them
+    names = [name for name in QUANTITIES if name not in TORSO_QUANTITIES]
     name = rng.choice([*names, "region_1_conductivity", "nonsense"])
     return small_model().simulate(parameters() | {str(name): any_value(rng)})
 

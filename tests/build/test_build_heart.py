@@ -105,7 +105,7 @@ class TestIdealisedTorso:
         enclosed = abs(np.einsum("ij,ij->", a, np.cross(b, c))) / 6
         assert volumes.sum() + in_torso.volumes.sum() == pytest.approx(enclosed, rel=1e-6)
         litres = {t: volumes[torso.tissues == t].sum() / 1e6 for t in TorsoTissue}
-        assert 20 < litres[TorsoTissue.BODY] < 45
+        assert 20 < litres[TorsoTissue.OTHER] < 45
         assert 2 < litres[TorsoTissue.LUNG] < 6
         cavities = sum(map(cavity_volume, in_torso.endocardia)) / 1000  # litres
         assert litres[TorsoTissue.BLOOD] == pytest.approx(cavities, rel=0.15)

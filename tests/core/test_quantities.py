@@ -144,7 +144,7 @@ def test_impossible_rules_and_conduction_are_refused(owner, wrong):
 
 
 @pytest.mark.parametrize(
-    "change", [{"name": "cv"}, {"name": "pose"}, {"apply": None}, {"changes": Changes.BODY}]
+    "change", [{"name": "cv"}, {"name": "pose"}, {"apply": None}, {"changes": Changes.LEAD_FIELDS}]
 )
 def test_declarations_that_cannot_be(change):
     fields = {

@@ -13,7 +13,7 @@ import fascicle
 from fascicle.core.array_cache import ArrayCache
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.core.quantities import BODY, QUANTITIES
+from fascicle.core.quantities import QUANTITIES, TORSO_QUANTITIES
 from fascicle.torso.lead_fields import is_up_to_date, lead_fields
 from fascicle.torso.mesh import torso_of
 from fascicle.torso.variation.conductor import InvalidTorso
@@ -45,7 +45,7 @@ def test_an_unbounded_conductor_has_no_torso(default_heart):
 
 
 def test_neutral_torsos_are_the_plain_model(default_model):
-    neutral = {name: QUANTITIES[name].default for name in BODY}
+    neutral = {name: QUANTITIES[name].default for name in TORSO_QUANTITIES}
     plain = default_model.simulate(EXAMPLE_PARAMETERS)
     found = default_model.simulate(with_torso(**neutral))
     np.testing.assert_array_equal(found.leads, plain.leads)

@@ -23,7 +23,7 @@ from fascicle.torso.lead_fields import (
 )
 
 RADIUS = 100.0  # mm
-TISSUES = [TorsoTissue.BLOOD, None, TorsoTissue.LUNG, TorsoTissue.BODY]
+TISSUES = [TorsoTissue.BLOOD, None, TorsoTissue.LUNG, TorsoTissue.OTHER]
 
 
 def chest(layers=8, electrodes=None):
@@ -194,7 +194,7 @@ class TestRefusals:
             torso,
             vertices=np.concatenate([torso.vertices, torso.vertices[torso.tetrahedra[0]] + 500.0]),
             tetrahedra=np.concatenate([torso.tetrahedra, [count + np.arange(4)]]),
-            tissues=np.append(torso.tissues, TorsoTissue.BODY),
+            tissues=np.append(torso.tissues, TorsoTissue.OTHER),
         )
         with pytest.raises(InputError, match="falls into 2 pieces"):
             lead_fields(heart, apart, Conduction())

@@ -195,7 +195,7 @@ class TestHeartInTorso:
     def test_every_tissue_has_its_conductivity(self):
         """Blood, myocardium, lung and body as shells of one sphere, against the series."""
         radii, at = [30.0, 50.0, 70.0, 100.0], [0.3, 0.5, 0.7, 1.0]
-        tissues = [TorsoTissue.BLOOD, None, TorsoTissue.LUNG, TorsoTissue.BODY]
+        tissues = [TorsoTissue.BLOOD, None, TorsoTissue.LUNG, TorsoTissue.OTHER]
         electrodes = rim_points(9, RADIUS + 4.0)
         heart, torso = heart_in_torso(20, radii, at, tissues, electrodes)
         conduction = Conduction(1.0, 1.0, 2.5, 2.5, body=2.0, lung=0.5, blood=8.0)

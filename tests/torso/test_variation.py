@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from spheres import heart_in_torso
 
-from fascicle.core.quantities import BODY, QUANTITIES
+from fascicle.core.quantities import QUANTITIES, TORSO_QUANTITIES
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import TorsoTissue
 from fascicle.mesh.measures import signed_volumes
@@ -32,7 +32,7 @@ from fascicle.torso.variation.training import (
 )
 
 RADIUS = 100.0  # mm
-TISSUES = [TorsoTissue.BLOOD, None, TorsoTissue.LUNG, TorsoTissue.BODY]
+TISSUES = [TorsoTissue.BLOOD, None, TorsoTissue.LUNG, TorsoTissue.OTHER]
 state = TorsoState.of
 NEUTRAL = state({})
 
@@ -97,7 +97,7 @@ class TestAxesAndMotion:
         np.testing.assert_allclose(skin, [[-10.0, 0.0, 0.0]], atol=1e-9)
 
     def test_neutral_is_every_default(self):
-        body = state({name: QUANTITIES[name].default for name in BODY})
+        body = state({name: QUANTITIES[name].default for name in TORSO_QUANTITIES})
         for found, expected in zip(vars(body).values(), vars(NEUTRAL).values(), strict=True):
             np.testing.assert_array_equal(found, expected)
 
@@ -178,7 +178,7 @@ class TestMovedConductor:
 
 def test_near_field_is_that_of_an_insulated_plane(conductor):
     """Far from the hull its projection is an almost constant gradient, 2/(4πσr²)."""
-    body = conductor.around[conductor.torso.tissues == TorsoTissue.BODY][0, 0, 0]
+    body = conductor.around[conductor.torso.tissues == TorsoTissue.OTHER][0, 0, 0]
     # the potentials x, y and z
     surface = conductor.torso.vertices[conductor.hull_surface]
     hull, projection, filled = plain_hull(conductor, surface)

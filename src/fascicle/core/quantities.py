@@ -28,7 +28,7 @@ class Changes(StrEnum):
     TREES = "trees"
     TISSUE = "speeds of the tissue"
     TIMES = "times alone"
-    BODY = "the lead fields"
+    LEAD_FIELDS = "the lead fields"
 
 
 @dataclass(frozen=True)
@@ -151,13 +151,13 @@ def _of_conduction() -> Iterator[Quantity]:
     yield Quantity("gain", "1", 1.0, (1e-3, 1e3), (0.2, 5.0), "factor on the simulated ECG", times)
 
 
-def _of_body() -> Iterator[Quantity]:
+def _of_torso() -> Iterator[Quantity]:
     """What differs from the heart folder's torso; docs/quantities.md says where priors are from."""
-    body, angle = Changes.BODY, math.radians(20.0)
+    torso, angle = Changes.LEAD_FIELDS, math.radians(20.0)
 
     def moved(name: str, reach: float, sd: float, meaning: str, unit: str = "mm") -> Quantity:
         ends = (-reach, reach)
-        return Quantity(name, unit, 0.0, ends, ends, meaning, body, default_prior=("normal", sd))
+        return Quantity(name, unit, 0.0, ends, ends, meaning, torso, default_prior=("normal", sd))
 
     directions = (("left", "to the left"), ("posterior", "posteriorly"), ("up", "upwards"))
     for direction, where in directions:
@@ -177,23 +177,23 @@ def _of_body() -> Iterator[Quantity]:
     ):
         yield Quantity(
             f"{name}_conductivity", "1", 1.0, (0.5, 2.0), (0.5, 2.0),
-            f"factor on the conductivity of {what}", body, default_prior=("log-normal", 0.25),
+            f"factor on the conductivity of {what}", torso, default_prior=("log-normal", 0.25),
         )  # fmt: skip
     yield Quantity(
         "chest_size", "1", 1.0, (0.85, 1.15), (0.85, 1.15),
-        "factor on the trunk about the heart, which stays", body, default_prior=("normal", 0.05),
+        "factor on the trunk around the heart, which stays", torso, default_prior=("normal", 0.05),
     )  # fmt: skip
 
 
 QUANTITIES: dict[str, Quantity] = {
-    q.name: q for q in (*_of_trees(), *_of_conduction(), *_of_body())
+    q.name: q for q in (*_of_trees(), *_of_conduction(), *_of_torso())
 }
-BODY = tuple(q.name for q in QUANTITIES.values() if q.changes is Changes.BODY)
+TORSO_QUANTITIES = tuple(q.name for q in QUANTITIES.values() if q.changes is Changes.LEAD_FIELDS)
 # Names of groups of quantities that can be freed together
 GROUPS: dict[str, tuple[str, ...]] = {
-    "pose": tuple(n for n in BODY if n.startswith("heart_")),
-    "electrodes": tuple(n for n in BODY if n[0] == "v" or n == "chest_electrodes_up"),
-    "conductivities": tuple(n for n in BODY if n.endswith("_conductivity")),
+    "pose": tuple(n for n in TORSO_QUANTITIES if n.startswith("heart_")),
+    "electrodes": tuple(n for n in TORSO_QUANTITIES if n[0] == "v" or n == "chest_electrodes_up"),
+    "conductivities": tuple(n for n in TORSO_QUANTITIES if n.endswith("_conductivity")),
 }
 SPEED = ("alpha", "fibre_speed")  # of the myocardium: two names for one thing
 
@@ -285,6 +285,7 @@ def check(known: Quantity, value: Any) -> float:
     return found
 
 
-def body_values(values: Mapping[str, float]) -> dict[str, float]:
-    """Those of the body that are not as in the heart folder's torso."""
-    return {n: values[n] for n in BODY if n in values and values[n] != QUANTITIES[n].default}
+def torso_values(values: Mapping[str, float]) -> dict[str, float]:
+    """Quantities of the torso that differ from the heart folder's torso."""
+    named = [n for n in TORSO_QUANTITIES if n in values]
+    return {n: values[n] for n in named if values[n] != QUANTITIES[n].default}

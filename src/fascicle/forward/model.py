@@ -23,7 +23,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import complete
 from fascicle.core.progress import Progress, check_progress
-from fascicle.core.quantities import Changes, body_values, checked, quantity
+from fascicle.core.quantities import Changes, checked, quantity, torso_values
 from fascicle.core.ranges import check_items, check_kind
 from fascicle.core.shared_files import SharedFile, read_shared, write_shared
 from fascicle.forward.cable.template import default_template
@@ -219,7 +219,7 @@ class ForwardModel:
         """
         values = complete(parameters)
         check_kind(scenario, (Scenario, NoneType), "scenario", SCENARIO)
-        torso = body_values(values)
+        torso = torso_values(values)
         if torso:
             coefficients = self.torso([*torso]).lead_coefficients(torso)
             if isinstance(coefficients, InvalidTorso):
@@ -290,7 +290,7 @@ class ForwardModel:
 
     def _leads(self, times: Floats, tissue: Tissue, values: Mapping[str, float]) -> Floats:
         """The twelve leads (mV), in the torso of these values."""
-        torso = body_values(values)
+        torso = torso_values(values)
         if not torso:
             return np.asarray(values.get("gain", 1.0) * tissue.electrocardiograph.leads(times))
         leads = self.leads_in_torso(times, values)
@@ -370,7 +370,7 @@ class ForwardModel:
         if executor is None:
             raise InputError("give an executor, or a backend such as fascicle.GpuBackend()")
         check_kind(executor, Executor, "executor", "one of concurrent.futures, or a subclass")
-        torso = [name for network in networks for name in body_values(network)]
+        torso = [name for network in networks for name in torso_values(network)]
         if torso:
             self.torso(torso)  # built here, not by every worker
         if isinstance(executor, ThreadPoolExecutor):

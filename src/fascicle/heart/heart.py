@@ -25,7 +25,7 @@ from fascicle.mesh.topology import boundary_triangles
 class TorsoTissue(IntEnum):
     """What a tetrahedron outside the myocardium is."""
 
-    BODY = 1
+    OTHER = 1  # muscle, fat and skin
     LUNG = 2
     BLOOD = 3
 

@@ -14,7 +14,7 @@ import numpy as np
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path
 from fascicle.core.progress import Lines, Progress, shown_progress
-from fascicle.core.quantities import body_values
+from fascicle.core.quantities import torso_values
 from fascicle.core.ranges import check_kind
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.likelihood import Likelihood
@@ -380,7 +380,7 @@ def _simulated_and_compared(
     space, fixed = config.parameter_space, config.fixed
     model = ForwardModel(heart, rules=rules, progress=progress)
     backend = usable(backend, model, [*space.names, *fixed], recordings[0][1])
-    if body := body_values(dict.fromkeys((*space.names, *fixed), 0.0)):
+    if body := torso_values(dict.fromkeys((*space.names, *fixed), 0.0)):
         model.torso([*body])  # built here, not by every worker
     compared = tuple(
         TargetComparison(

@@ -82,7 +82,7 @@ def mesh_torso(
     if flat:
         raise InputError(f"{mesh.name}: {flat} tetrahedra around it are flat; {remedy}")
     progress(1, 2)
-    tissues = np.where(domains == around, int(TorsoTissue.BODY), int(TorsoTissue.LUNG))
+    tissues = np.where(domains == around, int(TorsoTissue.OTHER), int(TorsoTissue.LUNG))
     centres = vertices[tetrahedra].mean(axis=1)
     for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM):
         cavity = closed_cavity(mesh, label)

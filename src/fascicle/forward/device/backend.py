@@ -62,7 +62,7 @@ class GpuBackend:
         if model.rules.term.function is not repulsion:
             return "the card does not know the growth rule"
         for name in names:
-            if quantity(name).changes in (Changes.TISSUE, Changes.BODY):
+            if quantity(name).changes in (Changes.TISSUE, Changes.LEAD_FIELDS):
                 return f"parameter '{name}' changes {quantity(name).changes}"
         return ""
 

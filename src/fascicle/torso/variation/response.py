@@ -25,7 +25,7 @@ from scipy.interpolate import RBFInterpolator
 from scipy.spatial.distance import cdist
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.core.quantities import body_values
+from fascicle.core.quantities import torso_values
 from fascicle.core.threads import one_thread
 from fascicle.torso.electrode_sites import Electrode
 from fascicle.torso.variation.conductor import (
@@ -145,7 +145,7 @@ class TorsoResponse:
 
     def coefficients(self, values: Mapping[str, float]) -> Floats | InvalidTorso:
         """The same from quantities of the torso; those of the last few torsos are remembered."""
-        return self._remembered(tuple(sorted(body_values(values).items())))
+        return self._remembered(tuple(sorted(torso_values(values).items())))
 
     @cached_property
     def _remembered(self) -> Callable[[tuple[tuple[str, float], ...]], Floats | InvalidTorso]:

@@ -298,7 +298,7 @@ def plain_hull(conductor: Conductor, values: Floats) -> tuple[Floats, Floats, Fl
     And the energy (k, k) of B in a hull of plain tissue (1/kΩ).
     """
     part = Part.of(conductor, conductor.in_hull)
-    isotropic = conductor.around[conductor.torso.tissues == TorsoTissue.BODY][0]
+    isotropic = conductor.around[conductor.torso.tissues == TorsoTissue.OTHER][0]
     sigma = np.broadcast_to(isotropic, (len(part.corners), 3, 3))
     stiffness, found = part.extended(sigma, values, 1e-6, 500)
     flux = stiffness[part.on_surface] @ found

@@ -1,10 +1,10 @@
-"""A network found in the body as it is, and what freeing the body gains from there.
+"""A network found in the torso as it is, and what freeing the torso gains from there.
 
-    python -m benchmarks.freed_body STUDY [--free pose electrodes] [--generations 100] [--seed 0]
+    python -m benchmarks.freed_torso STUDY [--free pose electrodes] [--generations 100] [--seed 0]
 
-STUDY is a finished study of a heart in a torso. Its best network in the neutral body, and others of
-its points that are apart from it in bodies drawn from the prior, are refined with the quantities of
-the body free. Printed are the mismatch (mV²) before and after, and what was learnt of the body.
+STUDY is a finished study of a heart in a torso. Its best network in the neutral torso, and others
+of its points that are apart from it in torsos drawn from the prior, are refined with the quantities
+of the torso free. Printed are the mismatch (mV²) before and after, and the values learnt.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from benchmarks.refinement import refine, spread
 from fascicle.cli.output import TerminalProgress
 from fascicle.core.parameters import ParameterSpace, free
 from fascicle.core.progress import stage_progress
-from fascicle.core.quantities import BODY, GROUPS, QUANTITIES
+from fascicle.core.quantities import GROUPS, QUANTITIES, TORSO_QUANTITIES
 from fascicle.inference.evaluation import best_of
 from fascicle.study.target_comparison import evaluate
 
@@ -37,13 +37,13 @@ def main() -> None:
     known = [record.evaluation for record in fitted.study.records()]
     names = [name for group in given.free for name in GROUPS.get(group, (group,))]
     learnt = fitted.simulator.space
-    body = ParameterSpace(tuple(free(name) for name in names))
-    space = ParameterSpace((*learnt.parameters, *body.parameters))
+    torso = ParameterSpace(tuple(free(name) for name in names))
+    space = ParameterSpace((*learnt.parameters, *torso.parameters))
     simulator = replace(fitted.simulator, space=space)
     networks = spread(known)
-    bodies = rng.random((len(networks), len(body)))
-    bodies[0] = body.to_unit({name: QUANTITIES[name].default for name in body.names})
-    points = list(np.hstack([networks, bodies]))
+    torsos = rng.random((len(networks), len(torso)))
+    torsos[0] = torso.to_unit({name: QUANTITIES[name].default for name in torso.names})
+    points = list(np.hstack([networks, torsos]))
     starts = list(evaluate(simulator, fitted.recordings, points))
     found = list(starts)
 
@@ -57,10 +57,10 @@ def main() -> None:
             rng, starts, objective, given.generations, stage_progress(progress, "refinement", "")
         )
     best = best_of(found)
-    print(f"flat line {fitted.null_loss:.3f}, body as it is {best_of(known).loss:.3f}, "
+    print(f"flat line {fitted.null_loss:.3f}, torso as it is {best_of(known).loss:.3f}, "
           f"freed {best.loss:.3f} mV² after {given.generations} generations")  # fmt: skip
     values = space.from_unit(best.point)
-    for name in ("root_time", *(n for n in BODY if n in values)):
+    for name in ("root_time", *(n for n in TORSO_QUANTITIES if n in values)):
         print(f"{name} {fitted.population.best.get(name, 0.0):.3f} -> {values[name]:.3f}")
 
 

@@ -1,14 +1,14 @@
-"""The ECG as a function of the body: its error against finite elements, its cost, what moves it.
+"""The ECG as a function of the torso: its error against finite elements, its cost, what moves it.
 
-    python -m benchmarks.body_response [--heart FOLDER] [--network TOML] [--bodies 20]
+    python -m benchmarks.torso_response [--heart FOLDER] [--network TOML] [--torsos 20]
                                        [--scale 1.0] [--table] [--figure FILE]
 
-Random bodies are drawn uniformly from the whole range (times --scale about the neutral one), those
+Random torsos are drawn uniformly from the whole range (times --scale about the neutral one), those
 in which the heart would touch the skin left out. The reference solves each of them by finite
 elements on the heart's mesh, to 1e-7. Errors are in the gradients of the lead fields in the heart
 (in the norm of their energy) and in their values about the mean, over the eight independent leads,
 and in the ECG of a network (the example's if no other is given), all as parts of the reference. The
-table says how far each quantity alone moves that ECG from the neutral body's; the figure draws it.
+table says how far each quantity alone moves that ECG from the neutral torso's; the figure draws it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 import fascicle
 from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, read_parameters
-from fascicle.core.quantities import BODY, QUANTITIES
+from fascicle.core.quantities import QUANTITIES, TORSO_QUANTITIES
 from fascicle.forward.ecg.electrocardiogram import STEP, build_electrocardiograph
 from fascicle.forward.ecg.lead_field import nodal_gradients
 from fascicle.forward.loss import align
@@ -44,12 +44,12 @@ Array = NDArray[np.float64]
 def random_values(
     conductor: Conductor, count: int, scale: float
 ) -> tuple[list[dict[str, float]], float]:
-    """Possible bodies, electrodes at places of the grid, and the share of those drawn."""
+    """Possible torsos, electrodes at places of the grid, and the share of those drawn."""
     rng, found, drawn = np.random.default_rng(2026), [], 0
     while len(found) < count:
         drawn += 1
         values = {}
-        for name in BODY:
+        for name in TORSO_QUANTITIES:
             known = QUANTITIES[name]
             low, high = known.prior_range
             part = scale * rng.uniform(-1, 1)
@@ -84,10 +84,10 @@ def accuracy(
     model: fascicle.ForwardModel,
     network: Values,
     conductor: Conductor,
-    bodies: list[dict[str, float]],
+    torsos: list[dict[str, float]],
 ) -> None:
-    """Errors of fields and ECG at some bodies."""
-    heart, response = model.heart, model.torso(BODY).response
+    """Errors of fields and ECG at some torsos."""
+    heart, response = model.heart, model.torso(TORSO_QUANTITIES).response
     own = conductor.conductivity[: len(heart.tetrahedra)]
     stiffness = assemble_stiffness(heart.vertices, heart.tetrahedra, own)
     leads = lead_matrix()[INDEPENDENT_ROWS]
@@ -114,7 +114,7 @@ def accuracy(
     weighted = response.modes @ stiffness
     gram = weighted @ response.modes.T
     rows = []
-    for values in map(on_grid, bodies):
+    for values in map(on_grid, torsos):
         reference = direct(conductor, values)
         found = response(TorsoState.of(values)) @ response.modes
         best = np.linalg.solve(gram, weighted @ reference.T).T @ response.modes
@@ -129,8 +129,8 @@ def accuracy(
             np.linalg.norm(ecg(neutral) - e) / np.linalg.norm(e),
         ])  # fmt: skip
     names = (
-        "gradients", "best of the modes", "gradients, body ignored",
-        "values", "values, body ignored", "ECG", "ECG, body ignored",
+        "gradients", "best of the modes", "gradients, torso ignored",
+        "values", "values, torso ignored", "ECG", "ECG, torso ignored",
     )  # fmt: skip
     for name, column in zip(names, np.transpose(rows), strict=True):
         shown = " ".join(
@@ -139,20 +139,20 @@ def accuracy(
         print(f"  {name:24s} least, quartiles, 90 %, largest (%): {shown}")
 
 
-def cost(model: fascicle.ForwardModel, network: Values, bodies: list[dict[str, float]]) -> None:
-    """Milliseconds of the lead fields of a body, and of an ECG in it."""
-    body = model.torso(BODY)
+def cost(model: fascicle.ForwardModel, network: Values, torsos: list[dict[str, float]]) -> None:
+    """Milliseconds of the lead fields of a torso, and of an ECG in it."""
+    torso = model.torso(TORSO_QUANTITIES)
     own, activation = model.prepared.electrocardiograph, simulated(model, network).activation
     times = []
-    for values in 3 * bodies:
+    for values in 3 * torsos:
         begin = time.perf_counter()
-        coefficients = body.response(TorsoState.of(values))
+        coefficients = torso.response(TorsoState.of(values))
         if isinstance(coefficients, InvalidTorso):
             continue
         found = time.perf_counter()
-        coefficients @ body.response.modes
+        coefficients @ torso.response.modes
         fields = time.perf_counter()
-        moved = body.electrocardiograph(own, coefficients[:8])
+        moved = torso.electrocardiograph(own, coefficients[:8])
         weights = time.perf_counter()
         moved.channels(activation)
         end = time.perf_counter()
@@ -161,7 +161,7 @@ def cost(model: fascicle.ForwardModel, network: Values, bodies: list[dict[str, f
         times.append([found - begin, fields - found, weights - fields, end - weights, plain - end])
     names = ("coefficients", "fields at the vertices", "weights of the ECG", "ECG", "plain ECG")
     shown = zip(names, np.median(times, axis=0), strict=True)
-    print("ms a body (median): " + ", ".join(f"{name} {1e3 * t:.2f}" for name, t in shown))
+    print("ms a torso (median): " + ", ".join(f"{name} {1e3 * t:.2f}" for name, t in shown))
 
 
 def axis(leads: Array) -> float:
@@ -172,7 +172,7 @@ def axis(leads: Array) -> float:
 
 
 def simulated(model: fascicle.ForwardModel, network: Values) -> fascicle.Simulation:
-    """The network in the neutral body."""
+    """The network in the neutral torso."""
     outcome = model.simulate(network)
     if not isinstance(outcome, fascicle.Simulation):
         raise SystemExit(f"{model.heart.name}: {outcome.reason}; give another --network")
@@ -184,7 +184,7 @@ def table(model: fascicle.ForwardModel, network: Values) -> dict[str, list[float
     plain = simulated(model, network)
     losses: dict[str, list[float]] = {}
     changes = []
-    for name in BODY:
+    for name in TORSO_QUANTITIES:
         known = QUANTITIES[name]
         kind, sd = known.default_prior or ("normal", 0.0)
         near = [known.default - sd, known.default + sd] if kind == "normal" else np.exp([-sd, sd])
@@ -236,7 +236,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--heart", default="default")
     parser.add_argument("--network", type=Path, help="parameters of a network (TOML)")
-    parser.add_argument("--bodies", type=int, default=20)
+    parser.add_argument("--torsos", type=int, default=20)
     parser.add_argument("--scale", type=float, default=1.0)
     parser.add_argument("--table", action="store_true", help="what each quantity moves")
     parser.add_argument("--figure", type=Path, help="of the table (PNG)")
@@ -245,15 +245,15 @@ def main() -> None:
     heart = fascicle.load_heart(arguments.heart)
     model = fascicle.ForwardModel(heart)
     begin = time.perf_counter()
-    response = model.torso(BODY).response
+    response = model.torso(TORSO_QUANTITIES).response
     print(f"{heart.name}: response in {time.perf_counter() - begin:.0f} s (little if it was kept), "
           f"{len(response.modes)} modes, {len(response.solved)} torsos")  # fmt: skip
     torso = torso_of(heart)
     conductor = build_conductor(heart, torso, model.conduction)
-    bodies, possible = random_values(conductor, arguments.bodies, arguments.scale)
-    print(f"{len(bodies)} random bodies; {100 * (1 - possible):.0f} % of those drawn impossible")
-    accuracy(model, network, conductor, bodies)
-    cost(model, network, bodies)
+    torsos, possible = random_values(conductor, arguments.torsos, arguments.scale)
+    print(f"{len(torsos)} random torsos; {100 * (1 - possible):.0f} % of those drawn impossible")
+    accuracy(model, network, conductor, torsos)
+    cost(model, network, torsos)
     if arguments.table or arguments.figure:
         losses = table(model, network)
         if arguments.figure:
