@@ -142,7 +142,7 @@ def _rendered(
         plotter.add_mesh(
             mesh, ambient=0.65, diffuse=0.35, smooth_shading=True, split_sharp_edges=True,
             feature_angle=35, culling="back", show_scalar_bar=False, reset_camera=False,
-            **surface.look,
+            render=False, **surface.look,
         )  # fmt: skip
     right, up, away = view.axes
     focus = view.centre + middle @ np.array([right, up])
