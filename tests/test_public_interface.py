@@ -70,8 +70,8 @@ TRIED_ABOVE = {
 }  # fmt: skip
 # What the program itself makes, and what it raises
 MADE = {
-    "Beat", "Comparison", "Heart", "InputError", "InvalidTree", "Predicted", "Primitive",
-    "PurkinjeTree", "Replicate", "Simulation", "SimulatedBeat",
+    "Beat", "Comparison", "FittedStudy", "Heart", "InputError", "InvalidTree", "Predicted",
+    "Primitive", "PurkinjeTree", "Replicate", "Simulation", "SimulatedBeat",
 }  # fmt: skip
 
 

@@ -46,6 +46,7 @@ from .reporting.page.page import report as report
 from .study.cluster import Cluster as Cluster
 from .study.fit import fit as fit
 from .study.fit import load_study as load_study
+from .study.fitted import FittedStudy as FittedStudy
 from .study.pool import ExecutorPool as ExecutorPool
 from .study.prior_simulations import simulate_prior as simulate_prior
 from .study.settings import FitSettings as FitSettings

@@ -27,6 +27,7 @@ COMMANDS = {  # with something of their help
     "heart build": "--lv-endocardium", "heart import": "--lv-endocardium", "heart check": "HEART",
     "heart refine": "--out", "heart simulate-prior": "--networks", "heart export": "openCARP",
     "study show": "Finished study", "study compare": "STUDY",
+    "study export": "openCARP",
 }  # fmt: skip
 STAMP = r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d "
 

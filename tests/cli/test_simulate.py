@@ -15,8 +15,8 @@ from fascicle.heart.folder import load_heart
 from fascicle.recording.window import qrs_window, qrs_windows
 
 FILES = [
-    "activation.png", "activation.vtu", "ecg.csv", "ecg.png", "lv_tree.vtu", "rv_tree.vtu",
-    "sites.csv", "summary.json",
+    "activation.png", "activation.vtu", "ecg.csv", "ecg.png", "junctions.vtu", "lv_tree.vtu",
+    "rv_tree.vtu", "sites.csv", "summary.json",
 ]  # fmt: skip
 
 

@@ -10,8 +10,8 @@ import pyvista as pv
 from fascicle.heart.folder import load_heart
 
 FILES = [
-    "activation.png", "activation.vtu", "ecg.csv", "ecg.png", "lv_tree.vtu", "rv_tree.vtu",
-    "sites.csv", "summary.json",
+    "activation.png", "activation.vtu", "ecg.csv", "ecg.png", "junctions.vtu", "lv_tree.vtu",
+    "rv_tree.vtu", "sites.csv", "summary.json",
 ]  # fmt: skip
 
 

@@ -221,6 +221,57 @@ def test_compare(study, run):
     assert lines[-1].endswith("too few independent networks")
 
 
+def test_export(study, tmp_path, run, refused):
+    """The network nearest to the median by default, some of them, or the best where none is."""
+    out = tmp_path / "export"
+    ended = run("study", "export", study.folder, "--out", out)
+    assert ended.well, ended
+    assert ended.out.splitlines()[0].split(maxsplit=1) == ["caution", Caution.NOT_CONVERGED.text]
+    summary = json.loads((out / "summary.json").read_text())
+    ((name, parameters),) = summary["networks"].items()
+    assert summary["chosen"] == "nearest to the median activation map"
+    assert parameters == study.population.parameters(int(name))
+    assert (out / "heart.pts").exists()
+    assert (out / name / "eikonal.par").exists()
+    times = study.networks(chosen=[int(name)])[0].simulation.activation
+    np.testing.assert_allclose(np.loadtxt(out / name / "activation.dat"), times, atol=1e-5)
+    written = json.loads(
+        run("study", "export", study.folder, "--to", "csv", "--networks", 3, "--out",
+            tmp_path / "tables", "--json").out
+    )  # fmt: skip
+    every = len(study.population)
+    assert list(written["networks"]) == [f"{k:03d}" for k in (0, round((every - 1) / 2), every - 1)]
+    for folder in written["networks"]:
+        table = pd.read_csv(tmp_path / "tables" / folder / "activation.csv")
+        assert table["time_ms"].notna().all()
+    population = study.population
+    none = {"values": {n: v[:0] for n, v in population.values.items()}, "losses": np.empty(0)}
+    left = replace(study, population=replace(population, **none), gains=None)
+    assert list(left.export(tmp_path / "best", "vtu")["networks"]) == ["best"]
+    assert pv.read(tmp_path / "best" / "best" / "lv_tree.vtu").n_cells > 50
+
+
+def test_export_refuses(study, tmp_path, refused, monkeypatch):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("mine")
+    (tmp_path / "file").write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+    asked = ["study", "export", study.folder, "--to", "csv", "--networks", 1, "--out"]
+    refused([*asked, tmp_path / "mine"], "holds 'notes.txt', which would be lost")
+    refused([*asked, tmp_path / "file"], "is a file; give the path of a folder (--out)")
+    with pytest.raises(fascicle.InputError, match="to is 'stl'; give one of opencarp, vtu, csv"):
+        study.export(tmp_path / "stl", "stl")
+    with pytest.raises(fascicle.InputError, match="networks is 0; give a whole number, 1 or more"):
+        study.export(tmp_path / "none", networks=0)
+
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("fascicle.study.export.sites_table", full)
+    refused([*asked, tmp_path / "full"], tmp_path / "full", "No space left on device")
+    assert sorted(tmp_path.rglob("*")) == before
+
+
 def test_sweep(study, tmp_path, run, refused):
     asked = ["sweep", study.folder, "biventricular-pacing", "--networks", "3"]
     lines = run(*asked, "--delay=-20:20:20", "--out", tmp_path / "s").out.splitlines()
@@ -364,7 +415,9 @@ def test_plots_in_a_notebook(study):
 def test_unfinished_study_is_refused(study, tmp_path, refused):
     for name in ("study.json", "evaluations.sqlite"):
         (tmp_path / name).write_bytes((study.folder / name).read_bytes())
-    for verb in (["report", tmp_path], ["predict", tmp_path, "--out", tmp_path / "p"]):
+    out = ["--out", tmp_path / "p"]
+    for verb in (["report", tmp_path], ["predict", tmp_path, *out],
+                 ["study", "export", tmp_path, *out]):  # fmt: skip
         refused(verb, "finish the study")
     assert not (tmp_path / "p").exists()
 

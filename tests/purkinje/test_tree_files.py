@@ -1,5 +1,7 @@
 """Trees read from lines: by point numbers where these make a tree, else by position."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import pyvista as pv
@@ -30,6 +32,15 @@ def test_nodes_of_two_branches_in_one_place_stay_two(tmp_path, form):
     np.testing.assert_array_equal(tree.parents, MEETING.parents)
     np.testing.assert_allclose(tree.lengths, MEETING.lengths, atol=1e-9)
     assert tree.junctions.tolist() == [4, 5]
+
+
+def test_directions_of_segments(tmp_path):
+    """One branch anterograde, one that the myocardium enters and climbs, one silent."""
+    fork = replace(MEETING, parents=np.array([-1, 0, 1, 1, 2, 1]))
+    times = np.array([0.0, 4.0, 2.0, np.inf, 1.0, 7.0])
+    write_tree(tmp_path / "tree.vtu", fork, times)
+    found = pv.read(tmp_path / "tree.vtu").cell_data["direction"]
+    assert found.tolist() == [1, -1, 0, -1, 1]
 
 
 def save_polylines(file, *lines):

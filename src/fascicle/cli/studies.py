@@ -6,7 +6,7 @@ import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from typer import Argument, Option
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from fascicle.study.fitted import FittedStudy
 
 study_app = typer.Typer(
-    no_args_is_help=True, help="Show the results of finished studies, and compare them."
+    no_args_is_help=True, help="Show the results of finished studies, compare and export them."
 )
 
 
@@ -109,6 +109,41 @@ def study_compare(
         "median_5_95_%": rows,
         "standard_deviations_apart": apart,
     }
+
+
+@study_app.command("export")
+@every_command
+def study_export(
+    study: StudyArgument,
+    out: OutOption,
+    to: Annotated[
+        Literal["opencarp", "vtu", "csv"],
+        Option("--to", help="openCARP in µm, VTU and CSV in mm; docs/exchange.md lists the files."),
+    ] = "opencarp",
+    networks: Annotated[
+        int | None,
+        Option(
+            min=1,
+            help="Networks to write, evenly spread over the population; by default the one whose "
+            "activation map is nearest to the median map.",
+        ),
+    ] = None,
+) -> Result:
+    """Write networks, junctions, stimuli and activation times for openCARP, ParaView or tables.
+
+    For openCARP each network has parameter files: 'cd OUT/NUMBER; openCARP +F eikonal.par'. The
+    tables give simulators of mechanics the activation time of each node.
+    """
+    from fascicle.study.fit import load_study
+
+    with TerminalProgress() as progress:
+        summary = load_study(study, progress).export(out, to, networks, progress)
+    if summary["caution"] is not None:
+        print_row("caution", summary["caution"])
+    count = len(summary["networks"])
+    print_row("networks", f"{count} of {summary['population']}, {summary['chosen']}")
+    print(f"written to {out}")
+    return {"folder": out, "format": to} | summary
 
 
 def _parameters(fitted: FittedStudy) -> Mapping[str, Floats]:

@@ -23,8 +23,9 @@ from fascicle.forward.example import example_parameters
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Simulation
+from fascicle.heart.folder import cell_arrays
 from fascicle.heart.heart import Heart
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON
+from fascicle.mesh.formats.mesh_file import TETRAHEDRON, VERTEX
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 from fascicle.purkinje.tree_files import read_tree, write_tree
@@ -213,31 +214,42 @@ def write_simulation(
     """
     content = summary(heart, simulation, inputs)
     with atomic_folder(folder, disposable=PICTURES) as temporary:
-        write_activation(temporary / "activation.vtu", heart, simulation)
-        for tree, times in zip(simulation.trees, simulation.coupled.trees, strict=True):
-            write_tree(temporary / f"{tree.side}_tree.vtu", tree, times)
-        write_text(temporary / "sites.csv", sites_table(simulation))
+        write_beat(temporary, heart, simulation)
         write_ecg(temporary / "ecg.csv", simulation.ecg)
         write_text(temporary / "summary.json", json.dumps(content, indent=2) + "\n")
     return content
 
 
-def write_activation(path: Path, heart: Heart, simulation: Simulation) -> None:
-    """Write the activation map (ms) and its origins on the heart's mesh, with the fibres.
+def write_beat(folder: Path, heart: Heart, simulation: Simulation) -> None:
+    """Write what a network activates, and when, into a folder (mm, ms).
 
-    Parameters
-    ----------
-    path : Path
-        VTU file.
-    heart, simulation
-        See `summary`.
+    `activation.vtu`, the heart's mesh with times and their origins; `lv_tree.vtu` and so on;
+    `junctions.vtu`, points with the arrays ``activation``, ``direction`` (1 anterograde, -1
+    retrograde, 0 not activated) and ``site``, their row in `sites.csv`.
     """
+    coupled = simulation.coupled
     points: dict[str, NDArray[Any]] = {
         "activation": simulation.activation,
-        "origin": simulation.coupled.origin,
+        "origin": coupled.origin,
     }
-    fibres = {"fibre": heart.fibres}
-    write_grid(path, heart.vertices, heart.tetrahedra, TETRAHEDRON, points, fibres)
+    cells = cell_arrays(heart)
+    file = folder / "activation.vtu"
+    write_grid(file, heart.vertices, heart.tetrahedra, TETRAHEDRON, points, cells)
+    for tree, times in zip(simulation.trees, coupled.trees, strict=True):
+        write_tree(folder / f"{tree.side}_tree.vtu", tree, times)
+    places, times = junctions(simulation)
+    how = np.where(np.concatenate(coupled.retrograde), -1, 1) * np.isfinite(times)
+    numbers = np.arange(len(times))
+    arrays = {"activation": times, "direction": how, "site": numbers}
+    write_grid(folder / "junctions.vtu", places, numbers[:, None], VERTEX, arrays)
+    write_text(folder / "sites.csv", sites_table(simulation))
+
+
+def junctions(simulation: Simulation) -> tuple[Floats, Floats]:
+    """Positions (n, 3) (mm) and times (n,) (ms) of all junctions, tree by tree."""
+    trees = list(zip(simulation.trees, simulation.coupled.trees, strict=True))
+    places = [tree.nodes[tree.junctions] for tree, _ in trees]
+    return np.concatenate(places), np.concatenate([times[t.junctions] for t, times in trees])
 
 
 def write_ecg(path: Path, ecg: xr.DataArray) -> None:

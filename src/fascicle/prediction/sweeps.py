@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from fascicle.core.errors import InputError
 from fascicle.core.progress import Progress
 from fascicle.forward.primitives import Stimulus
@@ -58,9 +56,7 @@ def simulate_sweep(
         If the study has no network, or no scenario can be simulated.
     """
     check_population(fitted)
-    every = len(fitted.population)
-    chosen = np.linspace(0, every - 1, min(networks, every)).round().astype(int).tolist()
-    some = fitted.networks(progress, chosen=chosen)
+    some = fitted.networks(progress, chosen=fitted.population.evenly_spread(networks))
     swept = Swept(sweep.varied, {}, {})
     for key, scenario in sweep.scenarios.items():
         name = swept.called(key)

@@ -51,7 +51,8 @@ def write_tree(path: Path, tree: PurkinjeTree, activation: Floats) -> None:
     tree : PurkinjeTree
         The tree; the cell array ``length`` holds its segments' lengths (mm).
     activation : (n,) array
-        Activation time of each node (ms), the point array ``activation``.
+        Activation time of each node (ms), the point array ``activation``; the cell array
+        ``direction`` follows from it, see `directions`.
     """
     child = np.flatnonzero(tree.parents >= 0)
     write_grid(
@@ -60,8 +61,19 @@ def write_tree(path: Path, tree: PurkinjeTree, activation: Floats) -> None:
         np.column_stack([tree.parents[child], child]),
         LINE,
         point_data={"activation": activation},
-        cell_data={"length": tree.lengths[child]},
+        cell_data={"length": tree.lengths[child], "direction": directions(tree, activation)[child]},
     )
+
+
+def directions(tree: PurkinjeTree, activation: Floats) -> Integers:
+    """How the segment that ends in each node (n,) is activated, given the nodes' times (ms).
+
+    1 where its end nearer to the root is activated first (anterograde), -1 where the other one is
+    (retrograde), 0 where an end is not activated, and at the root.
+    """
+    before = activation[tree.parents]
+    reached = np.isfinite(activation) & np.isfinite(before) & (tree.parents >= 0)
+    return np.where(reached, np.where(before <= activation, 1, -1), 0)
 
 
 def write_opencarp_tree(stem: Path, tree: PurkinjeTree) -> None:

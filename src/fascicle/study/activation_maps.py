@@ -15,6 +15,18 @@ def since_first(activation: Floats | Singles) -> Floats:
     return np.asarray(times - activation.min(axis=-1, keepdims=True))
 
 
+def nearest_to_median(activations: Floats | Singles) -> int:
+    """Which network (n_networks, n) has the activation map nearest to the median map.
+
+    Times count from the first activation of each network on. The median map is that of the medians
+    at each vertex; distance is the root mean square over the vertices that a network reaches.
+    """
+    times = since_first(activations)
+    times = times[:, np.isfinite(times).any(axis=0)]
+    squares = (times - np.nanmedian(times, axis=0)) ** 2
+    return int(np.nanmean(squares, axis=1).argmin())
+
+
 def activation_maps(activations: Floats | Singles) -> dict[str, Floats]:
     """Activation over networks at each of n vertices, from the first of each network on.
 

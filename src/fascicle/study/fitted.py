@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.core.errors import InputError
+from fascicle.core.errors import InputError, ValueRefusedError
+from fascicle.core.files import as_path, atomic_folder, check_folder, write_text
 from fascicle.core.progress import Progress, stage_progress
-from fascicle.core.ranges import check_count, short_repr
+from fascicle.core.ranges import check_count, short_repr, shown
 from fascicle.inference.evaluation import Evaluation, best_of
+from fascicle.study.activation_maps import nearest_to_median
 from fascicle.study.evaluations import Stage
+from fascicle.study.export import Format, write_networks
 from fascicle.study.population import Population
 from fascicle.study.predictive import Checks
 from fascicle.study.settings import FitSettings
@@ -150,3 +157,69 @@ class FittedStudy:
             simulated.append(network)
             report(len(simulated), len(chosen))
         return simulated
+
+    def export(
+        self,
+        folder: Path | str,
+        to: Format = "opencarp",
+        networks: int | None = None,
+        progress: Progress | None = None,
+    ) -> dict[str, Any]:
+        """Write networks and the activation of the heart for other software, whole or not at all.
+
+        Activation is that of the first recording: the intrinsic beat, unless it has a scenario.
+
+        Parameters
+        ----------
+        folder : path
+            Folder to write. `summary.json` says what the networks are; each has a folder of its
+            own, named by its number in the population, or ``best`` where none was accepted.
+        to : str
+            ``"opencarp"``: mesh, fibres, trees, stimuli and parameter files (µm, ms, S/m);
+            ``"vtu"``: the heart, trees and junctions for ParaView (mm, ms); ``"csv"``: tables,
+            with units in the names of their columns. docs/exchange.md lists the files.
+        networks : int, optional
+            How many, evenly spread over the population. By default one: that with the activation
+            map nearest to the median map (`fascicle.study.activation_maps.nearest_to_median`).
+        progress : Progress, optional
+            Called after every network that is simulated.
+
+        Returns
+        -------
+        dict
+            The content of `summary.json`.
+
+        Raises
+        ------
+        InputError
+            If the format is unknown, or the folder cannot be written, or holds other files.
+        """
+        if to not in get_args(Format):
+            raise ValueRefusedError(f"to is {shown(to)}; give one of {', '.join(get_args(Format))}")
+        if networks is not None:
+            check_count(networks, "networks")
+        folder = as_path(folder, "folder")
+        check_folder(folder)
+        heart, every = self.simulator.model.heart, len(self.population)
+        numbers = self.population.evenly_spread(every if networks is None else networks)
+        found = self.networks(progress, chosen=numbers)
+        named = {f"{k:03d}": each for k, each in zip(numbers, found, strict=False)}
+        called = "evenly spread over the population"
+        if not every:
+            named, called = {"best": found[0]}, "the best network; none was accepted"
+        elif networks is None:
+            k = nearest_to_median(np.stack([each.simulation.activation for each in found]))
+            named, called = {f"{k:03d}": found[k]}, "nearest to the median activation map"
+        content = {
+            "verdict": self.verdict,
+            "caution": self.statements.caution_text,
+            "heart": heart.name,
+            "heart_sha256": heart.digest,
+            "population": every,
+            "chosen": called,
+            "networks": {name: dict(network.parameters) for name, network in named.items()},
+        }
+        with atomic_folder(folder) as temporary:
+            write_networks(temporary, self.simulator.model, named, to)
+            write_text(temporary / "summary.json", json.dumps(content, indent=2) + "\n")
+        return content

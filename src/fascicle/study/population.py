@@ -66,6 +66,11 @@ class Population:
         """How many independent networks they are worth."""
         return float(len(self))
 
+    def evenly_spread(self, count: int) -> list[int]:
+        """Numbers of so many of the networks, evenly spread; of all, if there are no more."""
+        every = len(self)
+        return [round(k) for k in np.linspace(0, every - 1, min(count, every))]
+
     def parameters(self, k: int) -> dict[str, float]:
         """Named parameters of network `k`."""
         return {name: float(values[k]) for name, values in self.values.items()}

@@ -11,7 +11,8 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 
 OPENCARP_FORMATS = (".pts", ".elem")  # either names both files, and the `.lon`
-LINE, TRIANGLE, TETRAHEDRON = 3, 5, 10  # VTK's numbers for the cells that are used here
+# VTK's numbers for the cells that are used here
+VERTEX, LINE, TRIANGLE, TETRAHEDRON = 1, 3, 5, 10
 GROUP = "gmsh:physical"  # meshio's name for the number of a cell's physical group
 
 

@@ -233,9 +233,14 @@ def write_directions(path: Path, axes: list[Floats]) -> None:
     write_text(path, f"{len(axes)}\n{text}")
 
 
+def write_values(path: Path, values: Floats) -> None:
+    """Write one number (n,) a node or a cell as a `.dat` file."""
+    write_text(path, _rows("%.6f", values))
+
+
 def write_lengths(path: Path, lengths: Floats) -> None:
     """Write one length (mm) a cell as a `.dat` file, in µm."""
-    write_text(path, _rows("%.6f", lengths * 1000))
+    write_values(path, lengths * 1000)
 
 
 def _rows(form: str, values: Floats | Integers) -> str:

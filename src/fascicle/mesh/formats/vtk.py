@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -188,8 +188,8 @@ def write_grid(
     points: Floats,
     cells: Integers,
     kind: int,
-    point_data: dict[str, Floats] | None = None,
-    cell_data: dict[str, Floats] | None = None,
+    point_data: Mapping[str, NDArray[Any]] | None = None,
+    cell_data: Mapping[str, NDArray[Any]] | None = None,
 ) -> None:
     """Write cells of one kind, such as `TETRAHEDRON`, as a VTU file, whole or not at all.
 
