@@ -345,8 +345,7 @@ def _warnings(
     notes = recording.provenance
     if notes.get("checksums", CHECKSUMS_AGREE) != CHECKSUMS_AGREE:
         warnings.append(f"checksums of the file {notes['checksums']}: it may be damaged")
-    if "remarks" in notes:
-        warnings.append(notes["remarks"])
+    warnings += notes.get("remarks", "").splitlines()
     rate = target.heart_rate
     if rate is not None and not 20.0 <= rate <= 300.0:
         warnings.append(f"{rate:.0f} beats per minute; is the sampling rate right?")

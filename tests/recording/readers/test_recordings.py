@@ -173,7 +173,7 @@ class TestChecks:
             ({"lengths": [*[1000] * 11, 990]}, ["lead V6 has 990 samples, lead I 1000"]),
             ({"lengths": [100] * 12}, ["0.20 s long"]),
             ({"rate": 0.5}, ["0.5 Hz"]),
-            ({"start": 3}, ["lead V1 lacks 3 samples (first: sample 0"]),
+            ({"start": 300}, ["lead V1 lacks 300 samples (first: sample 0"]),
         ],
     )
     def test_refusals(self, path, found, words):

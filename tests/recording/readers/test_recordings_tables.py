@@ -142,8 +142,8 @@ class TestNumbers:
             frame.loc[5, "V3"] = cell
             refused(save(frame, tmp_path / "b.csv"), "column 'V3'", "row 6")
         frame = table(signal)
-        frame.loc[5, "V3"] = np.nan
-        refused(save(frame, tmp_path / "c.csv"), "lead V3 lacks 1 samples (first: sample 5")
+        frame.loc[5:10, "V3"] = np.nan
+        refused(save(frame, tmp_path / "c.csv"), "lead V3 lacks 6 samples (first: sample 5")
         frame = table(signal)
         frame["V3"] = True
         refused(save(frame, tmp_path / "d.csv"), "column 'V3'", "True")

@@ -186,8 +186,8 @@ def test_uncalibrated(tmp_path, gain):
 
 def test_samples_marked_invalid_are_gaps(tmp_path):
     samples = digits()
-    samples[8, 700] = -(2**15)
-    refused(write(tmp_path, samples), "lead V3 lacks 1 samples", "sample 700")
+    samples[8, 700:706] = -(2**15)
+    refused(write(tmp_path, samples), "lead V3 lacks 6 samples", "sample 700")
 
 
 def test_wrong_checksums_are_told(tmp_path):

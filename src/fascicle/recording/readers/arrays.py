@@ -18,11 +18,11 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, printable
 from fascicle.recording.readers.names import (
     Entry,
-    Key,
     check_physical,
     declared_rate,
     declared_unit,
     entry_of,
+    fill_values,
     key_of,
     lead_name,
     name_lists,
@@ -42,11 +42,8 @@ class _Array:
 
     @property
     def values(self) -> Floats:
-        """Without axes of length one; numbers that mark missing samples become NaN."""
-        values = np.array(self.numbers, dtype=np.float64).squeeze()
-        missing = [entry.value for entry in self.metadata if entry.key is Key.MISSING]
-        values[np.isin(values, missing)] = np.nan
-        return values
+        """Without axes of length one."""
+        return np.array(self.numbers, dtype=np.float64).squeeze()
 
 
 @dataclass(frozen=True)
@@ -170,7 +167,7 @@ def _leads(group: _Group, path: Path) -> dict[str, tuple[list[Channel], list[Ent
         values, metadata = array.values, [*array.metadata, *group.metadata]
         if values.ndim == 1:
             unit = None if lead_name(name) is None else declared_unit(metadata, path, name)
-            vectors.append(Channel(name, values, unit))
+            vectors.append(Channel(name, values, unit, missing=fill_values(metadata)))
             said += [] if lead_name(name) is None else array.metadata
         names = [n for n in name_lists(metadata) if len(n) in values.shape and _are_leads(n)]
         if values.ndim != 2 or not names:
@@ -182,7 +179,10 @@ def _leads(group: _Group, path: Path) -> dict[str, tuple[list[Channel], list[Ent
             )
         rows, count = values if len(names[0]) == len(values) else values.T, len(names[0])
         units = [declared_unit(metadata, path, lead, (k, count)) for k, lead in enumerate(names[0])]
-        found[f"'{name}' of {group.name}"] = (list(map(Channel, names[0], rows, units)), metadata)
+        missing = fill_values(metadata)
+        leads = zip(names[0], rows, units, strict=True)
+        channels = [Channel(*each, missing=missing) for each in leads]
+        found[f"'{name}' of {group.name}"] = (channels, metadata)
     if _are_leads([vector.name for vector in vectors]):
         found[f"arrays named after leads of {group.name}"] = (vectors, said)
     return found

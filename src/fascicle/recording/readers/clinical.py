@@ -146,8 +146,6 @@ def _channels(record: Any, path: Path) -> list[Channel]:
         if standard is None:
             channels.append(Channel(name, digits))
             continue
-        if record.source_format == "ishne_holter":
-            digits[digits == -(2**15)] = np.nan  # ISHNE's mark of a fault
         # `resolution` is a guess of 1 where there is none
         ends, calibrated = lead.annotations, lead.adc_resolution > 0
         if "digital_minimum" in ends:  # EDF, whose physical range may run downward
@@ -160,8 +158,10 @@ def _channels(record: Any, path: Path) -> list[Channel]:
             )
         with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused as a gap
             values = lead.resolution * digits + lead.offset
+        is_ishne = record.source_format == "ishne_holter"  # which marks faults by the lowest digit
+        missing = (lead.resolution * -(2.0**15) + lead.offset,) if is_ishne else ()
         unit = printable(lead.resolution_unit or lead.adc_resolution_unit) or None
-        channels.append(Channel(name, values, unit, standard, 1 / lead.resolution))
+        channels.append(Channel(name, values, unit, standard, 1 / lead.resolution, missing))
         starts.append(int(lead.annotations.get("start_sample", 1)))
     if len(set(starts)) < 2:
         return channels
@@ -251,8 +251,6 @@ def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
     for lead, spec in zip(record.leads, specs, strict=True):
         name = printable(spec["description"] or lead.label)
         digits = lead.samples[: len(lead.samples) - skew * spec["samples_per_frame"]]
-        if lead.label in raw.get("invalid_sample_counts", {}):  # the lowest digit of the format
-            digits = np.where(digits == np.nanmin(digits), np.nan, digits)
         if lead_name(name) is None:
             channels.append(Channel(name, digits))
             continue
@@ -261,8 +259,10 @@ def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
                 f"{path}: unknown unit, the gain of lead {name} is absent or 0; write the digits "
                 "per mV as the third field of its line, such as 1000/mV"
             )
-        values = (digits - spec["baseline"]) / spec["gain"]
-        channels.append(Channel(name, values, printable(spec["units"]), gain=spec["gain"]))
+        values, unit = (digits - spec["baseline"]) / spec["gain"], printable(spec["units"])
+        marked = lead.label in raw.get("invalid_sample_counts", {})  # by the format's lowest digit
+        missing = (values[np.nanargmin(digits)],) if marked else ()
+        channels.append(Channel(name, values, unit, gain=spec["gain"], missing=missing))
         rate = raw["sampling_frequency"] * spec["samples_per_frame"]
     provenance = {
         "signal_files": ", ".join(file.name for file in files),

@@ -151,12 +151,11 @@ def _channels(group: _Group, samples: Any, path: Path) -> list[Channel]:
     """Turn the digits of a group into physical values.
 
     ``value = (sample * sensitivity * correction factor) + baseline`` (DICOM PS3.3, C.10.9.1.4);
-    padding is NaN.
+    padding is their channel's fill value.
     """
     padding = group.item.get("WaveformPaddingValue", None)
-    padded = np.zeros(samples.shape, dtype=bool)
-    if isinstance(padding, bytes) and len(padding) >= samples.itemsize:
-        padded = samples == np.frombuffer(padding, samples.dtype, 1)
+    stated = isinstance(padding, bytes) and len(padding) >= samples.itemsize
+    pads = np.frombuffer(padding, samples.dtype, 1) if stated else np.empty(0)
     channels = []
     for k, (channel, (name, lead)) in enumerate(zip(group.channels, group.sources, strict=True)):
         if lead is None:
@@ -178,11 +177,11 @@ def _channels(group: _Group, samples: Any, path: Path) -> list[Channel]:
                 f"{path}: unknown unit of lead {lead} (no channel sensitivity, or 0); export the "
                 "waveform calibrated in uV or mV"
             )
-        values = samples[:, k] * sensitivity + _number(channel, "ChannelBaseline", 0.0)
-        values[padded[:, k]] = np.nan
+        baseline = _number(channel, "ChannelBaseline", 0.0)
+        values, missing = samples[:, k] * sensitivity + baseline, pads * sensitivity + baseline
         units = _items(channel, "ChannelSensitivityUnitsSequence")
         unit = (_text(units[0], "CodeValue") or None) if units else None
-        channels.append(Channel(name, values, unit, lead, 1 / sensitivity))
+        channels.append(Channel(name, values, unit, lead, 1 / sensitivity, tuple(missing)))
     return channels
 
 

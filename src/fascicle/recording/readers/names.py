@@ -6,6 +6,7 @@ the user's own, of which those of `Key` and ``docs/recordings.md`` are understoo
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 import unicodedata
@@ -117,6 +118,15 @@ class Entry:
     value: tuple[str, ...] | float
 
     @property
+    def numbers(self) -> list[float]:
+        """The number, or those among the texts."""
+        numbers = []
+        for value in (self.value,) if isinstance(self.value, float) else self.value:
+            with contextlib.suppress(ValueError):
+                numbers.append(float(value))
+        return numbers
+
+    @property
     def text(self) -> str:
         """What it says, in a line."""
         return repr(self.value) if isinstance(self.value, float) else ", ".join(self.value[:3])
@@ -154,11 +164,18 @@ def name_lists(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
     return lists
 
 
+def fill_values(entries: Sequence[Entry]) -> tuple[float, ...]:
+    """Return the numbers that mark missing samples."""
+    return tuple(
+        number for entry in entries if entry.key is Key.MISSING for number in entry.numbers
+    )
+
+
 def check_physical(entries: Sequence[Entry], path: Path) -> None:
     """Refuse digits that a factor or an offset would have to turn into volts."""
     neutral = {Key.GAIN: 1.0, Key.OFFSET: 0.0}
     for entry in entries:
-        if isinstance(entry.value, float) and neutral.get(entry.key) not in (None, entry.value):
+        if entry.key in neutral and any(x != neutral[entry.key] for x in entry.numbers):
             raise InputError(
                 f"{path}: '{entry.name}' of {entry.text} says that the leads are not in physical "
                 "units; apply it, state the unit and leave it out"

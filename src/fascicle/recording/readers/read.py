@@ -20,7 +20,13 @@ from fascicle.core.ranges import check_items, check_text, number
 from fascicle.recording.missing_metadata import missing_rate, missing_unit
 from fascicle.recording.readers.formats import READERS, reader_of
 from fascicle.recording.readers.names import lead_name, millivolts, same_unit
-from fascicle.recording.recording import Filters, Recording, check_extent, derive_limb_leads
+from fascicle.recording.recording import (
+    Filters,
+    Recording,
+    bridge_gaps,
+    check_extent,
+    derive_limb_leads,
+)
 
 
 @dataclass(frozen=True)
@@ -39,6 +45,8 @@ class Channel:
         Standard name of the lead where a code of the file says it; otherwise `name` decides.
     gain : float, optional
         Digits of the file in one `unit`.
+    missing : tuple of float
+        What the file writes, in `unit`, where a sample is missing; see `without_fill`.
     """
 
     name: str
@@ -46,6 +54,7 @@ class Channel:
     unit: str | None = None
     lead: str | None = None
     gain: float | None = None
+    missing: tuple[float, ...] = ()
 
     def placed(self, start: int, length: int) -> Channel:
         """The same on a time axis of `length` samples, from `start` on; NaN where it has none."""
@@ -204,9 +213,10 @@ def _assemble(
     for lead, channel in leads.items():
         row, scale = LEADS.index(lead), _scale(channel, lead, source, unit, leads)
         with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused as a gap
-            signal[row] = scale * np.asarray(channel.values, dtype=np.float64)
+            signal[row] = scale * without_fill(channel, rate)
         if channel.gain is not None and math.isfinite(channel.gain):
             gains[row] = abs(channel.gain) / scale
+    signal, repairs = bridge_gaps(signal, rate)
     signal, derived = derive_limb_leads(signal, leads)
     for lead in derived:
         if not np.isfinite(signal[LEADS.index(lead)]).any():
@@ -218,7 +228,7 @@ def _assemble(
         signal=signal,
         sampling_rate=rate,
         source=source,
-        provenance={"format": raw.format} | raw.provenance,
+        provenance={"format": raw.format} | with_remarks(raw.provenance, repairs),
         filters=raw.filters,
         digits_per_millivolt=gains,
         derived=derived,
@@ -286,6 +296,40 @@ def _scale(
             raise InputError(message)
         raise missing_unit(message, [each.values for each in leads.values() if each.unit is None])
     return scale
+
+
+def without_fill(channel: Channel, rate: float) -> Floats:
+    """Samples (n,) of a channel at a rate (Hz), NaN where a fill value says that one is missing.
+
+    A fill value may be one that the signal takes, such as 0. A run of it is signal where the
+    neighbours run into it, by at most twice their own steps or the 90th percentile of all steps,
+    and where it lasts no longer than 0.1 s or twice the longest run of any other value.
+    """
+    values = np.array(channel.values, dtype=np.float64)
+    for fill in channel.missing:
+        starts = np.flatnonzero(np.diff(values, prepend=np.nan))
+        lengths = np.diff(starts, append=len(values))
+        filled = values[starts] == fill
+        if not filled.any():
+            continue
+        longest = max(0.1 * rate, 2.0 * lengths[~filled].max(initial=0))
+        starts, lengths = starts[filled], lengths[filled]
+        padded = np.pad(values, 2, constant_values=np.nan)
+        # the two samples before each run, and the two after it
+        before, after = padded[[starts + 1, starts]], padded[starts + lengths + [[2], [3]]]
+        step = np.fmax(np.abs(before[0] - before[1]), np.abs(after[0] - after[1]))
+        usual = np.nanpercentile(np.abs(np.diff(values)), 90.0)
+        jump = np.fmax(np.abs(before[0] - fill), np.abs(after[0] - fill))
+        gone = (jump > 2.0 * np.fmax(step, usual)) | (lengths > longest)
+        for start, length in zip(starts[gone], lengths[gone], strict=True):
+            values[start : start + length] = np.nan
+    return values
+
+
+def with_remarks(provenance: Mapping[str, str], remarks: Sequence[str]) -> dict[str, str]:
+    """Provenance with further lines that the user sees as warnings."""
+    lines = [*provenance.get("remarks", "").splitlines(), *remarks]
+    return dict(provenance) | ({"remarks": "\n".join(lines)} if lines else {})
 
 
 def sha256_of(paths: Iterable[Path]) -> str:

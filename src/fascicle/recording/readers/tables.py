@@ -19,15 +19,17 @@ from fascicle.core.leads import LEADS
 from fascicle.recording.missing_metadata import missing_rate, missing_time_unit
 from fascicle.recording.readers.names import (
     Entry,
+    check_physical,
     declared_rate,
     declared_unit,
     entry_of,
+    fill_values,
     lead_name,
     millivolts,
     plain_unit,
     same_unit,
 )
-from fascicle.recording.readers.read import Channel, RawRecording
+from fascicle.recording.readers.read import Channel, RawRecording, without_fill
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -84,6 +86,8 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
     the same lead, the longer one is the lead.
     """
     columns, metadata = _parsed(path)
+    check_physical(metadata, path)
+    missing = fill_values(metadata)
     said = {"by --sampling-rate": sampling_rate, "by a comment": declared_rate(metadata, path)}
     leads = [column for column in columns if column.lead is not None]
     clocks = ("time", "t", "timestamp", "elapsed time")
@@ -105,7 +109,7 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
                 "unit (I_mV)"
             )
         unit = _unit(value, columns, metadata, path)
-        return _read_long(path, place, times[0], value, unit, said)
+        return _read_long(path, place, times[0], value, unit, missing, said)
     numbers = np.array([column.numbers(path) for column in [*leads, *times]])
     if times:
         numbers = numbers[:, ~np.isnan(numbers).all(axis=0)]  # spreadsheets end with empty rows
@@ -122,7 +126,9 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
             numbers.shape[1],
         )
     channels = [
-        Channel(column.name, row, _unit(column, columns, metadata, path), column.lead)
+        Channel(
+            column.name, row, _unit(column, columns, metadata, path), column.lead, missing=missing
+        )
         for column, row in zip(leads, numbers, strict=False)
     ]
     others = [c.name for c in columns if c not in leads and c not in times]
@@ -300,6 +306,7 @@ def _read_long(
     time: _Column,
     value: _Column,
     unit: str | None,
+    missing: tuple[float, ...],
     said: dict[str, float | None],
 ) -> RawRecording:
     """Read one row per lead and time, onto common times; NaN where a lead was not recorded."""
@@ -332,7 +339,8 @@ def _read_long(
                 f"{path}: lead '{name}' is not sampled at the {rate:g} Hz of the others; resample "
                 "all leads at one rate"
             )
-        channel = Channel(printable(name), values[index], unit, _lead_or_rhythm(name)[0])
+        lead = _lead_or_rhythm(name)[0]
+        channel = Channel(printable(name), values[index], unit, lead, missing=missing)
         channels.append(channel.placed(starts[name], length))
     rhythm = [_lead_or_rhythm(name)[1] for name in rows]
     return _without_strips(channels, rhythm, rate, sorted(set(leads) - set(rows)), "long table")
@@ -346,7 +354,7 @@ def _without_strips(
     format: str,
 ) -> RawRecording:
     """Choose between a lead and a rhythm strip of it: on paper, the longer one serves."""
-    seconds = [np.isfinite(channel.values).sum() / rate for channel in channels]
+    seconds = [np.isfinite(without_fill(channel, rate)).sum() / rate for channel in channels]
     chosen, choices = list(channels), {}
     for lead in {channel.lead for channel in channels}:
         rivals = [k for k, channel in enumerate(channels) if channel.lead == lead]
