@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from fascicle.core.parameters import NETWORK_SPACE, Parameter, ParameterSpace
-from fascicle.reporting.names import MEASURES, index_name, parameter_name
+from fascicle.core.quantities import parameter_name
+from fascicle.reporting.names import MEASURES, index_name
 from fascicle.reporting.parameters import convergence_figure, pair_figure, prior_figure
 
 SPACE = ParameterSpace(

@@ -134,10 +134,10 @@ def test_too_few_evaluations_have_not_converged(tmp_path):
         said_of(posterior, checks).verdict,
     )
     apart = replace(posterior, log_evidences=np.array([-3.0, -5.0]), means_apart={"cv": 0.7})
-    assert (
-        " draws, log evidence -3.0 and -5.0 of two runs, mean difference of cv 0.7 SD)"
-        in said_of(apart, checks).verdict
+    why = (
+        "log evidence -3.0 and -5.0 of two runs, means of Purkinje conduction velocity 0.7 SD apart"
     )
+    assert f" draws, {why})" in said_of(apart, checks).verdict
 
 
 class TestHowToGoOn:

@@ -105,7 +105,9 @@ def test_networks_that_crowd_at_an_end():
     cv = NETWORK_SPACE.parameters[NETWORK_SPACE.names.index("cv")]
     values = np.array([cv.from_unit(s) for s in [*rng.uniform(0.9, 1, 15), *rng.random(15) * 0.8]])
     (warning,) = fitted(learnt={"cv": values}).warnings
-    assert warning.startswith("networks crowd at an end of the range of cv (50% in the highest ")
+    assert warning.startswith(
+        "networks crowd at an end of the range of Purkinje conduction velocity (50% "
+    )
     spread = np.array([cv.from_unit(s) for s in rng.random(30)])
     assert fitted(learnt={"cv": spread}).warnings == []
 
@@ -165,5 +167,5 @@ def test_other_warnings(given, kind):
 
 def test_a_value_at_the_end_of_its_range():
     (warning,) = fitted(best={"cv": 3.999, "root_time": -75.0}).warnings
-    assert "at the end of the range of root_time, cv:" in warning
+    assert "range of RV–LV activation delay, Purkinje conduction velocity:" in warning
     assert fitted(best={"cv": 3.9}).warnings == []

@@ -289,3 +289,23 @@ def torso_values(values: Mapping[str, float]) -> dict[str, float]:
     """Quantities of the torso that differ from the heart folder's torso."""
     named = [n for n in TORSO_QUANTITIES if n in values]
     return {n: values[n] for n in named if values[n] != QUANTITIES[n].default}
+
+
+def parameter_name(name: str) -> str:
+    """Name of a quantity of the model for readers, such as ``LV fascicle 1 length``."""
+    match = re.fullmatch(r"(lv|rv)_(initial|fascicle)_(length|angle)(?:_(\d+))?", name)
+    if match is not None:
+        side, stretch, what, number = match.groups()
+        part = "bundle" if stretch == "initial" else f"fascicle\N{NO-BREAK SPACE}{number}"
+        return f"{side.upper()} {part} {what}"
+    known = {
+        "cv": "Purkinje conduction velocity",
+        "root_time": "RV–LV activation delay",
+        "alpha": "conduction velocity constant α",
+    }
+    return known.get(name, in_words(name))
+
+
+def in_words(name: str) -> str:
+    """Words of an identifier, with abbreviations in capitals."""
+    return re.sub(r"\b(lv|rv|qrs|v\d)\b", lambda m: m[0].upper(), name.replace("_", " "))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from typing import NamedTuple
 
+from fascicle.core.quantities import in_words, parameter_name
 from fascicle.prediction.index_names import INDICES
 
 
@@ -30,21 +30,6 @@ MEASURES = {
 }
 
 
-def parameter_name(name: str) -> str:
-    """Name of a quantity of the model for readers, such as ``LV fascicle 1 length``."""
-    match = re.fullmatch(r"(lv|rv)_(initial|fascicle)_(length|angle)(?:_(\d+))?", name)
-    if match is not None:
-        side, stretch, what, number = match.groups()
-        part = "bundle" if stretch == "initial" else f"fascicle\N{NO-BREAK SPACE}{number}"
-        return f"{side.upper()} {part} {what}"
-    known = {
-        "cv": "Purkinje conduction velocity",
-        "root_time": "RV–LV activation delay",
-        "alpha": "conduction velocity constant α",
-    }
-    return known.get(name, _words(name))
-
-
 def parameter_label(name: str, unit: str) -> str:
     """Name and unit of a quantity of the model, for an axis."""
     return _with_unit(parameter_name(name), {"mm/ms": "m/s"}.get(unit, unit))
@@ -54,7 +39,7 @@ def index_name(index: str) -> str:
     """Name of an index for readers."""
     if f"{index}_ms" in MEASURES:
         return MEASURES[f"{index}_ms"].name
-    return _words(index).replace("LV RV", "LV-RV")
+    return in_words(index).replace("LV RV", "LV-RV")
 
 
 def index_label(index: str) -> str:
@@ -64,8 +49,3 @@ def index_label(index: str) -> str:
 
 def _with_unit(name: str, unit: str) -> str:
     return name if unit == "1" else f"{name} ({unit})"
-
-
-def _words(name: str) -> str:
-    """Words of an identifier, with abbreviations in capitals."""
-    return re.sub(r"\b(lv|rv|qrs|v\d)\b", lambda m: m[0].upper(), name.replace("_", " "))

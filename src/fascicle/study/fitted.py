@@ -100,7 +100,7 @@ class FittedStudy:
 
     @property
     def explained(self) -> float:
-        """Share of the energy of the recorded QRS that the best network explains, 0 to 1.
+        """Share of the variance of the recorded QRS that the best network explains, 0 to 1.
 
         Below 0 it is worse than an ECG that is zero everywhere.
         """

@@ -14,7 +14,7 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import Parameter
-from fascicle.core.quantities import region_labels
+from fascicle.core.quantities import parameter_name, region_labels
 from fascicle.inference.evaluation import Evaluation
 from fascicle.inference.importance_sampling import EVIDENCE_APART, MEANS_APART
 from fascicle.purkinje.tree import FEW_JUNCTIONS
@@ -25,8 +25,8 @@ from fascicle.study.settings import FitSettings
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.target_comparison import Network, TargetComparison
 
-MOST_LEFT = 0.35  # unexplained, root mean square over the signal's: an eighth of its energy
-LEAST_EXPLAINED = 1 - MOST_LEFT**2  # share of the energy
+MOST_LEFT = 0.35  # unexplained, root mean square over the signal's: an eighth of its variance
+LEAST_EXPLAINED = 1 - MOST_LEFT**2  # share of the variance
 INTERVAL = (5, 95)  # percentiles of a 90 % credible interval
 
 
@@ -56,10 +56,7 @@ class Caution(Enum):
     """Why the numbers cannot be relied on: for sentences, and for tables and figures."""
 
     NOT_CONVERGED = "not to be relied on", "not to be relied on: the fit has not converged"
-    POOR_FIT = (
-        "by a model that does not fit",
-        "intervals are those of a model that does not fit the ECG",
-    )
+    POOR_FIT = "poor fit", "intervals are those of a model that does not fit the ECG"
 
     def __init__(self, brief: str, text: str) -> None:
         self.brief = brief  # what a sentence begins with
@@ -235,7 +232,7 @@ def fit_acceptable(checks: Checks) -> bool:
 
 
 def explained_share(checks: Checks) -> float:
-    """Share of the energy of the QRS that a network explains (median); 0 of an ECG that is zero."""
+    """Share of the variance of the QRS that a network explains (median); of a flat line 0."""
     return 1 - checks.share**2
 
 
@@ -248,7 +245,7 @@ def _convergence(posterior: Posterior) -> str:
     if abs(one - other) > EVIDENCE_APART:
         why.append(f"log evidence {one:.1f} and {other:.1f} of two runs")
     if apart > MEANS_APART:
-        why.append(f"mean difference of {name} {apart:.1f} SD")
+        why.append(f"means of {parameter_name(name)} {apart:.1f} SD apart")
     return f"NOT CONVERGED ({', '.join(why)})"
 
 
@@ -473,9 +470,10 @@ def _at_end_of_range(result: Result) -> str:
     ]
     reasons = []
     if stopped:
-        reasons.append(f"the best network lies at the end of the range of {', '.join(stopped)}")
+        ends = ", ".join(map(parameter_name, stopped))
+        reasons.append(f"the best network lies at the end of the range of {ends}")
     if crowded:
-        ends = ", ".join(f"{name} ({where})" for name, where in crowded.items())
+        ends = ", ".join(f"{parameter_name(name)} ({where})" for name, where in crowded.items())
         reasons.append(f"networks crowd at an end of the range of {ends}")
     if not reasons:
         return ""

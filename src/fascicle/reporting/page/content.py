@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from fascicle.core.parameters import Parameter
-from fascicle.core.quantities import SIDES, SPEED, fascicles, quantity
+from fascicle.core.quantities import SIDES, SPEED, fascicles, parameter_name, quantity
 from fascicle.forward.scenario_files import name_in_library
 from fascicle.prediction.comparison import compare, missing_blocks
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import INTRINSIC
 from fascicle.purkinje.growth import GrowthRules
 from fascicle.recording.target import Target
-from fascicle.reporting.names import index_name, parameter_name
+from fascicle.reporting.names import index_name
 from fascicle.study.fit import HEART
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.recordings import recording_paths

@@ -19,6 +19,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import as_path, check_writable, write_text
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Lines, Progress, shown_progress
+from fascicle.core.quantities import parameter_name
 from fascicle.core.ranges import check_text
 from fascicle.forward.scenario import Scenario
 from fascicle.prediction.predicted import Predicted
@@ -29,7 +30,7 @@ from fascicle.prediction.scenarios import (
     predict,
     with_intrinsic_beat,
 )
-from fascicle.reporting.names import MEASURES, index_label, parameter_name
+from fascicle.reporting.names import MEASURES, index_label
 from fascicle.reporting.page.content import (
     commands,
     correlations,
