@@ -127,7 +127,7 @@ def seeds_in_body(drawn: Segmentation) -> dict[str, tuple[ChosenSeed, ChosenSeed
 def make_heart() -> Heart:
     """Build the heart with what is small enough to be packaged: no sheets, no torso mesh."""
     drawn = label_map()
-    surface = surface_from_segmentation(drawn, SegmentationLabels())
+    surface, _ = surface_from_segmentation(drawn, SegmentationLabels())
     mesh = mesh_surface(surface, EDGE)
     mesh = replace(mesh, vertices=rounded(mesh.vertices, POSITION_STEP))
     heart = heart_of(Anatomy(mesh), seeds=seeds_in_body(drawn), name="idealised adult heart")

@@ -22,7 +22,9 @@ from phantoms import (
 from shapes import ellipsoid
 
 from fascicle.build.segmentation import Segmentation, SegmentationLabels, regions_at
-from fascicle.build.segmentation_surface import RV_WALL, surface_from_segmentation
+from fascicle.build.segmentation_files import read_segmentation
+from fascicle.build.segmentation_surface import surface_from_segmentation
+from fascicle.build.surface_checks import check_edge_length, compared, volumes, wall_thickness
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label
 from fascicle.mesh.topology import boundary_loops, unique_edges
@@ -30,6 +32,7 @@ from fascicle.mesh.topology import boundary_loops, unique_edges
 MAPS = {
     "isotropic, oblique": ((1.5, 1.5, 1.5), {"slices": OBLIQUE}),
     "short axis, oblique": ((1.25, 1.25, 6.0), {}),
+    "thick slices": ((1.5, 1.5, 10.0), {}),
 }
 SIDES = {"lv": Label.LV_ENDOCARDIUM, "rv": Label.RV_ENDOCARDIUM, "epi": Label.EPICARDIUM}
 
@@ -39,7 +42,7 @@ def extracted(request):
     """A phantom's map, its surface, and the surface's vertices in the heart's frame."""
     spacing, how = MAPS[request.param]
     phantom = ellipsoid_segmentation(spacing, **how)
-    surface = surface_from_segmentation(phantom.segmentation, LABELS)
+    surface, _ = surface_from_segmentation(phantom.segmentation, LABELS)
     return phantom, surface, phantom.to_heart(surface.vertices)
 
 
@@ -84,7 +87,7 @@ def test_surfaces_are_smooth_and_in_place(extracted):
         own = vertices[np.unique(surface.having(label))]
         distance = exact_distance(own, side)
         assert np.sqrt(np.mean(distance**2)) < 0.3 * phantom.segmentation.spacing.min()
-        assert abs(distance.mean()) < 0.05
+        assert abs(distance.mean()) < (0.15 if phantom.segmentation.spacing.max() > 8 else 0.05)
 
 
 def test_normals_are_those_of_the_ellipsoid(extracted):
@@ -125,15 +128,15 @@ def test_without_rv_wall_one_is_added():
 
     phantom = ellipsoid_segmentation((1.25, 1.25, 8.0), labels=lv_muscle_alone)
     notes = []
-    surface = surface_from_segmentation(phantom.segmentation, LABELS, notes=notes)
+    surface, _ = surface_from_segmentation(phantom.segmentation, LABELS, notes=notes)
     check_topology(surface)
-    assert "map: 66% of the RV blood borders on no tissue, so an RV wall of 3 mm was added" in notes
+    assert notes[0].startswith("map: 66% of the RV blood borders on no tissue, so an RV wall of 3 ")
     vertices = phantom.to_heart(surface.vertices)
     free = vertices[np.unique(surface.having(Label.EPICARDIUM))]
     free = free[(free[:, 0] > 48) & (free[:, 2] > -15)]
     assert len(free) > 100
     thickness = exact_distance(free, "rv")
-    assert np.median(thickness) == pytest.approx(RV_WALL, abs=0.3)
+    assert np.median(thickness) == pytest.approx(3.0, abs=0.1)
 
 
 def with_atria(points):
@@ -160,12 +163,76 @@ def closed_over(points):
 def test_maps_that_are_not_cut_are_cut_below_the_rim(labels, lowest, how):
     phantom = ellipsoid_segmentation((1.5, 1.5, 1.5), slices=OBLIQUE, labels=labels)
     notes = []
-    surface = surface_from_segmentation(phantom.segmentation, LABELS, notes=notes)
+    surface, _ = surface_from_segmentation(phantom.segmentation, LABELS, notes=notes)
     check_topology(surface)
     assert how in notes[0]
     base = phantom.to_heart(surface.vertices[np.unique(surface.having(Label.BASE))])
     assert base[:, 2].min() > lowest
     assert base[:, 2].max() < BASE + 0.5
+
+
+def with_open_ring(labels, x, y):
+    """The LV's wall is missing over part of the circumference, as below the aortic valve."""
+    return np.where((labels == 3) & (x < 0) & (y > -10), 0, labels)
+
+
+@pytest.mark.parametrize(
+    ("change", "upside_down"),
+    [
+        (lambda labels, *_: np.where(labels == 1, 3, labels), False),
+        (lambda labels, *_: np.where(labels == 2, 0, labels), False),
+        (with_open_ring, False),
+        (with_open_ring, True),
+    ],
+    ids=["LV closed over", "no RV blood", "open ring", "open ring, upside down"],
+)
+def test_thick_slices_are_cut_at_the_end_of_one(change, upside_down):
+    """Where the basal slice does not open both cavities in a wall, that below it does."""
+
+    def in_slices(points):
+        labels = labels_at(points)
+        top = (points[..., 2] > BASE - 10) & (points[..., 2] < BASE)
+        return np.where(top, change(labels, points[..., 0], points[..., 1]), labels)
+
+    phantom = ellipsoid_segmentation((2.0, 2.0, 10.0), labels=in_slices)
+    labels, affine = phantom.segmentation.labels, phantom.segmentation.affine.copy()
+    if upside_down:  # the first slice is the basal one
+        affine[:3, 3] += (labels.shape[2] - 1) * affine[:3, 2]
+        labels, affine[:3, 2] = labels[:, :, ::-1], -affine[:3, 2]
+    notes = []
+    surface, given = surface_from_segmentation(
+        Segmentation(labels, affine, "map"), LABELS, notes=notes
+    )
+    check_topology(surface)
+    vertices = phantom.to_heart(surface.vertices)
+    base = vertices[np.unique(surface.having(Label.BASE))]
+    np.testing.assert_allclose(base[:, 2], BASE - 10, atol=0.01)
+    above = labels[:, :, 1 if upside_down else -2]  # the slice that was changed
+    assert set(np.unique(above)) > {0}
+    for side, number, ml in (("LV", 1, given.lv), ("RV", 2, given.rv)):
+        left_out = (above == number).sum() * 0.04
+        assert f"{left_out:.1f} ml of {side} blood" in notes[-1]
+        built = -volume(vertices + np.array([0, 0, 10]), surface.having(SIDES[side.lower()]))
+        assert built == pytest.approx(ml - left_out, rel=0.01)
+    _, warnings = compared(volumes(surface), given, "map")
+    assert ["RV cavity" in warning for warning in warnings].count(True) == 1 - (left_out == 0)
+
+
+@pytest.mark.parametrize("file", ["c22_acdc2.nii.gz", "c22_acdc10.nii.gz"])
+def test_short_axis_maps_of_a_real_shape(data_folder, file):
+    """Maps without an RV wall, whose slices are 2 and 10 mm apart; the wall added fits the mesh."""
+    given = read_segmentation(data_folder / "cases" / file)
+    surface, wanted = surface_from_segmentation(
+        given, SegmentationLabels(lv=3, rv=1, myocardium=2), edge_length=3.0
+    )
+    _, warnings = compared(volumes(surface), wanted, "map")
+    assert warnings == ()
+    for number, ml in ((3, volumes(surface).lv), (1, volumes(surface).rv)):
+        counted = (given.labels == number).sum() * given.voxel_volume / 1e3
+        assert ml == pytest.approx(counted, rel=0.01)
+    check_edge_length(wall_thickness(surface), 3.0, "map")
+    base = surface.vertices[np.unique(surface.having(Label.BASE))]
+    assert np.ptp(base[:, 2]) < 0.01  # along the normal of the slices
 
 
 def test_papillary_muscle_across_the_cavity_is_given_to_the_blood():
@@ -177,7 +244,7 @@ def test_papillary_muscle_across_the_cavity_is_given_to_the_blood():
 
     phantom = ellipsoid_segmentation((1.5, 1.5, 1.5), slices=OBLIQUE, labels=with_strand)
     notes = []
-    surface = surface_from_segmentation(phantom.segmentation, LABELS, notes=notes)
+    surface, _ = surface_from_segmentation(phantom.segmentation, LABELS, notes=notes)
     check_topology(surface)
     assert any("lv endocardium: gaps up to" in note for note in notes)
 
@@ -216,7 +283,7 @@ def test_small_components_are_dropped_and_noted():
         labels[1:3, 1:3, 1:3] = 3
 
     notes = []
-    surface = surface_from_segmentation(relabelled(add), LABELS, notes=notes)
+    surface, _ = surface_from_segmentation(relabelled(add), LABELS, notes=notes)
     assert notes[0].startswith("map: 1 small components of tissue (0.22 ml in all)")
     plain = ellipsoid_segmentation((3.0, 3.0, 3.0))
     assert plain.to_heart(surface.vertices).min(axis=0)[0] > -LV_OUTER[0] - 1.5

@@ -53,6 +53,7 @@ class Anatomy:
     guessed: bool = False  # labels were derived from the shape; the user should check them
     own_mesh: bool = False  # the tetrahedra are those of the source
     values: Mapping[str, float] = field(default_factory=dict)  # patient's values of quantities
+    warnings: tuple[str, ...] = ()  # one line each, with what to do
 
 
 class LabelArray(NamedTuple):

@@ -11,6 +11,8 @@ from fascicle.build.segmentation import Masks
 from fascicle.core.arrays import Booleans, Floats, Integers
 
 LEVEL = 1.0  # mm, resolution of the search along the axis
+OPEN = 0.3  # of a cavity's largest cross-section, which it has at the base
+BARE = 0.1  # of the circumference of its blood, around which there may be no tissue there
 PADDING = 5  # voxels around a mask, three standard deviations of the smoothing
 
 
@@ -43,16 +45,20 @@ class Faces(NamedTuple):
 def find_base_plane(masks: Masks) -> BasePlane:
     """Find the base: the flat end of the map, or the highest complete ring of tissue.
 
-    Where the LV blood ends in a flat opening that tissue surrounds, the map was cut there.
-    Otherwise the plane is perpendicular to the LV's long axis, the principal axis of its blood, at
-    the level above which tissue does not surround the blood any more; where tissue closes over the
-    base, at the level at which the LV begins to close.
+    In a stack of thick slices across the LV, it is the end of the most basal slice that opens both
+    ventricles. Where the LV blood ends in a flat opening that tissue surrounds, the map was cut
+    there. Otherwise the plane is perpendicular to the LV's long axis, the principal axis of its
+    blood, at the level above which tissue does not surround the blood any more; where tissue closes
+    over the base, at the level at which the LV begins to close.
     """
     blood = masks.positions(masks.lv)
     centre = blood.mean(axis=0)
     faces = blood_faces(masks, masks.lv, masks.rv)
     size = np.linalg.norm(faces.areas, axis=1)
     axis = np.linalg.eigh(np.cov((blood - centre).T))[1][:, 2]
+    index = _slice_axis(masks, axis)
+    if index is not None:
+        axis = masks.affine[:3, index] / np.linalg.norm(masks.affine[:3, index])
     along = (blood - centre) @ axis
     counts, width = _sections(masks, along, axis)
     largest = float(counts.max() * abs(np.linalg.det(masks.affine[:3, :3])) / width)
@@ -63,6 +69,9 @@ def find_base_plane(masks: Masks) -> BasePlane:
     else:
         towards = -float((along**3).sum())  # the longer tail is the apex
     axis = axis if towards > 0 else -axis
+    end = None if index is None else _end_of_slices(masks, faces, axis, index)
+    if end is not None:
+        return end
     level, how = _level(masks, faces, centre, axis)
     across = BasePlane(centre + level * axis, axis, how)
     flat = _flat_opening(masks, faces, centre) if is_open else None
@@ -73,6 +82,34 @@ def find_base_plane(masks: Masks) -> BasePlane:
     kept = int(((flat.height(blood) < 0) & below_ring).sum())
     # a mitral valve may be flat as well, but tissue ends below it
     return flat if kept >= 0.97 * int((across.height(blood) < 0).sum()) else across
+
+
+def _slice_axis(masks: Masks, long_axis: Floats) -> int | None:
+    """The index that counts thick slices across the LV; None where slices are thin or oblique."""
+    spacing = np.linalg.norm(masks.affine[:3, :3], axis=0)
+    thickest = int(spacing.argmax())
+    normal = masks.affine[:3, thickest] / spacing[thickest]
+    is_thick = spacing[thickest] >= 2 * np.median(spacing)
+    return thickest if is_thick and abs(normal @ long_axis) > 0.8 else None  # cos 37°
+
+
+def _end_of_slices(masks: Masks, faces: Faces, axis: Floats, index: int) -> BasePlane | None:
+    """Basal end of the most basal slice that opens both ventricles, in a ring of LV tissue."""
+    back = np.linalg.inv(masks.affine)[index]
+    side = np.rint(faces.voxels @ back[:3] + back[3]).astype(np.int64)
+    size = np.linalg.norm(faces.areas - np.outer(faces.areas @ axis, axis), axis=1)
+    count = masks.lv.shape[index]
+    whole, bare = (np.bincount(side, each, count) for each in (size, size * faces.free))
+    is_open = bare <= BARE * whole
+    for blood in (masks.lv, masks.rv):
+        area = np.moveaxis(blood, index, 0).sum(axis=(1, 2))
+        is_open &= area >= OPEN * area.max()
+    if not is_open.any():
+        return None
+    upwards = 1 if axis @ masks.affine[:3, index] > 0 else -1
+    top = np.flatnonzero(is_open)[::upwards][-1] + upwards / 2
+    point = masks.affine[:3, 3] + top * masks.affine[:3, index]
+    return BasePlane(point, axis, "the end of the most basal slice that opens both ventricles")
 
 
 def blood_faces(masks: Masks, blood: Booleans, other: Booleans) -> Faces:
@@ -141,7 +178,7 @@ def _level(masks: Masks, faces: Faces, centre: Floats, axis: Floats) -> tuple[fl
     ring = np.bincount(level, weights=sideways * ~faces.free)
     heights = (start + np.arange(len(whole)) + 0.5) * LEVEL
     used = (whole > 0) & (heights > 0)
-    closed = ring[used] >= 0.9 * whole[used]  # the ring borders on so much of the circumference
+    closed = ring[used] >= (1 - BARE) * whole[used]
     heights = heights[used]
     if not closed.all():
         first = int(np.argmin(closed))
@@ -149,8 +186,9 @@ def _level(masks: Masks, faces: Faces, centre: Floats, axis: Floats) -> tuple[fl
         return float(below + heights[first]) / 2, "the highest complete ring of tissue"
     blood = (masks.positions(masks.lv) - centre) @ axis
     counts, width = _sections(masks, blood, axis)
-    last = np.flatnonzero(counts >= 0.5 * counts.max())[-1]
-    return float(blood.min() + last * width), "the end of the LV blood, which tissue closes over"
+    last = float(np.flatnonzero(counts >= 0.5 * counts.max())[-1])
+    end = float(blood.min()) + (last + 0.5) * width
+    return end, "the end of the LV blood, which tissue closes over"
 
 
 class Grid(NamedTuple):

@@ -15,7 +15,7 @@ from fascicle.build.labelled_files import Anatomy, has_labels, labelled_surface,
 from fascicle.build.segmentation import SegmentationLabels, regions_at
 from fascicle.build.segmentation_files import read_segmentation
 from fascicle.build.segmentation_surface import surface_from_segmentation
-from fascicle.build.surface_checks import check_sides
+from fascicle.build.surface_checks import Volumes, check_sides, compared, volumes
 from fascicle.build.surface_meshing import is_coarse, subdivided
 from fascicle.build.surface_repair import closed_surface, prepared_surface
 from fascicle.build.volume_meshing import (
@@ -31,6 +31,7 @@ from fascicle.heart.label_names import labels_by_number
 from fascicle.heart.labelled_surface import LabelledSurface
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.formats.read import MESH_FORMATS, read_mesh
+from fascicle.mesh.measures import closed_volume
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ def read_anatomy(source: Source, edge_length: float, progress: Progress | None =
         lv, rv, epicardium = (parts[part] for part in ("lv", "rv", "epicardium"))
         name, report = str(source.parts["epicardium"]), stage_progress(progress, "surface")
         joined = join_surfaces(lv, rv, epicardium, parts.get("base"), name, report)
-        return _meshed(*_fine_enough(joined, edge_length), edge_length, progress)
+        return _meshed(*_fine_enough(joined, edge_length), joined, edge_length, progress)
     segmentations = (".nii", ".nii.gz", ".nrrd", ".nhdr")
     if source.file.name.lower().endswith(segmentations):
         return _from_segmentation(source, source.file, edge_length, progress)
@@ -107,11 +108,18 @@ def read_anatomy(source: Source, edge_length: float, progress: Progress | None =
 
 
 def _meshed(
-    surface: LabelledSurface, notes: tuple[str, ...], edge_length: float, progress: Progress | None
+    surface: LabelledSurface,
+    notes: tuple[str, ...],
+    given: LabelledSurface | Volumes,
+    edge_length: float,
+    progress: Progress | None,
 ) -> Anatomy:
+    """Mesh a surface, and compare the volumes with those that were given."""
     prepared = prepared_surface(surface)
     mesh = mesh_surface(prepared, edge_length, stage_progress(progress, "meshing"))
-    return Anatomy(mesh, notes=notes)
+    before = given if isinstance(given, Volumes) else volumes(closed_surface(given))
+    note, warnings = compared(volumes(mesh), before, surface.name)
+    return Anatomy(mesh, notes=(*notes, note), warnings=warnings)
 
 
 def _fine_enough(
@@ -131,16 +139,18 @@ def _from_surface(
     source.check_unused("a surface, which is meshed again anyway", "remesh")
     if has_labels(mesh, source.label_array, source.labels_file) or source.labels is not None:
         labelled = labelled_surface(mesh, source.label_array, source.labels, source.labels_file)
-        return _meshed(*_fine_enough(labelled, edge_length), edge_length, progress)
+        return _meshed(*_fine_enough(labelled, edge_length), labelled, edge_length, progress)
     triangles = mesh.require(TRIANGLE, "triangles")
     unlabelled = np.zeros(len(triangles), dtype=np.int64)
     closed = closed_surface(LabelledSurface(mesh.points, triangles, unlabelled, str(mesh.path)))
+    volume = closed_volume(closed.vertices, closed.triangles) / 1e3
     closed, notes = _fine_enough(closed, edge_length)
     found = classify_surface(
         closed.vertices, closed.triangles, closed.name, stage_progress(progress, "surface")
     )
     cut = cut_along_borders(found, edge_length)
-    return replace(_meshed(cut, notes, edge_length, progress), guessed=True)
+    given = volumes(cut)._replace(myocardium=volume)
+    return replace(_meshed(cut, notes, given, edge_length, progress), guessed=True)
 
 
 def _from_segmentation(
@@ -164,18 +174,18 @@ def _from_segmentation(
             f"coordinates: {segmentation.space}, as in the file; --pose "
             f"{segmentation.space.lower()} aligns the torso with them"
         )
-    surface = surface_from_segmentation(
-        segmentation, labels, stage_progress(progress, "surface"), notes
+    surface, given = surface_from_segmentation(
+        segmentation, labels, stage_progress(progress, "surface"), notes, edge_length
     )
-    anatomy = _meshed(surface, (), edge_length, progress)
+    anatomy = _meshed(surface, tuple(notes), given, edge_length, progress)
     if labels.scar is None:
-        return replace(anatomy, notes=tuple(notes))
+        return anatomy
     scar = "region_1_conductivity"  # the quantity that says how it conducts
-    notes.append(f"scar: region 1; it does not conduct ({scar} = 0 in heart.toml)")
+    note = f"scar: region 1; it does not conduct ({scar} = 0 in heart.toml)"
     mesh = anatomy.mesh
     centres = mesh.vertices[mesh.tetrahedra].mean(axis=1)
     mesh = replace(mesh, regions=regions_at(segmentation, labels, centres))
-    return replace(anatomy, mesh=mesh, notes=tuple(notes), values={scar: 0.0})
+    return replace(anatomy, mesh=mesh, notes=(*anatomy.notes, note), values={scar: 0.0})
 
 
 def _from_tetrahedra(source: Source, mesh: MeshFile, progress: Progress | None) -> Anatomy:

@@ -9,6 +9,8 @@ import numpy as np
 from scipy.ndimage import binary_fill_holes, label, map_coordinates
 
 from fascicle.build.level_sets import (
+    BARE,
+    OPEN,
     BasePlane,
     Grid,
     blood_faces,
@@ -18,6 +20,7 @@ from fascicle.build.level_sets import (
     level_set,
 )
 from fascicle.build.segmentation import Masks, Segmentation, SegmentationLabels, masks_of
+from fascicle.build.surface_checks import Volumes
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
@@ -28,7 +31,7 @@ from fascicle.mesh.topology import boundary_loops, unique_edges, without_unused_
 EDGE = 1.0  # mm, of the cubes that the surface is cut from
 # Wall of the RV where none was segmented: it is 3 to 5 mm thick (Ho and Nihoyannopoulos, Heart
 # 92 Suppl 1:i2–i13, 2006).
-RV_WALL = 3.0  # mm
+RV_WALL = (3.0, 5.0)  # mm
 # A cavity with handles is opened with the first ball, which takes away threads of blood, then
 # closed with larger and larger ones, which fills gaps around papillary muscles, until none is left.
 BALLS = (1.5, 2.0, 4.0, 6.0)  # mm, radius
@@ -51,7 +54,8 @@ def surface_from_segmentation(
     labels: SegmentationLabels,
     progress: StageProgress = no_progress,
     notes: list[str] | None = None,
-) -> LabelledSurface:
+    edge_length: float = 2.0,
+) -> tuple[LabelledSurface, Volumes]:
     """Extract the surface of the ventricles from a label map, cut flat at the base.
 
     Each part (the LV's blood, the RV's, and all with the tissue) becomes a smooth function on a
@@ -59,16 +63,24 @@ def surface_from_segmentation(
     is negative, and its surface is found by marching cubes (Lorensen and Cline, SIGGRAPH Comput
     Graph 21:163–169, 1987). Triangles end on the plane, so the borders of the base are sharp.
     Where less than 80 % of the RV's blood has tissue around it, as in maps of the LV myocardium
-    alone, a wall of 3 mm is added. Each decision adds a line to the notes.
+    alone, a wall is added, of 3 mm or as thick as two elements of the mesh to come (edge length in
+    mm) need, up to 5 mm. Each decision adds a line to the notes.
 
     Returns
     -------
-    LabelledSurface
+    surface : LabelledSurface
         Closed, in the segmentation's frame (mm), edges near 1 mm. The base is an annulus with two
         holes, the endocardia and the epicardium are disks.
+    given : Volumes
+        Those of the label map, which the surface should have, and the wall that was added.
     """
     notes = notes if notes is not None else []
-    masks = _coarsened(masks_of(segmentation, labels, notes))
+    masks = masks_of(segmentation, labels, notes)
+    counted = [
+        float(mask.sum()) * segmentation.voxel_volume / 1e3
+        for mask in (masks.lv, masks.rv, masks.tissue)
+    ]
+    masks = _coarsened(masks)
     progress(1, 6)
     plane = find_base_plane(masks)
     grid = grid_below(plane, masks, EDGE)
@@ -79,15 +91,24 @@ def surface_from_segmentation(
     filled = binary_fill_holes(masks.lv | masks.rv | masks.tissue)
     outer = level_set(filled, masks, plane, grid)
     progress(4, 6)
-    levels = _walled(lv, rv, _with_rv_wall(masks, plane, outer, rv, notes))
+    walled, added = _with_rv_wall(masks, plane, outer, rv, edge_length, notes)
+    levels = _walled(lv, rv, walled)
     layers = _base_layer(levels, masks.name)
     below = (grid.shape[2] - layers) * grid.edge
-    notes.append(f"{masks.name}: cut at {plane.how}, {below:g} mm below it")
+    voxel = abs(np.linalg.det(masks.affine[:3, :3])) / 1e3
+    above = [
+        f"{voxel * int((plane.height(masks.positions(mask)) > -below).sum()):.1f} ml of {what}"
+        for mask, what in ((masks.lv, "LV blood"), (masks.rv, "RV blood"))
+    ]
+    notes.append(
+        f"{masks.name}: cut at {plane.how}, {below:g} mm below it; {' and '.join(above)} lie above"
+    )
     progress(5, 6)
     levels = _Levels(*(part[:, :, :layers] for part in levels))
     surface = _closed_surface(levels, grid, masks.name, notes)
     progress(6, 6)
-    return surface
+    lv_ml, rv_ml, tissue_ml = counted
+    return surface, Volumes(lv_ml, rv_ml, tissue_ml + added)
 
 
 def _coarsened(masks: Masks) -> Masks:
@@ -106,24 +127,35 @@ def _coarsened(masks: Masks) -> Masks:
 
 
 def _with_rv_wall(
-    masks: Masks, plane: BasePlane, outer: Floats, rv: Floats, notes: list[str]
-) -> Floats:
-    """Distance to the epicardium, with a wall around the RV if a fifth of its blood has none."""
+    masks: Masks, plane: BasePlane, outer: Floats, rv: Floats, edge_length: float, notes: list[str]
+) -> tuple[Floats, float]:
+    """Distance to the epicardium, with a wall around the RV if a fifth of its blood has none.
+
+    The second result is the volume of the wall (ml).
+    """
     faces = blood_faces(masks, masks.rv, masks.lv)
     deep = plane.height(faces.voxels) < -masks.thickness(plane.normal)
     size = np.linalg.norm(faces.areas, axis=1) * deep
     bare, whole = float(size[faces.free].sum()), float(size.sum())
     if whole == 0 or bare < 0.2 * whole:
-        return outer
-    notes.append(
-        f"{masks.name}: {bare / whole:.0%} of the RV blood borders on no tissue, so an RV wall of "
-        f"{RV_WALL:g} mm was added"
-    )
-    wall = rv - RV_WALL
+        return outer, 0.0
+    # a little more than `check_edge_length` demands, within what the wall may have
+    thickness = float(np.clip(1.05 * np.sqrt(2) * edge_length, *RV_WALL))
+    # between thick slices the interpolated distance is too small where contours move far
+    wall, near = rv - thickness, (rv > 0) & (rv < 2 * thickness)
+    nodes = np.argwhere(near).astype(np.float64)
+    square = igl.point_mesh_squared_distance(nodes, *marching_cubes(rv))[0]
+    wall[near] = np.sqrt(square) * EDGE - thickness
     # rounded where it meets the LV, as the interventricular groove is; elsewhere the two are
     # further apart than the wall is thick
-    fillet = np.maximum(RV_WALL - np.abs(outer - wall), 0) ** 2 / (4 * RV_WALL)
-    return np.asarray(np.minimum(outer, wall) - fillet)
+    fillet = np.maximum(thickness - np.abs(outer - wall), 0) ** 2 / (4 * thickness)
+    walled = np.minimum(outer, wall) - fillet
+    added = float(((walled < 0) & (outer >= 0) & (rv >= 0)).sum()) * EDGE**3 / 1e3
+    notes.append(
+        f"{masks.name}: {bare / whole:.0%} of the RV blood borders on no tissue, so an RV wall of "
+        f"{thickness:.2g} mm was added ({added:.1f} ml, which the input lacks)"
+    )
+    return np.asarray(walled), added
 
 
 def _walled(lv: Floats, rv: Floats, gaps: Floats) -> _Levels:
@@ -153,8 +185,7 @@ def _base_layer(levels: _Levels, name: str) -> int:
 def _wrong_with_section(levels: _Levels, k: int, areas: list[Integers]) -> str:
     """Why a layer cannot be the base; empty if it can.
 
-    Each cavity must have 30 % of its largest cross-section there, and tissue around all but 10 % of
-    its circumference.
+    Each cavity must be as open there, and in as complete a wall, as `OPEN` and `BARE` say.
     """
     outer = levels.outer[:, :, k] < 0
     if label(outer)[1] != 1:
@@ -162,13 +193,13 @@ def _wrong_with_section(levels: _Levels, k: int, areas: list[Integers]) -> str:
     tissue = outer.copy()
     for side, cavity, area in zip(("LV", "RV"), (levels.lv, levels.rv), areas, strict=True):
         blood = cavity[:, :, k] < 0
-        if area[k] < 0.3 * area.max():
+        if area[k] < OPEN * area.max():
             return f"the {side} is closed or small"
         if label(blood)[1] != 1:
             return f"the {side} has {label(blood)[1]} openings"
         border = (cavity[:, :, k] >= 0) & (cavity[:, :, k] < EDGE)
         bare = float((levels.gaps[:, :, k][border] > 0).mean())
-        if bare > 0.1:
+        if bare > BARE:
             return f"{bare:.0%} of the {side} has no wall"
         tissue &= ~blood
     openings = int(label(~tissue)[1]) - 1

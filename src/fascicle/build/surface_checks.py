@@ -14,6 +14,8 @@ from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface
 from fascicle.mesh.measures import closed_volume, triangle_areas
 from fascicle.mesh.topology import unique_edges
 
+LARGEST_CHANGE = 0.03  # of a volume between its file and the mesh, above which the user is warned
+
 Surface = tuple[Floats, Integers]  # vertices (n, 3) in mm, triangles (m, 3)
 
 
@@ -54,6 +56,40 @@ def oriented_piece(name: str, vertices: Floats, triangles: Integers) -> Integers
             f"{', ...' if len(sizes) > 3 else ''}); keep one (cavities must be open at the base)"
         )
     return np.ascontiguousarray(oriented, dtype=np.int64)
+
+
+class Volumes(NamedTuple):
+    """Volumes (ml) of the cavities, closed at their openings by fans, and of the myocardium."""
+
+    lv: float
+    rv: float
+    myocardium: float
+
+
+def volumes(tissue: LabelledSurface | LabelledMesh) -> Volumes:
+    """Volumes of a closed labelled surface or of a mesh."""
+    lv, rv = (
+        closed_by_fan(tissue.vertices, tissue.having(label))[0] / 1e3
+        for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
+    )
+    return Volumes(lv, rv, closed_volume(tissue.vertices, tissue.triangles) / 1e3)
+
+
+def compared(built: Volumes, given: Volumes, file: str) -> tuple[str, tuple[str, ...]]:
+    """A line on the volumes built and those of their file, and a warning for each that differs."""
+    rows, warnings = [], []
+    for what, now, before in zip(
+        ("LV cavity", "RV cavity", "myocardium"), built, given, strict=True
+    ):
+        change = now / before - 1 if before > 0 else np.inf
+        rows.append(f"{what} {now:.1f} ml (input {before:.1f}, {change:+.1%})")
+        if abs(change) > LARGEST_CHANGE:
+            warnings.append(
+                f"{file}: {what} {now:.1f} ml, {before:.1f} ml in the file ({change:+.1%}, more "
+                f"than {LARGEST_CHANGE:.0%}); give a shorter edge length, or correct the file "
+                "where it was cut or filled (see the lines above)"
+            )
+    return f"volumes: {'; '.join(rows)}", tuple(warnings)
 
 
 class Walls(NamedTuple):

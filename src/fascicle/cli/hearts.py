@@ -177,7 +177,7 @@ def heart_build(
             name=folder.resolve().name,
             progress=progress,
         )
-    found = _write_and_check(built.heart, folder, built.notes)
+    found = _write_and_check(built.heart, folder, built.notes, warnings=built.anatomy.warnings)
     if built.anatomy.guessed:
         save(labels_figure(built.anatomy.mesh), picture := folder / LABELS_PICTURE)
         print(
@@ -339,6 +339,7 @@ def _write_and_check(
     folder: Path,
     notes: Sequence[str] = (),
     sources: Mapping[str, object] | None = None,
+    warnings: tuple[str, ...] = (),
 ) -> dict[str, Any]:
     """Write a heart folder and its picture, and print the notes and the contents."""
     from fascicle.heart.folder import PICTURE, write_heart
@@ -347,12 +348,15 @@ def _write_and_check(
         print(note)
     charts = _growable_charts(heart, sources if sources is not None else {})
     write_heart(heart, folder)
-    found = _check(heart, charts, folder / PICTURE)
+    found = _check(heart, charts, folder / PICTURE, warnings)
     print(f"heart written to {folder}")
     return {"folder": folder, "notes": notes} | found
 
 
-def _check(heart: Heart, charts: Mapping[str, Chart], picture: Path | None) -> dict[str, Any]:
+def _check(
+    heart: Heart, charts: Mapping[str, Chart], picture: Path | None, warnings: tuple[str, ...] = ()
+) -> dict[str, Any]:
+    """Print and draw what a heart holds, with further warnings, those of its source, first."""
     from fascicle.build.check import check_heart
     from fascicle.reporting.heart import check_figure
     from fascicle.reporting.style import save
@@ -361,15 +365,16 @@ def _check(heart: Heart, charts: Mapping[str, Chart], picture: Path | None) -> d
     print(heart.name)
     for what, value in found.rows:
         print(f"  {what:<18} {value}")
-    for warning in found.warnings:
+    warnings = (*warnings, *found.warnings)
+    for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
     if picture is not None:
         save(check_figure(heart, found), picture)
         print(f"picture: {picture}")
-    count = len(found.warnings)
+    count = len(warnings)
     print(f"{count} warning{'s' * (count > 1)}" if count else "no problem found")
     rows = dict(found.rows)
-    return {"heart": heart.name, "found": rows, "warnings": found.warnings, "picture": picture}
+    return {"heart": heart.name, "found": rows, "warnings": warnings, "picture": picture}
 
 
 def _growable_charts(heart: Heart, sources: Mapping[str, object]) -> dict[str, Chart]:
