@@ -1,9 +1,11 @@
 """Hearts built in a torso: where it lies, its electrodes and lead fields, and what keeps them."""
 
+import pickle
 import shutil
 from dataclasses import replace
 
 import anatomies
+import igl
 import numpy as np
 import pytest
 from anatomies import LV, NETWORK, RV
@@ -14,7 +16,7 @@ from fascicle.build.build_heart import build_heart
 from fascicle.build.check import cavity_volume
 from fascicle.build.endocardia import endocardia
 from fascicle.build.read_anatomy import Source
-from fascicle.build.torso import TorsoOptions
+from fascicle.build.torso import TorsoOptions, add_electrodes
 from fascicle.core.errors import InputError
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.electrodes import read_electrodes, write_electrodes
@@ -130,6 +132,76 @@ class TestIdealisedTorso:
         assert 0.1 < np.abs(simulation.leads).max() < 10  # mV
 
 
+class TestAdditionalElectrodes:
+    @pytest.fixture(scope="class")
+    def more(self, in_torso):
+        return add_electrodes(in_torso, ["V7", "V8", "V9", "V4R", "X", "Y", "Z"])
+
+    def test_lie_at_their_standard_places(self, in_torso, more):
+        assert more.leads == (*in_torso.leads, "V7", "V8", "V9", "V4R", "X", "Y", "Z")
+        at = dict(zip(more.electrode_names, more.electrode_positions, strict=True))
+        left, up = trunk(more)
+        left = (at["LA"] - at["RA"]) / np.linalg.norm(at["LA"] - at["RA"])
+        back = at["M"] - at["E"]
+        back /= np.linalg.norm(back)
+        assert abs(left @ back) < 0.1
+        skin, _ = boundary_triangles(np.concatenate([more.tetrahedra, more.torso.tetrahedra]))
+        distance, *_ = igl.point_mesh_squared_distance(
+            more.electrode_positions, more.torso.vertices, skin
+        )
+        assert np.sqrt(distance.max()) < 5  # mm; the nine are where the skin was before meshing
+        for first, second in ("IE", "EC", "CA", ("V9", "V8"), ("V8", "V7"), ("V4R", "V3")):
+            assert (at[second] - at[first]) @ left > 20
+        assert (np.diff([at[name] @ back for name in ("V6", "V7", "V8", "V9")]) > 5).all()
+        assert np.linalg.norm(at["A"] - at["V6"]) < 10
+        assert (at["H"] - at["LA"]) @ up > 20
+        level = [at[name] @ up for name in ("A", "C", "E", "I", "M", "V4R", "V5")]
+        assert np.ptp(level) < 40
+
+    @pytest.mark.usefixtures("never_solved")
+    def test_leave_the_twelve_leads_alone_and_are_kept(self, in_torso, more, tmp_path):
+        write_heart(more, tmp_path / "more")
+        again = load_heart(tmp_path / "more")
+        assert again.leads == more.leads
+        assert again.digest == more.digest != in_torso.digest
+        found = fascicle.ForwardModel(again).simulate(NETWORK)
+        plain = fascicle.ForwardModel(in_torso).simulate(NETWORK)
+        assert found.ecg.lead.to_numpy().tolist() == [*more.leads]
+        np.testing.assert_array_equal(found.leads[:12], plain.leads)
+        # Frank's A is next to V6, and the back of the heart looks the other way
+        lead = dict(zip(more.leads, found.leads, strict=True))
+        assert np.corrcoef(lead["X"], lead["V6"])[0, 1] > 0.9
+        assert np.corrcoef(lead["Y"], lead["aVF"])[0, 1] > 0.9
+        assert np.corrcoef(lead["Z"], lead["V2"])[0, 1] < -0.5
+
+    def test_survive_the_way_to_another_process(self, more):
+        model = fascicle.ForwardModel(more)
+        sent = pickle.loads(pickle.dumps(model))
+        assert sent.heart.leads == more.leads
+        np.testing.assert_array_equal(sent.simulate(NETWORK).leads, model.simulate(NETWORK).leads)
+
+    def test_of_a_vest_are_lines_of_the_file(self, custom_torso, tmp_path, solved):
+        folder = tmp_path / "heart"
+        shutil.copytree(custom_torso, folder, ignore=shutil.ignore_patterns(".fascicle-cache"))
+        places = load_heart(folder).electrodes
+        lines = [f"E{k},{x},{y},{z}" for k, (x, y, z) in enumerate(places, 1)]
+        with (folder / "electrodes.csv").open("a") as file:
+            file.write("\n".join(lines) + "\n")
+        leads = fascicle.ForwardModel(load_heart(folder)).simulate(NETWORK).ecg
+        assert len(solved) == 1
+        # at the places of the nine: the potentials that the twelve leads tell
+        for name, same in (("E4", "V1"), ("E9", "V6")):
+            np.testing.assert_allclose(leads.sel(lead=name), leads.sel(lead=same), atol=1e-5)
+        np.testing.assert_allclose(leads.sel(lead="E1"), leads.sel(lead="aVR") * 2 / 3, atol=1e-5)
+
+    def test_without_a_standard_place_or_a_skin_are_refused(self, in_torso):
+        with pytest.raises(InputError, match=r"^lead E1: its electrodes have no standard place"):
+            add_electrodes(in_torso, ["E1"])
+        bare = replace(in_torso, torso=None, lead_fields=None)
+        with pytest.raises(InputError, match="unbounded conductor"):
+            add_electrodes(bare, ["V7"])
+
+
 class TestOwnTorso:
     def test_lead_fields_of_a_moved_electrode_are_solved_again(
         self, custom_torso, tmp_path, solved
@@ -138,7 +210,7 @@ class TestOwnTorso:
         shutil.copytree(custom_torso, folder, ignore=shutil.ignore_patterns(".fascicle-cache"))
         before = fascicle.ForwardModel(load_heart(folder)).simulate(NETWORK).ecg
         assert solved == []
-        electrodes = read_electrodes(folder / "electrodes.csv")
+        electrodes, _ = read_electrodes(folder / "electrodes.csv")
         electrodes[4] += [0.0, -60.0, -30.0]  # V2
         write_electrodes(folder / "electrodes.csv", electrodes)
         after = fascicle.ForwardModel(load_heart(folder)).simulate(NETWORK).ecg
@@ -167,7 +239,7 @@ class TestOwnTorso:
         write_heart(replace(load_heart(custom_torso), torso=None), folder)
         assert not (folder / "torso.vtu").exists()
         fascicle.ForwardModel(load_heart(folder))
-        electrodes = read_electrodes(folder / "electrodes.csv")
+        electrodes, _ = read_electrodes(folder / "electrodes.csv")
         electrodes[0] += [5.0, 0.0, 0.0]
         write_electrodes(folder / "electrodes.csv", electrodes)
         with pytest.raises(InputError, match="lead fields are for other electrodes") as caught:

@@ -51,7 +51,7 @@ def test_a_heart_comes_back(tmp_path, heart, kind):
         for electrode, values in zip(ELECTRODES, heart.lead_fields.values, strict=True):
             np.testing.assert_array_equal(mesh.point_data[f"lead_field_{electrode}"], values)
     if kind == "opencarp":
-        read = read_electrodes(tmp_path / "carp" / "electrodes.csv")
+        read, _ = read_electrodes(tmp_path / "carp" / "electrodes.csv")
         np.testing.assert_array_equal(read, heart.electrodes)
         read = read_tree(tmp_path / "carp" / "lv_tree.pts", "lv", tree.nodes[0])
         np.testing.assert_allclose(read.nodes, tree.nodes, atol=1e-9)

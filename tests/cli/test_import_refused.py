@@ -305,8 +305,11 @@ class TestElectrodes:
     def test_names(self, refuse, rows):
         refuse(rows[:3] + rows[5:], "electrodes missing: LL, V1; add")
         refuse([*rows, rows[5]], "electrode V2 is given twice; keep one")
-        rows[3][0] = "RL"
-        refuse(rows, "unknown electrode 'RL'; the nine are RA, LA, LL, V1")
+        for lead in ("aVR", "x", "II", "V1;V2"):
+            refuse([*rows, [lead, 1, 2, 3]], f"'{lead}' is not a name of an electrode; the nine")
+        refuse([*rows, ["M", 1, 2, 3]], "Frank's electrodes", "A, C, E, F, H, I are missing")
+        rows[3][0] = "VI"
+        refuse(rows, "electrodes missing: ")
 
     @pytest.mark.parametrize("place", ["1,nan,2", "1,1e999,2", "1,,2", "12,x5,3", "1,left,2", "1"])
     def test_what_is_no_place(self, refuse, rows, place):

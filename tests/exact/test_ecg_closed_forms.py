@@ -16,7 +16,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.references import Upstroke, unbounded
-from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, channel_weights
+from fascicle.core.leads import FRANK_ELECTRODES, lead_matrix
+from fascicle.forward.ecg.electrocardiogram import (
+    Electrocardiograph,
+    build_electrocardiograph,
+    channel_weights,
+)
 from fascicle.forward.ecg.lead_field import unbounded_gradients
 from fascicle.mesh.measures import barycentric_gradients, signed_volumes
 
@@ -117,6 +122,31 @@ def test_a_plane_front_gives_its_solid_angle_in_millivolts(
         ahead, behind = found[:, round(x / speed)] / (gi[0] * STRENGTH)
         assert ahead == pytest.approx(solid_angle(front - x), rel=0.01)
         assert behind == pytest.approx(-solid_angle(x - back), rel=0.01)
+
+
+def test_additional_leads_of_a_plane_front_are_those_of_its_solid_angles():
+    """A unipolar lead and Frank's, of electrodes on the axis of a slab, within 1 %."""
+    speed, sigma, names = 0.5, 3.0, ("V7", *FRANK_ELECTRODES)
+    at = np.array(
+        [-30.0, -40.0, -25.0, *[45.0] * 6, 55.0, 60.0, -45.0, 70.0, 65.0, -22.0, -60.0, 50.0]
+    )
+    places = np.array([[x, 10.0, 10.0] for x in at])
+    vertices, corners = SLAB_MESH
+    heart = build_electrocardiograph(
+        corners,
+        barycentric_gradients(vertices, corners),
+        np.abs(signed_volumes(vertices, corners)),
+        np.broadcast_to(np.diag([sigma, 1.0, 1.0]), (len(corners), 3, 3)),
+        unbounded_gradients(vertices, corners, places, TORSO),
+        Upstroke(),
+        names,
+    )
+    found = heart.leads(vertices[:, 0] / speed)[12:]
+    for x in (8.0, 15.0, 22.0):
+        potentials = sigma * STRENGTH * np.sign(at - x) * square(np.abs(at - x))
+        expected = (lead_matrix(names) @ potentials)[12:]
+        np.testing.assert_allclose(found[:, round(x / speed)], expected, rtol=0.01, atol=0.05)
+        assert np.abs(expected).min() > 1.0  # mV
 
 
 def test_a_curved_front_counts_by_its_rim_alone():

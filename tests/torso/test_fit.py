@@ -130,7 +130,7 @@ def test_exchanged_electrodes(default_heart, mesh, order, message):
 def test_a_living_subject(data_folder):
     """Electrodes of a person, once refused at 49 mm from the skin."""
     folder = data_folder / "hearts" / "dti004"
-    electrodes = read_electrodes(folder / "electrodes.csv")
+    electrodes, _ = read_electrodes(folder / "electrodes.csv")
     heart = read_mesh(folder / "mesh.vtu", "mesh").points
     fitted = fit_trunk("e.csv", electrodes, heart, heart.mean(axis=0), np.eye(3), {})
     assert fitted.moved.max() < 7

@@ -82,6 +82,28 @@ class TestStiffness:
 
 
 class TestReciprocity:
+    def test_of_additional_electrodes(self, mesh):
+        """What a dipole puts on an electrode, less the mean of the nine, is its lead field's fall.
+
+        With the additional electrodes the fields of the nine stay the same to the last bit.
+        """
+        vertices, tetrahedra, sigma, nine = mesh
+        more = {"V7": np.array([80.0, 0.0, 60.0]), "E3": np.array([60.0, -80.0, 0.0])}
+        heart, torso = chest()
+        fields = lead_fields(replace(heart, additional_electrodes=more), torso, Conduction())
+        np.testing.assert_array_equal(fields[:9], nine[:, : len(heart.vertices)])
+        source, sink = 0, len(heart.vertices) - 1
+        dipole = np.zeros((1, len(vertices)))
+        dipole[0, [source, sink]] = 1.0, -1.0
+        potential = solve_neumann(assemble_stiffness(vertices, tetrahedra, sigma), dipole)[0]
+        places = [*heart.electrodes, *more.values()]
+        contacts = place_electrodes(vertices, tetrahedra, np.array(places))
+        at = contacts.points(potential[:, None])[:, 0]
+        expected = at - at[:9].mean()
+        assert np.abs(expected[9:]).min() > 0.01 * np.abs(expected).max()
+        falls = fields[:, source] - fields[:, sink]
+        np.testing.assert_allclose(falls, expected, atol=1e-6 * np.abs(expected).max())
+
     def test_with_the_potential_of_a_dipole(self, mesh):
         """p·∇Z against the electrodes' potential for a dipole p, solved for directly."""
         vertices, tetrahedra, sigma, fields = mesh

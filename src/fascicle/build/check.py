@@ -10,7 +10,6 @@ import numpy as np
 
 from fascicle.build.surface_checks import Walls, median_thickness, wall_thickness
 from fascicle.core.arrays import Floats
-from fascicle.core.leads import ELECTRODES
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium, long_axis
 from fascicle.heart.heart import Heart, TorsoTissue
@@ -159,9 +158,11 @@ def _endocardium_rows(heart: Heart, charts: Mapping[str, Chart]) -> list[tuple[s
 
 def _torso_rows(heart: Heart) -> list[tuple[str, str]]:
     some = heart.vertices[:: max(1, len(heart.vertices) // 2000)]
-    distance = np.linalg.norm(heart.electrodes[:, None] - some, axis=2).min(axis=1)
+    distance = np.linalg.norm(heart.electrode_positions[:, None] - some, axis=2).min(axis=1)
     near = int(np.argmin(distance))
-    rows = [("electrodes", f"9; nearest to the heart {ELECTRODES[near]}, {distance[near]:.0f} mm")]
+    names = heart.electrode_names
+    value = f"{len(names)}; nearest to the heart {names[near]}, {distance[near]:.0f} mm"
+    rows = [("electrodes", value)]
     if heart.torso is None:
         known = "lead fields given" if heart.lead_fields is not None else "unbounded conductor"
         return [*rows, ("torso", f"none ({known})")]

@@ -129,7 +129,8 @@ def write_opencarp(
         _write_endocardium(
             stem.with_name(f"{stem.name}_{endocardium.side}_endocardium"), endocardium, heart
         )
-    write_electrodes(stem.with_name("electrodes.csv"), heart.electrodes)
+    electrodes = heart.electrodes, heart.additional_electrodes
+    write_electrodes(stem.with_name("electrodes.csv"), *electrodes)
     for tree in trees:
         write_opencarp_tree(stem.with_name(f"{tree.side}_tree"), tree)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,20 +11,32 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.leads import ELECTRODES
+from fascicle.core.leads import ADDITIONAL_LEADS, ELECTRODES, FRANK, FRANK_ELECTRODES
 from fascicle.core.progress import Progress, stage_progress
+from fascicle.core.ranges import check_items
 from fascicle.heart.conduction import Conduction
-from fascicle.heart.electrodes import read_electrodes
+from fascicle.heart.electrodes import Electrodes, read_electrodes
+from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import LabelledMesh
 from fascicle.heart.validate import check_electrodes
-from fascicle.torso.electrode_sites import check_not_exchanged, check_not_mirrored, check_on_skin
-from fascicle.torso.heart_pose import Pose, apex_direction
-from fascicle.torso.idealised import FittedTrunk, fitted_torso, idealised_torso
-from fascicle.torso.lead_fields import contacts_on, resolve_lead_fields
-from fascicle.torso.mesh import mesh_torso
+from fascicle.torso.electrode_sites import (
+    additional_sites,
+    check_not_exchanged,
+    check_not_mirrored,
+    check_on_skin,
+)
+from fascicle.torso.heart_pose import Pose, apex_direction, axes_of_electrodes
+from fascicle.torso.idealised import FittedTrunk, fitted_torso, idealised_torso, leaving
+from fascicle.torso.lead_fields import (
+    contacts_on,
+    is_up_to_date,
+    outer_boundary,
+    resolve_lead_fields,
+)
+from fascicle.torso.mesh import mesh_torso, torso_of
 from fascicle.torso.surfaces import Surface, TorsoSurfaces, read_torso_surfaces
-from fascicle.torso.trunk import SHAPE, TrunkSize
+from fascicle.torso.trunk import SHAPE, TrunkSize, outside_trunk
 
 
 @dataclass(frozen=True)
@@ -76,8 +88,8 @@ class TorsoOptions:
         _ = self.positions
 
     @cached_property
-    def positions(self) -> Floats | None:
-        """Electrodes of the file (9, 3) (mm), if there is one."""
+    def positions(self) -> tuple[Floats, Electrodes] | None:
+        """Electrodes of the file (mm), the nine (9, 3) and others, if there is one."""
         return None if self.electrodes is None else read_electrodes(self.electrodes)
 
 
@@ -91,13 +103,14 @@ def in_torso(
     source = str(options.electrodes) if options.electrodes is not None else mesh.name
     notes: tuple[str, ...] = ()
     surfaces: TorsoSurfaces | None = None
-    positions = options.positions
-    if positions is None:
+    if options.positions is not None:
+        positions, more = options.positions
+    else:
         surfaces = idealised_torso(mesh, TrunkSize(**options.measures), options.pose)
-        positions = surfaces.electrodes
-        assert positions is not None
-    heart = replace(heart, electrodes=positions)
-    check_electrodes(source, positions, heart)
+        assert surfaces.electrodes is not None
+        positions, more = surfaces.electrodes, {}
+    heart = replace(heart, electrodes=positions, additional_electrodes=more)
+    check_electrodes(source, heart)
     check_not_mirrored(source, heart)
     if surfaces is None and options.torso == "idealised":
         check_not_exchanged(source, heart)
@@ -107,11 +120,74 @@ def in_torso(
         surfaces = read_torso_surfaces(Path(options.torso), options.lungs, mesh)
     if surfaces is None:
         return heart, notes
-    check_on_skin(source, contacts_on(*surfaces.skin, heart.electrodes).moved)
+    check_on_skin(heart, contacts_on(*surfaces.skin, heart.electrode_positions).moved, source)
     torso = mesh_torso(mesh, surfaces.skin, surfaces.lungs, stage_progress(progress, "torso"))
     heart = replace(heart, torso=torso)
     fields = resolve_lead_fields(heart, Conduction(), stage_progress(progress, "lead fields"))
     return replace(heart, lead_fields=fields), notes
+
+
+def add_electrodes(
+    heart: Heart | Path | str, leads: Sequence[str], progress: Progress | None = None
+) -> Heart:
+    """Add the electrodes of leads besides the twelve to a heart, at their standard places.
+
+    A heart without its torso, as the packaged one, is put into the idealised torso again.
+    Electrodes that are there stay where they are.
+
+    Parameters
+    ----------
+    heart : Heart or path
+        The heart, its folder, or ``"default"``.
+    leads : sequence of str
+        Some of `fascicle.core.leads.ADDITIONAL_LEADS`: ``X``, ``Y``, ``Z``, ``V7`` to ``V9``,
+        ``V2R`` to ``V6R``.
+    progress : Progress, optional
+        Called while the torso is meshed and the lead fields are solved.
+
+    Returns
+    -------
+    Heart
+        With lead fields for all electrodes.
+
+    Raises
+    ------
+    InputError
+        If a lead has no standard place, or the heart lies in an unbounded conductor.
+    """
+    heart = as_heart(heart)
+    check_items(leads, str, "leads", f"some of {', '.join(ADDITIONAL_LEADS)}")
+    for lead in leads:
+        if lead not in ADDITIONAL_LEADS:
+            raise InputError(
+                f"lead {lead}: its electrodes have no standard place (known: "
+                f"{', '.join(ADDITIONAL_LEADS)}); give their positions in the heart's "
+                "electrodes.csv"
+            )
+    if heart.torso is None and heart.lead_fields is None:
+        raise InputError(
+            f"{heart.name}: it lies in an unbounded conductor, without a skin for electrodes; give "
+            "their positions in its electrodes.csv, or build it again with a torso"
+        )
+    wanted = [name for name in dict.fromkeys(leads) if name not in FRANK]
+    wanted += FRANK_ELECTRODES if set(leads) & set(FRANK) else ()
+    wanted = [name for name in wanted if name not in heart.additional_electrodes]
+    torso = torso_of(heart, stage_progress(progress, "torso"))
+    tetrahedra = np.concatenate([heart.tetrahedra, torso.tetrahedra])
+    skin = Surface(torso.vertices, outer_boundary(torso.vertices, tetrahedra))
+    size = TrunkSize()
+    axes = axes_of_electrodes(heart.electrodes, leaving(outside_trunk(size), size))
+    found = additional_sites(heart, axes, skin, wanted)
+    electrodes = dict(heart.additional_electrodes) | found
+    more = replace(heart, torso=torso, additional_electrodes=electrodes, folder=None)
+    conduction, report = Conduction.of(heart), stage_progress(progress, "lead fields")
+    fields = resolve_lead_fields(more, conduction, report)
+    if fields is not None and heart.lead_fields and is_up_to_date(heart, conduction):
+        # so that the leads that there are stay the same: a torso that was meshed again differs
+        there = heart.lead_fields.values
+        values = np.concatenate([there, fields.values[len(there) :]])
+        fields = replace(fields, values=values)
+    return replace(more, lead_fields=fields)
 
 
 def _notes_on_fit(heart: Heart, fitted: FittedTrunk, pose: Pose) -> list[str]:

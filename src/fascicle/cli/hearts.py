@@ -17,6 +17,7 @@ from fascicle.cli.options import (
     HeartArgument,
     OutOption,
     SchedulerOption,
+    lead_names,
     option,
     pool_at,
     with_options,
@@ -284,6 +285,35 @@ def heart_refine(heart: HeartArgument, out: OutOption) -> Result:
         ]
     )
     return found
+
+
+@heart_app.command("add-electrodes")
+@every_command
+def heart_add_electrodes(
+    heart: HeartArgument,
+    out: OutOption,
+    leads: Annotated[
+        str, Option(help="Leads besides the twelve: X, Y, Z (Frank), V7 to V9, V2R to V6R.")
+    ] = "V7-V9,V3R-V4R,X-Z",
+) -> Result:
+    """Add electrodes besides the nine to a heart in a torso, at their standard places.
+
+    Simulations then give the leads of these electrodes, too, and fits compare those that were
+    recorded. The packaged heart is put into its idealised torso. Electrodes of your own, such as a
+    vest's, are more lines of the folder's electrodes.csv: each makes a unipolar lead of its name.
+
+    ```
+    fascicle heart add-electrodes default --leads X-Z --out heart-frank
+    fascicle simulate heart-frank
+    ```
+    """
+    from fascicle.build.torso import add_electrodes
+    from fascicle.heart.folder import MANIFEST, check_heart_folder
+
+    check_heart_folder(out, [Path(heart) / MANIFEST])
+    with TerminalProgress() as progress:
+        more = add_electrodes(heart, lead_names(leads), progress)
+    return _write_and_check(more, out)
 
 
 @heart_app.command("simulate-prior")

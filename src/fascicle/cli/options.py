@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -54,6 +55,29 @@ FreeOption = Annotated[
 ]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def lead_names(text: str) -> list[str]:
+    """Leads of a list such as ``I,II,V1-V6,V7-V9,X-Z,E1-E64``; the last are names of the user's."""
+    from fascicle.core.leads import ADDITIONAL_LEADS, LEADS
+    from fascicle.recording.readers.names import additional_lead_name, lead_name
+
+    known, leads = [*LEADS, *ADDITIONAL_LEADS], dict[str, None]()
+    for part in map(str.strip, text.split(",")):
+        ends = [lead_name(end) or additional_lead_name(end) for end in part.split("-")]
+        places = [known.index(end) for end in ends if end is not None]
+        own = re.fullmatch(r"(\D*)(\d{1,3})(?:-\1(\d{1,3}))?", part)
+        if len(places) == len(ends) <= 2 and places == sorted(places):
+            leads |= dict.fromkeys(known[places[0] : places[-1] + 1])
+        elif own and not places and int(own[2]) <= int(own[3] or own[2]):
+            numbers = range(int(own[2]), int(own[3] or own[2]) + 1)
+            leads |= dict.fromkeys(f"{own[1]}{number}" for number in numbers)
+        else:
+            raise InputError(
+                f"leads '{part}': give one, or the first and the last; leads are "
+                f"{', '.join(known)}, and numbered ones such as E1-E64"
+            )
+    return [*leads]
 
 
 def option(

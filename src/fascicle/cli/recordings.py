@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
-from fascicle.cli.options import FormatOption
+from fascicle.cli.options import FormatOption, lead_names
 from fascicle.cli.output import Result, TerminalProgress, print_row, print_table
 from fascicle.core.errors import InputError, OutputError
 from fascicle.recording.readers.formats import known_formats
@@ -116,7 +116,7 @@ def target(
     gain = _gain(shared_gain, digits_per_mv)
     with TerminalProgress() as progress:
         progress("recording", 0, 3, "reading")
-        wanted = None if leads is None else _leads(leads)
+        wanted = None if leads is None else lead_names(leads)
         read = read_recording(recording, leads=wanted, sampling_rate=sampling_rate, unit=unit)
         progress("recording", 1, 3, "beats")
         analysis = analyse(_corrected(read, gain, invert or (), swap or ()), choices)
@@ -140,7 +140,7 @@ def _corrected(
     if gain is not None:
         recording = share_gain(recording, gain)
     for text in inverted:
-        for lead in _leads(text):
+        for lead in lead_names(text):
             recording = invert(recording, lead)
     for text in swapped:
         names = [part.strip() for part in re.split(r"[-,]", text)]
@@ -284,24 +284,6 @@ def _picture_path(out: Path, recording: Path, kind: str) -> Path:
             f"{out}: is the name of the picture; give the target another, such as target.nc"
         )
     return picture
-
-
-def _leads(text: str) -> list[str]:
-    """Leads of a list such as ``I,II,V1-V6``."""
-    from fascicle.core.leads import LEADS
-    from fascicle.recording.readers.names import lead_name
-
-    leads: list[str] = []
-    for part in text.split(","):
-        ends = [lead_name(end) for end in part.split("-")]
-        known = [LEADS.index(end) for end in ends if end is not None]
-        if len(known) != len(ends) or len(ends) > 2 or known != sorted(known):
-            raise InputError(
-                f"leads '{part.strip()}': give one, or the first and the last; leads are "
-                f"{', '.join(LEADS)}"
-            )
-        leads += [lead for lead in LEADS[known[0] : known[-1] + 1] if lead not in leads]
-    return leads
 
 
 def _numbers(text: str) -> tuple[int, ...]:

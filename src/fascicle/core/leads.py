@@ -1,8 +1,8 @@
-"""The twelve standard leads and the nine electrodes they are made of."""
+"""The twelve standard leads, the nine electrodes they are made of, and additional ones."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -15,18 +15,45 @@ LIMB_LEADS, CHEST_LEADS = LEADS[:6], LEADS[6:]
 INDEPENDENT_LEADS: tuple[str, ...] = ("I", "II", *CHEST_LEADS)
 INDEPENDENT_ROWS = [LEADS.index(lead) for lead in INDEPENDENT_LEADS]
 ELECTRODES: tuple[str, ...] = ("RA", "LA", "LL", "V1", "V2", "V3", "V4", "V5", "V6")
+# Weights of the electrodes in E. Frank's leads, Circulation 13:737 (1956): X is positive to the
+# left, Y to the feet, Z to the back
+FRANK: dict[str, dict[str, float]] = {
+    "X": {"A": 0.610, "C": 0.171, "I": -0.781},
+    "Y": {"F": 0.655, "M": 0.345, "H": -1.000},
+    "Z": {"A": 0.133, "M": 0.736, "I": -0.264, "E": -0.374, "C": -0.231},
+}
+FRANK_ELECTRODES: tuple[str, ...] = ("A", "C", "E", "F", "H", "I", "M")
+POSTERIOR, RIGHT = ("V7", "V8", "V9"), ("V2R", "V3R", "V4R", "V5R", "V6R")
+ADDITIONAL_LEADS: tuple[str, ...] = (*POSTERIOR, *RIGHT, *FRANK)  # that have a standard name
 
 
-def lead_matrix() -> Floats:
-    """Matrix (12, 9) that turns potentials, as in `ELECTRODES`, into leads, as in `LEADS`.
+def additional_leads(electrodes: Sequence[str]) -> dict[str, Mapping[str, float]]:
+    """Leads that electrodes make besides the twelve: for each, the weights of electrodes.
 
-    Every row sums to zero: no lead sees a common potential.
+    Every electrode makes a unipolar lead of its name, against Wilson's central terminal; Frank's
+    electrodes make his three leads, which come last.
+    """
+    wilson = dict.fromkeys(ELECTRODES[:3], -1 / 3)
+    unipolar = [name for name in electrodes if name not in FRANK_ELECTRODES]
+    frank = FRANK if len(unipolar) < len(electrodes) else {}
+    return {name: {name: 1.0} | wilson for name in unipolar} | frank
+
+
+def lead_matrix(additional: Sequence[str] = ()) -> Floats:
+    """Matrix (12 + k, 9 + a) that turns potentials of electrodes into leads.
+
+    In the order of `ELECTRODES`, then of the `additional` ones; and of `LEADS`, then of
+    `additional_leads`. Every row sums to zero: no lead sees a common potential.
     """
     ra, la, ll, *chest = np.eye(len(ELECTRODES))
     wilson = (ra + la + ll) / 3
     limb = [la - ra, ll - ra, ll - la]
     augmented = [ra - (la + ll) / 2, la - (ra + ll) / 2, ll - (ra + la) / 2]
-    return np.array([*limb, *augmented, *(electrode - wilson for electrode in chest)])
+    twelve = np.array([*limb, *augmented, *(electrode - wilson for electrode in chest)])
+    named = [*ELECTRODES, *additional]
+    more = [[w.get(name, 0.0) for name in named] for w in additional_leads(additional).values()]
+    padded = np.pad(twelve, ((0, 0), (0, len(additional))))
+    return np.concatenate([padded, np.array(more).reshape(-1, len(named))])
 
 
 def limb_leads_from(recorded: Collection[str]) -> Floats | None:

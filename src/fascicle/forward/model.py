@@ -285,11 +285,17 @@ class ForwardModel:
         check_activation(times)
         leads = self._leads(times, tissue, values)
         return Simulation(
-            leads, first_sample(times), times, beat.trees, coupled, beat.capture_groups
+            leads,
+            first_sample(times),
+            times,
+            beat.trees,
+            coupled,
+            beat.capture_groups,
+            lead_names=self.heart.leads,
         )
 
     def _leads(self, times: Floats, tissue: Tissue, values: Mapping[str, float]) -> Floats:
-        """The twelve leads (mV), in the torso of these values."""
+        """All leads (mV), in the torso of these values."""
         torso = torso_values(values)
         if not torso:
             return np.asarray(values.get("gain", 1.0) * tissue.electrocardiograph.leads(times))
@@ -301,7 +307,7 @@ class ForwardModel:
     def leads_in_torso(
         self, activation: Floats, values: Mapping[str, float]
     ) -> Floats | InvalidTorso:
-        """The twelve leads (mV) of an activation (ms), given checked quantities of the torso."""
+        """All leads (mV) of an activation (ms), given checked quantities of the torso."""
         torso = self.torso([*values])
         coefficients = torso.lead_coefficients(values)
         if isinstance(coefficients, InvalidTorso):

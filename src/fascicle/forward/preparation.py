@@ -141,6 +141,7 @@ def build(
         conduction.intracellular(heart.fibres),
         _lead_field_gradients(heart, conduction, barycentric, progress),
         action_potential,
+        [*heart.additional_electrodes],
     )
     report = stage_progress(progress, "preparation", ONCE)
     myocardium = build_myocardium(heart, conduction, report, barycentric)
@@ -150,11 +151,12 @@ def build(
 def _lead_field_gradients(
     heart: Heart, conduction: Conduction, barycentric: Floats, progress: Progress | None
 ) -> Floats:
-    """Mean ∇Z of each electrode in each tetrahedron (kΩ/mm), shape (9, m, 3)."""
+    """Mean ∇Z of each electrode in each tetrahedron (kΩ/mm), shape (9 + a, m, 3)."""
     fields = resolve_lead_fields(heart, conduction, stage_progress(progress, "lead fields", ONCE))
     if fields is not None:
         return nodal_gradients(fields.values, heart.tetrahedra, barycentric)
-    return unbounded_gradients(heart.vertices, heart.tetrahedra, heart.electrodes, conduction.torso)
+    electrodes = heart.electrode_positions
+    return unbounded_gradients(heart.vertices, heart.tetrahedra, electrodes, conduction.torso)
 
 
 def _seeds(heart: Heart, charts: dict[str, Chart]) -> dict[str, Seed]:
@@ -163,19 +165,23 @@ def _seeds(heart: Heart, charts: dict[str, Chart]) -> dict[str, Seed]:
 
 def as_arrays(prepared: Prepared, heart: Heart | None = None) -> dict[str, Any]:
     """The arrays by name, with those of the heart if given."""
-    myocardium = prepared.myocardium
+    myocardium, ecg = prepared.myocardium, prepared.electrocardiograph
     parts = {
         "mesh": myocardium.mesh._asdict(),
         "travel_times": myocardium.travel_times._asdict(),
         "myocardium": _attributes(myocardium, "order", "conducts", "surface", "owner"),
-        "ecg": _attributes(prepared.electrocardiograph, "corners", "weights"),
+        "ecg": _attributes(ecg, "corners", "weights"),
         **{side: chart._asdict() for side, chart in prepared.charts.items()},
         **{f"{side} candidates": c._asdict() for side, c in myocardium.candidates.items()},
     }
+    if ecg.additional_count:
+        parts["ecg"] |= {"additional": np.array(ecg.additional)}
+        parts["ecg"] |= _attributes(ecg, "additional_count")
     if heart is not None:
         parts["heart"] = _attributes(heart, "vertices", "tetrahedra", "fibres", "electrodes")
         if heart.regions is not None:
             parts["heart"]["regions"] = heart.regions
+        parts["additional electrodes"] = dict(heart.additional_electrodes)
         for e in heart.endocardia:
             surface = _attributes(e, "vertices", "triangles", "root", "direction")
             parts[f"{e.side} endocardium"] = surface
@@ -192,12 +198,13 @@ def from_arrays(
     """The inverse of `as_arrays`; the heart is read from the arrays unless it is given."""
     parts: defaultdict[str, dict[str, Any]] = defaultdict(dict)
     for key, array in arrays.items():
-        part, name = key.split(".")
+        part, name = key.split(".", 1)  # names of electrodes may hold points
         value = aligned(array) if name == "solver" else np.asarray(array)
         parts[part][name] = value if value.ndim else value.item()
     if heart is None:
         lv, rv = (Endocardium(side, **parts[f"{side} endocardium"]) for side in ("lv", "rv"))
-        heart = Heart(lv=lv, rv=rv, **parts["heart"])
+        more = parts["additional electrodes"]
+        heart = Heart(lv=lv, rv=rv, additional_electrodes=more, **parts["heart"])
     charts = {e.side: Chart(**parts[e.side]) for e in heart.endocardia}
     mesh, myocardium = EikonalMesh(**parts["mesh"]), parts["myocardium"]
     tree = find_on_surface(mesh.vertices, myocardium["surface"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -26,30 +26,33 @@ class SimulatedBeat:
 
     Attributes
     ----------
-    leads : (12, n_time) array
-        The twelve leads of `fascicle.core.leads.LEADS` (mV), every 1 ms.
+    leads : (12 + k, n_time) array
+        The twelve leads of `fascicle.core.leads.LEADS`, then additional ones (mV), every 1 ms.
     onset : float
         Time of their first sample (ms).
     activation : (n,) array
         Activation time of each vertex of the heart (ms); inf where no front arrives.
     trees : tuple of PurkinjeTree
         The trees, left first.
+    lead_names : tuple of str
+        Names of the leads.
     """
 
     leads: Floats
     onset: float
     activation: Floats
     trees: tuple[PurkinjeTree, ...]
+    lead_names: tuple[str, ...] = field(default=LEADS, kw_only=True)
 
     __repr__ = short_repr
 
     @cached_property
     def ecg(self) -> xr.DataArray:
-        """The twelve leads (mV) with their names: dimensions ``lead`` and ``time`` (ms)."""
+        """All leads (mV) with their names: dimensions ``lead`` and ``time`` (ms)."""
         ecg = xr.DataArray(
             self.leads,
             coords={
-                "lead": list(LEADS),
+                "lead": list(self.lead_names),
                 "time": self.onset + np.arange(self.leads.shape[1]) * STEP,
             },
             dims=("lead", "time"),
@@ -84,13 +87,13 @@ class SimulatedBeat:
 
         That of the window that all leads together decide; clinics measure `global_qrs_duration`.
         """
-        onset, offset = qrs_window(self.leads, STEP)
+        onset, offset = qrs_window(self.leads[: len(LEADS)], STEP)
         return (offset - onset) * STEP
 
     @property
     def global_qrs_duration(self) -> float:
         """Global QRS duration (ms), that of the outermost leads, by the rule for recordings."""
-        onset, offset = qrs_windows(self.leads, STEP).global_window
+        onset, offset = qrs_windows(self.leads[: len(LEADS)], STEP).global_window
         return (offset - onset) * STEP
 
 
@@ -124,8 +127,8 @@ class Signals:
 
     Attributes
     ----------
-    leads : (12, n) array
-        Simulated ECG (mV).
+    leads : (12 + k, n) array
+        Simulated ECG (mV): the leads of the heart.
     first_activation : float
         Sample of it.
     junctions : tuple of int

@@ -16,7 +16,6 @@ from scipy.spatial import cKDTree
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_folder, write_text
-from fascicle.core.leads import LEADS
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, read_parameters
 from fascicle.core.quantities import checked
 from fascicle.forward.example import example_parameters
@@ -253,9 +252,9 @@ def junctions(simulation: Simulation) -> tuple[Floats, Floats]:
 
 
 def write_ecg(path: Path, ecg: xr.DataArray) -> None:
-    """Write an ECG (lead × time, mV) as CSV with the columns time_ms, I … V6."""
-    rows = np.column_stack([ecg["time"].to_numpy(), ecg.sel(lead=list(LEADS)).to_numpy().T])
-    lines = [",".join(["time_ms", *LEADS])]
+    """Write an ECG (lead × time, mV) as CSV with the columns time_ms, I … V6, additional leads."""
+    rows = np.column_stack([ecg["time"].to_numpy(), ecg.to_numpy().T])
+    lines = [",".join(["time_ms", *ecg["lead"].to_numpy().tolist()])]
     lines += [",".join([f"{row[0]:g}", *(f"{value:.6f}" for value in row[1:])]) for row in rows]
     write_text(path, "\n".join(lines) + "\n")
 

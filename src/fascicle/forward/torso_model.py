@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
+from fascicle.core.leads import INDEPENDENT_ROWS, LEADS, lead_matrix
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.threads import one_thread
 from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, channel_weights
@@ -39,13 +39,16 @@ class TorsoModel:
         Coefficients of the modes.
     weights : (m, 3, k) array
         Weights of the ECG integral (`Electrocardiograph`) for each mode.
+    additional : sequence of str
+        Electrodes besides the nine.
     """
 
     response: TorsoResponse
     weights: NDArray[np.float32]
+    additional: Sequence[str] = ()
 
     def lead_coefficients(self, values: Mapping[str, float]) -> Floats | InvalidTorso:
-        """Coefficients (8, k) of the modes for the independent leads.
+        """Coefficients (8 + a, k) of the modes for the independent leads, then additional ones.
 
         Parameters
         ----------
@@ -60,7 +63,9 @@ class TorsoModel:
         coefficients = self.response.coefficients(values)
         if isinstance(coefficients, InvalidTorso):
             return coefficients
-        return np.asarray(lead_matrix()[INDEPENDENT_ROWS] @ coefficients)
+        matrix = lead_matrix(self.additional)
+        rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(matrix))]
+        return np.asarray(matrix[rows] @ coefficients)
 
     @one_thread
     def electrocardiograph(
@@ -75,7 +80,7 @@ class TorsoModel:
         ----------
         standard : Electrocardiograph
             Of the torso in the heart's folder.
-        coefficients : (8, k) array
+        coefficients : (8 + a, k) array
             See `lead_coefficients`.
         """
         neutral = self.lead_coefficients({})
@@ -84,9 +89,15 @@ class TorsoModel:
         size = np.linalg.norm(coefficients, axis=1) / np.linalg.norm(neutral, axis=1)
         change = (coefficients - size[:, None] * neutral).astype(np.float32)
         flat = self.weights.reshape(-1, change.shape[1])
-        weights = size.astype(np.float32) * standard.weights
-        weights += (flat @ change.T).reshape(weights.shape)
-        return replace(standard, weights=weights)
+        size, groups = size.astype(np.float32), []
+        for k, old in enumerate((standard.weights, *standard.additional)):
+            part = slice(k * CHANNELS, (k + 1) * CHANNELS)
+            here = old[:, :, : len(size[part])]  # the last group is filled up
+            new = np.zeros_like(old)
+            new[:, :, : here.shape[2]] = size[part] * here
+            new[:, :, : here.shape[2]] += (flat @ change[part].T).reshape(here.shape)
+            groups.append(new)
+        return replace(standard, weights=groups[0], additional=groups[1:])
 
 
 def torso_model(heart: Heart, conduction: Conduction, response: TorsoResponse) -> TorsoModel:
@@ -99,7 +110,7 @@ def torso_model(heart: Heart, conduction: Conduction, response: TorsoResponse) -
         part = gradients[start : start + CHANNELS]
         found = channel_weights(barycentric, heart.volumes, intracellular, part)
         weights[:, :, start : start + CHANNELS] = found[:, :, : len(part)]
-    return TorsoModel(response, weights)
+    return TorsoModel(response, weights, [*heart.additional_electrodes])
 
 
 def prepare_response(

@@ -71,18 +71,20 @@ def assemble_heart(
             "give one for each ventricle"
         )
     lv, rv = seeded_endocardia(named, seeds)
+    nine, more = read_electrodes(electrodes)
     heart = Heart(
         vertices=vertices,
         tetrahedra=tetrahedra,
         fibres=direction,
         lv=lv,
         rv=rv,
-        electrodes=read_electrodes(electrodes),
+        electrodes=nine,
         name=name,
+        additional_electrodes=more,
         regions=region_labels(mesh),
         sheets=_sheets(mesh),
     )
-    check_electrodes(str(electrodes), heart.electrodes, heart)
+    check_electrodes(str(electrodes), heart)
     return heart
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +13,16 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file, write_text
-from fascicle.core.leads import ELECTRODES
+from fascicle.core.leads import ELECTRODES, FRANK, FRANK_ELECTRODES, LEADS
 from fascicle.core.ranges import check_position, shown
 
+Electrodes = dict[str, Floats]  # positions (3,) by name, mm
 
-def read_electrodes(path: Path | str) -> Floats:
-    """Read the positions (9, 3) of `fascicle.core.leads.ELECTRODES`, in that order (mm).
+
+def read_electrodes(path: Path | str) -> tuple[Floats, Electrodes]:
+    """Read electrodes (mm): positions (9, 3) of `fascicle.core.leads.ELECTRODES`, then others.
+
+    Any other name is an additional electrode; Frank's are given all seven or none.
 
     Raises
     ------
@@ -31,20 +37,31 @@ def read_electrodes(path: Path | str) -> Floats:
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file; give electrodes as CSV or JSON") from None
     rows = _rows_of_json(path, text) if path.suffix.lower() == ".json" else _rows_of_csv(path, text)
-    known = {name.upper(): name for name in ELECTRODES}
+    known = {name.upper(): name for name in (*ELECTRODES, *FRANK_ELECTRODES)}
+    of_leads = {name.upper() for name in (*LEADS[:6], *FRANK)} - set(FRANK_ELECTRODES)
     positions: dict[str, list[float]] = {}
     for name, values in rows:
-        electrode = known.get(name.strip().upper())
-        if electrode is None or electrode in positions:
-            fault = f"unknown electrode {name!r}; the nine are {', '.join(ELECTRODES)}"
-            if electrode is not None:
-                fault = f"electrode {electrode} is given twice; keep one"
-            raise InputError(f"{path}: {fault}")
+        electrode = known.get(name.strip().upper(), name.strip())
+        if electrode.upper() in of_leads or not re.fullmatch(r"[\w.+ -]{1,24}", electrode):
+            raise InputError(
+                f"{path}: {electrode[:40]!r} is not a name of an electrode; the nine are "
+                f"{', '.join(ELECTRODES)}, others have up to 24 letters and digits, and no lead's "
+                "name"
+            )
+        if electrode.upper() in map(str.upper, positions):
+            raise InputError(f"{path}: electrode {electrode} is given twice; keep one")
         positions[electrode] = _position(path, electrode, values)
     missing = [name for name in ELECTRODES if name not in positions]
     if missing:
         raise InputError(f"{path}: electrodes missing: {', '.join(missing)}; add their positions")
-    return np.array([positions[name] for name in ELECTRODES])
+    missing = [name for name in FRANK_ELECTRODES if name not in positions]
+    if 0 < len(missing) < len(FRANK_ELECTRODES):
+        raise InputError(
+            f"{path}: of Frank's electrodes ({', '.join(FRANK_ELECTRODES)}) {', '.join(missing)} "
+            "are missing; add their positions, or give electrodes that are not Frank's other names"
+        )
+    more = {n: np.array(at) for n, at in positions.items() if n not in ELECTRODES}
+    return np.array([positions[name] for name in ELECTRODES]), more
 
 
 def _rows_of_csv(path: Path, text: str) -> list[tuple[str, list[object]]]:
@@ -90,9 +107,12 @@ def _position(path: Path, name: str, values: list[object]) -> list[float]:
     return position
 
 
-def write_electrodes(path: Path, electrodes: Floats) -> None:
-    """Write electrode positions (9, 3) as CSV or, by the path's suffix, JSON (mm)."""
+def write_electrodes(
+    path: Path, electrodes: Floats, additional: Mapping[str, Floats] | None = None
+) -> None:
+    """Write positions (9, 3) and of additional ones as CSV or, by the suffix, JSON (mm)."""
     positions = dict(zip(ELECTRODES, np.asarray(electrodes, dtype=float).tolist(), strict=True))
+    positions |= {name: list(map(float, at)) for name, at in (additional or {}).items()}
     if path.suffix.lower() == ".json":
         write_text(path, json.dumps(positions, indent=1) + "\n")
     else:

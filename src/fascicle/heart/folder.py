@@ -1,4 +1,4 @@
-"""Heart folders: a `heart.toml` manifest, a tetrahedral mesh, two endocardia, nine electrodes."""
+"""Heart folders: a `heart.toml` manifest, a tetrahedral mesh, two endocardia, electrodes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ from fascicle.core.files import (
     read_toml,
     user_cache,
 )
-from fascicle.core.leads import ELECTRODES
 from fascicle.core.quantities import SPEED, check_one_speed, checked, region_labels
 from fascicle.heart.action_potential import read_action_potential, write_action_potential
 from fascicle.heart.assembly import assemble_heart
@@ -147,7 +146,7 @@ def load_heart(path: Path | str) -> Heart:
     lead_fields = None
     if manifest.lead_fields is not None:
         keys = manifest.lead_fields
-        lead_fields = LeadFields(_read_lead_fields(mesh), keys.heart, keys.torso)
+        lead_fields = LeadFields(_read_lead_fields(mesh, heart), keys.heart, keys.torso)
     table = None
     if manifest.action_potential is not None:
         table = read_action_potential(named_by(path, manifest.action_potential))
@@ -195,12 +194,14 @@ def _patient_values(path: Path, values: dict[str, Any], heart: Heart) -> dict[st
     return found
 
 
-def _read_lead_fields(mesh: MeshFile) -> Floats:
-    """Lead fields (9, n) of the mesh's point arrays."""
+def _read_lead_fields(mesh: MeshFile, heart: Heart) -> Floats:
+    """Lead fields (e, n) of the mesh's point arrays, as far as it has those of added electrodes."""
     used = np.unique(mesh.cells[TETRAHEDRON])
     rows = []
-    for electrode in ELECTRODES:
+    for k, electrode in enumerate(heart.electrode_names):
         array = mesh.point_data.get(f"lead_field_{electrode}", np.empty(0))
+        if k >= len(heart.electrodes) and not array.size:
+            break  # it was added since
         if array.shape != (len(mesh.points),) or not np.isfinite(array[used]).all():
             raise InputError(
                 f"{mesh.path}: the point array 'lead_field_{electrode}' is missing or not finite; "
@@ -272,7 +273,9 @@ def write_heart(heart: Heart, folder: Path) -> None:
             valves = {} if e.valves is None else {"valve": e.valves.astype(int)}
             file = temporary / FILES[f"{e.side}_endocardium"]
             write_surface(file, e.vertices, e.triangles, cell_data=valves)
-        write_electrodes(temporary / FILES["electrodes"], heart.electrodes)
+        write_electrodes(
+            temporary / FILES["electrodes"], heart.electrodes, heart.additional_electrodes
+        )
         if heart.torso is not None:
             write_torso(temporary / FILES["torso"], heart.torso)
         if heart.action_potential is not None:
@@ -319,7 +322,8 @@ def write_mesh(heart: Heart, path: Path) -> None:
     """Write the tetrahedra and every array of a heart as one VTU file (mm)."""
     points: dict[str, NDArray[Any]] = {}
     if heart.lead_fields is not None:
-        fields = zip(ELECTRODES, heart.lead_fields.values, strict=True)
+        # no field of an electrode that was added since
+        fields = zip(heart.electrode_names, heart.lead_fields.values, strict=False)
         points = {f"lead_field_{electrode}": values for electrode, values in fields}
     write_grid(path, heart.vertices, heart.tetrahedra, TETRAHEDRON, points, cell_arrays(heart))
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats, Integers
+from fascicle.core.leads import ELECTRODES, LEADS, additional_leads
 from fascicle.core.ranges import short_repr
 from fascicle.heart.action_potential import TabulatedPotential
 from fascicle.heart.endocardium import Endocardium
@@ -47,8 +48,9 @@ class Torso:
 
 @dataclass(frozen=True)
 class LeadFields:
-    """Lead fields (9, n) at the heart's vertices (kΩ), up to a constant, and their origin.
+    """Lead fields at the heart's vertices (kΩ), up to a constant, and their origin.
 
+    A row (9 + a, n) for each of the heart's electrodes, in the order of `Heart.electrode_names`.
     `key` is `fascicle.torso.lead_fields.key_of` heart and conduction, `torso` is `torso_key`.
     """
 
@@ -75,6 +77,8 @@ class Heart:
         Positions (mm), in the order of `fascicle.core.leads.ELECTRODES`.
     name : str
         What to call the heart in messages and figures.
+    additional_electrodes : mapping of name to (3,) array
+        Positions (mm) of electrodes besides the nine; see `fascicle.core.leads.additional_leads`.
     regions : (m,) array, optional
         A label for each tetrahedron, for `fascicle.heart.conduction.Region`.
     sheets : (m, 3) array, optional
@@ -99,6 +103,7 @@ class Heart:
     rv: Endocardium
     electrodes: Floats
     name: str = "heart"
+    additional_electrodes: Mapping[str, Floats] = field(default_factory=dict)
     regions: Integers | None = None
     sheets: Floats | None = None
     torso: Torso | None = None
@@ -114,6 +119,21 @@ class Heart:
         """Left, then right."""
         yield self.lv
         yield self.rv
+
+    @property
+    def electrode_names(self) -> tuple[str, ...]:
+        """The nine electrodes, then the additional ones."""
+        return (*ELECTRODES, *self.additional_electrodes)
+
+    @property
+    def electrode_positions(self) -> Floats:
+        """Positions (9 + a, 3) of `electrode_names` (mm)."""
+        return np.array([*self.electrodes, *self.additional_electrodes.values()])
+
+    @property
+    def leads(self) -> tuple[str, ...]:
+        """The twelve leads, then those of the additional electrodes."""
+        return (*LEADS, *additional_leads([*self.additional_electrodes]))
 
     @cached_property
     def volumes(self) -> Floats:
@@ -141,6 +161,8 @@ class Heart:
         arrays: list[NDArray[Any] | None] = [
             self.vertices, self.tetrahedra, self.fibres, self.electrodes,
         ]  # fmt: skip
+        if self.additional_electrodes:
+            arrays += [self.electrode_positions, np.array(self.electrode_names)]
         for e in self.endocardia:
             arrays += [e.vertices, e.triangles, np.array([e.root, e.direction]), e.valves]
         arrays.append(self.regions)

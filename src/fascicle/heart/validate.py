@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.core.leads import ELECTRODES
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import signed_volumes
 from fascicle.mesh.topology import TETRAHEDRON_FACES, components_of
@@ -109,16 +108,18 @@ def check_endocardium_in_place(name: str, surface: Floats, vertices: Floats) -> 
         )
 
 
-def check_electrodes(name: str, electrodes: Floats, heart: Heart) -> None:
-    """Refuse electrodes (9, 3) in other units, inside the tissue, or far from any torso."""
+def check_electrodes(name: str, heart: Heart) -> None:
+    """Refuse electrodes in other units, inside the tissue, or far from any torso."""
+    electrodes = heart.electrodes
     off = np.linalg.norm(electrodes - np.median(electrodes, axis=0), axis=1)
     # the two furthest may be misplaced; those of the chest alone span 150 to 250 mm on an adult
     check_units(f"{name} (electrodes)", electrodes[np.argsort(off)[:7]], (120.0, 1200.0))
+    electrodes = heart.electrode_positions
     tree = igl.AABB()
     tree.init(heart.vertices, heart.tetrahedra)
     inside = np.asarray(igl.in_element(heart.vertices, heart.tetrahedra, electrodes, tree))
     distance = np.linalg.norm(electrodes - heart.vertices.mean(axis=0), axis=1)
-    for k, electrode in enumerate(ELECTRODES):
+    for k, electrode in enumerate(heart.electrode_names):
         where = "lies inside the tissue" if inside[k] >= 0 else ""
         if distance[k] > 1500:  # mm
             where = f"is {distance[k]:.0f} mm from the heart"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -30,7 +31,7 @@ GLOBAL_END: dict[str, Any] = {"color": "black", "linewidth": 0.7, "linestyle": (
 
 @dataclass(frozen=True)
 class EcgGroup:
-    """Several 12-lead ECGs on one time axis, drawn as their mean and the band they span.
+    """Several ECGs on one time axis, drawn as their mean and the band they span.
 
     Attributes
     ----------
@@ -38,7 +39,7 @@ class EcgGroup:
         Name of the group in the legend, and of one ECG: ``"beat"`` or ``"network"``.
     time : (t,) array
         Time (ms).
-    leads : (n, 12, t) array
+    leads : (n, 12 + k, t) array
         Potential (mV); NaN where an ECG has ended.
     share : float
         Central share of the ECGs that the band holds at every time; 1 for their range.
@@ -86,27 +87,49 @@ class EcgGroup:
 def ecg_figure(
     groups: Sequence[EcgGroup],
     title: str = "",
-    notes: Sequence[str] = ("",) * len(LEADS),
+    notes: Sequence[str] = (),
     time_zero: str = "",
     caption: str = "",
+    leads: Sequence[str] = LEADS,
 ) -> Figure:
-    """Draw groups of 12-lead ECGs over one another in the clinical 3 × 4 layout.
+    """Draw groups of ECGs over one another, the twelve leads in the clinical 3 × 4 layout.
 
-    Lines are means over a group, bands hold its `share`. All axes have the same limits (ms, mV).
-    Each lead has its note; the caption stands below.
+    Additional leads follow in further columns. Lines are means over a group, bands hold its
+    `share`. All axes have the same limits (ms, mV). Leads have their notes; the caption stands
+    below.
     """
-    figure = style.new_figure(10.0, 6.2, title)
-    grid = figure.subplots(ROWS, len(LEADS) // ROWS, sharex=True, sharey=True)
-    panels = list(grid.T.flat)
-    for lead, (axes, name, note) in enumerate(zip(panels, LEADS, notes, strict=True)):
+    figure = style.new_figure(*figure_size(len(leads)), title)
+    panels = lead_panels(figure, len(leads))
+    for lead, (axes, name) in enumerate(zip(panels, leads, strict=True)):
         for group in groups:
             group.draw(axes, lead)
-        style.name_lead(axes, name, note)
+        style.name_lead(axes, name, notes[lead] if notes else "")
     _set_scales(panels, groups)
     style.legend(figure, [(group.handle, group.label) for group in groups])
     zero = f"; 0: {time_zero}" if time_zero else ""
     style.below_leads(figure, f"time (ms{zero})", caption)
     return figure
+
+
+def figure_size(leads: int) -> tuple[float, float]:
+    """Width and height (inch) of a figure of so many leads: a column more for every three."""
+    rows, columns = _grid(leads)
+    return min(10.0 + 2.0 * max(columns - 4, 0), 22.0), 6.2 + 1.0 * (rows - ROWS)
+
+
+def lead_panels(figure: Figure | SubFigure, leads: int) -> list[Axes]:
+    """Panels of the twelve leads and more, column by column, with common scales."""
+    rows, columns = _grid(leads)
+    panels = list(figure.subplots(rows, columns, sharex=True, sharey=True).T.flat)
+    for axes in panels[leads:]:
+        axes.remove()
+    return panels[:leads]
+
+
+def _grid(leads: int) -> tuple[int, int]:
+    """Rows and columns: three rows, more where a vest's leads would make too many columns."""
+    rows = ROWS if leads <= 24 else math.ceil(math.sqrt(leads / 1.6))
+    return rows, math.ceil(leads / rows)
 
 
 def _set_scales(panels: Iterable[Axes], groups: Sequence[EcgGroup]) -> None:

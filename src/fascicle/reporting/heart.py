@@ -197,17 +197,23 @@ def _draw_torso(axes: Axes, view: View, heart: Heart) -> None:
                 look = {"color": colour, "opacity": 0.4}
                 parts.append(Surface(torso.vertices, boundary_triangles(cells)[0], look))
     vertices = heart.vertices if torso is None else torso.vertices
-    box = view.box(np.concatenate([vertices, heart.electrodes]))
+    electrodes, names = heart.electrode_positions, heart.electrode_names
+    box = view.box(np.concatenate([vertices, electrodes]))
     draw_surfaces(axes, view, *parts, box=box, size=1.1 * np.ptp(box, axis=0))
-    screen = view.project(heart.electrodes)[:, :2]
-    limb = ["V" not in name for name in ELECTRODES]
-    colours = [Colour.VERMILION if each else Colour.BLUE for each in limb]
+    screen = view.project(electrodes)[:, :2]
+    colours = [
+        Colour.GREEN if k >= len(ELECTRODES) else Colour.VERMILION if k < 3 else Colour.BLUE
+        for k in range(len(names))
+    ]
     x, y = screen.T
-    axes.scatter(x, y, s=22, c=colours, edgecolors="white", linewidths=0.6, zorder=3)
+    size = 22 if len(names) < 40 else 8
+    axes.scatter(x, y, s=size, c=colours, edgecolors="white", linewidths=0.6, zorder=3)
     # offsets of names (points) that keep apart electrodes close together in either view
     away = {"RA": (-9, 4), "LA": (9, 4), "V1": (0, 5), "V2": (-11, 0), "V3": (-9, -9)}
     away |= {"V4": (2, -12), "V5": (0, 5), "V6": (6, -11)}
-    for name, place in zip(ELECTRODES, screen, strict=True):
+    # names of a vest would cover one another
+    shown = names if len(names) < 40 else ELECTRODES
+    for name, place in zip(shown, screen, strict=False):
         axes.annotate(
             name, place, away.get(name, (0, 5)), textcoords="offset points", ha="center",
             fontsize="small",

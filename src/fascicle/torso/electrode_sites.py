@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from enum import IntEnum
 
 import igl
@@ -11,7 +11,8 @@ from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.leads import ELECTRODES
+from fascicle.core.leads import ELECTRODES, RIGHT
+from fascicle.heart.electrodes import Electrodes
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import unit
 from fascicle.torso.heart_pose import surface_middle
@@ -78,15 +79,78 @@ def site_rays(size: TrunkSize) -> tuple[Floats, Floats]:
     return starts, np.array([(x, y, 0.0) for _, (x, y) in rays])
 
 
-def check_on_skin(name: str, distances: Floats) -> None:
-    """Refuse electrodes, from `name`, at distances (9,) (mm) from the skin beyond `FARTHEST`."""
+def additional_sites(heart: Heart, axes: Floats, skin: Surface, names: Sequence[str]) -> Electrodes:
+    """Put electrodes besides the nine onto the skin of any torso (mm), by where the nine are.
+
+    Frank's A, C, E, I and M lie at the level of V4 to V6, C halfway between A and E around the
+    chest, H at the back of the neck; F, of the left leg, is where LL is: Frank 1956, Circulation
+    13:737-749. V7 to V9 lie at that level on the posterior axillary line, below the tip of the
+    scapula and at the spine's border, and right-sided electrodes mirror the left ones: Kligfield et
+    al. 2007, Circulation 115:1306-1324.
+
+    Parameters
+    ----------
+    heart : Heart
+        With the nine electrodes.
+    axes : (3, 3) array
+        Columns: to the left, to the back, up, in the heart's coordinates.
+    skin : Surface
+        Closed, around the heart (mm).
+    names : sequence of str
+        Electrodes of Frank's leads, of `fascicle.core.leads.POSTERIOR` and `RIGHT`.
+    """
+    nine = heart.electrodes @ axes
+    x = float(nine[[Electrode.RA, Electrode.LA, Electrode.V1, Electrode.V2], 0].mean())
+    y, level = nine[Electrode.V6, 1], nine[Electrode.V4 :, 2].mean()
+    width = nine[Electrode.V6, 0] - x
+
+    def ray(start: tuple[float, float, float], direction: tuple[float, float, float]) -> Floats:
+        towards, begin = axes @ direction, axes @ start
+        hits = igl.ray_mesh_intersect(begin, towards, *skin)
+        if not hits:
+            raise InputError(
+                f"{heart.name}: no skin where the electrodes {', '.join(names)} belong; give their "
+                "positions in electrodes.csv"
+            )
+        return np.asarray(begin + max(distance for _, distance, *_ in hits) * towards)
+
+    def around(degrees: float) -> Floats:
+        """On the skin at an angle from straight ahead to the left."""
+        angle = np.radians(degrees)
+        return ray((x, y, level), (np.sin(angle), -np.cos(angle), 0.0))
+
+    def behind(share: float) -> Floats:
+        """On the back, so far to the left of the midline."""
+        return ray((x + share * width, y, level), (0.0, 1.0, 0.0))
+
+    def mirrored(row: int) -> Floats:
+        """Nearest to the mirror image of an electrode."""
+        image = axes @ (nine[row] * [-1, 1, 1] + [2 * x, 0, 0])
+        return np.asarray(igl.point_mesh_squared_distance(image[None], *skin)[2][0])
+
+    def neck() -> Floats:
+        """On the back in the midline, 2 cm below the top of the torso."""
+        top = float(ray((x, y, level), (0.0, 0.0, 1.0)) @ axes[:, 2])
+        return ray((x, y, top - 20.0), (0.0, 1.0, 0.0))
+
+    angles = {"A": 90.0, "C": 45.0, "E": 0.0, "I": -90.0, "M": 180.0, "V7": 116.0}
+    places = {name: around(angle) for name, angle in angles.items()}
+    # of the half-width: behind the midclavicular and the sternal line
+    places |= {"V8": behind(0.55), "V9": behind(0.15), "H": neck()}
+    places |= {right: mirrored(Electrode[right.removesuffix("R")]) for right in RIGHT}
+    places["F"] = heart.electrodes[Electrode.LL]
+    return {name: places[name] for name in names}
+
+
+def check_on_skin(heart: Heart, distances: Floats, source: str | None = None) -> None:
+    """Refuse electrodes, from `source`, at distances (e,) (mm) from the skin beyond `FARTHEST`."""
     worst = int(np.argmax(distances))
     if distances[worst] > FARTHEST:
         raise InputError(
-            f"{name}: electrode {ELECTRODES[worst]} is {distances[worst]:.0f} mm from the skin, "
-            f"more than {FARTHEST:.0f}; give the person's own skin in the electrodes' frame and in "
-            "mm (--torso FILE), the idealised torso's --height, --weight or --chest, or none "
-            "(--torso none)"
+            f"{source or heart.name}: electrode {heart.electrode_names[worst]} is "
+            f"{distances[worst]:.0f} mm from the skin, more than {FARTHEST:.0f}; give the person's "
+            "own skin in the electrodes' frame and in mm (--torso FILE), the idealised torso's "
+            "--height, --weight or --chest, or none (--torso none)"
         )
 
 

@@ -59,10 +59,13 @@ class Contacts:
         return np.asarray((self.weights[:, :, None] * values[self.triangles]).sum(axis=1))
 
     def currents(self, vertices: int) -> Floats:
-        """Unit current into each electrode, out through all alike: (e, vertices), in µA."""
+        """Unit current into each electrode, out through the nine alike: (e, vertices), in µA.
+
+        Through all alike where there are fewer.
+        """
         inflow = np.zeros((len(self.triangles), vertices))
         np.add.at(inflow, (np.arange(len(inflow))[:, None], self.triangles), self.weights)
-        return np.asarray(inflow - inflow.mean(axis=0))
+        return np.asarray(inflow - inflow[: len(ELECTRODES)].mean(axis=0))
 
 
 def resolve_lead_fields(
@@ -111,19 +114,24 @@ def key_of(heart: Heart, conduction: Conduction) -> str:
         c.body, c.lung, c.blood,
     ]  # fmt: skip
     return digest_of(
-        heart.vertices, heart.tetrahedra, heart.fibres, heart.electrodes, np.array(conductivities)
+        heart.vertices,
+        heart.tetrahedra,
+        heart.fibres,
+        heart.electrode_positions,
+        np.array(conductivities),
     )
 
 
 def lead_fields(
     heart: Heart, torso: Torso, conduction: Conduction, progress: StageProgress = no_progress
 ) -> Floats:
-    """Lead fields (9, n) of the heart's electrodes, at the heart's vertices (mV/µA, that is kΩ).
+    """Lead fields (9 + a, n) of the heart's electrodes, at its vertices (mV/µA, that is kΩ).
 
-    The nine sum to zero at every vertex: each is for unit current that leaves through all nine
-    alike, which no lead notices. Scar (`Conduction.regions`) does not count: tissue that does not
-    activate still conducts extracellularly, and nothing better than the intact Gᵢ + Gₑ is known of
-    it here. `progress` is called with how many of how many electrodes are done.
+    Those of the nine sum to zero at every vertex: each is for unit current that leaves through all
+    nine alike, which no lead notices; so are those of the additional electrodes. Scar
+    (`Conduction.regions`) does not count: tissue that does not activate still conducts
+    extracellularly, and nothing better than the intact Gᵢ + Gₑ is known of it here. `progress` is
+    called with how many of how many electrodes are done.
 
     Raises
     ------
@@ -131,10 +139,10 @@ def lead_fields(
         If an electrode is far from the skin, the mesh falls into pieces, or the solver gets stuck.
     """
     tetrahedra = np.concatenate([heart.tetrahedra, torso.tetrahedra])
-    contacts = place_electrodes(torso.vertices, tetrahedra, heart.electrodes)
-    check_on_skin(heart.name, contacts.moved)
+    contacts = place_electrodes(torso.vertices, tetrahedra, heart.electrode_positions)
+    check_on_skin(heart, contacts.moved)
     conductivity = total_conductivity(heart, torso, conduction)
-    progress(0, len(ELECTRODES))
+    progress(0, len(heart.electrode_names))
     stiffness = assemble_stiffness(torso.vertices, tetrahedra, conductivity)
     fields = solve_neumann(stiffness, contacts.currents(len(torso.vertices)), progress)
     return fields[:, : len(heart.vertices)].copy()

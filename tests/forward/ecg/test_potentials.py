@@ -50,12 +50,15 @@ class Potentials:
         return self.heart.channels(activation)[: self.count]
 
 
-def twelve_leads(block, gi=None):
+def twelve_leads(block, gi=None, additional=()):
+    """The heart with the nine electrodes, and more, pairs of name and place."""
     gi = CONDUCTION.intracellular(block.fibres) if gi is None else gi
     barycentric = barycentric_gradients(block.vertices, block.tetrahedra)
-    gradients = unbounded_gradients(block.vertices, block.tetrahedra, AROUND, CONDUCTION.torso)
+    places = np.array([*AROUND, *(place for _, place in additional)])
+    gradients = unbounded_gradients(block.vertices, block.tetrahedra, places, CONDUCTION.torso)
+    names = [name for name, _ in additional]
     return build_electrocardiograph(
-        block.tetrahedra, barycentric, block.volumes, gi, gradients, Upstroke()
+        block.tetrahedra, barycentric, block.volumes, gi, gradients, Upstroke(), names
     )
 
 
@@ -246,6 +249,26 @@ def test_the_eight_channels_make_the_twelve_leads_of_the_electrodes():
     leads = twelve_leads(block).leads(time)
     assert np.abs(leads).max() > 0.1  # mV
     np.testing.assert_allclose(leads, lead_matrix() @ potentials, atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 8, 67])
+def test_additional_leads_are_those_of_their_electrodes(count):
+    """However many groups of eight; the twelve stay the same to the last bit, scaled or not."""
+    block = box(SIZE, (6, 4, 4), fibre=(1.0, 1.0, 0.3))
+    time, factors = excited(block, 5.0), np.linspace(0.0, 2.0, len(block.tetrahedra))
+    places = np.random.default_rng(count).normal(size=(count, 3)) * 10.0 + [100.0, 0.0, 0.0]
+    heart = twelve_leads(block, additional=[(f"E{k}", p) for k, p in enumerate(places)])
+    leads = heart.leads(time)
+    assert len(leads) == 12 + count
+    np.testing.assert_array_equal(leads[:12], twelve_leads(block).leads(time))
+    scaled = heart.scaled(factors).leads(time)
+    np.testing.assert_array_equal(scaled[:12], twelve_leads(block).scaled(factors).leads(time))
+    wilson = Potentials(block, AROUND[:3])(time).mean(axis=0)
+    for k in (0, count - 1):
+        expected = Potentials(block, places[k : k + 1])(time)[0] - wilson
+        # stored in single precision
+        np.testing.assert_allclose(leads[12 + k], expected, atol=1e-5 * np.abs(expected).max())
+        assert np.abs(scaled[12 + k] - leads[12 + k]).max() > 0.1 * np.abs(expected).max()
 
 
 def test_einthoven_and_goldberger_hold_to_rounding():

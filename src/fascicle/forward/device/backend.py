@@ -61,6 +61,8 @@ class GpuBackend:
         """Why a model with other values of these quantities is not simulated; empty if it is."""
         if model.rules.term.function is not repulsion:
             return "the card does not know the growth rule"
+        if model.heart.additional_electrodes:
+            return "the card computes the twelve leads, and the heart has additional electrodes"
         for name in names:
             if quantity(name).changes in (Changes.TISSUE, Changes.LEAD_FIELDS):
                 return f"parameter '{name}' changes {quantity(name).changes}"

@@ -1,7 +1,8 @@
-"""From activation times to the twelve-lead ECG."""
+"""From activation times to the ECG: the twelve leads, and those of additional electrodes."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol, runtime_checkable
@@ -11,7 +12,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, lead_matrix
+from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, LEADS, lead_matrix
 from fascicle.forward.ecg.lead_field import MM_PER_CM
 from fascicle.kernels.deposit import deposit, respond
 from fascicle.kernels.jit import CHANNELS
@@ -51,6 +52,10 @@ class Electrocardiograph:
         What the times of the last three corners, less that of the first, contribute to
         |e|·(Gᵢ∇τ·∇Z) of each channel (`channel_weights`). In single precision, for memory: an
         element's contribution is wrong by a part in 10⁷ and keeps its form in time.
+    additional : sequence of (m, 3, 8) arrays
+        The same of additional leads, eight each, the last filled up with zeros.
+    additional_count : int
+        Additional leads.
     action_potential : ActionPotential
         The template U.
     bins_per_step : int
@@ -61,6 +66,8 @@ class Electrocardiograph:
     corners: NDArray[np.int32]
     weights: NDArray[np.float32]
     action_potential: ActionPotential
+    additional: Sequence[NDArray[np.float32]] = ()
+    additional_count: int = 0
     bins_per_step: int = 2
 
     @cached_property
@@ -70,6 +77,8 @@ class Electrocardiograph:
 
     def channels(self, activation: Floats) -> Floats:
         """Potential of each channel, every `STEP` ms from `first_sample` until all is quiet.
+
+        The channels are the `INDEPENDENT_LEADS`, then the additional leads.
 
         The paper's lead-field integral V(t) = −∫ Gᵢ∇Vm·∇Z dx with Vm = U(t − τ) is
         Σₑ |e|(Gᵢ∇τ·∇Z)ₑ ⟨U′(t − τ)⟩ₑ; the elements' fronts go into a histogram over time, which is
@@ -84,7 +93,7 @@ class Electrocardiograph:
 
         Returns
         -------
-        (8, n_time) array
+        (8 + k, n_time) array
             Potentials (mV).
 
         Raises
@@ -105,10 +114,14 @@ class Electrocardiograph:
         # sample 0 draws on the bins from the first, `last` before it, to the one `-first` after it
         last = first + len(kernel) - 1
         bins = (samples - 1) * self.bins_per_step + len(kernel)
-        histogram = deposit(
-            activation, self.corners, self.weights, start - last * width, width, bins
-        )
-        return np.asarray(respond(histogram, kernel, self.bins_per_step, samples))
+        potentials = [
+            respond(
+                deposit(activation, self.corners, weights, start - last * width, width, bins),
+                kernel, self.bins_per_step, samples,
+            )
+            for weights in (self.weights, *self.additional)
+        ]  # fmt: skip
+        return np.concatenate(potentials)[: CHANNELS + self.additional_count]
 
     def scaled(self, factors: Floats) -> Electrocardiograph:
         """The same with the conductivity of each tetrahedron times a factor (m,); 0 is no source.
@@ -118,12 +131,15 @@ class Electrocardiograph:
         if (factors == 1).all():
             return self
         there = factors > 0
-        weights = self.weights[there] * factors[there, None, None].astype(np.float32)
-        return replace(self, corners=self.corners[there], weights=weights)
+        factors = factors[there, None, None].astype(np.float32)
+        weights, *more = (each[there] * factors for each in (self.weights, *self.additional))
+        return replace(self, corners=self.corners[there], weights=weights, additional=more)
 
     def leads(self, activation: Floats) -> Floats:
-        """The twelve leads (mV), shape (12, n_time); see `channels`."""
-        return leads_from_independent() @ self.channels(activation)
+        """The twelve leads and the additional ones (mV), shape (12 + k, n_time); see `channels`."""
+        channels = self.channels(activation)
+        twelve = leads_from_independent() @ channels[:CHANNELS]
+        return np.concatenate([twelve, channels[CHANNELS:]])
 
 
 def leads_from_independent() -> Floats:
@@ -199,6 +215,7 @@ def build_electrocardiograph(
     intracellular: Floats,
     gradients: Floats,
     action_potential: ActionPotential,
+    additional: Sequence[str] = (),
 ) -> Electrocardiograph:
     """Precompute the ECG integral of a heart.
 
@@ -208,15 +225,23 @@ def build_electrocardiograph(
         Vertices of each tetrahedron.
     barycentric, volumes, intracellular
         See `channel_weights`.
-    gradients : (9, m, 3) array
+    gradients : (9 + a, m, 3) array
         Mean ∇Z of each electrode in each tetrahedron (kΩ/mm): `lead_field.unbounded_gradients`, or
         `lead_field.nodal_gradients` of lead fields known at the vertices.
     action_potential : ActionPotential
         The template U.
+    additional : sequence of str
+        Names of the electrodes besides the nine.
     """
-    independent = lead_matrix()[INDEPENDENT_ROWS]
-    of_leads = np.tensordot(independent, gradients, axes=1)
-    weights = channel_weights(barycentric, volumes, intracellular, of_leads)
+
+    def weights(rows: Sequence[int]) -> NDArray[np.float32]:
+        of_leads = np.tensordot(matrix[rows], gradients, axes=1)
+        found = channel_weights(barycentric, volumes, intracellular, of_leads)
+        return found.astype(np.float32)
+
+    matrix = lead_matrix(additional)
+    more = range(len(LEADS), len(matrix))
+    groups = [weights(more[k : k + CHANNELS]) for k in range(0, len(more), CHANNELS)]
     return Electrocardiograph(
-        corners.astype(np.int32), weights.astype(np.float32), action_potential
+        corners.astype(np.int32), weights(INDEPENDENT_ROWS), action_potential, groups, len(more)
     )

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from fascicle.core.errors import InputError, printable
-from fascicle.core.leads import LEADS
+from fascicle.core.leads import ADDITIONAL_LEADS, LEADS
 
 # What may stand before the name proper: what ISO/IEEE 11073 and EDF+ put there, and who introduced
 # the lead. A hyphen joins words only where nothing is beside it, or blanks on both sides:
@@ -58,6 +58,17 @@ def lead_name(text: str) -> str | None:
     if match["roman"] or match["arabic"]:
         return LEADS[int(match["arabic"] or len(match["roman"])) - 1]
     return f"V{match['chest']}" if match["chest"] else f"aV{match['augmented'].upper()}"
+
+
+def additional_lead_name(text: str) -> str | None:
+    """Return the name in `fascicle.core.leads.ADDITIONAL_LEADS` of a text, None for others.
+
+    Understands ``V7``, ``v3r``, ``MDC_ECG_LEAD_V8``, ``Lead X``, Frank's ``vx``, ``Frank Y`` and a
+    bare ``Z``.
+    """
+    name = re.sub(r"^(mdc[ _])?(ecg[ _])?(lead[ _])?(frank[ _]?)?", "", text.strip().casefold())
+    name = re.sub(r"^v([xyz])$", r"\1", name).upper()
+    return name if name in ADDITIONAL_LEADS else None
 
 
 def lead_of_code(code: str) -> str | None:

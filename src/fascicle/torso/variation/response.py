@@ -25,6 +25,7 @@ from scipy.interpolate import RBFInterpolator
 from scipy.spatial.distance import cdist
 
 from fascicle.core.arrays import Floats, Integers
+from fascicle.core.leads import ELECTRODES
 from fascicle.core.quantities import torso_values
 from fascicle.core.threads import one_thread
 from fascicle.torso.electrode_sites import Electrode
@@ -41,6 +42,7 @@ from fascicle.torso.variation.conductor import (
 SPACING = 6.0
 LEFT: Floats = SPACING * np.arange(-5.0, 6.0)
 UP: Floats = SPACING * np.arange(-13.0, 14.0)
+FIXED = Electrode.V1 + 6 * len(LEFT) * len(UP)  # from here on, places of one electrode each
 # Ends of what is interpolated over: displacements (mm), rotations (rad), size, and the logarithm of
 # conductivities
 REACH = np.array([20.0] * 3 + [np.radians(20.0)] * 3 + [0.15])
@@ -85,9 +87,10 @@ class TorsoResponse:
         `exterior_inputs` of the torsos solved.
     outer : (b, k(k+1)/2) array
         Upper triangles of A over the factor on the conductivity of plain tissue.
-    places : (3 + 6·left·up, 3) array
-        RA, LA and LL, then V1 to V6 at every place of a grid along the skin (mm).
-    patterns : (3 + 6·left·up, q) array
+    places : (3 + 6·left·up + a, 3) array
+        RA, LA and LL, then V1 to V6 at every place of a grid along the skin, then the additional
+        electrodes (mm).
+    patterns : (3 + 6·left·up + a, q) array
         Orthonormal functions of the places.
     remainders : (b, q, k) array
         Their coefficients in what f has beyond `near_field`.
@@ -117,7 +120,7 @@ class TorsoResponse:
 
     @one_thread
     def __call__(self, state: TorsoState) -> Floats | InvalidTorso:
-        """Coefficients (9, k) of the modes for every electrode.
+        """Coefficients (9 + a, k) of the modes for every electrode.
 
         Over the factor on the myocardium's conductivity; the nine sum to zero.
         """
@@ -135,13 +138,14 @@ class TorsoResponse:
         driven = near_field(electrodes, self.hull, self.projection, outer + self.filled)
         remainders = np.tensordot(weights, self.remainders, axes=1)
         driven = driven + at_electrodes(self.patterns, moved) @ remainders
+        driven -= driven[: len(ELECTRODES)].mean(axis=0)
         energy = np.tensordot(np.append(1.0, state.ratios), self.inner, axes=1)
         energy += state.ratios[0] * outer
         try:
             factor = scipy.linalg.cho_factor(energy)
         except scipy.linalg.LinAlgError:  # between torsos solved, A need not be positive
             return InvalidTorso("the heart nearly touches the skin")
-        return np.asarray(scipy.linalg.cho_solve(factor, (driven - driven.mean(axis=0)).T).T)
+        return np.asarray(scipy.linalg.cho_solve(factor, driven.T).T)
 
     def coefficients(self, values: Mapping[str, float]) -> Floats | InvalidTorso:
         """The same from quantities of the torso; those of the last few torsos are remembered."""
@@ -164,14 +168,14 @@ class TorsoResponse:
 
 
 def at_electrodes(values: Floats, moved: Floats) -> Floats:
-    """Values (9, c) at the electrodes, of those at all places, where V1 to V6 are moved (6, 2)."""
+    """Values (9 + a, c) at electrodes, of those at all places, where V1 to V6 are moved (6, 2)."""
     (i, a), (j, b) = _between(moved[:, 0], LEFT), _between(moved[:, 1], UP)
     corner = Electrode.V1 + (np.arange(len(moved)) * len(LEFT) + i) * len(UP) + j
     a, b = a[:, None], b[:, None]
     chest = (1 - a) * ((1 - b) * values[corner] + b * values[corner + 1])
     corner += len(UP)
     chest += a * ((1 - b) * values[corner] + b * values[corner + 1])
-    return np.concatenate([values[: Electrode.V1], chest])
+    return np.concatenate([values[: Electrode.V1], chest, values[FIXED:]])
 
 
 def _between(values: Floats, places: Floats) -> tuple[Integers, Floats]:

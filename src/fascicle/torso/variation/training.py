@@ -36,6 +36,7 @@ from fascicle.torso.lead_fields import (
 )
 from fascicle.torso.variation.conductor import Conductor, TorsoState
 from fascicle.torso.variation.response import (
+    FIXED,
     LEFT,
     LOG_FACTOR,
     REACH,
@@ -144,6 +145,8 @@ def random_torsos(conductor: Conductor, count: int, rng: np.random.Generator) ->
 def electrode_places(conductor: Conductor) -> Contacts:
     """Contacts of the limb electrodes, then of V1 to V6 at every place of a grid along the skin.
 
+    Those of the additional electrodes, which stay where they are on the skin, come last.
+
     From where an electrode is, it goes up or down along the skin first, then horizontally. There
     are 3 + 6 · len(LEFT) · len(UP) of them: by electrode, then to the left, then up.
     """
@@ -172,16 +175,18 @@ def electrode_places(conductor: Conductor) -> Contacts:
     limbs, chest = np.split(conductor.heart.electrodes, [Electrode.V1])
     rows = line(chest, upwards, UP)  # (up, 6, 3)
     grid = line(rows.reshape(-1, 3), to_left, LEFT).reshape(len(LEFT), len(UP), len(chest), 3)
-    places = np.concatenate([limbs, grid.transpose(2, 0, 1, 3).reshape(-1, 3)])
+    more = conductor.heart.electrode_positions[len(conductor.heart.electrodes) :]
+    places = np.concatenate([limbs, grid.transpose(2, 0, 1, 3).reshape(-1, 3), more])
     return contacts_on(vertices, skin, places)
 
 
 def currents(places: Contacts, state: TorsoState, vertices: int) -> Floats:
-    """Unit current into each electrode at the place nearest to a state's, (n, 9)."""
+    """Unit current into each electrode at the place nearest to a state's, (n, 9 + a)."""
     chosen = list(range(Electrode.V1))
     for k, (left, up) in enumerate(state.chest / state.geometry[6]):
         i, j = np.argmin(np.abs(LEFT - left)), np.argmin(np.abs(UP - up))
         chosen.append(Electrode.V1 + int((k * len(LEFT) + i) * len(UP) + j))
+    chosen += range(FIXED, len(places.moved))
     contacts = Contacts(places.triangles[chosen], places.weights[chosen], places.moved[chosen])
     return np.ascontiguousarray(contacts.currents(vertices).T)
 
@@ -193,7 +198,7 @@ def solve_torso(
     tolerance: float = 3e-3,
     most: int = 40,
 ) -> Floats:
-    """Potentials (n, 9) of the electrodes in one torso, as closely as modes need them."""
+    """Potentials (n, 9 + a) of the electrodes in one torso, as closely as modes need them."""
     loads = currents(places, state, len(conductor.torso.vertices))
     stiffness = grounded(conductor.stiffness(state))
     found = block_cg(stiffness, multigrid(stiffness), loads, tolerance, most)
@@ -312,9 +317,10 @@ def plain_hull(conductor: Conductor, values: Floats) -> tuple[Floats, Floats, Fl
 def _place_patterns(remainders: Singles, count: int) -> Floats:
     """Functions (p, q) of places that hold most of fields (b, p, k): principal components.
 
-    Each limb electrode has one of its own: there are many more places of the chest's.
+    Each limb electrode, and each additional one, has one of its own: there are many more places of
+    the chest's.
     """
-    chest = np.concatenate(list(remainders[:, Electrode.V1 :]), axis=1)
+    chest = np.concatenate(list(remainders[:, Electrode.V1 : FIXED]), axis=1)
     _, vectors = np.linalg.eigh(chest @ chest.T)
-    limbs = np.eye(Electrode.V1)
-    return np.asarray(scipy.linalg.block_diag(limbs, vectors[:, ::-1][:, :count]))
+    limbs, more = np.eye(Electrode.V1), np.eye(remainders.shape[1] - FIXED)
+    return np.asarray(scipy.linalg.block_diag(limbs, vectors[:, ::-1][:, :count], more))
