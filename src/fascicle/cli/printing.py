@@ -75,13 +75,12 @@ def print_fit(fitted: FittedStudy, summary: Mapping[str, Any]) -> None:
 
 def _print_agreement(summary: Mapping[str, Any]) -> None:
     """Print how well the mean ECG of the networks agrees with the recorded QRS."""
-    from fascicle.core.leads import LEADS
     from fascicle.reporting.names import MEASURES
 
     if "explained_power" not in summary:  # a study of an older version
         return
     explained, correlation = summary["explained_power"], summary["correlation"]
-    leads = [lead for lead in LEADS if explained[lead] is not None]
+    leads = [lead for lead, value in explained.items() if lead != "all" and value is not None]
     print_row(
         "mean of the networks",
         f"{explained['all']:.0%} of the QRS explained, correlation {correlation['all']:.2f} over "

@@ -39,7 +39,11 @@ def target(
     ] = None,
     leads: Annotated[
         str | None,
-        Option(help="Leads to use, such as I,II,V1-V5; limb leads are computed from two."),
+        Option(
+            help="Leads to use, such as I,II,V1-V5 or I-V6,V7-V9,X-Z,E1-E64, the last by their "
+            "names in the file; by default the twelve and others of standard names. Limb leads "
+            "are computed from two."
+        ),
     ] = None,
     invert: Annotated[list[str] | None, Option(help="Lead that was recorded upside down.")] = None,
     swap: Annotated[
@@ -173,6 +177,7 @@ def print_analysis(analysis: Analysis) -> None:
     )
     for what, parts in (
         ("computed leads", recording.derived),
+        ("additional leads", tuple(recording.additional)),
         ("read with", analysis.read_with),
         ("ignored", recording.ignored),
     ):

@@ -37,7 +37,7 @@ from scipy.linalg import eigh
 from scipy.special import logsumexp
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.core.leads import LEADS, LIMB_LEADS, independent_rows, limb_leads_from
+from fascicle.core.leads import LIMB_LEADS, independent_rows, limb_leads_from
 from fascicle.core.ranges import short_repr
 from fascicle.forward.loss import placed
 from fascicle.forward.simulation import Signals
@@ -65,9 +65,9 @@ class Replicate:
 
     Attributes
     ----------
-    ecg : (12, n_time) array
+    ecg : (12 + k, n_time) array
         Of the network, scaled and in its place, without noise and discrepancy (mV).
-    noisy : (12, n_time) array
+    noisy : (12 + k, n_time) array
         With both (mV).
     gain : float
         By which the simulated ECG is scaled.
@@ -159,7 +159,7 @@ class QrsLikelihood:
         left = self._padded - gain * model
         return Replicate(
             clean,
-            clean + self._in_twelve_leads(error @ self.modes.T),
+            clean + self._in_all_leads(error @ self.modes.T),
             gain,
             ecg.first_activation - shift - MARGIN,
             self.scales[scale],
@@ -234,14 +234,14 @@ class QrsLikelihood:
         """Mean QRS in independent leads (mV), silent on either side."""
         return np.pad(self.target.qrs[self._rows], ((0, 0), (MARGIN, MARGIN)))
 
-    def _in_twelve_leads(self, independent: Floats) -> Floats:
+    def _in_all_leads(self, independent: Floats) -> Floats:
         """Errors (mV) in independent leads about the QRS, in all leads at the target's times."""
         begin, times = self.target.qrs_samples.start - MARGIN, len(self.target.time)
-        out = np.zeros((len(LEADS), times))
+        out = np.zeros((len(self.target.leads), times))
         inside = np.arange(independent.shape[1]) + begin
         there = (inside >= 0) & (inside < times)
         out[np.ix_(self._rows, inside[there])] = independent[:, there]
-        limb = limb_leads_from([LEADS[row] for row in self._rows if row < len(LIMB_LEADS)])
+        limb = limb_leads_from([LIMB_LEADS[row] for row in self._rows if row < len(LIMB_LEADS)])
         if limb is not None:
             out[: len(LIMB_LEADS)] = limb @ out[: len(LIMB_LEADS)]
         return out

@@ -87,13 +87,13 @@ class SimulatedBeat:
 
         That of the window that all leads together decide; clinics measure `global_qrs_duration`.
         """
-        onset, offset = qrs_window(self.leads[: len(LEADS)], STEP)
+        onset, offset = qrs_window(self.leads, STEP)
         return (offset - onset) * STEP
 
     @property
     def global_qrs_duration(self) -> float:
         """Global QRS duration (ms), that of the outermost leads, by the rule for recordings."""
-        onset, offset = qrs_windows(self.leads[: len(LEADS)], STEP).global_window
+        onset, offset = qrs_windows(self.leads, STEP).global_window
         return (offset - onset) * STEP
 
 

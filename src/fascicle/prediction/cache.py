@@ -113,10 +113,12 @@ def _whole(arrays: Arrays, trees: Trees) -> bool:
     if {*arrays} != NAMES or arrays["lengths"].ndim != 1:
         return False
     count, samples = len(trees), int(arrays["lengths"].sum())
+    leads = arrays["leads"].shape[0]
     return (
         arrays["lengths"].shape == (count,)
-        and arrays["leads"].shape == (len(LEADS), samples)
-        and arrays["filtered"].shape == (len(LEADS), samples + 2 * RINGING * count)
+        and leads >= len(LEADS)
+        and arrays["leads"].shape == (leads, samples)
+        and arrays["filtered"].shape == (leads, samples + 2 * RINGING * count)
         and arrays["activation"].shape[:1] == arrays["captured"].shape[:1] == (count,)
         and arrays["tree_times"].shape == (sum(_sizes(trees)),)
         and arrays["indices"].shape == (len(INDICES), count)

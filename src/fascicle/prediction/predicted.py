@@ -24,9 +24,9 @@ class PredictedBeat:
 
     Attributes
     ----------
-    leads : (12, n_time) array
+    leads : (12 + k, n_time) array
         ECG (mV) every 1 ms, with the gain that matches the recording best, or that was drawn.
-    filtered : (12, n_time + 2 * `RINGING`) array
+    filtered : (12 + k, n_time + 2 * `RINGING`) array
         The ECG after the recorder's filters, with `RINGING` samples more on either side. Indices
         are not measured on it, because steep filters ring about the QRS.
     activation : (n,) array

@@ -11,7 +11,6 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.leads import LEADS
 from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
 from fascicle.core.ranges import check_items, check_kind, check_text
 from fascicle.forward.ecg.electrocardiogram import STEP
@@ -205,13 +204,14 @@ def qrs_aligned(*predicted: Predicted) -> tuple[Floats, list[Floats]]:
     -------
     time : (t,) array
         Time from QRS onset (ms).
-    ecgs : list of (n, 12, t) arrays
+    ecgs : list of (n, 12 + k, t) arrays
         Potentials (mV) of each scenario, up to the end of the longest QRS.
     """
     windows = [[qrs_window(beat.leads, STEP) for beat in each.beats] for each in predicted]
     longest = max(offset - onset for each in windows for onset, offset in each)
     length = LEAD_IN + longest + LEAD_OUT
-    ecgs = [np.zeros((len(each.beats), len(LEADS), length)) for each in predicted]
+    rows = len(predicted[0].beats[0].leads)
+    ecgs = [np.zeros((len(each.beats), rows, length)) for each in predicted]
     for of_scenario, each, its in zip(ecgs, predicted, windows, strict=True):
         for ecg, beat, (onset, _) in zip(of_scenario, each.beats, its, strict=True):
             begin = RINGING + onset - LEAD_IN

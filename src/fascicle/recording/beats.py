@@ -31,14 +31,14 @@ FEW_ALIKE = 0.7  # share of the beats that should be alike
 class AlignedBeats(NamedTuple):
     """Beats on one time axis."""
 
-    beats: Floats  # (n_beats, 12, n_time), mV, less the isoelectric level and its drift
+    beats: Floats  # (n_beats, 12 + k, n_time), mV, less the isoelectric level and its drift
     before: int  # sample of the R peak in each
     not_before: int  # sample of the end of the pacing spike that fired the beats; 0 if none did
     alignment_sd: float = 0.0  # ms; standard deviation of the alignment of several lead groups
 
     @property
     def mean(self) -> Floats:
-        """Mean beat (mV), shape (12, n_time)."""
+        """Mean beat (mV), shape (12 + k, n_time)."""
         return np.asarray(self.beats.mean(axis=0))
 
     @property
@@ -63,6 +63,8 @@ def extent(group: LeadGroup) -> tuple[int, int]:
 def cut_beats(group: LeadGroup, members: Integers, onset: float | None = None) -> AlignedBeats:
     """Cut out the beats `members` (n_beats,) of a group, and subtract their isoelectric lines.
 
+    The twelve leads alone decide where these are.
+
     `onset` is that of the QRS (ms from R) where the user has given it.
     """
     before, after = extent(group)
@@ -73,7 +75,8 @@ def cut_beats(group: LeadGroup, members: Integers, onset: float | None = None) -
     if onset is not None:
         first = min(max(before + round(onset / SAMPLING_STEP), 0), before + after)
     knots = peaks - before + _isoelectric_start(median, first)
-    beats = _detrended_beats(group.signal, knots, peaks, before, after)
+    signal = np.concatenate([group.signal, group.additional])
+    beats = _detrended_beats(signal, knots, peaks, before, after)
     return AlignedBeats(beats, before, not_before)
 
 
@@ -92,7 +95,7 @@ def _isoelectric_start(mean: Floats, onset: int) -> int:
 def _detrended_beats(
     signal: Floats, knots: Integers, peaks: Integers, before: int, after: int
 ) -> Floats:
-    """Beats (n_beats, 12, n), mV, with a straight line removed from each lead.
+    """Beats (n_beats, 12 + k, n), mV, with a straight line removed from each lead.
 
     It runs through the isoelectric level before the QRS, from the sample `knots` on, and that of
     the nearest neighbour; where none is near, as for a single beat, the level alone is removed.
@@ -137,7 +140,7 @@ def drifting_beats(
         aligned = cut_beats(group, members, onset)
         median = np.median(aligned.beats, axis=0)
         end = qrs_window(median, SAMPLING_STEP, aligned.not_before)[1]
-        levels = aligned.beats[:, :, end : end + KNOT].mean(axis=2)
+        levels = aligned.beats[:, : len(LEADS), end : end + KNOT].mean(axis=2)
         off = np.asarray(levels - np.median(levels, axis=0))
         spread = 1.4826 * np.median(np.abs(off), axis=0)  # of a normal distribution
         spread = np.maximum(spread, np.nanmedian(spread))

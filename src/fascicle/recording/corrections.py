@@ -35,6 +35,11 @@ def share_gain(recording: Recording, digits_per_millivolt: float = 1000.0) -> Re
             f"{recording.source}: all its leads have one gain already ({gains[rows[0]]:g} per mV); "
             "leave out --shared-gain"
         )
+    if recording.additional:
+        raise InputError(
+            f"{recording.source}: the leads {', '.join(recording.additional)} keep their gains; "
+            f"leave out --shared-gain, or use the others alone: --leads {','.join(kept)}"
+        )
     signal = recording.signal * (gains / digits_per_millivolt)[:, None]
     shared = np.full(len(LEADS), digits_per_millivolt)
     changed = replace(recording, digits_per_millivolt=shared)
@@ -44,6 +49,10 @@ def share_gain(recording: Recording, digits_per_millivolt: float = 1000.0) -> Re
 def invert(recording: Recording, lead: str) -> Recording:
     """Turn a recorded lead upside down."""
     kept = recording.measured_leads
+    if lead in recording.additional:
+        turned = recording.additional | {lead: -recording.additional[lead]}
+        changed = replace(recording, additional=turned)
+        return _changed(changed, recording.signal, kept, "inverted", lead)
     if lead not in kept:
         raise InputError(
             f"{recording.source}: lead {lead} cannot be inverted, it was not recorded (recorded: "

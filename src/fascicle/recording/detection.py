@@ -20,7 +20,8 @@ def complete_leads(signal: Floats) -> list[int]:
 
     Without I or II no two of the other limb leads see the whole frontal plane equally, so a mean
     takes them all; `fascicle.core.leads.independent_rows` never takes more than two. Leads of the
-    signal (12, n) that hold a NaN are not there; ValueError when all do.
+    signal (12, n) that hold a NaN are not there; ValueError when all do. Rows after the twelfth, of
+    additional leads, decide nothing.
     """
     there = [row for row in range(len(LEADS)) if bool(np.isfinite(signal[row]).all())]
     if not there:

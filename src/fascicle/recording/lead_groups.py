@@ -38,6 +38,7 @@ class LeadGroup:
     noise: float  # energy between beats, see `fascicle.recording.morphology.noise_energy`
     peaks: Integers  # (n_beats,); sample of each beat's R peak
     labels: tuple[str, ...]  # class of each beat
+    additional: Floats  # (k, n), mV, likewise, of additional leads, which decide nothing
 
     @property
     def leads(self) -> str:
@@ -136,8 +137,11 @@ def _group(
     native = recording.signal[:, first:stop].copy()
     native[~np.isfinite(native).all(axis=1)] = np.nan
     signal = resample(native, rate)
+    additional = np.empty((0, signal.shape[1]))
+    if recording.additional:
+        additional = resample(np.array([*recording.additional.values()])[:, first:stop], rate)
     for one in applied_filters(options.lowpass, options.notch):
-        signal = one.apply(signal)
+        signal, additional = one.apply(signal), one.apply(additional)
     inside = spikes[(spikes[:, 0] >= first) & (spikes[:, 0] < stop)] - first
     independent = signal[_independent(signal)]
     noise = noise_energy(independent)
@@ -153,6 +157,7 @@ def _group(
         noise=noise,
         peaks=peaks,
         labels=labels,
+        additional=additional,
     )
 
 

@@ -109,7 +109,11 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
     spikes = find_spikes(recording.signal, rate)
     clean = recording
     if len(spikes):
-        clean = replace(recording, signal=remove_spikes(recording.signal, spikes))
+        more = {
+            lead: remove_spikes(values[None], spikes)[0]
+            for lead, values in recording.additional.items()
+        }
+        clean = replace(recording, signal=remove_spikes(recording.signal, spikes), additional=more)
     try:
         groups = lead_groups(clean, spikes, options)
         _check_beats_found(source, groups)
@@ -258,6 +262,7 @@ def _target(
         noise=options.noise,
         filters=filters,
         earliest_onset=float(aligned.time[aligned.not_before]) if aligned.not_before else None,
+        leads=(*LEADS, *recording.additional),
     )
     warnings = _warnings(recording, target, beats, label, options, findings)
     notes = {"warnings": "\n".join(warnings)} if warnings else {}
@@ -290,9 +295,8 @@ def _end_deviations(
     aligned: AlignedBeats, smoothing: float, options: TargetOptions, source: str
 ) -> list[float]:
     """Standard deviations (ms) of the ends of the window: 0 where given, refused above 40."""
-    found = window_uncertainty(
-        aligned.beats, SAMPLING_STEP, aligned.not_before, options.noise, smoothing
-    )
+    twelve = aligned.beats[:, : len(LEADS)]
+    found = window_uncertainty(twelve, SAMPLING_STEP, aligned.not_before, options.noise, smoothing)
     deviations = []
     for name, sd in zip(("onset", "offset"), found, strict=True):
         given = getattr(options, name) is not None

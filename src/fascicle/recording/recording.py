@@ -1,8 +1,8 @@
-"""Twelve leads as they were recorded, checked once, at construction."""
+"""Twelve leads, and additional ones, as they were recorded, checked once, at construction."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -31,7 +31,7 @@ class Filters:
 
 @dataclass(frozen=True)
 class Recording:
-    """Twelve leads of one recording.
+    """Twelve leads of one recording, and additional ones that were recorded with them.
 
     Attributes
     ----------
@@ -52,7 +52,9 @@ class Recording:
     derived : tuple of str
         Limb leads that were computed from two others.
     ignored : tuple of str
-        Channels of the file that are none of the twelve leads, or were not wanted.
+        Channels of the file that are no leads, or were not wanted.
+    additional : dict of str to (n,) array
+        Potential (mV) of additional leads over all of the time, by their names.
     """
 
     signal: Floats
@@ -63,6 +65,7 @@ class Recording:
     digits_per_millivolt: Floats | None = None
     derived: tuple[str, ...] = ()
     ignored: tuple[str, ...] = ()
+    additional: dict[str, Floats] = field(default_factory=dict)
 
     __repr__ = short_repr
 
@@ -76,6 +79,13 @@ class Recording:
             )
         check_extent(signal.shape[1], self.sampling_rate, self.source)
         check_array("potential", signal, f"{self.source}: a sample (is its unit right?)")
+        for lead, values in self.additional.items():
+            if lead in LEADS or values.shape != signal.shape[1:] or not np.isfinite(values).all():
+                raise InputError(
+                    f"{self.source}: lead {lead} has no number for each of the {signal.shape[1]} "
+                    "samples, or the name of another; correct or leave it out"
+                )
+            check_array("potential", values, f"{self.source}: lead {lead} (is its unit right?)")
         if not self.recorded.any():
             raise InputError(f"{self.source}: no lead holds a sample; give another recording")
         _check_gaps(self)
@@ -149,8 +159,10 @@ def check_extent(samples: int, sampling_rate: float, source: str) -> None:
         )
 
 
-def bridge_gaps(signal: Floats, rate: float) -> tuple[Floats, list[str]]:
-    """Interpolate a few lost samples of leads (12, n), and cut off ragged ends.
+def bridge_gaps(
+    signal: Floats, rate: float, leads: Sequence[str] = LEADS
+) -> tuple[Floats, list[str]]:
+    """Interpolate a few lost samples of leads (n_leads, n), and cut off ragged ends.
 
     A cubic spline bridges gaps of at most `GAP` where no more than 1 % of the lead is lost. Where
     leads begin or end at other times, what they share is kept if it is 90 % of the recording.
@@ -159,7 +171,7 @@ def bridge_gaps(signal: Floats, rate: float) -> tuple[Floats, list[str]]:
     from scipy.interpolate import CubicSpline
 
     filled, bridged = signal.copy(), []
-    for lead, values in zip(LEADS, filled, strict=True):
+    for lead, values in zip(leads, filled, strict=True):
         there = np.flatnonzero(np.isfinite(values))
         lengths = np.diff(there) - 1
         lost = int(lengths.sum())

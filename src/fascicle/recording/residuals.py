@@ -21,9 +21,9 @@ class ResidualCovariance:
 
     Attributes
     ----------
-    sd : (12, n_qrs) array
+    sd : (n_leads, n_qrs) array
         Standard deviation of every sample (mV); NaN where a lead is not used.
-    leads : (12, 12) array
+    leads : (n_leads, n_leads) array
         Correlation across leads; NaN where a lead is not used.
     time : (n_qrs, n_qrs) array
         Correlation across samples of the QRS.

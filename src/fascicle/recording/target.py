@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats
+from fascicle.core.leads import LEADS
 from fascicle.core.ranges import short_repr
 from fascicle.recording.filters import SAMPLING_STEP, Filter, combined_gain
 from fascicle.recording.window import qrs_windows, smoothing_against_ringing
@@ -20,9 +21,9 @@ class Target:
 
     Attributes
     ----------
-    beats : (n_beats, 12, n_time) array
-        Potential (mV), leads in the order of `fascicle.core.leads.LEADS`, isoelectric level
-        removed. Leads that are not used are NaN in every beat.
+    beats : (n_beats, 12 + k, n_time) array
+        Potential (mV), leads in the order of `fascicle.core.leads.LEADS`, then additional ones;
+        isoelectric level removed. Leads that are not used are NaN in every beat.
     time : (n_time,) array
         Time from the R peak (ms), every `SAMPLING_STEP`.
     qrs_onset, qrs_offset : float
@@ -39,6 +40,8 @@ class Target:
         What the beats have passed, as far as it is known; a simulation must pass the same.
     earliest_onset : float, optional
         End of the pacing spike (ms from the R peak), before which no QRS begins; None without one.
+    leads : tuple of str
+        Names of the leads.
     """
 
     beats: Floats
@@ -52,22 +55,33 @@ class Target:
     noise: float | None = None
     filters: tuple[Filter, ...] = ()
     earliest_onset: float | None = None
+    leads: tuple[str, ...] = LEADS
 
     __repr__ = short_repr
 
+    def in_leads(self, leads: Sequence[str]) -> Target:
+        """The same with rows for these leads, those that it lacks not used; others are left out."""
+        if tuple(leads) == self.leads:
+            return self
+        beats = np.full((len(self.beats), len(leads), len(self.time)), np.nan)
+        for row, lead in enumerate(leads):
+            if lead in self.leads:
+                beats[:, row] = self.beats[:, self.leads.index(lead)]
+        return replace(self, beats=beats, leads=tuple(leads))
+
     @cached_property
     def used(self) -> Booleans:
-        """Which of the twelve leads are there, shape (12,)."""
+        """Which of the leads are there, shape (12 + k,)."""
         return np.asarray(np.isfinite(self.beats[0]).all(axis=1))
 
     @cached_property
     def mean(self) -> Floats:
-        """Mean beat (mV), shape (12, n_time)."""
+        """Mean beat (mV), shape (12 + k, n_time)."""
         return np.asarray(self.beats.mean(axis=0))
 
     @cached_property
     def standard_deviation(self) -> Floats:
-        """Beat-to-beat standard deviation (mV), shape (12, n_time)."""
+        """Beat-to-beat standard deviation (mV), shape (12 + k, n_time)."""
         if self.noise is not None:
             return np.where(self.used[:, None], self.noise, np.nan) * np.ones(len(self.time))
         return np.asarray(self.beats.std(axis=0, ddof=1))
@@ -111,10 +125,10 @@ class Target:
 
     @property
     def qrs(self) -> Floats:
-        """Mean QRS (mV), shape (12, n_qrs)."""
+        """Mean QRS (mV), shape (12 + k, n_qrs)."""
         return np.asarray(self.mean[:, self.qrs_samples])
 
     @property
     def qrs_beats(self) -> Floats:
-        """QRS of every beat (mV), shape (n_beats, 12, n_qrs)."""
+        """QRS of every beat (mV), shape (n_beats, 12 + k, n_qrs)."""
         return np.asarray(self.beats[:, :, self.qrs_samples])

@@ -86,6 +86,7 @@ def read_target(path: str | Path) -> Target:
             if key.startswith("provenance_")
         },
         filters=_filters_from(attributes["filters"]),
+        leads=tuple(str(lead) for lead in dataset["lead"].to_numpy()),
         **numbers,
     )
 
@@ -96,7 +97,7 @@ def _to_dataset(target: Target) -> xr.Dataset:
 
     qrs_time = target.time[target.qrs_samples]
     inside = np.isin(target.time, qrs_time).astype(np.int8)
-    leads = np.array(LEADS, dtype=object)
+    leads = np.array(target.leads, dtype=object)
     coordinates = {
         name: (dimension, values, {"long_name": text} | ({"units": unit} if unit else {}))
         for name, dimension, values, unit, text in (
@@ -162,7 +163,7 @@ def _attributes(target: Target) -> dict[str, str | float | int]:
     ]
     return {
         "Conventions": "CF-1.11",
-        "title": "12-lead QRS target: aligned beats of one electrocardiogram",
+        "title": "QRS target: aligned beats of one electrocardiogram",
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "software": f"fascicle {version('fascicle')}",
@@ -225,11 +226,13 @@ def _problems(dataset: xr.Dataset) -> Iterator[str]:
         yield f"damaged target without {', '.join(missing)}"
     beats, time = dataset["beats"], dataset["time"].to_numpy()
     leads = tuple(str(lead) for lead in dataset["lead"].to_numpy())
-    if set(beats.dims) != {"beat", "lead", "time"} or leads != LEADS:
+    if set(beats.dims) != {"beat", "lead", "time"} or leads[: len(LEADS)] != LEADS:
         yield f"beats have sizes {dict(beats.sizes)}, not beat, the standard 12 leads and time"
+    if len(set(leads)) < len(leads):
+        yield "a lead is there twice"
     if dataset.sizes["beat"] < 2 and "stated_noise_mV" not in attributes:
         yield f"{dataset.sizes['beat']} beats without a stated noise"
-    values = beats.transpose("lead", "beat", "time").to_numpy().reshape(len(LEADS), -1)
+    values = beats.transpose("lead", "beat", "time").to_numpy().reshape(len(leads), -1)
     finite = np.isfinite(values)
     if not finite.any() or not (finite.all(axis=1) | ~finite.any(axis=1)).all():
         yield "beats are not finite"

@@ -160,7 +160,7 @@ def draw_time_grid(axes: Axes) -> None:
 @style.styled
 def target_figure(target: Target) -> Figure:
     """Draw the beats of a target over one another, lead by lead, with the QRS window."""
-    figure = style.new_figure(10.0, 6.2)
+    figure = style.new_figure(*figure_size(len(target.leads)))
     draw_target(figure, target)
     return figure
 
@@ -178,8 +178,8 @@ def draw_target(figure: Figure | SubFigure, target: Target) -> None:
     limits = _limits(target, mean[:, (target.time >= start) & (target.time <= stop)])
     count = len(target.beats)
     drawn = np.unique(np.linspace(0, count - 1, min(count, 100)).round().astype(np.int64))
-    grid = figure.subplots(ROWS, len(LEADS) // ROWS, sharex=True, sharey=True)
-    for lead, (axes, name) in enumerate(zip(grid.T.flat, LEADS, strict=True)):
+    panels = lead_panels(figure, len(target.leads))
+    for lead, (axes, name) in enumerate(zip(panels, target.leads, strict=True)):
         _draw_window(axes, target)
         if target.used[lead]:
             band = mean[lead] - spread[lead], mean[lead] + spread[lead]

@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 
 from fascicle.core.arrays import Floats
 from fascicle.core.files import atomic_folder, write_bytes, write_text
-from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.forward.simulation import Simulation
 from fascicle.heart.heart import Heart
@@ -184,7 +183,7 @@ def _write_scenario(folder: Path, found: Predicted, heart: Heart) -> None:
     write_grid(folder / "activation.vtu", heart.vertices, heart.tetrahedra, TETRAHEDRON, maps)
     time, (ecgs,) = qrs_aligned(found)
     array = xr.DataArray(
-        ecgs, {"lead": list(LEADS), "time": time}, ("network", "lead", "time"), "ecg",
+        ecgs, {"lead": list(heart.leads), "time": time}, ("network", "lead", "time"), "ecg",
         {"units": "mV"},
     )  # fmt: skip
     array["time"].attrs.update(units="ms", long_name="time from QRS onset")

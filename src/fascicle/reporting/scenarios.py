@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
+from fascicle.core.leads import LEADS
 from fascicle.core.ranges import check_text
 from fascicle.heart.heart import Heart
 from fascicle.heart.sites import SEGMENTS
@@ -63,12 +64,12 @@ def index_figure(predicted: Mapping[str, Predicted]) -> Figure:
 
 
 def scenario_ecg_figure(predicted: Mapping[str, Predicted], name: str) -> Figure:
-    """Draw the ECGs of a scenario and of the intrinsic beat: means and 90 % of the networks."""
+    """Draw the twelve leads of a scenario and the intrinsic beat: means, 90 % of the networks."""
     intrinsic, found = _with_intrinsic(predicted, name)
     shown = [intrinsic] if found is intrinsic else [intrinsic, found]
     time, ecgs = qrs_aligned(*shown)
     groups = [
-        EcgGroup(label, "network", time, leads, colour, 0.9)
+        EcgGroup(label, "network", time, leads[:, : len(LEADS)], colour, 0.9)
         for label, leads, colour in zip(
             (INTRINSIC, style.short(name)), ecgs, (Colour.GREY, Colour.VERMILION), strict=False
         )

@@ -151,7 +151,7 @@ def _ecg(target: Target, networks: Sequence[Network], found: Agreement) -> Figur
     ]
     notes = [f"r {r:.2f}" if np.isfinite(r) else "" for r in found.correlation]
     title = f"Recorded QRS and {len(networks)} networks"
-    return ecg_figure(groups, title, notes, "R peak", _caption(found))
+    return ecg_figure(groups, title, notes, "R peak", _caption(found), target.leads)
 
 
 def _caption(found: Agreement) -> str:

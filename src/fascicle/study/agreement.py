@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.core.leads import LEADS, LIMB_LEADS
+from fascicle.core.leads import LIMB_LEADS
 from fascicle.recording.target import Target
 from fascicle.study.predictive import frontal_axis
 from fascicle.study.target_comparison import Network
@@ -21,7 +21,9 @@ class Agreement:
 
     Attributes
     ----------
-    explained, correlation : (12,) arrays
+    leads : tuple of str
+        The leads of the heart.
+    explained, correlation : (n_leads,) arrays
         For each lead: explained power, 1 − Σ(recorded − predicted)² / Σ recorded²; Pearson's
         correlation. NaN where a lead is not used.
     explained_over_all, correlation_over_all : float
@@ -31,6 +33,7 @@ class Agreement:
         network. Axes are within half a turn of the recorded one.
     """
 
+    leads: tuple[str, ...]
     explained: Floats
     correlation: Floats
     explained_over_all: float
@@ -49,7 +52,7 @@ class Agreement:
         def by_lead(values: Floats, over_all: float) -> dict[str, float | None]:
             found = {
                 lead: round(float(v), 6) if np.isfinite(v) else None
-                for lead, v in zip(LEADS, values, strict=True)
+                for lead, v in zip(self.leads, values, strict=True)
             }
             return found | {"all": round(over_all, 6)}
 
@@ -72,7 +75,7 @@ def agreement(target: Target, networks: Sequence[Network]) -> Agreement:
     used = target.used
     left = ((recorded - predicted) ** 2).sum(axis=1)
     power = (recorded**2).sum(axis=1)
-    correlation = np.full(len(LEADS), np.nan)
+    correlation = np.full(len(used), np.nan)
     pairs = zip(recorded[used], predicted[used], strict=True)
     correlation[used] = [pearson(*pair) for pair in pairs]
     simulations = [network.simulation for network in networks]
@@ -89,6 +92,7 @@ def agreement(target: Target, networks: Sequence[Network]) -> Agreement:
         turns = [frontal_axis(network.predicted[:, window]) - axis for network in networks]
         found["axis_degrees"] = [axis + (turn + 180) % 360 - 180 for turn in turns]
     return Agreement(
+        target.leads,
         1 - left / power,
         correlation,
         float(1 - left[used].sum() / power[used].sum()),

@@ -384,7 +384,7 @@ def _simulated_and_compared(
         model.torso([*body])  # built here, not by every worker
     compared = tuple(
         TargetComparison(
-            target,
+            target.in_leads(heart.leads),
             scenario,
             free_gain=config.free_gain if config.method == "paper" else _gain_sd(config) > 0,
             independent_leads=config.leads == "8",

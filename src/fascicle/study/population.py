@@ -15,7 +15,6 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_path
-from fascicle.core.leads import LEADS
 from fascicle.core.netcdf import load_netcdf
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.ranges import short_repr
@@ -165,8 +164,8 @@ def write_population(
     """Write the networks as ArviZ InferenceData, whole or not at all.
 
     Of a posterior, each run of the sampler is a chain. Variables of all recordings but the first
-    end in their numbers: ``ecg_2``. `predicted` holds the networks' ECGs, (n, 12, n_time), aligned
-    with the target's time (mV); of a posterior with the noise, too, and of each recording.
+    end in their numbers: ``ecg_2``. `predicted` holds the networks' ECGs, (n, 12 + k, n_time),
+    aligned with the target's time (mV); of a posterior with the noise, too, and of each recording.
     """
     with warnings.catch_warnings():  # announces its next major version at every import
         warnings.simplefilter("ignore", FutureWarning)
@@ -194,7 +193,8 @@ def write_population(
                 for end, target in _numbered(targets)
                 for name, values in (("ecg", target.mean), ("beats", target.beats))
             },
-            coords={"lead": list(LEADS)} | {f"time{e}": t.time for e, t in _numbered(targets)},
+            coords={"lead": list(targets[0].leads)}
+            | {f"time{e}": t.time for e, t in _numbered(targets)},
             dims={
                 f"{name}{end}": [*first, "lead", f"time{end}"]
                 for end, _ in _numbered(targets)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.core.leads import LEADS, LIMB_LEADS, independent_rows
+from fascicle.core.leads import LIMB_LEADS, independent_rows
 from fascicle.core.ranges import short_repr
 from fascicle.forward.likelihood import Likelihood
 from fascicle.forward.simulation import Signals
@@ -64,7 +64,7 @@ class Checks:
 class Prediction:
     """What n networks predict for the recording."""
 
-    ecg: Floats  # (n, 12, n_time), without noise and discrepancy, at the target's times (mV)
+    ecg: Floats  # (n, 12 + k, n_time), without noise and discrepancy, at the target's times (mV)
     noisy: Floats  # the same with both
     gains: Floats  # (n,), as the following drawn for each
     shifts: Floats  # of the first activation from the recorded onset (ms)
@@ -89,7 +89,9 @@ def predict_recording(
         rarer[k] = error >= left
         unexplained[k] = left.sum() if each.unexplained is None else each.unexplained
     noisy = np.array([each.noisy for each in drawn])
-    probabilities = {LEADS[row]: float(p) for row, p in zip(rows, rarer.mean(0), strict=True)}
+    probabilities = {
+        target.leads[row]: float(p) for row, p in zip(rows, rarer.mean(0), strict=True)
+    }
     probabilities["window QRS duration"] = _duration(target, networks)
     probabilities["axis"] = _axis(target, noisy)
     return Prediction(

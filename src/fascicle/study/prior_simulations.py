@@ -91,7 +91,8 @@ class PriorSimulations:
     def add(self, number: int, outcomes: list[Signals | str]) -> None:
         """Store the outcomes of a part's networks: what each gives, or why it is none."""
         found = [o if isinstance(o, Signals) else None for o in outcomes]
-        signals = [s.leads if s else np.empty((len(LEADS), 0)) for s in found]
+        rows = next((len(s.leads) for s in found if s), len(LEADS))
+        signals = [s.leads if s else np.empty((rows, 0)) for s in found]
         arrays = {
             "leads": np.concatenate(signals, axis=1).astype(np.float32),
             "ends": np.cumsum([signal.shape[1] for signal in signals]),

@@ -12,7 +12,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.core.leads import LEADS
 from fascicle.core.parameters import Parameter
 from fascicle.core.quantities import parameter_name, region_labels
 from fascicle.inference.evaluation import Evaluation
@@ -389,7 +388,7 @@ def _poor_leads(result: Result) -> str:
         for lead in np.flatnonzero(each.compared):
             value = pearson(each.target.qrs[lead], predicted[lead])
             if value < least:
-                poor.append(f"{LEADS[lead]}{of} ({value:.2f})")
+                poor.append(f"{each.target.leads[lead]}{of} ({value:.2f})")
     if not poor:
         return ""
     return (

@@ -39,7 +39,7 @@ class Network:
         In their units.
     simulation : Simulation
         What the forward model makes of them.
-    predicted : (12, n_time) array
+    predicted : (12 + k, n_time) array
         Its ECG under the recorded mean beat (mV).
     under_qrs : float
         Share of the energy of its ECG that lies under the recorded QRS, 0 to 1.
@@ -61,7 +61,7 @@ class Network:
 
 @dataclass(frozen=True)
 class TargetComparison:
-    """A recording, and how simulations are compared with it."""
+    """A recording, in the leads of the heart, and how simulations are compared with it."""
 
     target: Target
     scenario: Scenario | None = None  # in which it was recorded; None for the intrinsic beat
@@ -92,7 +92,7 @@ class TargetComparison:
 
     @cached_property
     def compared(self) -> Booleans:
-        """Which of the twelve leads are compared, shape (12,)."""
+        """Which of the leads are compared, shape (12 + k,)."""
         used = self.target.used
         if not self.independent_leads:
             return used
@@ -105,7 +105,7 @@ class TargetComparison:
         return float((recorded**2).sum() / recorded.shape[1])
 
     def align(self, leads: Floats) -> Alignment:
-        """Best alignment of simulated leads (12, n) with the mean QRS, over the compared leads."""
+        """Best alignment of simulated leads (12 + k, n) with the mean QRS, by the compared ones."""
         return align(
             leads[self.compared],
             self.target.qrs[self.compared],
@@ -114,7 +114,7 @@ class TargetComparison:
         )
 
     def predicted(self, leads: Floats, alignment: Alignment) -> Floats:
-        """Simulated leads (12, n) under the whole recorded beat, shape (12, n_time) (mV)."""
+        """Simulated leads (12 + k, n) under the whole recorded beat, (12 + k, n_time) (mV)."""
         shift = alignment.shift - self.target.qrs_samples.start
         length, response = len(self.target.time), self.target.response
         return alignment.gain * placed(leads, shift, length, response)

@@ -72,7 +72,11 @@ def test_codes():
     assert [lead_of_code(f"2:{code}") for code in (1, 2, 3, 8, 61, 62, 63, 64)] == [
         "I", "II", "V1", "V6", "III", "aVR", "aVL", "aVF",
     ]  # fmt: skip
-    assert lead_of_code("2:9") is None
+    # DICOM CID 3001
+    assert [lead_of_code(f"2:{code}") for code in (9, 66, 67, 10, 14, 16, 17, 18)] == [
+        "V7", "V8", "V9", "V2R", "V6R", "X", "Y", "Z",
+    ]  # fmt: skip
+    assert lead_of_code("2:15") is None
     assert lead_of_code("1:1") is None
 
 

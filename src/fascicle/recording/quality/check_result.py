@@ -45,7 +45,7 @@ class CheckResult:
 
 def listed(leads: Collection[str]) -> str:
     """Names in the usual order: ``lead V2``, ``leads I and V1``, ``leads V1 to V6``."""
-    names = [lead for lead in LEADS if lead in leads]
+    names = sorted(leads, key=lambda lead: LEADS.index(lead) if lead in LEADS else len(LEADS))
     if len(names) == 1:
         return f"lead {names[0]}"
     for group in (LIMB_LEADS, CHEST_LEADS, LEADS):
@@ -56,5 +56,6 @@ def listed(leads: Collection[str]) -> str:
 
 def leave_out(recording: Recording, leads: Collection[str]) -> str:
     """Option that uses every recorded lead but these."""
-    kept = [lead for lead in recording.measured_leads if lead not in leads]
+    every = (*recording.measured_leads, *recording.additional)
+    kept = [lead for lead in every if lead not in leads]
     return f"--leads {','.join(kept)}"

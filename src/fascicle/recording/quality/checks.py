@@ -39,7 +39,7 @@ class LeadCheck(Check):
 
     def of(self, recording: Recording) -> CheckResult:
         """Outcome in a recording."""
-        rate, leads = recording.sampling_rate, measured(recording)
+        rate, leads = recording.sampling_rate, measured(recording) | recording.additional
         figures = {lead: self.figure(values, rate) for lead, values in leads.items()}
         largest = max(figures.values())
         named, advice = [lead for lead in figures if figures[lead] > self.limit], self.advice
@@ -84,7 +84,7 @@ def measured(recording: Recording) -> dict[str, Floats]:
 
 def _check_flatness(recording: Recording) -> list[CheckResult]:
     """Smallest standard deviation of a lead (uV), and longest time (s) at one value."""
-    leads = measured(recording)
+    leads = measured(recording) | recording.additional
     spread = {lead: 1e3 * float(values.std()) for lead, values in leads.items()}
     flat = [lead for lead in leads if spread[lead] < FLAT.limit]
     message = ""

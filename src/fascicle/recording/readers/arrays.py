@@ -18,6 +18,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, printable
 from fascicle.recording.readers.names import (
     Entry,
+    additional_lead_name,
     check_physical,
     declared_rate,
     declared_unit,
@@ -166,7 +167,8 @@ def _leads(group: _Group, path: Path) -> dict[str, tuple[list[Channel], list[Ent
     for name, array in group.arrays.items():
         values, metadata = array.values, [*array.metadata, *group.metadata]
         if values.ndim == 1:
-            unit = None if lead_name(name) is None else declared_unit(metadata, path, name)
+            named = lead_name(name) or additional_lead_name(name)
+            unit = None if named is None else declared_unit(metadata, path, name)
             vectors.append(Channel(name, values, unit, missing=fill_values(metadata)))
             said += [] if lead_name(name) is None else array.metadata
         names = [n for n in name_lists(metadata) if len(n) in values.shape and _are_leads(n)]

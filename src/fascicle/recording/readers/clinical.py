@@ -138,20 +138,21 @@ def _standard_name(lead: Any) -> str | None:
 
 
 def _channels(record: Any, path: Path) -> list[Channel]:
-    """Leads in physical units, each where it starts on the common time; the others as they are."""
+    """Channels in physical units where these are known, leads where they start on a common time."""
     channels, starts = [], []
     for lead in record.leads:
         name, standard = printable(lead.label), _standard_name(lead)
         digits = np.array(lead.samples, dtype=np.float64)
-        if standard is None:
-            channels.append(Channel(name, digits))
-            continue
         # `resolution` is a guess of 1 where there is none
         ends, calibrated = lead.annotations, lead.adc_resolution > 0
         if "digital_minimum" in ends:  # EDF, whose physical range may run downward
             calibrated = int(ends["digital_minimum"]) < int(ends["digital_maximum"])
             calibrated &= ends["physical_minimum"] != ends["physical_maximum"]
-        if not calibrated or not math.isfinite(lead.resolution):
+        calibrated &= math.isfinite(lead.resolution) and lead.resolution != 0
+        if standard is None and not calibrated:
+            channels.append(Channel(name, digits))
+            continue
+        if not calibrated:
             raise InputError(
                 f"{path}: unknown amplitude of lead {standard} (its scale is "
                 f"{lead.adc_resolution:g}); export the recording with the amplitude of one digit"
@@ -161,8 +162,10 @@ def _channels(record: Any, path: Path) -> list[Channel]:
         is_ishne = record.source_format == "ishne_holter"  # which marks faults by the lowest digit
         missing = (lead.resolution * -(2.0**15) + lead.offset,) if is_ishne else ()
         unit = printable(lead.resolution_unit or lead.adc_resolution_unit) or None
-        channels.append(Channel(name, values, unit, standard, 1 / lead.resolution, missing))
-        starts.append(int(lead.annotations.get("start_sample", 1)))
+        gain = 1 / lead.resolution
+        channels.append(Channel(name, values, unit, standard, gain, missing))
+        if standard is not None:
+            starts.append(int(lead.annotations.get("start_sample", 1)))
     if len(set(starts)) < 2:
         return channels
     leads = [channel for channel in channels if channel.lead is not None]
@@ -251,7 +254,8 @@ def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
     for lead, spec in zip(record.leads, specs, strict=True):
         name = printable(spec["description"] or lead.label)
         digits = lead.samples[: len(lead.samples) - skew * spec["samples_per_frame"]]
-        if lead_name(name) is None:
+        known = lead_name(name) is not None
+        if not known and not spec["gain"]:
             channels.append(Channel(name, digits))
             continue
         if not spec["gain"]:
@@ -263,7 +267,8 @@ def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
         marked = lead.label in raw.get("invalid_sample_counts", {})  # by the format's lowest digit
         missing = (values[np.nanargmin(digits)],) if marked else ()
         channels.append(Channel(name, values, unit, gain=spec["gain"], missing=missing))
-        rate = raw["sampling_frequency"] * spec["samples_per_frame"]
+        if known:
+            rate = raw["sampling_frequency"] * spec["samples_per_frame"]
     provenance = {
         "signal_files": ", ".join(file.name for file in files),
         "signal_sha256": sha256_of(files),

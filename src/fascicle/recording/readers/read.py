@@ -15,11 +15,18 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, one_line, printable
 from fascicle.core.files import as_path
 from fascicle.core.isolated import read_isolated
-from fascicle.core.leads import CHEST_LEADS, INDEPENDENT_LEADS, LEADS, LIMB_LEADS, limb_leads_from
+from fascicle.core.leads import (
+    ADDITIONAL_LEADS,
+    CHEST_LEADS,
+    INDEPENDENT_LEADS,
+    LEADS,
+    LIMB_LEADS,
+    limb_leads_from,
+)
 from fascicle.core.ranges import check_items, check_text, number
 from fascicle.recording.missing_metadata import missing_rate, missing_unit
 from fascicle.recording.readers.formats import READERS, reader_of
-from fascicle.recording.readers.names import lead_name, millivolts, same_unit
+from fascicle.recording.readers.names import additional_lead_name, lead_name, millivolts, same_unit
 from fascicle.recording.recording import (
     Filters,
     Recording,
@@ -70,7 +77,7 @@ class RawRecording:
     Attributes
     ----------
     channels : sequence of Channel
-        Signals, in any order; what is none of the twelve leads is left out and named.
+        Signals, in any order; what is no lead is left out and named.
     sampling_rate : float, optional
         Samples per second (Hz); None where the file does not say.
     format : str
@@ -104,8 +111,9 @@ def read_recording(
         SCP-ECG, EDF, HDF5, MATLAB, a table or another of the formats in ``docs/recordings.md``,
         or of those added by `register_reader`.
     leads : sequence of str, optional
-        Leads to use, of `fascicle.core.leads.LEADS`; by default all. Limb leads are computed where
-        two of them are used.
+        Leads to use: of `fascicle.core.leads.LEADS` and `ADDITIONAL_LEADS`, by default all, or any
+        channels of the file by their names, such as a vest's. Limb leads are computed where two of
+        them are used.
     sampling_rate : float, optional
         Samples per second (Hz), for files that do not say.
     unit : str, optional
@@ -114,7 +122,8 @@ def read_recording(
     Returns
     -------
     Recording
-        Leads in mV, in the order of `fascicle.core.leads.LEADS`.
+        Leads in mV, in the order of `fascicle.core.leads.LEADS`, and additional ones, which must
+        have been recorded with them.
 
     Raises
     ------
@@ -123,7 +132,7 @@ def read_recording(
     """
     path = existing_file(as_path(path, "recording"))
     if leads is not None:
-        check_items(leads, str, "leads", f"names of {', '.join(LEADS)}")
+        check_items(leads, str, "leads", f"names of leads, such as {', '.join(LEADS)}, V7, X")
     if sampling_rate is not None:
         number(sampling_rate, "sampling_rate")
     if unit is not None:
@@ -189,8 +198,9 @@ def _assemble(
 
     This is the one check of what a reader found, against itself and against what the user says.
     """
-    leads, ignored = _by_lead(raw, source, wanted)
-    _check_complete(list(leads), source, wanted)
+    every, ignored = _by_lead(raw, source, wanted)
+    _check_complete(list(every), source, wanted)
+    leads = {lead: channel for lead, channel in every.items() if lead in LEADS}
     lengths = {lead: len(channel.values) for lead, channel in leads.items()}
     few, many = min(lengths, key=lengths.__getitem__), max(lengths, key=lengths.__getitem__)
     rate = raw.sampling_rate if raw.sampling_rate is not None else sampling_rate
@@ -216,7 +226,18 @@ def _assemble(
             signal[row] = scale * without_fill(channel, rate)
         if channel.gain is not None and math.isfinite(channel.gain):
             gains[row] = abs(channel.gain) / scale
-    signal, repairs = bridge_gaps(signal, rate)
+    more, left_out = _additional(every, lengths[many], rate, source, unit)
+    names = (*LEADS, *more)
+    signal, repairs = bridge_gaps(np.array([*signal, *more.values()]), rate, names)
+    signal, additional = signal[: len(LEADS)], dict(zip(more, signal[len(LEADS) :], strict=True))
+    there = np.isfinite(signal)
+    if not there[there.any(axis=1)].all():  # one group of leads after another
+        left_out, additional = [*left_out, *additional], {}
+    if left_out and wanted is not None:
+        raise InputError(
+            f"{source}: lead {left_out[0]} was not recorded all of the time that the others were, "
+            "or has no unit of a potential; leave it out of --leads"
+        )
     signal, derived = derive_limb_leads(signal, leads)
     for lead in derived:
         if not np.isfinite(signal[LEADS.index(lead)]).any():
@@ -232,8 +253,29 @@ def _assemble(
         filters=raw.filters,
         digits_per_millivolt=gains,
         derived=derived,
-        ignored=tuple(ignored),
+        ignored=(*ignored, *(printable(every[lead].name) for lead in left_out)),
+        additional=additional,
     )
+
+
+def _additional(
+    channels: Mapping[str, Channel], length: int, rate: float, source: str, unit: str | None
+) -> tuple[dict[str, Floats], list[str]]:
+    """Potentials (n,), mV, of additional leads, and names of those that cannot be used.
+
+    They are potentials without gaps: X, Y and Z may also be the axes of an accelerometer.
+    """
+    found, left_out = {}, []
+    for lead, channel in channels.items():
+        if lead in LEADS:
+            continue
+        values = without_fill(channel, rate)
+        whole = len(values) == length and bool(np.isfinite(values).all())
+        if whole and millivolts(channel.unit or unit or "") is not None:
+            found[lead] = _scale(channel, lead, source, unit, channels) * values
+        else:
+            left_out.append(lead)
+    return found, left_out
 
 
 def _by_lead(
@@ -243,8 +285,9 @@ def _by_lead(
     leads: dict[str, Channel] = {}
     ignored = []
     for channel in raw.channels:
-        lead = channel.lead if channel.lead is not None else lead_name(channel.name)
-        if lead is None or (wanted is not None and lead not in wanted):
+        lead = channel.lead if channel.lead is not None else _name_of(channel.name, wanted)
+        repeated = wanted is None and lead in leads and lead not in LEADS
+        if lead is None or repeated or (wanted is not None and lead not in wanted):
             ignored.append(printable(channel.name))
         elif lead in leads:
             raise InputError(
@@ -256,6 +299,16 @@ def _by_lead(
     return leads, ignored
 
 
+def _name_of(channel: str, wanted: Sequence[str] | None) -> str | None:
+    """Name of the lead that a channel is; None if it is none."""
+    lead = lead_name(channel) or additional_lead_name(channel)
+    if lead is None and wanted is not None:
+        lead = next(
+            (name for name in wanted if name.casefold() == channel.strip().casefold()), None
+        )
+    return lead
+
+
 def _check_complete(found: Sequence[str], source: str, wanted: Sequence[str] | None) -> None:
     """Refuse a file without the leads that are needed or wanted."""
     limb_known = limb_leads_from(found) is not None
@@ -265,7 +318,7 @@ def _check_complete(found: Sequence[str], source: str, wanted: Sequence[str] | N
     ]
     if not missing:
         return
-    usable = [lead for lead in LEADS if lead in found]
+    usable = [lead for lead in (*LEADS, *ADDITIONAL_LEADS) if lead in found]
     advice = "two limb leads and V1 to V6 are needed"
     if limb_known and any(lead in CHEST_LEADS for lead in found):
         advice += f"; to go on without, name the leads to use: --leads {','.join(usable)}"

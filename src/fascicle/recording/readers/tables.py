@@ -82,8 +82,8 @@ class _Column:
 def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
     """Read a table of samples by the schema in ``docs/recordings.md``.
 
-    Columns other than leads are named but not read. Where there are a lead and a rhythm strip of
-    the same lead, the longer one is the lead.
+    Of columns other than the twelve leads, those of numbers are channels. Where there are a lead
+    and a rhythm strip of the same lead, the longer one is the lead.
     """
     columns, metadata = _parsed(path)
     check_physical(metadata, path)
@@ -111,8 +111,10 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
         unit = _unit(value, columns, metadata, path)
         return _read_long(path, place, times[0], value, unit, missing, said)
     numbers = np.array([column.numbers(path) for column in [*leads, *times]])
+    kept = np.full(numbers.shape[1], True)
     if times:
-        numbers = numbers[:, ~np.isnan(numbers).all(axis=0)]  # spreadsheets end with empty rows
+        kept = ~np.isnan(numbers).all(axis=0)  # spreadsheets end with empty rows
+    numbers = numbers[:, kept]
     known = _agreed_rate(path, said)
     rates: dict[str, float | None] = {
         f"in the column '{column.name}'": _rate_of(path, column, clock, known)
@@ -131,8 +133,20 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
         )
         for column, row in zip(leads, numbers, strict=False)
     ]
-    others = [c.name for c in columns if c not in leads and c not in times]
-    return _without_strips(channels, [c.rhythm for c in leads], rate, others, "table")
+    others = [c for c in columns if c not in leads and c not in times]
+    named = [c.name for c in others if c.cells.dtype.kind not in "iuf"]
+    table = _without_strips(channels, [c.rhythm for c in leads], rate, named, "table")
+    more = [
+        Channel(
+            c.name if c.unit is None else c.quantity,
+            c.numbers(path)[kept],
+            c.unit if c.unit is not None else _unit(c, columns, metadata, path),
+            missing=missing,
+        )
+        for c in others
+        if c.name not in named
+    ]
+    return replace(table, channels=[*table.channels, *more])
 
 
 def _parsed(path: Path) -> tuple[list[_Column], list[Entry]]:
@@ -238,7 +252,7 @@ def _unit(
     """Unit of a lead, which its header and the comments must agree about."""
     commented = declared_unit(metadata, path, column.name)
     # what this package writes is in mV
-    own = [each.name for each in columns] == ["time_ms", *LEADS]
+    own = [each.name for each in columns][: 1 + len(LEADS)] == ["time_ms", *LEADS]
     unit = "mV" if own else column.unit
     if unit is not None and commented is not None and not same_unit(unit, commented):
         raise InputError(

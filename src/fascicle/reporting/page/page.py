@@ -17,7 +17,6 @@ from PIL import Image
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path, check_writable, write_text
-from fascicle.core.leads import LEADS
 from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.quantities import parameter_name
 from fascicle.core.ranges import check_text
@@ -145,7 +144,7 @@ def picture(drawing: Drawing) -> dict[str, Any]:
 
 def _numbers(found: Agreement) -> dict[str, Any]:
     """Variance explained and correlation of each lead; durations and axis with percentiles."""
-    leads = [*zip(LEADS, found.explained, found.correlation, strict=True)]
+    leads = [*zip(found.leads, found.explained, found.correlation, strict=True)]
     leads.append(("all together", found.explained_over_all, found.correlation_over_all))
     return {
         "leads": [lead for lead in leads if np.isfinite(lead[2])],
