@@ -87,6 +87,24 @@ def test_single_paced_beat_and_unused_leads_come_back(target, tmp_path):
     assert dataset["standard_deviation"].sel(lead="V2").isnull().all()
 
 
+def test_additional_leads_come_back_and_go_with_a_heart(target, tmp_path):
+    """Rows after the twelve; a heart's leads in its order, those of one side only left out."""
+    rng, leads = np.random.default_rng(5), (*LEADS, "V7", "X")
+    more = rng.normal(size=(3, 2, 201))
+    target = replace(target, beats=np.concatenate([target.beats, more], axis=1), leads=leads)
+    write_target(target, path := tmp_path / "target.nc")
+    again = read_target(path)
+    assert again.leads == leads
+    np.testing.assert_array_equal(again.beats, target.beats)
+    assert load(path)["lead"].to_numpy().tolist() == [*leads]
+    of_heart = again.in_leads((*LEADS, "X", "V9"))
+    assert of_heart.leads == (*LEADS, "X", "V9")
+    assert of_heart.used.tolist() == [True] * 13 + [False]
+    np.testing.assert_array_equal(of_heart.mean[12], target.mean[13])
+    assert of_heart.global_qrs == target.global_qrs
+    assert again.in_leads(LEADS).leads == LEADS
+
+
 def test_failed_write_leaves_the_old_file(target, tmp_path, monkeypatch):
     path = tmp_path / "target.nc"
     write_target(target, path)

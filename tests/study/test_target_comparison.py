@@ -5,13 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fascicle.core.leads import LEADS
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
+from fascicle.forward.model import ForwardModel
 from fascicle.forward.simulation import Signals
+from fascicle.heart.conduction import Conduction
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin, combined_gain
 from fascicle.recording.target import Target
 from fascicle.study.pool import Threads
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.target_comparison import TargetComparison, evaluate, networks
+from fascicle.torso.lead_fields import key_of
 
 NOISE = 0.02  # mV
 
@@ -93,6 +97,45 @@ def test_unused_leads_do_not_count(default_model, target, points):
     np.testing.assert_allclose(best.beat_errors, 11 * NOISE**2, rtol=0.15)
     predicted = comparison.predicted(simulation.leads, comparison.align(simulation.leads))
     assert np.abs(predicted[7] - target.mean[7]).max() < 5 * NOISE
+
+
+def test_additional_leads_count_like_the_twelve(
+    default_heart, default_model, truth, target, points
+):
+    """An electrode where V6 and one where LA is: the leads of a target that has them are compared.
+
+    In a target without them, the comparison is that of the twelve to the last bit.
+    """
+    default_heart = default_model.heart
+    at = dict(zip(default_heart.electrode_names, default_heart.electrodes, strict=True))
+    fields = default_heart.lead_fields
+    more = replace(
+        default_heart,
+        folder=None,
+        additional_electrodes={"E6": at["V6"], "EL": at["LA"]},
+        lead_fields=replace(fields, values=fields.values[[*range(9), 8, 1]]),
+    )
+    more = replace(more, lead_fields=replace(more.lead_fields, key=key_of(more, Conduction())))
+    model = ForwardModel(more)
+    simulated = model.simulate(truth)
+    twelve = simulated.leads[:12]
+    np.testing.assert_array_equal(twelve, default_model.simulate(truth).leads)
+    np.testing.assert_allclose(simulated.leads[12], twelve[11], atol=1e-5)
+    np.testing.assert_allclose(simulated.leads[13], twelve[4] * 2 / 3, atol=1e-5)
+    signals = [Signals.of(model.simulate(NETWORK_SPACE.from_unit(point))) for point in points[:3]]
+    plain = TargetComparison(target.in_leads(more.leads))
+    assert plain.compared.sum() == 12
+    alone = TargetComparison(target)
+    for point, each in zip(points, signals, strict=False):
+        of_twelve = replace(each, leads=each.leads[:12])
+        assert plain(point, each).loss == alone(point, of_twelve).loss
+        predicted = plain.predicted(each.leads, plain.align(each.leads))
+        assert predicted.shape == (14, len(target.time))
+    beats = np.concatenate([target.beats, target.beats[:, [11]]], axis=1)
+    of_both = replace(target, beats=beats, leads=(*LEADS, "E6"))
+    both = TargetComparison(of_both.in_leads(more.leads))
+    assert both.compared.tolist() == [True] * 13 + [False]
+    assert both(points[1], signals[1]).loss > plain(points[1], signals[1]).loss
 
 
 def test_single_beat_varies_by_its_stated_noise(default_model, target, points):

@@ -340,4 +340,7 @@ def test_ptb(data_folder):
     assert recording.signal.shape == (12, 38400)
     first = [-489, -458, 31, 474, -260, -214, -88, -241, -112, 212, 393, 390]
     assert recording.signal[:, 0] == pytest.approx(np.array(first) / 2000)
-    assert recording.ignored == ("vx", "vy", "vz")
+    assert recording.ignored == ()
+    frank = [values[0] * 2000 for values in recording.additional.values()]
+    assert [*recording.additional] == ["X", "Y", "Z"]
+    assert frank == pytest.approx([-3, 120, -18])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import hashlib
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -303,9 +304,8 @@ def _name_of(channel: str, wanted: Sequence[str] | None) -> str | None:
     """Name of the lead that a channel is; None if it is none."""
     lead = lead_name(channel) or additional_lead_name(channel)
     if lead is None and wanted is not None:
-        lead = next(
-            (name for name in wanted if name.casefold() == channel.strip().casefold()), None
-        )
+        name = re.sub(r"[ _(\[]+[num]?v[)\]]?$", "", channel.strip().casefold())  # its unit
+        lead = next((each for each in wanted if each.casefold() == name), None)
     return lead
 
 

@@ -19,6 +19,7 @@ from fascicle.core.leads import LEADS
 from fascicle.recording.missing_metadata import missing_rate, missing_time_unit
 from fascicle.recording.readers.names import (
     Entry,
+    additional_lead_name,
     check_physical,
     declared_rate,
     declared_unit,
@@ -138,9 +139,10 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
     table = _without_strips(channels, [c.rhythm for c in leads], rate, named, "table")
     more = [
         Channel(
-            c.name if c.unit is None else c.quantity,
+            c.name,
             c.numbers(path)[kept],
             c.unit if c.unit is not None else _unit(c, columns, metadata, path),
+            additional_lead_name(c.quantity),
             missing=missing,
         )
         for c in others
