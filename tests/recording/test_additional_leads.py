@@ -134,4 +134,4 @@ def test_frank_leads_of_a_recording(data_folder):
     np.testing.assert_array_equal(target.beats[:, :12], plain.beats)
     regressed = vectorcardiogram(target.qrs[:12])
     found = [np.corrcoef(*pair)[0, 1] for pair in zip(target.qrs[12:], regressed, strict=True)]
-    assert min(found) > 0.9
+    assert min(found) > 0.85

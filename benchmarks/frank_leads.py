@@ -1,0 +1,65 @@
+"""Leads that were recorded and not fitted: Frank's, predicted by networks fitted to the twelve.
+
+    python -m benchmarks.frank_leads RECORDING OUT [--heart HEART] [--effective 300]
+
+RECORDING holds the twelve leads and Frank's X, Y and Z, as those of the PTB database do. The heart,
+by default the packaged one in its idealised torso, is given Frank's electrodes at their standard
+places. Networks are fitted to the twelve leads alone; then their mean ECG is compared with the
+recorded mean beat in every lead, within the QRS window. The baseline for Frank's leads is Kors'
+regression (`fascicle.prediction.indices.vectorcardiogram`) of the recorded twelve, which knows
+the patient's electrodes but no heart. Printed are correlation and variance explained.
+
+Heart, prior simulations and study are kept in OUT, so an interrupted run goes on where it stopped.
+Run from the root of the repository; it takes some ten minutes.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+import fascicle
+from fascicle.build.torso import add_electrodes
+from fascicle.core.leads import FRANK, LEADS
+from fascicle.heart.folder import MANIFEST, write_heart
+from fascicle.prediction.indices import vectorcardiogram
+from fascicle.recording.pipeline import make_target
+from fascicle.recording.readers.read import read_recording
+from fascicle.study.agreement import agreement, pearson
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("recording", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--heart", default="default")
+    parser.add_argument("--effective", type=int, default=300)
+    given = parser.parse_args()
+    folder = given.out / "heart"
+    if not (folder / MANIFEST).exists():
+        write_heart(add_electrodes(given.heart, [*FRANK]), folder)
+    heart = fascicle.load_heart(folder)
+    fascicle.simulate_prior(heart)
+    whole = make_target(read_recording(given.recording)).in_leads(heart.leads)
+    twelve = make_target(read_recording(given.recording, leads=LEADS))
+    fitted = fascicle.fit(heart, twelve, given.out / "study", effective=given.effective)
+    found = agreement(whole, fitted.networks())
+    print(fitted.verdict)
+    regressed = vectorcardiogram(whole.qrs[: len(LEADS)])
+    print(f"{'lead':<6}{'':<11}{'r':>7}{'explained':>11}{'Kors, r':>10}{'explained':>11}")
+    for row, lead in enumerate(found.leads):
+        what = "predicted" if lead in FRANK else "fitted"
+        line = f"{lead:<6}{what:<11}{found.correlation[row]:7.2f}{found.explained[row]:11.0%}"
+        if lead in FRANK:
+            recorded, other = whole.qrs[row], regressed[[*FRANK].index(lead)]
+            explained = 1 - ((recorded - other) ** 2).sum() / (recorded**2).sum()
+            line += f"{pearson(recorded, other):10.2f}{explained:11.0%}"
+        print(line)
+    left = [1 - np.mean(part) for part in np.split(found.explained, [len(LEADS)])]
+    print(f"variance unexplained, Frank's leads over the twelve: {left[1] / left[0]:.2f}")
+
+
+if __name__ == "__main__":
+    main()
