@@ -25,7 +25,8 @@ COMMANDS = {  # with something of their help
     "predict": "--scenario", "compare": "--threshold", "sweep": "--delay", "scenarios": "copy",
     "report": "Finished study", "cohort": "--only", "template": "--out", "demo": "--out",
     "heart build": "--lv-endocardium", "heart import": "--lv-endocardium", "heart check": "HEART",
-    "heart refine": "--out", "heart simulate-prior": "--networks", "heart export": "openCARP",
+    "heart refine": "--out", "heart add-electrodes": "V2R", "heart simulate-prior": "--networks",
+    "heart export": "openCARP",
     "study show": "Finished study", "study compare": "STUDY",
     "study export": "openCARP",
 }  # fmt: skip

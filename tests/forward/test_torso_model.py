@@ -14,7 +14,7 @@ from fascicle.core.array_cache import ArrayCache
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.core.quantities import QUANTITIES, TORSO_QUANTITIES
-from fascicle.torso.lead_fields import is_up_to_date, lead_fields
+from fascicle.torso.lead_fields import is_up_to_date, key_of, lead_fields
 from fascicle.torso.mesh import torso_of
 from fascicle.torso.variation.conductor import InvalidTorso
 from fascicle.torso.variation.training import build_response
@@ -50,6 +50,33 @@ def test_neutral_torsos_are_the_plain_model(default_model):
     found = default_model.simulate(with_torso(**neutral))
     np.testing.assert_array_equal(found.leads, plain.leads)
     assert default_model._torso is None
+
+
+@pytest.mark.slow
+def test_additional_electrodes_move_with_the_torso(default_heart):
+    """One where LA is: LA less Wilson's terminal is 2/3 aVL, in every torso."""
+    fields = default_heart.lead_fields
+    heart = replace(
+        default_heart,
+        folder=None,
+        additional_electrodes={"E1": default_heart.electrodes[1]},
+        lead_fields=replace(fields, values=fields.values[[*range(9), 1]]),
+    )
+    key = key_of(heart, fascicle.Conduction())
+    heart = replace(heart, lead_fields=replace(heart.lead_fields, key=key))
+    quick = partial(build_response, mode_torsos=4, modes=20, outer_torsos=14)
+    model = fascicle.ForwardModel(heart)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fascicle.forward.torso_model.build_response", quick)
+        model.torso(["heart_up"])
+    plain = model.simulate(EXAMPLE_PARAMETERS).leads
+    for values in (
+        {"heart_up": 15.0, "chest_size": 1.1},
+        {"lung_conductivity": 0.6, "v3_up": 20.0},
+    ):
+        leads = model.simulate(with_torso(**values)).leads
+        assert np.abs(leads[12] - plain[12]).max() > 0.01  # mV
+        np.testing.assert_allclose(leads[12], leads[4] * 2 / 3, atol=2e-3)
 
 
 @pytest.mark.slow

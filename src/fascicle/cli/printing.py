@@ -66,6 +66,9 @@ def print_fit(fitted: FittedStudy, summary: Mapping[str, Any]) -> None:
     for number, recording in enumerate([summary, *summary.get("other_recordings", [])], 1):
         if number > 1:
             print(f"recording {number}")
+        left_out = fitted.recordings[number - 1].target.provenance.get("leads_left_out")
+        if left_out:
+            print_row("not compared", f"{left_out}: the heart has no electrodes for these leads")
         _print_agreement(recording)
     if isinstance(population, Posterior):
         _print_posterior(population, fitted)

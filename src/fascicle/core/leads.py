@@ -36,7 +36,7 @@ def additional_leads(electrodes: Sequence[str]) -> dict[str, Mapping[str, float]
     wilson = dict.fromkeys(ELECTRODES[:3], -1 / 3)
     unipolar = [name for name in electrodes if name not in FRANK_ELECTRODES]
     frank = FRANK if len(unipolar) < len(electrodes) else {}
-    return {name: {name: 1.0} | wilson for name in unipolar} | frank
+    return {**{name: {name: 1.0} | wilson for name in unipolar}, **frank}
 
 
 def lead_matrix(additional: Sequence[str] = ()) -> Floats:

@@ -60,14 +60,19 @@ class Target:
     __repr__ = short_repr
 
     def in_leads(self, leads: Sequence[str]) -> Target:
-        """The same with rows for these leads, those that it lacks not used; others are left out."""
+        """The same with rows for these leads, those that it lacks not used; others are left out.
+
+        ``provenance["leads_left_out"]`` names these.
+        """
         if tuple(leads) == self.leads:
             return self
         beats = np.full((len(self.beats), len(leads), len(self.time)), np.nan)
         for row, lead in enumerate(leads):
             if lead in self.leads:
                 beats[:, row] = self.beats[:, self.leads.index(lead)]
-        return replace(self, beats=beats, leads=tuple(leads))
+        left_out = ", ".join(lead for lead in self.leads if lead not in leads)
+        notes = self.provenance | ({"leads_left_out": left_out} if left_out else {})
+        return replace(self, beats=beats, leads=tuple(leads), provenance=notes)
 
     @cached_property
     def used(self) -> Booleans:

@@ -6,6 +6,7 @@ to 1e-6 of an element's contribution at most: by 2e-10 mV in these networks.
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -194,6 +195,12 @@ def test_another_tissue_or_body_is_simulated_by_the_processor(crtdemo_model, emu
     backend = on(emulated)
     assert not backend.refusal(crtdemo_model, EXAMPLE_PARAMETERS)
     assert name in backend.refusal(crtdemo_model, [*EXAMPLE_PARAMETERS, name])
+
+
+def test_additional_electrodes_are_left_to_the_processor(crtdemo_model, emulated):
+    heart = replace(crtdemo_model.heart, additional_electrodes={"V7": np.zeros(3)})
+    model = SimpleNamespace(rules=crtdemo_model.rules, heart=heart)
+    assert "additional electrodes" in on(emulated).refusal(model, EXAMPLE_PARAMETERS)
 
 
 def test_a_missing_parameter_is_named(crtdemo_model, emulated):

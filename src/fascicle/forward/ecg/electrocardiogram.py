@@ -131,8 +131,8 @@ class Electrocardiograph:
         if (factors == 1).all():
             return self
         there = factors > 0
-        factors = factors[there, None, None].astype(np.float32)
-        weights, *more = (each[there] * factors for each in (self.weights, *self.additional))
+        single = factors[there, None, None].astype(np.float32)
+        weights, *more = (each[there] * single for each in (self.weights, *self.additional))
         return replace(self, corners=self.corners[there], weights=weights, additional=more)
 
     def leads(self, activation: Floats) -> Floats:

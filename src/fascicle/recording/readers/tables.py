@@ -135,8 +135,8 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
         for column, row in zip(leads, numbers, strict=False)
     ]
     others = [c for c in columns if c not in leads and c not in times]
-    named = [c.name for c in others if c.cells.dtype.kind not in "iuf"]
-    table = _without_strips(channels, [c.rhythm for c in leads], rate, named, "table")
+    not_numbers = [c.name for c in others if c.cells.dtype.kind not in "iuf"]
+    table = _without_strips(channels, [c.rhythm for c in leads], rate, not_numbers, "table")
     more = [
         Channel(
             c.name,
@@ -146,7 +146,7 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
             missing=missing,
         )
         for c in others
-        if c.name not in named
+        if c.name not in not_numbers
     ]
     return replace(table, channels=[*table.channels, *more])
 
