@@ -186,7 +186,8 @@ class TestChecks:
         recording = read_recording(path)
         assert recording.signal == pytest.approx(expected, abs=1e-12)
         assert recording.derived == ("III", "aVR", "aVL", "aVF")
-        assert recording.ignored == ("x", "y", "z", "u")
+        assert recording.ignored == ("u",)
+        assert [*recording.additional] == ["X", "Y", "Z"]
 
 
 def test_a_reader_of_the_same_name_takes_the_place(readers, tmp_path):
