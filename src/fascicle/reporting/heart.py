@@ -211,9 +211,12 @@ def _draw_torso(axes: Axes, view: View, heart: Heart) -> None:
     # offsets of names (points) that keep apart electrodes close together in either view
     away = {"RA": (-9, 4), "LA": (9, 4), "V1": (0, 5), "V2": (-11, 0), "V3": (-9, -9)}
     away |= {"V4": (2, -12), "V5": (0, 5), "V6": (6, -11)}
-    # names of a vest would cover one another
-    shown = names if len(names) < 40 else ELECTRODES
-    for name, place in zip(shown, screen, strict=False):
+    shown: list[Floats] = []
+    for name, place in zip(names, screen, strict=True):
+        covered = [other for other in shown if np.linalg.norm(place - other) < 25.0]  # mm
+        if name not in ELECTRODES and covered:
+            continue
+        shown.append(place)
         axes.annotate(
             name, place, away.get(name, (0, 5)), textcoords="offset points", ha="center",
             fontsize="small",

@@ -223,8 +223,8 @@ def _order_warnings(heart: Heart) -> Iterator[str]:
 
 def _distance_warnings(heart: Heart) -> Iterator[str]:
     """Electrodes nearer to the heart, or further away, than the skin of the chest can be."""
-    distance, _ = cKDTree(heart.vertices).query(heart.electrodes)
-    for name, d in zip(ELECTRODES, distance, strict=True):
+    distance, _ = cKDTree(heart.vertices).query(heart.electrode_positions)
+    for name, d in zip(heart.electrode_names, distance, strict=True):
         if d < 10:  # mm: ribs lie between
             yield (
                 f"electrode {name} is {d:.0f} mm from the heart, nearer than skin can be; check "
