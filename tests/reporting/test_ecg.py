@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from matplotlib.text import Text
 
 from fascicle.core.leads import LEADS
@@ -85,6 +86,26 @@ def test_before_and_after_keep_their_own_time():
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
     assert [entry.split(" (")[0] for entry in legend] == ["LBBB", "paced"]
     assert "3 networks" in legend[1]
+
+
+@pytest.mark.parametrize(("more", "grid"), [(1, (3, 5)), (12, (3, 8)), (64, (7, 11))])
+def test_additional_leads_have_panels_after_the_twelve(more, grid):
+    """Also one that was simulated and not recorded, of which there is no band of beats."""
+    leads = [*LEADS, *(f"E{k}" for k in range(more))]
+    networks = np.concatenate([ecgs(3)] + more * [ecgs(3)[:, :1]], axis=1)[:, : len(leads)]
+    beats = networks.copy()
+    beats[:, -1] = np.nan
+    groups = [
+        EcgGroup("recorded", "beat", TIME, beats, "#6B6B6B"),
+        EcgGroup("predicted", "network", TIME, networks, "#D55E00"),
+    ]
+    figure = ecg_figure(groups, leads=leads)
+    assert [axes.texts[0].get_text() for axes in figure.axes] == leads
+    assert figure.axes[0].get_gridspec().get_geometry() == grid
+    recorded, predicted = panel(figure, leads[-1]).lines
+    assert np.isnan(recorded.get_ydata()).all()
+    np.testing.assert_allclose(predicted.get_ydata(), networks[:, -1].mean(axis=0))
+    assert len(panel(figure, leads[-1]).collections) == 1
 
 
 def test_an_ecg_that_ended_leaves_the_mean_to_the_others():

@@ -74,9 +74,9 @@ class EcgGroup:
     def draw(self, axes: Axes, lead: int) -> None:
         """Draw one lead."""
         ecgs = self.leads[:, lead]
-        if len(ecgs) > 1:
+        there = np.isfinite(ecgs).any(axis=0)
+        if len(ecgs) > 1 and there.any():  # not of a lead that was not recorded
             ends = (1 - self.share) / 2, (1 + self.share) / 2
-            there = np.isfinite(ecgs).any(axis=0)
             band = np.nanquantile(ecgs[:, there], ends, axis=0)
             axes.fill_between(self.time[there], *band, **self.looks)
         mean = np.ma.masked_invalid(ecgs).mean(axis=0).filled(np.nan)
