@@ -100,7 +100,7 @@ def test_additional_leads_have_panels_after_the_twelve(more, grid):
         EcgGroup("predicted", "network", TIME, networks, "#D55E00"),
     ]
     figure = ecg_figure(groups, leads=leads)
-    assert [axes.texts[0].get_text() for axes in figure.axes] == leads
+    assert {axes.texts[0].get_text() for axes in figure.axes} == {*leads}
     assert figure.axes[0].get_gridspec().get_geometry() == grid
     recorded, predicted = panel(figure, leads[-1]).lines
     assert np.isnan(recorded.get_ydata()).all()
