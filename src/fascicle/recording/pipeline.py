@@ -32,7 +32,7 @@ from fascicle.recording.filter_estimate import passed_filters
 from fascicle.recording.filters import SAMPLING_STEP, TARGET_RATE, Filter, resample
 from fascicle.recording.lead_groups import LeadGroup, lead_groups, stretches
 from fascicle.recording.missing_metadata import MissingMetadataError
-from fascicle.recording.quality.check_result import CheckResult, Severity
+from fascicle.recording.quality.check_result import CheckResult, Severity, listed
 from fascicle.recording.quality.checks import check_leads, check_recording
 from fascicle.recording.recording import CHECKSUMS_AGREE, Recording
 from fascicle.recording.spikes import find_spikes, remove_spikes
@@ -342,9 +342,12 @@ def _warnings(
     """Collect what the user should know."""
     warnings = [one.message for one in findings if one.severity is Severity.WARNING and one.message]
     if not recording.simultaneous:
+        middles = [(first + stop) // 2 for first, stop in stretches(recording)]
+        strips = np.array(LEADS)[np.isfinite(recording.signal[:, middles]).all(axis=1)]
+        how = f"by {listed(strips)}" if strips.size else "by the whole QRS, to within some 10 ms"
         warnings.append(
             "leads were recorded one group after another: beats of different groups are put "
-            "together, and aligned to within some 10 ms unless they share a lead"
+            f"together, aligned {how}"
         )
     notes = recording.provenance
     if notes.get("checksums", CHECKSUMS_AGREE) != CHECKSUMS_AGREE:

@@ -17,6 +17,7 @@ from pydicom.uid import (
 from refusals import refused
 
 from fascicle.core.leads import LEADS
+from fascicle.recording.pipeline import make_target
 from fascicle.recording.readers.names import millivolts
 from fascicle.recording.readers.read import read_recording
 
@@ -189,12 +190,70 @@ class TestGroups:
             assert recording.signal[row, start : start + N] == pytest.approx(0.025 * digits()[row])
         assert recording.provenance["multiplex_group"] == "1, 2, 3, 4"
 
-    def test_strip_beside_leads_in_turns(self, tmp_path):
+    @pytest.mark.parametrize("place", [0, 4])
+    def test_rhythm_strip(self, tmp_path, place):
+        """A lead that runs through all groups is in each of them."""
+        groups = self.thirds(["0", "2000", "4000", "6000"])
         strip = group(digits(4 * N)[1:2], ["II"], MultiplexGroupTimeOffset="0")
-        path = write(tmp_path, strip, *self.thirds(["0", "2000", "4000", "6000"]))
-        recording = read_recording(path)
-        assert recording.provenance["multiplex_group"] == "2, 3, 4, 5"
-        assert np.isfinite(recording.signal[1]).sum() == N
+        groups.insert(place, strip)
+        recording = read_recording(write(tmp_path, *groups))
+        assert recording.provenance["multiplex_group"] == "1, 2, 3, 4, 5"
+        assert recording.signal[1] == pytest.approx(0.025 * digits(4 * N)[1])
+        assert recording.signal[11, 3 * N :] == pytest.approx(0.025 * digits()[11])
+        put(strip, MultiplexGroupTimeOffset=None)  # without, it cannot be placed
+        assert np.isfinite(read_recording(write(tmp_path, *groups)).signal[1]).sum() == N
+
+    @pytest.mark.parametrize("strip", [False, True])
+    def test_channels_that_are_empty_in_a_group(self, tmp_path, strip):
+        """All channels in each group, constant where they were not recorded."""
+        groups = []
+        for k in range(4):
+            samples = np.full((12, N), 7)
+            samples[3 * k : 3 * k + 3] = digits()[3 * k : 3 * k + 3]
+            if strip:
+                samples[1] = digits(4 * N)[1, k * N : (k + 1) * N]
+            groups.append(group(samples, MultiplexGroupTimeOffset=str(2000 * k)))
+        recording = read_recording(write(tmp_path, *groups))
+        starts = np.repeat([0, 1000, 2000, 3000], 3)
+        spans = np.stack([starts, starts + N], axis=1)
+        spans[1, 1] = 4 * N if strip else N
+        assert recording.spans.tolist() == spans.tolist()
+        for row, (start, stop) in enumerate(spans):
+            whole = digits(4 * N)[row, : stop - start]
+            assert recording.signal[row, start:stop] == pytest.approx(0.025 * whole)
+
+    def test_a_lead_without_signal_in_any_group_is_there(self, tmp_path):
+        groups = self.thirds(["0", "2000", "4000", "6000"])
+        samples = digits()[9:].copy()
+        samples[2] = 0
+        groups[3] = group(samples, LEADS[9:], MultiplexGroupTimeOffset="6000")
+        recording = read_recording(write(tmp_path, *groups))
+        assert (recording.signal[11, 3 * N :] == 0).all()
+
+    def test_groups_that_share_leads(self, tmp_path):
+        """Two groups with the limb leads in both, as of a recorder with six channels."""
+        both = [("I", "II", "V1", "V2", "V3"), ("I", "II", "V4", "V5", "V6")]
+        groups = [
+            group(
+                digits(2 * N)[[LEADS.index(lead) for lead in leads], k * N : (k + 1) * N], leads,
+                MultiplexGroupTimeOffset=str(2000 * k),
+            )
+            for k, leads in enumerate(both)
+        ]  # fmt: skip
+        recording = read_recording(write(tmp_path, *groups))
+        assert recording.signal[:2] == pytest.approx(0.025 * digits(2 * N)[:2])
+        assert np.isfinite(recording.signal[6:9, :N]).all()
+        assert np.isfinite(recording.signal[9:, N:]).all()
+        # apart in time, the longer part of a lead counts
+        put(groups[1], MultiplexGroupTimeOffset="2600")
+        assert (np.isfinite(read_recording(write(tmp_path, *groups)).signal[:2]).sum(1) == N).all()
+
+    def test_averaged_beats_are_the_last_resort(self, tmp_path):
+        median = group(digits(600), MultiplexGroupLabel="MEDIAN BEAT", MultiplexGroupTimeOffset="0")
+        path = write(tmp_path, median, *self.thirds(["0", "2000", "4000", "6000"]))
+        assert read_recording(path).provenance["multiplex_group"] == "2, 3, 4, 5"
+        path = write(tmp_path, median, *self.thirds(["0", "2000", "4000", "6000"])[:3])
+        assert read_recording(path).provenance["multiplex_group"] == "1"
 
     def test_groups_that_cannot_be_joined(self, tmp_path):
         path = write(tmp_path, *self.thirds(["0", "2000", "4000", ""]))
@@ -212,6 +271,29 @@ class TestGroups:
         assert recording.signal.shape == (12, N)
         broken = change_leads(median, ChannelSensitivity=None)
         assert read_recording(write(tmp_path, broken, group(digits()))).signal.shape == (12, N)
+
+
+class TestCases:
+    def test_padding_of_0(self, data_folder):
+        padded, plain = (
+            read_recording(data_folder / "cases" / f"c10_{name}.dcm") for name in ("pad0", "nopad")
+        )
+        assert np.array_equal(padded.signal, plain.signal)
+
+    def test_a_rhythm_strip_aligns_the_groups(self, data_folder):
+        recording = read_recording(data_folder / "cases" / "c12_4x3_rhythm.dcm")
+        target = make_target(recording)
+        assert target.qrs_onset == pytest.approx(-49, abs=1)
+        assert target.qrs_offset == pytest.approx(50, abs=1)
+        assert "aligned by lead II" in target.provenance["warnings"]
+
+    def test_zeros_where_not_recorded(self, data_folder):
+        recording = read_recording(data_folder / "cases" / "c13_4x12_zero.dcm")
+        other = read_recording(data_folder / "cases" / "c12_4x3_rhythm.dcm")
+        assert (recording.spans[:, 1] - recording.spans[:, 0] == 1250).all()
+        there = np.isfinite(recording.signal)
+        there[1] = False
+        assert recording.signal[there] == pytest.approx(other.signal[there], abs=1e-12)
 
 
 def test_padding_is_a_gap(tmp_path):

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, overload
 
@@ -16,11 +17,11 @@ import numpy as np
 from fascicle.core.errors import InputError, printable
 from fascicle.core.leads import CHEST_LEADS, limb_leads_from
 from fascicle.recording.readers.names import lead_name, lead_of_code
-from fascicle.recording.readers.read import Channel, RawRecording, narrowest_passband
+from fascicle.recording.readers.read import Channel, RawRecording, narrowest_passband, without_fill
 
 
 class _Group:
-    """A multiplex group: what it says of itself, without its samples.
+    """A multiplex group: what it says of itself, and the leads that are recorded in it.
 
     `sources` are name and lead of each channel; the lead is None where it is none of the twelve.
     """
@@ -34,6 +35,10 @@ class _Group:
             raise ValueError(f"waveform {index + 1} describes {len(self.channels)} channels")
         self.sources = [_source(channel, k) for k, channel in enumerate(self.channels, start=1)]
         self.leads = [lead for _, lead in self.sources if lead is not None]
+        offset = _number(item, "MultiplexGroupTimeOffset", math.nan)
+        self.start = offset * 1e-3 * (self.rate or math.nan)  # in samples
+        label = _text(item, "MultiplexGroupLabel").upper()
+        self.averaged = _text(item, "WaveformOriginality") == "DERIVED" or "MEDIAN" in label
 
 
 def read_dicom(path: Path, sampling_rate: float | None) -> RawRecording:
@@ -41,7 +46,9 @@ def read_dicom(path: Path, sampling_rate: float | None) -> RawRecording:
 
     Of several multiplex groups the one with the most leads counts and, of those, the one with the
     most samples: the rhythm, not the median beat. Where it lacks leads, groups that have them are
-    joined to it by their time offsets; each lead is NaN outside its own time.
+    joined to it by their time offsets, and those that continue its leads, such as a rhythm strip;
+    each lead is NaN outside its own time. A channel that is constant in one group and not in
+    another is not recorded in the first.
 
     References
     ----------
@@ -76,14 +83,20 @@ def read_dicom(path: Path, sampling_rate: float | None) -> RawRecording:
             f"{path}: its waveform is compressed or big-endian ({printable(syntax.name)}); export "
             "it as Explicit VR Little Endian"
         )
-    chosen = _chosen([_Group(item, k) for k, item in enumerate(items)], path)
-    starts = _starts(chosen, chosen[0].rate or sampling_rate or math.nan, path)
+    groups = [_Group(item, k) for k, item in enumerate(items)]
+    if len(groups) > 1:
+        _drop_empty(groups, [multiplex_array(dataset, group.index) for group in groups])
+    chosen = _chosen(groups, path)
+    rate = chosen[0].rate or sampling_rate or math.nan
+    starts = _starts(chosen, path)
     length = max(start + group.samples for start, group in zip(starts, chosen, strict=True))
     channels: list[Channel] = []
     for start, group in zip(starts, chosen, strict=True):
-        found = _channels(group, multiplex_array(dataset, group.index), path)
-        channels += [channel.placed(start, length) for channel in found]
-    provenance = {"multiplex_group": ", ".join(str(group.index + 1) for group in chosen)}
+        for channel in _channels(group, multiplex_array(dataset, group.index), path):
+            whole = replace(channel, values=without_fill(channel, rate), missing=())
+            channels.append(whole.placed(start, length))
+    channels, joined = _joined_parts(channels)
+    provenance = {"multiplex_group": ", ".join(str(group.index + 1) for group in chosen)} | joined
     labels = [_text(group.item, "MultiplexGroupLabel") for group in chosen]
     provenance |= {"multiplex_group_label": ", ".join(filter(None, labels))} if any(labels) else {}
     # the low frequency is where the pass band begins: that of the high-pass filter
@@ -115,36 +128,89 @@ def _source(channel: Any, number: int) -> tuple[str, str | None]:
     return meaning or label or f"channel {number}", lead
 
 
+def _drop_empty(groups: Sequence[_Group], samples: Sequence[Any]) -> None:
+    """Take leads off groups in which they are constant, where they move in another group."""
+    moving = [
+        {lead for (_, lead), row in zip(group.sources, array.T, strict=True) if np.ptp(row) > 0}
+        for group, array in zip(groups, samples, strict=True)
+    ]
+    anywhere = set().union(*moving)
+    for group, here in zip(groups, moving, strict=True):
+        group.leads = [lead for lead in group.leads if lead in here or lead not in anywhere]
+
+
 def _chosen(groups: Sequence[_Group], path: Path) -> list[_Group]:
-    """Return the group that counts, and those that have what it lacks."""
+    """Return the group that counts and those joined to it; averaged beats are the last resort."""
+    found: list[_Group] = []
+    for candidates in ([group for group in groups if not group.averaged], groups):
+        found = _join(candidates, path) if candidates else []
+        if _is_complete({lead for group in found for lead in group.leads}):
+            break
+    return sorted(found, key=lambda group: group.index)
+
+
+def _is_complete(leads: Collection[str]) -> bool:
+    return set(CHEST_LEADS) <= set(leads) and limb_leads_from(leads) is not None
+
+
+def _join(groups: Sequence[_Group], path: Path) -> list[_Group]:
+    """Return the group with the most leads, and those that have what it lacks or continue it."""
     ranked = sorted(groups, key=lambda group: (-len(group.leads), -group.samples))
-    chosen, found = [ranked[0]], list(ranked[0].leads)
+    first, found = ranked[0], set(ranked[0].leads)
+    if _is_complete(found):
+        return [first]
+    chosen = [first]
     for group in ranked[1:]:
-        complete = set(CHEST_LEADS) <= set(found) and limb_leads_from(found) is not None
-        if complete or not group.leads or set(group.leads) & set(found):
-            continue
-        if group.rate != ranked[0].rate:
+        adds = bool(set(group.leads) - found) and not _is_complete(found)
+        if adds and group.rate != first.rate:
             raise InputError(
                 f"{path}: leads {', '.join(group.leads)} are sampled at {group.rate or 0:g} Hz, "
-                f"{', '.join(ranked[0].leads)} at {ranked[0].rate or 0:g} Hz; export all leads at "
-                "one rate"
+                f"{', '.join(first.leads)} at {first.rate or 0:g} Hz; export all leads at one rate"
             )
-        chosen.append(group)
-        found += group.leads
+        in_time = group.rate == first.rate and math.isfinite(group.start)
+        if adds or (group.leads and in_time):
+            chosen.append(group)
+            found |= set(group.leads)
     return chosen
 
 
-def _starts(groups: Sequence[_Group], rate: float, path: Path) -> list[int]:
+def _starts(groups: Sequence[_Group], path: Path) -> list[int]:
     """Return the first sample of each group on their common time."""
     if len(groups) == 1:
         return [0]
-    offsets = np.array([_number(g.item, "MultiplexGroupTimeOffset", math.nan) for g in groups])
+    offsets = np.array([group.start for group in groups])
     if not np.isfinite(offsets).all():
         raise InputError(
             f"{path}: its leads are in several waveforms without time offsets; export all leads in "
             "one waveform"
         )
-    return [int(start) for start in np.round((offsets - offsets.min()) * 1e-3 * rate)]
+    return [int(start) for start in np.round(offsets - offsets.min())]
+
+
+def _joined_parts(channels: Sequence[Channel]) -> tuple[list[Channel], dict[str, str]]:
+    """Make one channel of a lead's parts in several groups, the longest first, and say so.
+
+    Where parts leave a gap between them, the longest alone counts.
+    """
+    by_lead: dict[str, list[Channel]] = {}
+    for channel in channels:
+        by_lead.setdefault(channel.lead or channel.name, []).append(channel)
+    joined, notes = [], {}
+    for lead, parts in by_lead.items():
+        ranked = sorted(parts, key=lambda part: -int(np.isfinite(part.values).sum()))
+        values = ranked[0].values.copy()
+        for part in ranked[1:]:
+            if (part.unit, part.gain) == (ranked[0].unit, ranked[0].gain):
+                values = np.where(np.isnan(values), part.values, values)
+        there = np.flatnonzero(np.isfinite(values))
+        if there.size and len(there) == there[-1] + 1 - there[0]:
+            ranked[0] = replace(ranked[0], values=values)
+        joined.append(ranked[0])
+        if len(parts) > 1 and ranked[0].lead is not None:
+            notes[f"strip_of_{lead}"] = (
+                f"lead {lead} is that of {len(parts)} groups, joined in time"
+            )
+    return joined, notes
 
 
 def _channels(group: _Group, samples: Any, path: Path) -> list[Channel]:
@@ -160,6 +226,7 @@ def _channels(group: _Group, samples: Any, path: Path) -> list[Channel]:
     for k, (channel, (name, lead)) in enumerate(zip(group.channels, group.sources, strict=True)):
         if lead is None:
             channels.append(Channel(name, np.full(len(samples), np.nan)))
+        if lead is None or lead not in group.leads:
             continue
         rate = group.rate or 0.0
         of_time = _number(channel, "ChannelTimeSkew", 0.0) * rate
