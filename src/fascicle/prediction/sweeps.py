@@ -15,6 +15,7 @@ from fascicle.heart.sites import LAYERS, SEGMENTS
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import check_population, simulate_scenarios
 from fascicle.study.fitted import FittedStudy
+from fascicle.study.population import evenly_spread
 
 MOST = 200  # scenarios in a sweep
 SEGMENT = "segment"
@@ -56,7 +57,7 @@ def simulate_sweep(
         If the study has no network, or no scenario can be simulated.
     """
     check_population(fitted)
-    some = fitted.networks(progress, chosen=fitted.population.evenly_spread(networks))
+    some = fitted.networks(progress, chosen=evenly_spread(len(fitted.population), networks))
     swept = Swept(sweep.varied, {}, {})
     for key, scenario in sweep.scenarios.items():
         name = swept.called(key)

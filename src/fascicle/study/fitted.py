@@ -20,7 +20,7 @@ from fascicle.inference.evaluation import Evaluation, best_of
 from fascicle.study.activation_maps import nearest_to_median
 from fascicle.study.evaluations import Stage
 from fascicle.study.export import Format, write_networks
-from fascicle.study.population import Population
+from fascicle.study.population import Population, evenly_spread
 from fascicle.study.predictive import Checks
 from fascicle.study.settings import FitSettings
 from fascicle.study.simulator import PointSimulator
@@ -201,7 +201,7 @@ class FittedStudy:
         folder = as_path(folder, "folder")
         check_folder(folder)
         heart, every = self.simulator.model.heart, len(self.population)
-        numbers = self.population.evenly_spread(every if networks is None else networks)
+        numbers = evenly_spread(every, every if networks is None else networks)
         found = self.networks(progress, chosen=numbers)
         named = {f"{k:03d}": each for k, each in zip(numbers, found, strict=False)}
         called = "evenly spread over the population"

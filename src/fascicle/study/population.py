@@ -65,11 +65,6 @@ class Population:
         """How many independent networks they are worth."""
         return float(len(self))
 
-    def evenly_spread(self, count: int) -> list[int]:
-        """Numbers of so many of the networks, evenly spread; of all, if there are no more."""
-        every = len(self)
-        return [round(k) for k in np.linspace(0, every - 1, min(count, every))]
-
     def parameters(self, k: int) -> dict[str, float]:
         """Named parameters of network `k`."""
         return {name: float(values[k]) for name, values in self.values.items()}
@@ -146,6 +141,11 @@ class Posterior(Population):
             dict(zip(space.names, map(float, agreed.means), strict=True)),
             agreed.converged,
         )
+
+
+def evenly_spread(every: int, count: int) -> list[int]:
+    """Numbers of `count` of `every` networks, evenly spread; of all, if there are no more."""
+    return [round(k) for k in np.linspace(0, every - 1, min(count, every))]
 
 
 def _named(space: ParameterSpace, evaluations: Sequence[Evaluation]) -> dict[str, Floats]:
