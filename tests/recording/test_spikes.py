@@ -2,9 +2,25 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import butter, sosfilt
 
+from benchmarks.synthetic_recordings.artefacts import SIGHT
 from benchmarks.synthetic_recordings.rhythms import RHYTHMS, Synthesis, synthetic_recording
+from fascicle.core.leads import lead_matrix
+from fascicle.recording.readers.read import read_recording
 from fascicle.recording.spikes import find_spikes, remove_spikes
+
+DISTURBANCES = ("clean", "digits", "hum", "hum digits", "muscle", "muscle digits", "edge")
+UNPACED = sorted(set(RHYTHMS) - {"paced"})
+# largest potential (mV) of the pulses, and ms from each ventricular one to the others of its beat
+PACING = {
+    "small bipolar": (0.2, (0.0,)),
+    "unipolar with a tail": (5.0, (0.0,)),
+    "biventricular": (0.4, (-35.0, 0.0)),
+    "atrial": (0.4, (-160.0,)),
+    "atrial and biventricular": (1.0, (-190.0, -30.0, 0.0)),
+}
 
 
 def counts(found, times, rate):
@@ -92,3 +108,118 @@ def test_leads_recorded_one_group_after_another():
     assert missed <= 0.15 * found
     assert false == 0
     assert np.array_equal(np.isnan(remove_spikes(signal, spikes)), np.isnan(signal))
+
+
+def disturbed(rng, signal, rate, what, size=1.0):
+    """A signal (mV) with hum of 50 or 60 Hz and harmonics, coarse digits, muscle, a torn end."""
+    t = np.arange(signal.shape[1]) / rate
+    electrodes = np.zeros((9, len(t)))
+    if "hum" in what:
+        turns = 2 * np.pi * rng.choice([49.9, 50.0, 60.0]) * t
+        for harmonic in range(1, int(rng.integers(2, 7))):
+            phase = rng.uniform(0, 2 * np.pi) + rng.uniform(-0.3, 0.3, (9, 1))
+            electrodes += rng.uniform(0.1, 1, (9, 1)) / harmonic * np.sin(harmonic * turns + phase)
+        electrodes *= size * rng.uniform(0.02, 0.5) / np.abs(electrodes).max()
+    if "muscle" in what:
+        band = butter(2, (20, min(200, 0.45 * rate)), "bandpass", fs=rate, output="sos")
+        noise = sosfilt(band, rng.standard_normal(electrodes.shape), axis=-1)
+        electrodes += size * rng.uniform(0.01, 0.1) * noise / noise.std()
+    signal = signal + lead_matrix() @ electrodes
+    if what == "edge":
+        last = int(rng.integers(1, 2 + 0.012 * rate))
+        torn = rng.uniform(-3, 3, (12, 1)) * rng.choice([np.linspace(0, 1, last), np.ones(last)])
+        signal[:, -last:] += torn
+        signal[:, :last] += torn[:, ::-1]
+    digit = rng.choice([0.005, 0.01, 0.02]) if "digits" in what else 0.001  # mV
+    return digit * np.round(signal / digit)
+
+
+def paced(seed, pacing, rate):
+    """A paced rhythm with pulses of one's own behind a low-pass of 150 Hz, and when they begin."""
+    rng = np.random.default_rng(seed)
+    synthesis = Synthesis(rhythm="paced", rate=rate, spike_size=1e-9)
+    recording, truth = synthetic_recording(rng, synthesis)
+    size, delays = PACING[pacing]
+    signal, times = recording.signal.copy(), []
+    fine = np.arange(-0.1, 0.1, 1e-5)
+    for delay in delays:
+        lead = lead_matrix() @ SIGHT @ rng.standard_normal(3)
+        pulse = ((fine >= 0) & (fine < 0.001)).astype(float)
+        if "tail" in pacing:
+            pulse += rng.choice([-0.1, 0.1]) * (fine >= 0.001) * np.exp(-(fine - 0.001) / 0.01)
+        pulse = gaussian_filter1d(pulse, np.sqrt(np.log(2)) / (2 * np.pi * 150.0) / 1e-5)
+        for time in truth.onsets - rng.uniform(0.005, 0.02) + delay / 1000:
+            if 0.05 < time < recording.duration - 0.05:
+                at = np.interp(np.arange(signal.shape[1]) / rate - time, fine, pulse, 0, 0)
+                signal += (size / np.abs(lead).max() * lead)[:, None] * at / np.abs(at).max()
+                times.append(time)
+    return rng, signal, np.sort(times)
+
+
+@pytest.mark.parametrize("rate", [250.0, 800.0])
+@pytest.mark.parametrize("what", DISTURBANCES)
+def test_no_spike_is_invented(what, rate):
+    for seed in range(6):
+        rng = np.random.default_rng([seed, int(rate)])
+        synthesis = Synthesis(rhythm=UNPACED[seed % len(UNPACED)], rate=rate)
+        recording, _ = synthetic_recording(rng, synthesis)
+        signal = disturbed(rng, recording.signal, rate, what)
+        assert find_spikes(signal, rate).shape == (0, 2), (seed, what)
+
+
+def test_hum_of_one_source_in_coarse_digits_is_no_spike():
+    """Its crests are alike in pattern, so that one that stood out used to draw in the others."""
+    for seed in range(4):
+        rng = np.random.default_rng([8, 4 * seed + 3])
+        recording, _ = synthetic_recording(rng, Synthesis(rate=800.0, seconds=30.0))
+        t = np.arange(recording.signal.shape[1]) / 800.0
+        hum = np.sum(
+            [
+                rng.uniform() * np.sin(2 * np.pi * 50 * harmonic * t + rng.uniform(0, 6))
+                for harmonic in (1, 3, 5, 7)
+            ],
+            axis=0,
+        )
+        lead = lead_matrix() @ rng.uniform(0.4, 2, 9)
+        signal = recording.signal + 0.48 * lead[:, None] * hum / np.abs(hum).max()
+        assert len(find_spikes(0.02 * np.round(signal / 0.02), 800.0)) == 0, seed
+
+
+@pytest.mark.parametrize("rate", [250.0, 500.0])
+@pytest.mark.parametrize("pacing", PACING)
+def test_every_kind_of_pacing_is_found(pacing, rate):
+    for seed in range(3):
+        for what in ("clean", "digits", "muscle", "edge"):
+            rng, signal, times = paced(seed, pacing, rate)
+            signal = disturbed(rng, signal, rate, what, size=0.1)
+            found, missed, false = counts(find_spikes(signal, rate), times, rate)
+            assert (missed, false) == (0, 0), (seed, what)
+            assert found > 5
+
+
+def test_a_single_beat_keeps_its_spikes():
+    for seed in range(6):
+        _, signal, times = paced(seed, "biventricular", 500.0)
+        start = round(500.0 * (times[4] - 0.4))
+        beat = signal[:, start : start + 500]
+        inside = times[(times > start / 500 + 0.05) & (times < start / 500 + 0.5)] - start / 500
+        assert counts(find_spikes(beat, 500.0), inside, 500.0)[:2].tolist() == [len(inside), 0]
+
+
+@pytest.mark.parametrize("name", ["c05_spike_decay.hea", "c08_rv_slow_150.xml"])
+def test_spikes_of_recordings_with_tails_and_filters(data_folder, name):
+    recording = read_recording(data_folder / "cases" / name)
+    spikes = find_spikes(recording.signal, recording.sampling_rate)
+    assert len(spikes) == 10
+    assert np.diff(spikes[:, 0]) == pytest.approx(475, abs=1)  # 63 per minute
+
+
+@pytest.mark.parametrize("digit", [0.005, 0.02])
+def test_real_recordings_have_no_spikes(data_folder, digit):
+    for name in ("ludb/23_common.hea", "ludb/24_common.hea", "ludb/119_common.hea",
+                 "ptb-s0010/s0010_re.hea", "dicom/waveform_ecg.dcm"):  # fmt: skip
+        recording = read_recording(data_folder / "ecg" / name)
+        signal = digit * np.round(recording.signal / digit)
+        for factor in (1, 2):
+            rate = recording.sampling_rate / factor
+            assert len(find_spikes(signal[:, ::factor], rate)) == 0, name

@@ -8,23 +8,25 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import find_peaks
 
-from fascicle.core.arrays import Floats, Integers
+from fascicle.core.arrays import Booleans, Floats, Integers
 
 
 def find_spikes(signal: Floats, sampling_rate: float) -> Integers:
     r"""Pacing spikes of a recording.
 
     The prominence of a sample in one lead is how far it lies above (or below) both the samples 5 ms
-    before and after it; steps of an electrode have none. A spike is a sample that is prominent in
-    several leads at once, more than anything around it, between stretches that do not move: a
+    before and after it; steps of an electrode have none. A candidate is a sample that is prominent
+    in several leads at once, more than anything around it, between stretches that do not move: a
     narrow R wave goes on falling on both sides. Where noise hides some of the spikes, the others
     show what to look for. A simpler rule than that of Helfenbein et al. (J. Electrocardiol. 35
     Suppl:95, 2002).
 
+    Candidates of one pattern over the leads are spikes where a pacemaker may have given them: at a
+    fixed rate, or each before the same beat. Hum, muscle and the ends of a recording do neither.
+
     Of a signal (12, n), mV, at a rate of at least 250 Hz, NaN where a lead was not recorded: first
     sample of each spike and the one after its last, (k, 2), increasing.
     """
-    width = round(0.05 * sampling_rate)  # s each side in which a spike must stand out
     reach = max(math.ceil(0.005 * sampling_rate), 2)  # s; a smeared pulse has ended by then
     n = signal.shape[1]
     there, prominent = np.zeros((2, n), dtype=np.int64)
@@ -33,27 +35,35 @@ def find_spikes(signal: Floats, sampling_rate: float) -> Integers:
         finite = np.flatnonzero(np.isfinite(lead))
         if len(finite) == 0:
             continue
+        # nearer to the ends of a lead nothing is known of what follows
         at = slice(int(finite[0]), int(finite[-1]) + 1)
         height = _prominence(lead[at], reach)
+        height[: 3 * reach] = height[-3 * reach :] = 0.0
         there[at] += 1
-        surroundings = _around(height**2, reach, width)
+        surroundings = _around(height**2, reach)
         prominent[at] += height > np.maximum(3.0 * np.sqrt(surroundings), 0.05)  # mV
         best[at] = np.maximum(best[at], height)
         prominence[at] += height**2
         movement[at] += _movement(lead[at], reach) ** 2
     enough = prominent >= np.maximum(there / 3, 2)  # leads
-    surroundings = _around(prominence, reach, width)
-    spike = (best > 0.2) & (prominence > 2.5**2 * movement)  # mV
+    surroundings = _around(prominence, reach)
+    spike = (best > 0.1) & (prominence > 2.5**2 * movement)  # mV
     spike &= prominence > 3.0**2 * surroundings
     prominence = np.where(spike, prominence, 0)
     # Next to a spike the other side of its slope is prominent, too, but less.
-    tops = find_peaks(np.pad(prominence, 1), distance=2 * reach + 1)[0] - 1
+    tops = find_peaks(np.pad(prominence, 1), distance=2 * reach)[0] - 1
     without_best = prominence[tops] - best[tops] ** 2  # nothing is left of one lead's artefact
-    clear = enough[tops] & (without_best > 6.0**2 * surroundings[tops])
+    clear = enough[tops] & (without_best > 5.0**2 * surroundings[tops])
     # Faint spikes have the pattern over the leads of a clear one, of either sign.
     patterns = _pattern(signal, tops, reach)
-    alike = (np.abs(patterns.T @ patterns[:, clear]) > 0.95).any(axis=1)
-    return _extents(signal, tops[clear | alike], reach)
+    alike = np.abs(patterns.T @ patterns[:, clear]) > 0.95
+    kept = clear | alike.any(axis=1)
+    tops, patterns = tops[kept], patterns[:, kept]
+    spikes = _extents(signal, tops, reach)
+    # those that are believed where there are one or two
+    striking = (best[tops] > 0.2) & (prominence[tops] > 10.0**2 * surroundings[tops])  # mV
+    without = remove_spikes(signal, spikes)
+    return spikes[_given_by_a_pacemaker(without, tops, patterns, striking, reach)]
 
 
 def remove_spikes(signal: Floats, spikes: Integers) -> Floats:
@@ -94,11 +104,15 @@ def _movement(lead: Floats, reach: int) -> Floats:
     return np.maximum(np.minimum(np.abs(near - far), np.abs(near - farther)), step)
 
 
-def _around(power: Floats, reach: int, width: int) -> Floats:
-    """Mean within `width` samples of each sample, the nearest two `reach` left out (mV²)."""
-    outer, inner = 2 * width + 1, 4 * reach + 1
-    wide, own = (uniform_filter1d(power, size, mode="nearest") * size for size in (outer, inner))
-    return np.asarray(np.maximum(wide - own, 0) / (outer - inner))
+def _around(power: Floats, reach: int) -> Floats:
+    """Power (mV²) within 50 ms of each sample, the nearest 10 ms left out.
+
+    Of eight stretches of 10 ms the third highest: one other spike does not count.
+    """
+    mean = uniform_filter1d(power, 2 * reach, mode="nearest")
+    distances = reach * np.array([-9, -7, -5, -3, 3, 5, 7, 9])
+    third = np.partition([_offset(mean, by) for by in distances], 5, axis=0)[5]
+    return np.asarray(np.maximum(third, 0.0))  # rounded below zero
 
 
 def _pattern(signal: Floats, tops: Integers, reach: int) -> Floats:
@@ -106,6 +120,69 @@ def _pattern(signal: Floats, tops: Integers, reach: int) -> Floats:
     before, after = np.clip([tops - reach, tops + reach], 0, signal.shape[1] - 1)
     height = np.nan_to_num(signal[:, tops] - (signal[:, before] + signal[:, after]) / 2)
     return np.asarray(height / np.maximum(np.linalg.norm(height, axis=0), np.finfo(float).tiny))
+
+
+def _given_by_a_pacemaker(
+    signal: Floats, tops: Integers, patterns: Floats, striking: Booleans, reach: int
+) -> Booleans:
+    """Which of the candidates (k,) come at a fixed rate, or before beats that are alike.
+
+    They are judged together with the others of their pattern (12, k), which half of them decide.
+    The signal (12, n) is that without them.
+    """
+    accepted = np.zeros(len(tops), dtype=bool)
+    left = np.arange(len(tops))
+    after = _after(signal, tops, reach)
+    anywhere = _after(signal, np.linspace(0, signal.shape[1] - 1, 200).astype(np.int64), reach)
+    usual = float(np.quantile((anywhere**2).sum(axis=(1, 2)), 0.8))
+    while left.size:
+        same = np.abs(patterns[:, left].T @ patterns[:, left]) > 0.9
+        members = left[same[np.argmax(same.sum(axis=1))]]
+        left = np.setdiff1d(left, members)
+        first = np.diff(tops[members], prepend=-signal.shape[1]) > 20 * reach  # of pairs
+        events = members[first]
+        before = _before_beats(after[events], usual, striking[events])
+        paced = _regular(tops[events], reach) | before
+        # what follows a spike near the end is not known
+        judged = tops[events] + 62 * reach < signal.shape[1]
+        accepted[members] = judged.any() and paced[judged].mean() > 0.5
+    return accepted
+
+
+def _regular(tops: Integers, reach: int) -> Booleans:
+    """Which of three or more spikes come at an interval of 0.25 to 2.5 s, or multiples of it."""
+    intervals = np.diff(tops)
+    usual = float(np.median(intervals)) if len(intervals) > 1 else 0.0
+    if not 50 * reach <= usual <= 500 * reach:
+        return np.zeros(len(tops), dtype=bool)
+    beats = np.maximum(np.round(intervals / usual), 1)
+    off = np.abs(intervals - beats * usual) > beats * reach
+    return ~(np.pad(off, (1, 0)) & np.pad(off, (0, 1)))
+
+
+def _after(signal: Floats, tops: Integers, reach: int) -> Floats:
+    """Means (k, 12, 15) of 20 ms each, in which hum vanishes, after spikes less that before."""
+    width = 4 * reach
+    starts = tops[:, None] + 2 * reach + width * np.array([-2, *range(15)])  # to 62 reaches
+    starts = np.clip(starts, 0, signal.shape[1] - width)
+    total = np.pad(np.cumsum(np.nan_to_num(signal), axis=1), ((0, 0), (1, 0)))
+    means = (total[:, starts + width] - total[:, starts]) / width
+    return np.asarray((means[..., 1:] - means[..., :1]).swapaxes(0, 1))
+
+
+def _before_beats(after: Floats, usual: float, striking: Booleans) -> Booleans:
+    """Which of the potentials (k, 12, m) after spikes are as high as beats, and as others are.
+
+    As a quarter of the others, since several chambers may be paced with one pattern over the leads.
+    Where only one or two spikes are there, it is enough that they are striking.
+    """
+    after = after.reshape(len(after), -1)
+    some = after[:: max(len(after) // 200, 1)]
+    energy, energies = (after**2).sum(axis=1), (some**2).sum(axis=1)
+    apart = energy[:, None] + energies - 2 * after @ some.T
+    alike = (apart < 0.3 * np.maximum(energy[:, None], energies)).sum(axis=1) - 1
+    shared = (alike >= max(0.25 * (len(some) - 1), 1)) | (striking & (len(after) <= 2))
+    return np.asarray((energy > 0.3 * usual) & shared)
 
 
 def _extents(signal: Floats, tops: Integers, reach: int) -> Integers:
