@@ -87,3 +87,51 @@ def test_lines_of_no_length_are_refused(tmp_path):
     file = save_polylines(tmp_path / "tree.vtp", np.zeros((3, 3)))
     with pytest.raises(InputError, match="every line has length zero"):
         read_tree(file, "lv", np.zeros(3))
+
+
+PLACES = {"end": 5, "fork": 2, "within a branch": 1}  # nodes of the tree below
+
+
+@pytest.mark.parametrize("off", [0.0, 1.9, 2.1])
+@pytest.mark.parametrize("place", PLACES)
+def test_a_root_is_the_nearest_node_whatever_its_degree(tmp_path, place, off):
+    """Within 2 mm; the leaves are the junctions, but for the root."""
+    points = np.array([[0.0, 0, 0], [0, 0, 5], [0, 0, 10], [5, 0, 15], [-5, 0, 15], [-9, 0, 20]])
+    lines = np.array([[0, 1], [1, 2], [2, 3], [4, 2], [4, 5]])
+    pv.UnstructuredGrid({pv.CellType.LINE: lines}, points).save(tmp_path / "tree.vtu")
+    node = PLACES[place]
+    given = points[node] + [0, off, 0]
+    if off > 2:
+        with pytest.raises(InputError) as refused:
+            read_tree(tmp_path / "tree.vtu", "lv", given)
+        at = ", ".join(f"{x:.4f}" for x in points[node])
+        assert f"is 2.1 mm away, at ({at}) mm, more than 2 mm; give " in str(refused.value)
+        return
+    tree = read_tree(tmp_path / "tree.vtu", "lv", given)
+    assert tree.root == node
+    assert tree.junctions.tolist() == [leaf for leaf in (0, 3, 5) if leaf != node]
+    parts = (
+        ["bundle", "fascicle 1", "fascicle 2"] if place == "end" else ["fascicle 1", "fascicle 2"]
+    )
+    assert list(tree.parts) == (parts if place != "fork" else [*parts, "fascicle 3"])
+    write_tree(tmp_path / "again.vtu", tree, np.zeros(6))
+    write_opencarp_tree(tmp_path / "again", tree)
+    for name in ("again.vtu", "again.pts"):  # which mark their root
+        again = read_tree(tmp_path / name, "lv", points[node] + 50, file_first=True)
+        assert again.parents.tolist() == tree.parents.tolist()
+
+
+@pytest.mark.parametrize("marked", [[0, 0, 0], [1, 0, 1]])
+def test_a_file_marks_one_root(tmp_path, marked):
+    lines = pv.UnstructuredGrid({pv.CellType.LINE: np.array([[0, 1], [1, 2]])}, 9 * np.eye(3))
+    lines.point_data["root"] = marked
+    lines.save(tmp_path / "tree.vtu")
+    with pytest.raises(InputError, match=f"marks {sum(marked)} points; mark one with 1"):
+        read_tree(tmp_path / "tree.vtu", "lv", np.zeros(3), file_first=True)
+
+
+def test_a_root_that_is_a_fork_of_six(data_folder):
+    given = np.array([49.5453, 34.2090, 66.7906])
+    tree = read_tree(data_folder / "cases" / "c20_fork" / "fork.vtu", "lv", given)
+    assert np.linalg.norm(tree.nodes[tree.root] - given) < 1e-3
+    assert (tree.parents == tree.root).sum() == 6

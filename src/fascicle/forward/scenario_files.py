@@ -14,7 +14,7 @@ import numpy as np
 
 import fascicle.forward.primitives  # noqa: F401  registers those of the package
 from fascicle.core.declared import Name, Point, Table, Time
-from fascicle.core.errors import InputError
+from fascicle.core.errors import InputError, given_in
 from fascicle.core.files import as_path, check_file, named_by, read_toml
 from fascicle.core.ranges import check_items, check_text
 from fascicle.forward.scenario import PRIMITIVES, Scenario
@@ -30,7 +30,9 @@ class TreeFile(Table, table="tree"):
 
     name: Annotated[Name, "letters, digits, - and _; it is written to `name_tree.vtu`"]
     file: Annotated[Name, "lines (VTU, VTP, VTK), in the folder of this file"]
-    root: Annotated[Point, "the free end nearest to this point, within 5 mm, fires"]
+    root: Annotated[
+        Point, "the node nearest to this point, within 2 mm, fires: an end, a fork or neither"
+    ]
     time: Annotated[Time, "when it fires"]
 
     def __post_init__(self) -> None:
@@ -39,15 +41,8 @@ class TreeFile(Table, table="tree"):
 
     def read(self, scenario: Path) -> PurkinjeTree:
         """Read the tree of a scenario file."""
-        root = np.array(self.root)
-        tree = read_tree(named_by(scenario, self.file), self.name, root)
-        distance = float(np.linalg.norm(tree.nodes[tree.root] - root))
-        if distance > 5.0:  # a root further from the free ends of its tree is a mistake
-            raise InputError(
-                f"tree '{self.name}': 'root' is {list(self.root)}, {distance:.1f} mm from the "
-                f"nearest free end in {self.file}; give the position of the end that fires (mm)"
-            )
-        return tree
+        with given_in(f"tree '{self.name}'"):
+            return read_tree(named_by(scenario, self.file), self.name, np.array(self.root))
 
 
 def tables() -> dict[str, type[Table]]:

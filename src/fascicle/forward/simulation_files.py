@@ -92,7 +92,8 @@ def simulate_inputs(
     physics = {name: EXAMPLE_PARAMETERS[name] for name in ("root_time", "cv")} | overrides
     trees, model = [], make_model()
     for path, endocardium in zip((lv_tree, rv_tree), model.heart.endocardia, strict=True):
-        tree = read_tree(path, endocardium.side, endocardium.vertices[endocardium.root])
+        root = endocardium.vertices[endocardium.root]
+        tree = read_tree(path, endocardium.side, root, file_first=True)
         _check_at_tissue(str(path), model, tree)
         _check_side(path, model.heart, tree)
         trees.append(tree)

@@ -63,11 +63,13 @@ class PurkinjeTree:
         """The segments (each by the node it ends in) of the bundle and of each fascicle.
 
         Without labels, the bundle reaches from the root to the first fork, and every segment that
-        leaves there begins a fascicle that reaches to the next.
+        leaves there begins a fascicle that reaches to the next. A root that is a fork or lies
+        within a branch has no bundle.
         """
         labels = self.labels if self.labels is not None else self._labels_from_forks()
         fascicles = (self.parents >= 0) & (labels > 0) & (labels[self.parents] == 0)
-        parts = {"bundle": labels == 0}
+        bundle = labels == 0
+        parts = {"bundle": bundle} if (self.parents[bundle] >= 0).any() else {}
         for k in range(1, int(fascicles.sum()) + 1):
             parts[f"fascicle {k}"] = labels == k
         return parts

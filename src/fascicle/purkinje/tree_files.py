@@ -13,7 +13,7 @@ lengths, so they cannot carry ours. The convention:
     The length of every segment along the endocardium (µm), which is what the speed refers to; the
     straight line between its nodes is a little shorter.
 ``<stem>_root.vtx``, ``<stem>_junctions.vtx``
-    The node where the bundle starts, to be stimulated, and the Purkinje-myocardium junctions.
+    The node where the bundle starts, which is stimulated, and the Purkinje-myocardium junctions.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ from fascicle.mesh.topology import components_of, merged_vertices
 from fascicle.purkinje.tree import PurkinjeTree
 
 TREE_FORMATS = (".vtu", ".vtp", ".vtk", *OPENCARP_FORMATS)
+FURTHEST_ROOT = 2.0  # mm, between the place given for a root and the tree's nearest node
 SAME_POINT = 1e-4  # mm; ends of polylines closer than this are one node (single precision)
 
 
@@ -49,7 +50,8 @@ def write_tree(path: Path, tree: PurkinjeTree, activation: Floats) -> None:
     path : Path
         VTU file.
     tree : PurkinjeTree
-        The tree; the cell array ``length`` holds its segments' lengths (mm).
+        The tree; the cell array ``length`` holds its segments' lengths (mm), and the point array
+        ``root`` is 1 at its root.
     activation : (n,) array
         Activation time of each node (ms), the point array ``activation``; the cell array
         ``direction`` follows from it, see `directions`.
@@ -60,7 +62,7 @@ def write_tree(path: Path, tree: PurkinjeTree, activation: Floats) -> None:
         tree.nodes,
         np.column_stack([tree.parents[child], child]),
         LINE,
-        point_data={"activation": activation},
+        point_data={"activation": activation, "root": (tree.parents < 0).astype(np.int64)},
         cell_data={"length": tree.lengths[child], "direction": directions(tree, activation)[child]},
     )
 
@@ -83,8 +85,9 @@ def write_opencarp_tree(stem: Path, tree: PurkinjeTree) -> None:
     """
     child = np.flatnonzero(tree.parents >= 0)
     parent = tree.parents[child]
-    tags = np.full(len(tree.nodes), len(tree.parts))
-    for number, part in enumerate(tree.parts.values()):
+    first = 0 if "bundle" in tree.parts else 1
+    tags = np.full(len(tree.nodes), first + len(tree.parts))
+    for number, part in enumerate(tree.parts.values(), first):
         tags[part] = number
     opencarp.write_opencarp_mesh(
         stem, tree.nodes, "Ln", np.column_stack([parent, child]), tags[child]
@@ -96,7 +99,9 @@ def write_opencarp_tree(stem: Path, tree: PurkinjeTree) -> None:
     opencarp.write_vtx(opencarp.opencarp_file(stem, "_junctions.vtx"), tree.junctions)
 
 
-def read_tree(path: Path | str, side: str, near: Floats) -> PurkinjeTree:
+def read_tree(
+    path: Path | str, side: str, near: Floats, *, file_first: bool = False
+) -> PurkinjeTree:
     """Read a tree of lines.
 
     Segments take their length from a cell array ``length`` (mm) if there is one, as in trees that
@@ -111,12 +116,15 @@ def read_tree(path: Path | str, side: str, near: Floats) -> PurkinjeTree:
     side : str
         ``"lv"`` or ``"rv"``.
     near : (3,) array
-        The root is the free end of the tree nearest to this point (mm).
+        The root is the node of the tree nearest to this point (mm): an end, a fork or neither.
+    file_first : bool
+        Whether the root that the file marks, if it does, counts before `near`.
 
     Raises
     ------
     InputError
-        If the file is not one connected tree without loops.
+        If the file is not one connected tree without loops, or its nearest node is farther than
+        2 mm from the point.
     """
     path = Path(path)
     purpose = f"{side.upper()} tree"
@@ -133,8 +141,21 @@ def read_tree(path: Path | str, side: str, near: Floats) -> PurkinjeTree:
         problem = _why_no_tree(segments, len(nodes))
         if problem:
             raise InputError(f"{path}: {problem}")
-    ends = np.flatnonzero(np.bincount(segments.ravel(), minlength=len(nodes)) == 1)
-    root = int(ends[np.argmin(np.linalg.norm(nodes[ends] - near, axis=1))])
+    marked = _marked_root(mesh) if file_first else None
+    distances = np.linalg.norm(nodes - (near if marked is None else marked), axis=1)
+    root = int(np.argmin(distances))
+    if distances[root] > FURTHEST_ROOT:
+        here, there = (", ".join(f"{x:.4f}" for x in point) for point in (near, nodes[root]))
+        remedy = "give the place of a node"
+        if file_first:
+            remedy = (
+                "give the tree in the heart's frame, in mm, and mark its root in the file (point "
+                "array 'root', 1 there and 0 elsewhere; for openCARP _root.vtx)"
+            )
+        raise InputError(
+            f"{path}: the node nearest to the root given ({here}) is {distances[root]:.1f} mm away,"
+            f" at ({there}) mm, more than {FURTHEST_ROOT:g} mm; {remedy}"
+        )
     graph = coo_array((np.ones(len(segments)), segments.T), (len(nodes), len(nodes))).tocsr()
     _, parents = breadth_first_order(graph, root, directed=False)
     parents = np.where(np.arange(len(nodes)) == root, -1, parents).astype(np.int64)
@@ -143,6 +164,19 @@ def read_tree(path: Path | str, side: str, near: Floats) -> PurkinjeTree:
     to_parent = np.zeros(len(nodes))
     to_parent[child] = lengths
     return PurkinjeTree(side, nodes, parents, to_parent)
+
+
+def _marked_root(mesh: MeshFile) -> Floats | None:
+    """Place of the point that the array ``root`` marks, if there is one."""
+    if "root" not in mesh.point_data:
+        return None
+    marked = np.flatnonzero(mesh.point_data["root"])
+    if len(marked) != 1:
+        raise InputError(
+            f"{mesh.path}: the point array 'root' marks {len(marked)} points; mark one with 1, all "
+            "others with 0, or leave it out"
+        )
+    return np.asarray(mesh.points[marked[0]])
 
 
 def _why_no_tree(segments: Integers, count: int) -> str:
@@ -159,17 +193,22 @@ def _why_no_tree(segments: Integers, count: int) -> str:
 
 
 def _read_opencarp_tree(path: Path | str, purpose: str) -> MeshFile:
-    """Read the lines of a tree, with the cell array ``length`` (mm) if its file is there."""
+    """Read the lines of a tree, with ``length`` (mm) and ``root`` if their files are there."""
     mesh = opencarp.read_opencarp_mesh(path, purpose)
     file = opencarp.opencarp_file(path, "_length.dat")
-    if not file.exists():
-        return mesh
-    lines, lengths = mesh.require(LINE, "lines"), opencarp.read_lengths(file)
-    if len(lengths) != len(lines):
-        raise InputError(
-            f"{file}: {len(lengths)} lengths for {len(lines)} lines; export or copy it again"
-        )
-    return replace(mesh, cell_data={LINE: {**mesh.cell_data[LINE], "length": lengths}})
+    if file.exists():
+        lines, lengths = mesh.require(LINE, "lines"), opencarp.read_lengths(file)
+        if len(lengths) != len(lines):
+            raise InputError(
+                f"{file}: {len(lengths)} lengths for {len(lines)} lines; export or copy it again"
+            )
+        mesh = replace(mesh, cell_data={LINE: {**mesh.cell_data[LINE], "length": lengths}})
+    file = opencarp.opencarp_file(path, "_root.vtx")
+    if file.exists():
+        marked = np.zeros(len(mesh.points))
+        marked[opencarp.read_vtx(file, len(mesh.points))[0]] = 1
+        mesh = replace(mesh, point_data={**mesh.point_data, "root": marked})
+    return mesh
 
 
 def _merged(points: Floats, segments: Integers, lengths: Floats) -> tuple[Floats, Integers, Floats]:
