@@ -15,7 +15,7 @@ from fascicle.build.surface_repair import prepared_surface
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledSurface
 from fascicle.mesh.measures import self_intersections, triangle_areas
-from fascicle.mesh.topology import boundary_loops
+from fascicle.mesh.topology import boundary_loops, unique_edges
 
 EDGE = 4.0  # mm
 APEX = np.array([0.0, 0.0, -72.0])
@@ -86,7 +86,7 @@ def relabelled(numbers):
 def twice():
     surface = ventricles()
     return LabelledSurface(
-        np.concatenate([surface.vertices, 0.1 * surface.vertices]),
+        np.concatenate([surface.vertices, 0.2 * surface.vertices]),
         np.concatenate([surface.triangles, surface.triangles + len(surface.vertices)]),
         np.tile(surface.labels, 2),
     )
@@ -184,3 +184,82 @@ def test_labels_of_points_give_clean_borders(rim_is_base):
     assert (labels != surface.labels).mean() < 0.02
     for label in ENDOCARDIA:
         assert len(boundary_loops(surface.triangles[labels == label])) == 1
+
+
+def grown(surface: LabelledSurface, at: str) -> tuple[LabelledSurface, int]:
+    """The surface with small tetrahedra outside or inside it, and the vertices that they share.
+
+    They stand on ``"vertex"`` or ``"edge"`` of the epicardium, three on ``"vertices"``, or lie free
+    in the tissue (``"void"``).
+    """
+    outer = surface.having(Label.EPICARDIUM)
+    far = outer[np.abs(surface.vertices[outer][:, :, 2] + 35).max(axis=1) < 12]
+    vertices, triangles = [surface.vertices], [surface.triangles]
+    shared = {"vertex": 1, "vertices": 1, "edge": 2, "void": 0}[at]
+    chosen = far[:: len(far) // 3][: 3 if at == "vertices" else 1]
+    for corners in chosen:
+        a, b, c = surface.vertices[corners]
+        out = np.cross(b - a, c - a)
+        out *= (-2.0 if at == "void" else 2.0) / np.linalg.norm(out)
+        start = sum(map(len, vertices))
+        tip = a + out + [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+        vertices.append(tip[: 4 - shared])
+        tetrahedron = np.array([*corners[:shared], *range(start, start + 4 - shared)])
+        triangles.append(tetrahedron[[(0, 1, 2), (0, 2, 3), (0, 3, 1), (1, 3, 2)]])
+    added = sum(map(len, triangles[1:]))
+    labels = np.append(surface.labels, np.full(added, Label.EPICARDIUM))
+    new = LabelledSurface(np.concatenate(vertices), np.concatenate(triangles), labels)
+    return new, shared * len(chosen)
+
+
+@pytest.mark.parametrize("at", ["vertex", "vertices", "edge", "void"])
+def test_crumbs_and_voids_are_left_out_and_said(at):
+    sound = ventricles()
+    given, shared = grown(sound, at)
+    found = prepared_surface(given)
+    before, after = (each.vertices[each.triangles] for each in (sound, found))
+    # a vertex that was shared goes a tenth of the way to its neighbours
+    step = np.linalg.norm(after - before, axis=2)
+    assert len(np.unique(before[step > 0], axis=0)) == shared
+    assert step.max() < 0.1 * EDGE
+    pieces = 3 if at == "vertices" else 1
+    assert f"left out: {pieces} (" in found.notes[-1]
+    assert f"with {4 * pieces} of {len(given.triangles)} triangles" in found.notes[-1]
+    assert len(found.notes) == 1 + (shared > 0)
+
+
+@pytest.mark.parametrize("corners", [1, 2])
+def test_sheets_that_touch_in_vertices_or_edges_are_moved_apart(corners):
+    """The left side of the septum meets the right one in a vertex or an edge."""
+    sound = ventricles()
+    left, right = (np.unique(sound.having(label)) for label in ENDOCARDIA)
+    start = left[np.argmin(np.linalg.norm(sound.vertices[left] - [22.0, 0, -25], axis=1))]
+    ring = np.unique(sound.triangles[(sound.triangles == start).any(axis=1)])
+    chosen = [start, *np.setdiff1d(ring, start)[: corners - 1]]
+    into = np.arange(len(sound.vertices))
+    vertices = sound.vertices.copy()
+    edges, _ = unique_edges(sound.having(Label.RV_ENDOCARDIUM))
+    partners = _path(edges, right, sound.vertices, sound.vertices[chosen])
+    for one, other in zip(chosen, partners, strict=True):
+        vertices[one] = (vertices[one] + vertices[other]) / 2
+        into[other] = one
+    given = replace(sound, vertices=vertices, triangles=into[sound.triangles])
+    found = prepared_surface(given)
+    assert len(found.vertices) == len(sound.vertices)
+    assert np.bincount(found.labels).tolist() == np.bincount(sound.labels).tolist()
+    assert len(self_intersections(found.vertices, found.triangles)) == 0
+    assert volume_of(found) == pytest.approx(volume_of(sound), rel=0.02)
+    assert f"doubled and moved apart: {corners} of {len(sound.vertices) - corners}" in str(
+        found.notes
+    )
+
+
+def _path(edges, right, positions, wanted):
+    """Vertices of the right endocardium opposite to some of the left one, linked as these are."""
+    first = right[np.argmin(np.linalg.norm(positions[right] - wanted[0], axis=1))]
+    around = np.setdiff1d(edges[(edges == first).any(axis=1)], first)
+    path = [first]
+    for point in wanted[1:]:
+        free = np.setdiff1d(around, path)
+        path.append(free[np.argmin(np.linalg.norm(positions[free] - point, axis=1))])
+    return path

@@ -8,6 +8,8 @@ from builders import box
 from scipy.spatial import cKDTree
 from shapes import read_labelled_mesh
 
+from fascicle.build.labelled_files import labelled_tetrahedra
+from fascicle.build.mesh_repair import repaired_mesh
 from fascicle.core.errors import InputError
 from fascicle.heart.label_names import label_of, labels_by_number
 from fascicle.heart.labelled_surface import Label
@@ -241,10 +243,14 @@ def test_without_labels_the_boundary_is_there(tmp_path, block):
 
 def test_tetrahedra_all_inverted_are_turned(tmp_path, block):
     path = block.vtu(tmp_path / "a.vtu", tetrahedra=block.tetrahedra[:, [1, 0, 2, 3]])
-    read = read_labelled_mesh(path)
-    assert len(read.notes) == 1
-    assert "all were inverted and have been turned" in read.notes[0]
-    assert read_labelled_mesh(block.vtu(tmp_path / "b.vtu")).notes == ()
+    turned, notes = repaired_mesh(read_mesh(path))
+    assert len(notes) == 1
+    assert "all were inverted and have been turned" in notes[0]
+    assert repaired_mesh(read_mesh(block.vtu(tmp_path / "b.vtu")))[1] == ()
+    read = labelled_tetrahedra(turned)
+    assert read.notes == (
+        "fibres: array 'fibre' has vectors of length 2 to 2; they were made unit vectors",
+    )
     np.testing.assert_array_equal(np.sort(read.mesh.tetrahedra), np.sort(block.tetrahedra))
     order = np.lexsort(np.sort(read.mesh.triangles).T), np.lexsort(np.sort(block.triangles).T)
     np.testing.assert_array_equal(read.mesh.labels[order[0]], block.labels[order[1]])

@@ -95,7 +95,8 @@ class Materials:
 
     def __post_init__(self):
         self.points, self.tetrahedra = block_of_tissue()
-        self.fibres = np.tile([0.6, 0.0, 0.8], (len(self.points), 1))
+        angle = np.arcsin(0.6) + 1e-4 * self.points[:, 2]  # fibres all alike are a placeholder
+        self.fibres = np.column_stack([np.sin(angle), 0 * angle, np.cos(angle)])
         self.lv_surface, self.rv_surface = cup(15.0), cup(45.0)
         self.files = {
             "mesh": self.save("mesh.vtu", grid(self.points, self.tetrahedra)),

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import igl
 import numpy as np
 
+from fascicle.build.endocardia import cleaned_labels
 from fascicle.build.surface_checks import Walls, median_thickness, wall_thickness
 from fascicle.core.arrays import Floats
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium, long_axis
+from fascicle.heart.fibres import placeholder
 from fascicle.heart.heart import Heart, TorsoTissue
 from fascicle.heart.labelled_surface import Label, LabelledMesh, labelled_mesh
 from fascicle.mesh.measures import Quality, enclosed_volume, quality, signed_volumes, unit
@@ -60,6 +62,7 @@ class HeartCheck:
 def check_heart(heart: Heart, charts: Mapping[str, Chart]) -> HeartCheck:
     """Measure a valid heart with its charts (by side), and warn where something looks wrong."""
     mesh = labelled_mesh(heart)
+    mesh = replace(mesh, labels=cleaned_labels(mesh.vertices, mesh.triangles, mesh.labels))
     walls = wall_thickness(mesh)
     shape = quality(heart.vertices, heart.tetrahedra)
     helix = helix_angles(mesh, heart)
@@ -82,7 +85,7 @@ def check_heart(heart: Heart, charts: Mapping[str, Chart]) -> HeartCheck:
     rows += _torso_rows(heart)
     warnings = [
         *_size_warnings(heart, walls, shape, charts),
-        *_fibre_warnings(helix[WALLS[0]]),
+        *_fibre_warnings(heart, helix[WALLS[0]]),
         *_lead_field_warnings(heart),
         *electrode_warnings(heart),
     ]
@@ -137,7 +140,7 @@ def _helix(fibres: Floats, outward: Floats, up: Floats) -> Floats:
 def _endocardium_rows(heart: Heart, charts: Mapping[str, Chart]) -> list[tuple[str, str]]:
     rows = []
     for e in heart.endocardia:
-        side, worst = e.side.upper(), charts[e.side].distortion.max()
+        side, worst = e.side.upper(), _largest_stretch(e, charts[e.side])
         base, apex = long_axis(e.vertices, e.triangles)
         down = (e.vertices - base) @ (apex - base) / ((apex - base) @ (apex - base))
         rows += [
@@ -154,6 +157,14 @@ def _endocardium_rows(heart: Heart, charts: Mapping[str, Chart]) -> list[tuple[s
             ),
         ]
     return rows
+
+
+def _largest_stretch(endocardium: Endocardium, chart: Chart) -> float:
+    """Largest ratio of a chart's stretches but at valve openings, where no network grows."""
+    if endocardium.valves is None:
+        return float(chart.distortion.max())
+    openings = endocardium.triangles[endocardium.valves]
+    return float(chart.distortion[~np.isin(chart.triangles, openings).any(axis=1)].max())
 
 
 def _torso_rows(heart: Heart) -> list[tuple[str, str]]:
@@ -198,11 +209,11 @@ def _size_warnings(
             f"mesh: smallest dihedral angle {shape.angles.min():.1f} degrees; remesh (heart "
             "build --remesh): times and potentials are poor in elements so flat"
         )
-    for side, chart in charts.items():
-        worst = float(chart.distortion.max())
+    for e in heart.endocardia:
+        worst = _largest_stretch(e, charts[e.side])
         if worst > DISTORTED:
             warnings.append(
-                f"{side.upper()} endocardium: the chart stretches {worst:.0f} times more one way "
+                f"{e.side.upper()} endocardium: the chart stretches {worst:.0f} times more one way "
                 "than the other; branch angles are distorted there: remesh or smooth the surface"
             )
     return warnings
@@ -221,8 +232,14 @@ def _lead_field_warnings(heart: Heart) -> list[str]:
     return [f"{heart.name}: its lead fields are out of date; they are solved again when needed"]
 
 
-def _fibre_warnings(free_wall: HelixAngles) -> list[str]:
-    """Fibres that turn the wrong way: in human hearts a right-handed helix lines the LV."""
+def _fibre_warnings(heart: Heart, free_wall: HelixAngles) -> list[str]:
+    """Fibres that are none or turn the wrong way: a right-handed helix lines the human LV."""
+    fault = placeholder(heart.fibres)
+    if fault:
+        return [
+            f"fibres: they are a placeholder, as {fault}; build or import the heart again with "
+            "--fibres rule"
+        ]
     inside, *_, outside = free_wall.in_layers()
     if not inside + 20.0 < outside:  # nor where there are none
         return []

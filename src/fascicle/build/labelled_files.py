@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
 from fascicle.heart.assembly import FIBRE_NAMES, average_to_tetrahedra, region_labels
+from fascicle.heart.fibres import lengths_in_words, placeholder
 from fascicle.heart.label_names import (
     LABEL_NAMES,
     Names,
@@ -33,13 +34,17 @@ from fascicle.heart.labelled_surface import (
 from fascicle.heart.validate import check_fibres, check_tetrahedra, check_units
 from fascicle.mesh.formats.mesh_file import GROUP, OPENCARP_FORMATS, TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.formats.opencarp import opencarp_file, read_surf, read_vtx
-from fascicle.mesh.measures import signed_volumes, unit
+from fascicle.mesh.measures import unit
 from fascicle.mesh.topology import (
     boundary_triangles,
     merged_vertices,
     places_in,
     without_unused_vertices,
 )
+
+FibreChoice = Literal["rule", "file"] | None  # None: those of the file, if they are no placeholder
+REGION_NAMES = ("region", "regions", "elemtag", "elemtags", "tag", "tags", GROUP)
+DIRECTION_NAMES = {"fibres": FIBRE_NAMES, "sheets": ("sheet", "sheets", "s0", "sheet_direction")}
 
 
 @dataclass(frozen=True)
@@ -160,7 +165,12 @@ def _read_numbers(path: Path) -> Integers:
 
 
 def labelled_tetrahedra(
-    mesh: MeshFile, array: str | None = None, names: Names | None = None
+    mesh: MeshFile,
+    array: str | None = None,
+    names: Names | None = None,
+    *,
+    cut: Integers | None = None,
+    fibres: FibreChoice = None,
 ) -> Anatomy:
     """Tetrahedra of a file, the labels of their surface, regions, fibres and sheets.
 
@@ -182,36 +192,34 @@ def labelled_tetrahedra(
         Name of the array of labels, if it has another one.
     names : mapping of str to Label, optional
         The file's own names or numbers (as text) of labels, where they are not understood.
+    cut : (k, 3) array, optional
+        Triangles at which tissue was left out, if any was: base, where the file has no label.
+    fibres : "rule" or "file", optional
+        Whether to ignore fibres of the file, or to keep them even if they look like a
+        `fascicle.heart.fibres.placeholder`.
 
     Returns
     -------
     Anatomy
-        Unused vertices are left out; labels are 0 if the file has none.
+        Unused vertices are left out; labels are 0 if the file has none and where nothing was cut.
     """
     file_tetrahedra = mesh.require(TETRAHEDRON, "tetrahedra")
     name = str(mesh.path)
     vertices, tetrahedra = without_unused_vertices(mesh.points, file_tetrahedra)
     check_units(name, vertices)
-    notes: tuple[str, ...] = ()
-    # another program's convention, or the file is mirrored
-    if (signed_volumes(vertices, tetrahedra) < 0).all():
-        tetrahedra = tetrahedra[:, [0, 2, 1, 3]]
-        notes = (
-            "tetrahedra: all were inverted and have been turned; if left and right are exchanged "
-            "in the picture, the file is mirrored",
-        )
     check_tetrahedra(name, vertices, tetrahedra)
     triangles, _ = boundary_triangles(tetrahedra)
     boundary = np.unique(file_tetrahedra)[triangles]
-    labels = _label_boundary(mesh, boundary, array, names if names is not None else {})
-    names_of_regions = ("region", "regions", "elemtag", "elemtags", "tag", "tags", GROUP)
-    region = _named(mesh.cell_data.get(TETRAHEDRON, {}), names_of_regions)
+    labels = _label_boundary(mesh, boundary, array, names if names is not None else {}, cut)
+    region = _named(mesh.cell_data.get(TETRAHEDRON, {}), REGION_NAMES)
     regions = None if region is None else region_labels(mesh, region[0])
+    notes: list[str] = []
+    axes = [_directions(mesh, what, fibres, notes) for what in DIRECTION_NAMES]
     return Anatomy(
         LabelledMesh(vertices, tetrahedra, triangles, labels, regions, name),
-        fibres=_directions(mesh, FIBRE_NAMES),
-        sheets=_directions(mesh, ("sheet", "sheets", "s0", "sheet_direction")),
-        notes=notes,
+        fibres=axes[0],
+        sheets=None if axes[0] is None else axes[1],
+        notes=tuple(notes),
         own_mesh=True,
     )
 
@@ -222,34 +230,49 @@ def _named(arrays: Mapping[str, Floats], names: tuple[str, ...]) -> tuple[str, F
     return next(((lower[name], arrays[lower[name]]) for name in names if name in lower), None)
 
 
-def _directions(mesh: MeshFile, names: tuple[str, ...]) -> Floats | None:
-    """Unit directions of the tetrahedra, from a cell or else a point array so named."""
+def _directions(mesh: MeshFile, what: str, choice: FibreChoice, notes: list[str]) -> Floats | None:
+    """Unit directions of the tetrahedra, from a cell or else a point array named so, if usable."""
     tetrahedra = mesh.cells[TETRAHEDRON]
-    of_cells = _named(mesh.cell_data.get(TETRAHEDRON, {}), names)
-    found = of_cells or _named(mesh.point_data, names)
-    if found is None:
+    of_cells = _named(mesh.cell_data.get(TETRAHEDRON, {}), DIRECTION_NAMES[what])
+    found = of_cells or _named(mesh.point_data, DIRECTION_NAMES[what])
+    if found is None or choice == "rule":
+        if choice == "file" and what == "fibres":
+            raise InputError(f"--fibres file: {mesh.path} has none; leave it out to have a rule")
         return None
     title, values = f"{mesh.path}: array '{found[0]}'", np.asarray(found[1], dtype=float)
     if values.shape[1:] != (3,):
         raise InputError(f"{title} has shape {values.shape}; give three components, or rename it")
-    check_fibres(title, values if of_cells else values[np.unique(tetrahedra)])
+    used = values if of_cells else values[np.unique(tetrahedra)]
+    fault = "" if choice == "file" else placeholder(used)
+    if fault:
+        notes.append(
+            f"{what}: array '{found[0]}' of the file is a placeholder, as {fault}; a rule was "
+            "applied instead (--fibres file keeps the array)"
+        )
+        return None
+    check_fibres(title, used, "give every one a direction, or take a rule (--fibres rule)")
+    if lengths := lengths_in_words(used):
+        notes.append(f"{what}: array '{found[0]}' has {lengths}; they were made unit vectors")
     return unit(values) if of_cells else average_to_tetrahedra(values, tetrahedra)
 
 
 def _label_boundary(
-    mesh: MeshFile, boundary: Integers, array: str | None, names: Names
+    mesh: MeshFile, boundary: Integers, array: str | None, names: Names, cut: Integers | None
 ) -> Integers:
     """Labels (b,) of boundary triangles (b, 3) by the mesh's file, or others in its folder.
 
-    They are 0 if nothing is labelled.
+    Triangles that were cut are base, if they have no other; all others are 0 if none is labelled.
     """
+    basal = np.zeros(len(boundary), dtype=np.int64)
+    if cut is not None:
+        basal[places_in(boundary, cut) >= 0] = Label.BASE
     if mesh.path.suffix.lower() in OPENCARP_FORMATS and array is None:
-        found = _from_surface_files(mesh, boundary, names)
+        found = _from_surface_files(mesh, boundary, names, changed=cut is not None)
     else:
         found = _from_array(mesh, boundary, array, names)
     if found is None:
-        return np.zeros(len(boundary), dtype=np.int64)
-    source, labels = found
+        return basal
+    source, labels = found[0], np.where(found[1] == 0, basal, found[1])
     missing = missing_parts(labels)
     without = np.flatnonzero(labels == 0)
     rest = f"{without.size} of {len(labels)} boundary triangles have no label"
@@ -283,7 +306,7 @@ def _from_array(
 
 
 def _from_surface_files(
-    mesh: MeshFile, boundary: Integers, names: Names
+    mesh: MeshFile, boundary: Integers, names: Names, *, changed: bool
 ) -> tuple[str, Integers] | None:
     """Source and labels (b,) of the boundary's triangles by `.surf` files, or else `.vtx` files."""
     stem, points = opencarp_file(mesh.path, "").name, len(mesh.points)
@@ -301,7 +324,10 @@ def _from_surface_files(
         if suffix == ".surf":
             parts = [read_surf(path, points) for path, _ in files]
             labels = np.repeat([int(label) for _, label in files], list(map(len, parts)))
-            return source, _on_boundary(source, np.concatenate(parts), labels, boundary)
+            triangles = np.concatenate(parts)
+            # of a boundary that was changed, triangles may be gone
+            still = (places_in(triangles, boundary) >= 0) | (not changed)
+            return source, _on_boundary(source, triangles[still], labels[still], boundary)
         votes = np.zeros((points, max(Label) + 1), dtype=bool)
         for path, label in files:
             votes[read_vtx(path, points)[0], label] = True

@@ -11,27 +11,32 @@ import numpy as np
 from fascicle.build.borders import cut_along_borders
 from fascicle.build.classify import classify_surface
 from fascicle.build.join import join_surfaces
-from fascicle.build.labelled_files import Anatomy, has_labels, labelled_surface, labelled_tetrahedra
+from fascicle.build.labelled_files import (
+    Anatomy,
+    FibreChoice,
+    has_labels,
+    labelled_surface,
+    labelled_tetrahedra,
+)
+from fascicle.build.mesh_repair import repaired_edges, repaired_mesh, separated_vertices
+from fascicle.build.regions import Regions, labels_of_ventricles, regions_in, ventricles
 from fascicle.build.segmentation import SegmentationLabels, regions_at
 from fascicle.build.segmentation_files import read_segmentation
 from fascicle.build.segmentation_surface import surface_from_segmentation
 from fascicle.build.surface_checks import Volumes, check_sides, compared, volumes
 from fascicle.build.surface_meshing import is_coarse, subdivided
 from fascicle.build.surface_repair import closed_surface, prepared_surface
-from fascicle.build.volume_meshing import (
-    check_memory,
-    mesh_surface,
-    remeshed_anatomy,
-    repaired_edges,
-)
+from fascicle.build.volume_meshing import check_memory, mesh_surface, remeshed_anatomy
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.heart.label_names import labels_by_number
-from fascicle.heart.labelled_surface import LabelledSurface
+from fascicle.heart.labelled_surface import Label, LabelledSurface
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.formats.read import MESH_FORMATS, read_mesh
 from fascicle.mesh.measures import closed_volume
+
+OF_TETRAHEDRA = ("remesh", "regions", "region_array", "fibres")  # options for these alone
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,11 @@ class Source:
         Number of each label in the file, name of the label array, text file of labels.
     remesh : bool, optional
         Whether to remesh the inside of a tetrahedral mesh.
+    regions, region_array : optional
+        Numbers of ``lv``, ``rv`` and perhaps ``septum`` in a mesh of a whole heart, and the name
+        of their array.
+    fibres : "rule" or "file", optional
+        Which fibres of a tetrahedral mesh; by default its own, unless they are a placeholder.
     """
 
     file: Path | None
@@ -56,6 +66,9 @@ class Source:
     label_array: str | None = None
     labels_file: Path | None = None
     remesh: bool | None = None
+    regions: Regions | None = None
+    region_array: str | None = None
+    fibres: FibreChoice = None
 
     def __post_init__(self) -> None:
         if (self.file is None) == (not self.parts):
@@ -87,7 +100,9 @@ class Source:
 def read_anatomy(source: Source, edge_length: float, progress: Progress | None = None) -> Anatomy:
     """Read the files; surfaces and segmentations are meshed with this edge length (mm)."""
     if source.file is None:
-        source.check_unused("separate surfaces", "labels", "label_array", "labels_file", "remesh")
+        source.check_unused(
+            "separate surfaces", "labels", "label_array", "labels_file", *OF_TETRAHEDRA
+        )
         meshes = {part: read_mesh(path, part) for part, path in source.parts.items()}
         parts = {
             part: (mesh.points, mesh.require(TRIANGLE, "triangles"))
@@ -119,7 +134,7 @@ def _meshed(
     mesh = mesh_surface(prepared, edge_length, stage_progress(progress, "meshing"))
     before = given if isinstance(given, Volumes) else volumes(closed_surface(given))
     note, warnings = compared(volumes(mesh), before, surface.name)
-    return Anatomy(mesh, notes=(*notes, note), warnings=warnings)
+    return Anatomy(mesh, notes=(*notes, *prepared.notes, note), warnings=warnings)
 
 
 def _fine_enough(
@@ -136,7 +151,7 @@ def _fine_enough(
 def _from_surface(
     source: Source, mesh: MeshFile, edge_length: float, progress: Progress | None
 ) -> Anatomy:
-    source.check_unused("a surface, which is meshed again anyway", "remesh")
+    source.check_unused("a surface, which is meshed again anyway", *OF_TETRAHEDRA)
     if has_labels(mesh, source.label_array, source.labels_file) or source.labels is not None:
         labelled = labelled_surface(mesh, source.label_array, source.labels, source.labels_file)
         return _meshed(*_fine_enough(labelled, edge_length), labelled, edge_length, progress)
@@ -144,19 +159,20 @@ def _from_surface(
     unlabelled = np.zeros(len(triangles), dtype=np.int64)
     closed = closed_surface(LabelledSurface(mesh.points, triangles, unlabelled, str(mesh.path)))
     volume = closed_volume(closed.vertices, closed.triangles) / 1e3
+    repairs = closed.notes
     closed, notes = _fine_enough(closed, edge_length)
     found = classify_surface(
         closed.vertices, closed.triangles, closed.name, stage_progress(progress, "surface")
     )
     cut = cut_along_borders(found, edge_length)
     given = volumes(cut)._replace(myocardium=volume)
-    return replace(_meshed(cut, notes, given, edge_length, progress), guessed=True)
+    return replace(_meshed(cut, (*repairs, *notes), given, edge_length, progress), guessed=True)
 
 
 def _from_segmentation(
     source: Source, file: Path, edge_length: float, progress: Progress | None
 ) -> Anatomy:
-    source.check_unused("a segmentation", "label_array", "labels_file", "remesh")
+    source.check_unused("a segmentation", "label_array", "labels_file", *OF_TETRAHEDRA)
     segmentation = read_segmentation(file)
     if source.labels is None:
         there = ", ".join(map(str, np.unique(segmentation.labels)))
@@ -191,12 +207,43 @@ def _from_segmentation(
 def _from_tetrahedra(source: Source, mesh: MeshFile, progress: Progress | None) -> Anatomy:
     source.check_unused("tetrahedra", "labels_file")
     names = labels_by_number(source.labels if source.labels is not None else {})
-    read = repaired_edges(labelled_tetrahedra(mesh, source.label_array, names))
-    if not read.mesh.labels.any():
+    whole, cut, notes = mesh, None, []
+    if source.regions is not None:
+        mesh, cut = ventricles(mesh, source.regions, source.region_array)
+        share = len(mesh.cells[TETRAHEDRON]) / len(whole.cells[TETRAHEDRON])
+        notes.append(f"regions: the ventricles are {share:.0%} of the file's tetrahedra")
+    mesh, repairs = repaired_mesh(mesh)
+    if cut is None and len(mesh.cells[TETRAHEDRON]) != len(whole.cells[TETRAHEDRON]):
+        cut = np.empty((0, 3), dtype=np.int64)
+    read = labelled_tetrahedra(mesh, source.label_array, names, cut=cut, fibres=source.fibres)
+    read = replace(read, notes=(*notes, *repairs, *read.notes))
+    read = repaired_edges(separated_vertices(read))
+    if not (read.mesh.labels > Label.BASE).any():
         unlabelled = f"{mesh.path}, which has no labels (--label-array names one)"
         source.check_unused(unlabelled, "labels")
-        report = stage_progress(progress, "surface")
-        found = classify_surface(read.mesh.vertices, read.mesh.triangles, str(mesh.path), report)
-        read = replace(read, mesh=replace(read.mesh, labels=found.labels), guessed=True)
+        read = _classified(read, source, whole, progress)
     check_sides(read.mesh)
     return remeshed_anatomy(read) if source.remesh else read
+
+
+def _classified(
+    read: Anatomy, source: Source, whole: MeshFile, progress: Progress | None
+) -> Anatomy:
+    """An anatomy whose labels are found from its regions, or else from its shape."""
+    mesh = read.mesh
+    if source.regions is not None and mesh.regions is not None:
+        labels = labels_of_ventricles(mesh, np.isin(mesh.regions, source.regions["lv"]))
+        if labels is not None:
+            return replace(read, mesh=replace(mesh, labels=labels), guessed=True)
+    report = stage_progress(progress, "surface")
+    try:
+        found = classify_surface(mesh.vertices, mesh.triangles, mesh.name, report)
+    except InputError as error:
+        there = regions_in(whole)
+        if source.regions is not None or not there:
+            raise
+        raise InputError(
+            f"{error}; {there}; if this is a whole heart, say which are the ventricles, as "
+            "--regions lv=1,rv=2,septum=3"
+        ) from None
+    return replace(read, mesh=replace(mesh, labels=found.labels), guessed=True)

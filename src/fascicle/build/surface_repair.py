@@ -20,19 +20,22 @@ from fascicle.mesh.topology import (
     directed_edges,
     fan,
     merged_vertices,
+    unique_edges,
     whole_triangles,
     without_unused_vertices,
 )
 
 MERGED = 1e-6  # of the largest extent; vertices closer than this are one
 LARGEST_HOLE = 20.0  # mm, length of its boundary; 6 mm across, so no valve or vessel is closed over
+LARGEST_CRUMB = 10.0  # mm, largest extent of a piece or a void that is left out or filled
 
 
 def prepared_surface(surface: LabelledSurface) -> LabelledSurface:
     """Make a labelled surface closed, in one piece, without self-intersections, facing outwards.
 
-    Repeated vertices and triangles, triangles without an area, holes with a boundary of at most
-    20 mm, triangles facing the wrong way and small components of labels are repaired. A surface
+    Repeated vertices and triangles, triangles without an area, vertices and edges in which the
+    surface touches itself, pieces of at most 10 mm, holes with a boundary of at most 20 mm,
+    triangles facing the wrong way and small components of labels are repaired. A surface
     that intersects itself is replaced by that of its interior. Other defects are refused.
     """
     missing = missing_parts(surface.labels)
@@ -64,7 +67,61 @@ def closed_surface(surface: LabelledSurface) -> LabelledSurface:
     merged = merged_vertices(surface.vertices, MERGED * extent)[surface.triangles]
     whole = whole_triangles(merged)
     merged_surface = replace(surface, triangles=merged[whole], labels=surface.labels[whole])
-    return oriented_outwards(_with_holes_filled(compacted(merged_surface)))
+    one_piece = _without_crumbs(_separated(compacted(merged_surface)))
+    return oriented_outwards(_with_holes_filled(one_piece))
+
+
+def _separated(surface: LabelledSurface) -> LabelledSurface:
+    """Double vertices and edges in which the surface touches itself, and move the copies apart.
+
+    Each copy goes a tenth of the way to the mean of its neighbours. Where that would open the
+    surface, as along a sheet that ends on it, nothing changes.
+    """
+    oriented, _ = igl.bfs_orient(surface.triangles)
+    triangles, origin = (np.asarray(each) for each in igl.split_nonmanifold(oriented))
+    before, after = (unique_edges(each)[1] for each in (surface.triangles, triangles))
+    copied = np.bincount(origin, minlength=len(surface.vertices)) > 1
+    if not copied.any() or (after == 1).sum() > (before == 1).sum():
+        return surface
+    vertices, moving = surface.vertices[origin], copied[origin]
+    around = np.asarray(igl.adjacency_matrix(triangles) @ vertices)
+    degree = np.bincount(unique_edges(triangles)[0].ravel(), minlength=len(vertices))
+    vertices[moving] += 0.1 * (around / degree[:, None] - vertices)[moving]
+    note = (
+        f"surface: vertices in which it touched itself were doubled and moved apart: "
+        f"{copied.sum()} of {len(copied)} (the first at "
+        f"{place(surface.vertices[np.argmax(copied)])})"
+    )
+    return LabelledSurface(
+        vertices, triangles, surface.labels, surface.name, (*surface.notes, note)
+    )
+
+
+def _without_crumbs(surface: LabelledSurface) -> LabelledSurface:
+    """Leave out small pieces: crumbs, and the surfaces of voids in the tissue."""
+    piece = np.asarray(igl.facet_components(surface.triangles)[1])
+    corners, sizes = surface.vertices[surface.triangles], np.bincount(piece)
+    small = [
+        k
+        for k in np.flatnonzero(np.arange(len(sizes)) != sizes.argmax())
+        if np.ptp(corners[piece == k], axis=(0, 1)).max() <= LARGEST_CRUMB
+    ]
+    if not small:
+        return surface
+    kept = ~np.isin(piece, small)
+    note = (
+        f"surface: pieces of at most {LARGEST_CRUMB:g} mm were left out: {len(small)} (the first "
+        f"about {place(corners[piece == small[0]].mean(axis=(0, 1)))}), with {(~kept).sum()} of "
+        f"{len(kept)} triangles"
+    )
+    return compacted(
+        replace(
+            surface,
+            triangles=surface.triangles[kept],
+            labels=surface.labels[kept],
+            notes=(*surface.notes, note),
+        )
+    )
 
 
 def compacted(surface: LabelledSurface) -> LabelledSurface:

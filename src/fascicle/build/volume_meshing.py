@@ -1,4 +1,4 @@
-"""Tetrahedra inside a closed labelled surface; those of a file repaired and meshed again."""
+"""Tetrahedra inside a closed labelled surface; those of a file meshed again."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from scipy.spatial import cKDTree
 
 from fascicle.build.endocardia import cleaned_labels
 from fascicle.build.labelled_files import Anatomy
-from fascicle.build.surface_checks import check_edge_length, place, wall_thickness
+from fascicle.build.surface_checks import check_edge_length, wall_thickness
 from fascicle.build.surface_meshing import remeshed_surface
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.memory import available_memory
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import LabelledMesh, LabelledSurface
-from fascicle.mesh.measures import closed_volume, principal_axes, quality, signed_volumes
+from fascicle.mesh.measures import closed_volume, principal_axes, quality
 from fascicle.mesh.meshing import NOTHING, Interface, remeshed_tetrahedra, tetrahedralise
-from fascicle.mesh.topology import boundary_triangles, components_of, places_in, unique_edges
+from fascicle.mesh.topology import boundary_triangles, places_in
 
 
 def mesh_surface(
@@ -120,81 +120,3 @@ def mean_axes(directions: Floats, weights: Floats) -> Floats:
     axes = principal_axes(np.sqrt(weights)[..., None] * directions)
     sign = np.sign(np.einsum("ni,ni->n", axes, directions[:, 0]))
     return np.asarray(axes * np.where(sign == 0, 1, sign)[:, None])
-
-
-def repaired_edges(anatomy: Anatomy) -> Anatomy:
-    """Separate tetrahedra that share only an edge, if there are few such edges.
-
-    Four or more triangles of the boundary meet in such an edge, so the boundary is not a surface.
-    Each group of face-connected tetrahedra around the edge gets a separate midpoint of it, moved a
-    little into the group, and its tetrahedra are halved there. No tissue is removed, and the groups
-    stay joined at the edge's ends. Fibres, sheets, regions and labels are inherited. The anatomy is
-    returned as it is if nothing is to be repaired, or more than one edge in a thousand.
-    """
-    mesh = anatomy.mesh
-    edges, count = unique_edges(mesh.triangles)
-    bad = edges[count > 2]
-    if not len(bad) or len(bad) > max(2.0, 1e-3 * len(edges)):
-        return anatomy
-    vertices, tetrahedra = mesh.vertices, mesh.tetrahedra
-    parent, ends = np.arange(len(tetrahedra)), np.empty((0, 2), dtype=np.int64)
-    for edge in bad:
-        fans = _fans(tetrahedra, edge)
-        around = np.concatenate(fans)
-        kept, halves = np.delete(tetrahedra, around, axis=0), []
-        for fan in fans:
-            new, middle = len(vertices), _middle(vertices, tetrahedra[fan], edge)
-            vertices = np.concatenate([vertices, middle[None]])
-            ends = np.concatenate([ends, edge[None]])
-            halves += [np.where(tetrahedra[fan] == end, new, tetrahedra[fan]) for end in edge]
-        order = np.concatenate([each for fan in fans for each in (fan, fan)])
-        tetrahedra = np.concatenate([kept, *halves])
-        parent = np.concatenate([np.delete(parent, around), parent[order]])
-    triangles, _ = boundary_triangles(tetrahedra)
-    whole = triangles.copy()  # the triangles that these are parts of
-    for k in range(len(ends) - 1, -1, -1):  # the last ones may lie between earlier ones
-        for corner in range(3):
-            here = whole[:, corner] == len(mesh.vertices) + k
-            there = (whole == ends[k, 0]).any(axis=1)
-            whole[here, corner] = np.where(there, ends[k, 1], ends[k, 0])[here]
-    note = (
-        f"mesh: {len(bad)} of {len(edges)} edges of its boundary had more than two triangles (the "
-        f"first at {place(mesh.vertices[bad[0]].mean(axis=0))}): the tetrahedra that met in them "
-        f"alone were separated ({len(tetrahedra) - len(mesh.tetrahedra)} tetrahedra halved, none "
-        "removed)"
-    )
-    return replace(
-        anatomy,
-        mesh=LabelledMesh(
-            vertices,
-            tetrahedra,
-            triangles,
-            mesh.labels[places_in(whole, mesh.triangles)],
-            None if mesh.regions is None else mesh.regions[parent],
-            mesh.name,
-        ),
-        fibres=None if anatomy.fibres is None else anatomy.fibres[parent],
-        sheets=None if anatomy.sheets is None else anatomy.sheets[parent],
-        notes=(*anatomy.notes, note),
-    )
-
-
-def _fans(tetrahedra: Integers, edge: Integers) -> list[Integers]:
-    """Groups of the tetrahedra that have an edge, linked by the faces that have it."""
-    around = np.flatnonzero(np.isin(tetrahedra, edge).sum(axis=1) == 2)
-    opposite = tetrahedra[around][~np.isin(tetrahedra[around], edge)].reshape(-1, 2)
-    _, ring = np.unique(opposite, return_inverse=True)
-    ring = ring.reshape(-1, 2)
-    group = components_of(ring, int(ring.max()) + 1)[ring[:, 0]]
-    return [around[group == k] for k in np.unique(group)]
-
-
-def _middle(vertices: Floats, fan: Integers, edge: Integers) -> Floats:
-    """The middle of an edge, a tenth of the way into its tetrahedra where these stay positive."""
-    middle = vertices[edge].mean(axis=0)
-    inwards = vertices[fan[~np.isin(fan, edge)]].mean(axis=0) - middle
-    trial = np.concatenate([vertices, (middle + 0.1 * inwards)[None]])
-    halves = [np.where(fan == end, len(vertices), fan) for end in edge]
-    if all((signed_volumes(trial, half) > 0).all() for half in halves):
-        return np.asarray(trial[-1])
-    return np.asarray(middle)

@@ -51,6 +51,17 @@ PartOption = Annotated[
         "Anatomy", "One of separate surfaces, which need not meet exactly; a missing base is made."
     ),
 ]
+RegionsOption = Annotated[
+    str | None,
+    _option(
+        "Anatomy",
+        "Numbers of the ventricles in a mesh of a whole heart, as lv=1,rv=2,septum=7; a name may "
+        "come several times.",
+    ),
+]
+RegionArrayOption = Annotated[
+    str | None, _option("Anatomy", "Name of the file's array that holds the regions.")
+]
 SEEDS = ("lv_root", "lv_direction", "rv_root", "rv_direction")
 
 heart_app = typer.Typer(
@@ -111,6 +122,8 @@ def heart_build(
     labels_file: Annotated[
         Path | None, _option("Anatomy", "Labels of an STL: one number per line.")
     ] = None,
+    regions: RegionsOption = None,
+    region_array: RegionArrayOption = None,
     remesh: Annotated[
         bool,
         _option(
@@ -123,6 +136,14 @@ def heart_build(
     rv_endocardium: PartOption = None,
     epicardium: PartOption = None,
     base: PartOption = None,
+    fibres: Annotated[
+        Literal["rule", "file"] | None,
+        _option(
+            "Fibres",
+            "Those of a rule or of the mesh's file; by default the file's, unless they are a "
+            "placeholder.",
+        ),
+    ] = None,
     lv_angles: Annotated[
         str, _option("Fibres", "Helix angles, endocardium,epicardium (degrees).")
     ] = "60,-60",
@@ -145,6 +166,7 @@ def heart_build(
     ```
     fascicle heart build heart.vtp
     fascicle heart build labels.nii.gz --labels lv=1,rv=2,myocardium=3 --pose ras
+    fascicle heart build whole_heart.vtu --regions lv=1,rv=2,septum=7
     fascicle heart build --lv-endocardium lv.stl --rv-endocardium rv.stl --epicardium epi.stl
     ```
     """
@@ -162,6 +184,9 @@ def heart_build(
         label_array=label_array,
         labels_file=labels_file,
         remesh=remesh or None,
+        regions=_numbers("--regions", regions),
+        region_array=region_array,
+        fibres=fibres,
     )
     angles = _fibre_angles(lv_angles, rv_angles)
     seeds, torso = _seeds(around), _torso(around, electrodes)
@@ -182,8 +207,8 @@ def heart_build(
     if built.anatomy.guessed:
         save(labels_figure(built.anatomy.mesh), picture := folder / LABELS_PICTURE)
         print(
-            f"labels found from the shape: look at {picture}; if they are wrong, give a surface "
-            "with labels"
+            f"labels were found, not given: look at {picture}; if they are wrong, label the "
+            "surface in the file"
         )
     return found
 
@@ -193,31 +218,47 @@ def heart_build(
 @_with_torso_and_bundles("none")
 def heart_import(
     mesh: Annotated[Path, Option(help="Tetrahedral mesh in mm (VTK, VTU, Gmsh).")],
-    fibres: Annotated[Path, Option(help="Fibres, one vector per point or tetrahedron.")],
+    fibres: Annotated[
+        str,
+        Option(
+            help="File of fibres, one vector per point or tetrahedron; 'file', those in the mesh's "
+            "file, whatever they are; or 'rule'."
+        ),
+    ],
     lv_endocardium: Annotated[Path, Option(help="LV endocardium, open at the base.")],
     rv_endocardium: Annotated[Path, Option(help="RV endocardium, open at the base.")],
     electrodes: Annotated[Path, Option(help="Nine electrodes: CSV name,x,y,z or JSON.")],
     out: OutOption,
+    regions: RegionsOption = None,
+    region_array: RegionArrayOption = None,
     **around: Any,
 ) -> Result:
     """Make a heart folder from finished parts: mesh, fibres, endocardia, electrodes.
 
     Surfaces may be VTK, VTP, OBJ, STL, PLY or Gmsh. Fibres are matched by position, so their
-    points may come in another order. Without seeds, sensible ones are found on the septal side of
-    the base, pointing to the apex. Without **--torso idealised** the volume conductor is unbounded,
-    and the ratios of the leads are wrong.
+    points may come in another order; a rule takes the place of a placeholder, such as one direction
+    everywhere. Without seeds, sensible ones are found on the septal side of the base, pointing to
+    the apex. Without **--torso idealised** the volume conductor is unbounded, and the ratios of the
+    leads are wrong.
     """
+    from fascicle.build.regions import ventricles
     from fascicle.build.torso import in_torso
     from fascicle.heart.assembly import assemble_heart
     from fascicle.heart.folder import check_heart_folder
     from fascicle.heart.labelled_surface import labelled_mesh
     from fascicle.mesh.formats.read import read_mesh
 
-    check_heart_folder(out, [mesh, fibres, lv_endocardium, rv_endocardium, electrodes])
+    inputs = [mesh, Path(fibres), lv_endocardium, rv_endocardium, electrodes]
+    check_heart_folder(out, [path for path in inputs if path.is_file()])
     torso = _torso(around, electrodes)
+    tissue = read_mesh(mesh, "mesh")
+    if (numbers := _numbers("--regions", regions)) is not None:
+        tissue, _ = ventricles(tissue, numbers, region_array)
+    from_file = fibres not in ("file", "rule")
+    about_fibres: list[str] = []
     heart = assemble_heart(
-        mesh=read_mesh(mesh, "mesh"),
-        fibres=read_mesh(fibres, "fibres"),
+        mesh=tissue,
+        fibres=read_mesh(fibres, "fibres") if from_file else None,
         surfaces={
             "lv": read_mesh(lv_endocardium, "LV endocardium"),
             "rv": read_mesh(rv_endocardium, "RV endocardium"),
@@ -225,9 +266,12 @@ def heart_import(
         seeds=_seeds(around),
         electrodes=electrodes,
         name=out.resolve().name,
+        by_rule=None if from_file else fibres == "rule",
+        notes=about_fibres,
     )
     with TerminalProgress() as progress:
         heart, notes = in_torso(heart, labelled_mesh(heart), torso, progress)
+    notes = (*about_fibres, *notes)
     return _write_and_check(heart, out, notes, {"lv": lv_endocardium, "rv": rv_endocardium})
 
 
@@ -422,19 +466,23 @@ def _growable_charts(heart: Heart, sources: Mapping[str, object]) -> dict[str, C
 
 def _label_numbers(labels: str | None) -> dict[str, int] | None:
     """Read 'lv=3,rv=4' as names and numbers."""
-    if labels is None:
+    numbers = _numbers("--labels", labels)
+    if numbers is not None and any(len(values) > 1 for values in numbers.values()):
+        raise InputError(f"--labels {labels}: give every name once, such as lv=3,rv=4")
+    return None if numbers is None else {name: values[0] for name, values in numbers.items()}
+
+
+def _numbers(option: str, text: str | None) -> dict[str, tuple[int, ...]] | None:
+    """Read 'lv=1,lv=8,rv=2' as names and the numbers of each."""
+    if text is None:
         return None
-    items = [item.partition("=") for item in labels.split(",")]
-    names = [name.strip().lower() for name, _, _ in items]
-    try:
-        numbers = [int(number) for _, _, number in items]
-    except ValueError:
-        numbers = []
-    if len(set(names)) != len(numbers):
-        raise InputError(
-            f"--labels {labels}: give names with a number each, once, such as lv=3,rv=4"
-        )
-    return dict(zip(names, numbers, strict=True))
+    numbers: dict[str, tuple[int, ...]] = {}
+    for item in text.split(","):
+        name, _, number = (part.strip().lower() for part in item.partition("="))
+        if not re.fullmatch(r"-?\d+", number):
+            raise InputError(f"{option} {text}: give names with a number each, such as lv=3,rv=4")
+        numbers[name] = (*numbers.get(name, ()), int(number))
+    return numbers
 
 
 def _fibre_angles(lv: str, rv: str) -> FibreAngles:

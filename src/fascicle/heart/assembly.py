@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ from fascicle.core.errors import InputError
 from fascicle.core.ranges import check_array
 from fascicle.heart.electrodes import read_electrodes
 from fascicle.heart.endocardium import ChosenSeed, oriented_into_cavity, seeded_endocardia
+from fascicle.heart.fibres import lengths_in_words, placeholder, rule_based_fibres
 from fascicle.heart.heart import Heart
+from fascicle.heart.labelled_surface import labelled_mesh, missing_parts
 from fascicle.heart.validate import (
     check_electrodes,
     check_endocardium_in_place,
@@ -35,6 +38,8 @@ def assemble_heart(
     seeds: dict[str, tuple[ChosenSeed, ChosenSeed]],
     electrodes: Path,
     name: str,
+    by_rule: bool | None = False,
+    notes: list[str] | None = None,
 ) -> Heart:
     """Build and validate a heart from files that were read.
 
@@ -51,10 +56,20 @@ def assemble_heart(
         File of electrode positions.
     name : str
         What to call the heart.
+    by_rule : bool or None
+        Whether fibres and sheets are those of `fascicle.heart.fibres.rule_based_fibres`. None:
+        where the given ones are a `fascicle.heart.fibres.placeholder`.
+    notes : list of str, optional
+        What was done with the fibres is added here.
     """
     tetrahedra = mesh.require(TETRAHEDRON, "tetrahedra")
     check_units(str(mesh.path), mesh.points)
-    direction = _fibres_per_tetrahedron(mesh, tetrahedra, fibres if fibres is not None else mesh)
+    notes = notes if notes is not None else []
+    source, direction = fibres if fibres is not None else mesh, np.zeros((len(tetrahedra), 3))
+    if by_rule is None:
+        by_rule = _are_placeholders(source, notes)
+    if not by_rule:
+        direction = _fibres_per_tetrahedron(mesh, tetrahedra, source)
     vertices, tetrahedra = without_unused_vertices(mesh.points, tetrahedra)
     check_tetrahedra(str(mesh.path), vertices, tetrahedra)
     named = {}
@@ -82,10 +97,19 @@ def assemble_heart(
         name=name,
         additional_electrodes=more,
         regions=region_labels(mesh),
-        sheets=_sheets(mesh),
+        sheets=None if by_rule else _sheets(mesh),
     )
     check_electrodes(str(electrodes), heart)
-    return heart
+    if not by_rule:
+        return heart
+    labelled = labelled_mesh(heart)
+    if missing := missing_parts(labelled.labels):
+        raise InputError(
+            f"{source.path}: no fibres, and no rule serves, as the mesh's boundary has no "
+            f"{', '.join(missing)} where the surfaces are; give fibres, or this mesh's surfaces"
+        )
+    ruled = rule_based_fibres(labelled)
+    return replace(heart, fibres=ruled.fibre, sheets=ruled.sheet)
 
 
 def _endocardium(side: str, surface: MeshFile) -> Integers:
@@ -124,6 +148,20 @@ def _fibres_per_tetrahedron(mesh: MeshFile, tetrahedra: Integers, source: MeshFi
     at_vertex[used] = values[row]
     check_fibres(name, at_vertex[used])
     return average_to_tetrahedra(at_vertex, tetrahedra)
+
+
+def _are_placeholders(source: MeshFile, notes: list[str]) -> bool:
+    """Whether the fibres of a file are none; a note says so, or that they have another length."""
+    values, _ = _fibre_array(source)
+    fault, lengths = placeholder(values), lengths_in_words(values)
+    if fault:
+        notes.append(
+            f"fibres: {source.path} holds a placeholder, as {fault}; a rule was applied instead "
+            "(fibres in the mesh's file are kept by --fibres file)"
+        )
+    elif lengths:
+        notes.append(f"fibres: {source.path} has {lengths}; they were made unit vectors")
+    return bool(fault)
 
 
 def _match_by_position(name: str, given: Floats, wanted: Floats, what: str) -> Integers:

@@ -38,7 +38,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import BASAL, Label, LabelledMesh
 from fascicle.heart.laplace import QuadraticSpace, quadratic_space, solve_laplace
-from fascicle.mesh.measures import unit
+from fascicle.mesh.measures import principal_axes, unit
 
 # The surfaces that carry an angle. Where two of them share a node the first one has it.
 SURFACES = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM)
@@ -148,6 +148,36 @@ def rule_based_fibres(
     fibres = by_rule(potentials, gradients, baseward, outflow, angles)
     progress(3, 3)
     return fibres
+
+
+def placeholder(directions: Floats) -> str:
+    """Why vectors (m, 3) cannot be measured fibres, in words; empty if they can.
+
+    They are placeholders if more than half are zero or nearly all (99 %) lie along one axis, and
+    no directions if more than 1 % of their lengths differ from the median by a factor above 2.
+    Means of unit vectors are shorter than these, but seldom by so much.
+    """
+    if not (np.abs(directions) < 1e100).all():  # `check_fibres` refuses these
+        return ""
+    length = np.linalg.norm(directions, axis=1)
+    if (length < 1e-6).mean() > 0.5:
+        return f"{(length < 1e-6).mean():.0%} of them are zero"
+    axis = principal_axes(unit(directions)[None])[0]
+    if (np.abs(unit(directions) @ axis) > 1 - 1e-6).mean() > 0.99:
+        return "all lie along ({:.2g}, {:.2g}, {:.2g})".format(*axis * np.sign(axis.sum()))
+    typical = float(np.median(length))
+    if ((length > 2 * typical) | (length < typical / 2)).mean() > 0.01:
+        low, high = np.percentile(length, [1, 99])
+        return f"their lengths vary from {low:.2g} to {high:.2g}"
+    return ""
+
+
+def lengths_in_words(directions: Floats) -> str:
+    """The range of lengths of vectors (m, 3); empty if all are 1 but for rounding."""
+    length = np.linalg.norm(directions, axis=1)
+    if np.abs(length - 1).max() <= 1e-3:
+        return ""
+    return f"vectors of length {length.min():.3g} to {length.max():.3g}"
 
 
 def wall_potentials(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, Floats]:

@@ -63,13 +63,15 @@ class LabelledSurface(_Labelled):
     """The boundary of the ventricular myocardium.
 
     Vertices (n, 3) (mm); triangles (m, 3), counter-clockwise seen from outside the tissue; a
-    `Label` for each (m,); and what to call it in messages, usually the file.
+    `Label` for each (m,); what to call it in messages, usually the file; and how it was repaired,
+    for the user.
     """
 
     vertices: Floats
     triangles: Integers
     labels: Integers
     name: str = "surface"
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,9 @@ def _overlapping(tetrahedra: Integers) -> Booleans:
     return crowded
 
 
-def check_fibres(name: str, fibres: Floats) -> None:
+def check_fibres(
+    name: str, fibres: Floats, remedy: str = "give every vertex or element a direction"
+) -> None:
     """Refuse fibre directions (n, 3) whose length is not finite, or 0."""
     # any length serves, as long as its square is a number
     usable = np.all(np.abs(fibres) < 1e100, axis=1, keepdims=True)
@@ -88,7 +90,7 @@ def check_fibres(name: str, fibres: Floats) -> None:
         if bad.any():
             raise InputError(
                 f"{name}: {bad.sum()} of {len(fibres)} fibres {what} (first: {bad.argmax()}); "
-                "give every vertex or element a direction"
+                f"{remedy}"
             )
 
 

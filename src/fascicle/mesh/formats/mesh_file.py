@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from fascicle.core.arrays import Floats, Integers
+from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 
 OPENCARP_FORMATS = (".pts", ".elem")  # either names both files, and the `.lon`
@@ -43,6 +43,15 @@ class MeshFile:
         """Values of an array on cells of one kind, if there is one of that name."""
         values = self.cell_data.get(kind, {}).get(name)
         return None if values is None else np.asarray(values, dtype=float)
+
+    def keeping(self, kind: int, chosen: Booleans | Integers) -> MeshFile:
+        """The file with chosen cells of one kind only, by mask or row, and their arrays' rows."""
+        arrays = {name: values[chosen] for name, values in self.cell_data.get(kind, {}).items()}
+        return replace(
+            self,
+            cells={**self.cells, kind: self.cells[kind][chosen]},
+            cell_data={**self.cell_data, kind: arrays},
+        )
 
     def require(self, kind: int, name: str) -> Integers:
         """Cells of one kind."""

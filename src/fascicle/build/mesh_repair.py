@@ -1,0 +1,249 @@
+"""Tetrahedra of a file repaired: turned, without crumbs and voids, separated where edges meet."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import igl
+import numpy as np
+from scipy.spatial import cKDTree
+
+from fascicle.build.labelled_files import Anatomy
+from fascicle.build.surface_checks import place
+from fascicle.build.surface_repair import LARGEST_CRUMB
+from fascicle.core.arrays import Floats, Integers
+from fascicle.heart.labelled_surface import LabelledMesh
+from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
+from fascicle.mesh.measures import closed_volume, signed_volumes
+from fascicle.mesh.meshing import NOTHING, Interface, tetrahedralise
+from fascicle.mesh.topology import (
+    TETRAHEDRON_FACES,
+    boundary_triangles,
+    components_of,
+    places_in,
+    unique_edges,
+    without_unused_vertices,
+)
+
+
+def repaired_mesh(mesh: MeshFile) -> tuple[MeshFile, tuple[str, ...]]:
+    """Turn tetrahedra that are all inverted, drop crumbs and fill small voids; notes of what.
+
+    A crumb is a piece of at most `LARGEST_CRUMB` that shares no face with the rest. A void is a
+    surface inside the tissue; the tetrahedra in it have the rows of a neighbour in every array.
+    Triangles of the file that are no longer on the boundary are left out.
+    """
+    tetrahedra = mesh.require(TETRAHEDRON, "tetrahedra")
+    notes: list[str] = []
+    # another program's convention, or the file is mirrored
+    if (signed_volumes(mesh.points, tetrahedra) < 0).all():
+        tetrahedra = tetrahedra[:, [0, 2, 1, 3]]
+        mesh = replace(mesh, cells={**mesh.cells, TETRAHEDRON: tetrahedra})
+        notes.append(
+            "tetrahedra: all were inverted and have been turned; if left and right are exchanged "
+            "in the picture, the file is mirrored"
+        )
+    before, _ = boundary_triangles(tetrahedra)
+    repaired = _with_voids_filled(_without_crumbs(mesh, notes), notes)
+    if repaired is mesh or TRIANGLE not in mesh.cells:
+        return repaired, tuple(notes)
+    after, _ = boundary_triangles(repaired.cells[TETRAHEDRON])
+    triangles = mesh.cells[TRIANGLE]
+    lost = (places_in(triangles, before) >= 0) & (places_in(triangles, after) < 0)
+    return repaired.keeping(TRIANGLE, ~lost), tuple(notes)
+
+
+def _without_crumbs(mesh: MeshFile, notes: list[str]) -> MeshFile:
+    """Drop small pieces that hang by an edge, by a vertex, or not at all."""
+    tetrahedra = mesh.cells[TETRAHEDRON]
+    piece = components_of(_neighbours(tetrahedra), len(tetrahedra))
+    sizes = np.bincount(piece)
+    small = [
+        k
+        for k in np.flatnonzero(np.arange(len(sizes)) != sizes.argmax())
+        if np.ptp(mesh.points[tetrahedra[piece == k]], axis=(0, 1)).max() <= LARGEST_CRUMB
+    ]
+    if not small:
+        return mesh
+    dropped = np.isin(piece, small)
+    first = mesh.points[tetrahedra[np.argmax(dropped)]].mean(axis=0)
+    notes.append(
+        f"mesh: pieces of at most {LARGEST_CRUMB:g} mm that share no face with the rest were left "
+        f"out: {len(small)} (the first at {place(first)}), with {dropped.sum()} of {len(dropped)} "
+        "tetrahedra"
+    )
+    return mesh.keeping(TETRAHEDRON, ~dropped)
+
+
+def _neighbours(tetrahedra: Integers) -> Integers:
+    """Pairs (k, 2) of tetrahedra that share a face."""
+    faces = np.sort(tetrahedra[:, TETRAHEDRON_FACES].reshape(-1, 3), axis=1)
+    order = np.lexsort(faces.T)
+    same = (faces[order[1:]] == faces[order[:-1]]).all(axis=1)
+    return np.column_stack([order[:-1][same], order[1:][same]]) // 4
+
+
+def _with_voids_filled(mesh: MeshFile, notes: list[str]) -> MeshFile:
+    """Fill closed cavities of at most `LARGEST_CRUMB` with tetrahedra."""
+    tetrahedra = mesh.cells[TETRAHEDRON]
+    boundary, owner = boundary_triangles(tetrahedra)
+    apart, _ = igl.split_nonmanifold(boundary)  # a void may touch another, or the outer surface
+    piece = np.asarray(igl.facet_components(apart)[1])
+    sizes = np.bincount(piece)
+    points, added, rows, volume = mesh.points, [tetrahedra], [np.arange(len(tetrahedra))], 0.0
+    point_rows = [np.arange(len(points))]
+    for k in np.flatnonzero(np.arange(len(sizes)) != sizes.argmax()):
+        around = boundary[piece == k]
+        if np.ptp(mesh.points[around], axis=(0, 1)).max() > LARGEST_CRUMB:
+            continue
+        vertices, triangles = without_unused_vertices(mesh.points, around)
+        volume -= closed_volume(vertices, triangles)
+        filled, inside, _ = tetrahedralise(
+            [Interface(vertices, triangles[:, ::-1], 1, NOTHING)],
+            f"{mesh.path}: a void in the tissue about {place(vertices.mean(axis=0))}",
+            "fill it, or remesh the tissue",
+        )
+        new = filled[len(vertices) :]
+        number = np.concatenate([np.unique(around), len(points) + np.arange(len(new))])
+        points = np.concatenate([points, new])
+        added.append(number[inside])
+        middle = points[added[-1]].mean(axis=1)
+        nearest = cKDTree(mesh.points[around].mean(axis=1)).query(middle)[1]
+        rows.append(owner[piece == k][nearest])
+        point_rows.append(np.full(len(new), around[0, 0]))
+    if len(added) == 1:
+        return mesh
+    row, at = np.concatenate(rows), np.concatenate(point_rows)
+    whole = mesh.keeping(TETRAHEDRON, row)
+    first = place(points[added[1][0]].mean(axis=0))
+    notes.append(
+        f"mesh: voids of at most {LARGEST_CRUMB:g} mm in the tissue were filled: {len(added) - 1} "
+        f"(the first at {first}), {volume:.3g} mm³ in all, with {len(row) - len(tetrahedra)} "
+        "tetrahedra that have the fibres and regions of those next to them"
+    )
+    return replace(
+        whole,
+        points=points,
+        cells={**whole.cells, TETRAHEDRON: np.concatenate(added)},
+        point_data={name: values[at] for name, values in mesh.point_data.items()},
+    )
+
+
+def separated_vertices(anatomy: Anatomy) -> Anatomy:
+    """Double the vertices in which tetrahedra meet that share no chain of faces around them.
+
+    The boundary touches itself there. Positions stay, and so do fibres, sheets, regions and labels.
+    The anatomy is returned as it is if that would take the tissue apart.
+    """
+    mesh = anatomy.mesh
+    pairs = _neighbours(mesh.tetrahedra)
+    if components_of(pairs, len(mesh.tetrahedra)).any():
+        return anatomy
+    # corners of neighbours in one vertex are one
+    same = mesh.tetrahedra[pairs[:, 0], :, None] == mesh.tetrahedra[pairs[:, 1], None, :]
+    pair, one, other = np.nonzero(same)
+    linked = 4 * pairs[pair] + np.column_stack([one, other])
+    part = components_of(linked, mesh.tetrahedra.size)
+    _, first, corner = np.unique(part, return_index=True, return_inverse=True)
+    parent = mesh.tetrahedra.ravel()[first]
+    _, originals = np.unique(parent, return_index=True)
+    if len(originals) == len(parent):
+        return anatomy
+    copies = np.setdiff1d(np.arange(len(parent)), originals)
+    order = np.concatenate([originals, copies])
+    parent = parent[order]
+    tetrahedra = np.argsort(order)[corner].reshape(-1, 4)
+    triangles, _ = boundary_triangles(tetrahedra)
+    note = (
+        f"mesh: vertices in which its boundary touched itself were doubled: {len(copies)} (the "
+        f"first at {place(mesh.vertices[parent[-len(copies)]])})"
+    )
+    return replace(
+        anatomy,
+        mesh=replace(
+            mesh,
+            vertices=mesh.vertices[parent],
+            tetrahedra=tetrahedra,
+            triangles=triangles,
+            labels=mesh.labels[places_in(parent[triangles], mesh.triangles)],
+        ),
+        notes=(*anatomy.notes, note),
+    )
+
+
+def repaired_edges(anatomy: Anatomy) -> Anatomy:
+    """Separate tetrahedra that share only an edge, if there are few such edges.
+
+    Four or more triangles of the boundary meet in such an edge, so the boundary is not a surface.
+    Each group of face-connected tetrahedra around the edge gets a separate midpoint of it, moved a
+    little into the group, and its tetrahedra are halved there. No tissue is removed, and the groups
+    stay joined at the edge's ends. Fibres, sheets, regions and labels are inherited. The anatomy is
+    returned as it is if nothing is to be repaired, or more than one edge in a thousand.
+    """
+    mesh = anatomy.mesh
+    edges, count = unique_edges(mesh.triangles)
+    bad = edges[count > 2]
+    if not len(bad) or len(bad) > max(2.0, 1e-3 * len(edges)):
+        return anatomy
+    vertices, tetrahedra = mesh.vertices, mesh.tetrahedra
+    parent, ends = np.arange(len(tetrahedra)), np.empty((0, 2), dtype=np.int64)
+    for edge in bad:
+        fans = _fans(tetrahedra, edge)
+        around = np.concatenate(fans)
+        kept, halves = np.delete(tetrahedra, around, axis=0), []
+        for fan in fans:
+            new, middle = len(vertices), _middle(vertices, tetrahedra[fan], edge)
+            vertices = np.concatenate([vertices, middle[None]])
+            ends = np.concatenate([ends, edge[None]])
+            halves += [np.where(tetrahedra[fan] == end, new, tetrahedra[fan]) for end in edge]
+        order = np.concatenate([each for fan in fans for each in (fan, fan)])
+        tetrahedra = np.concatenate([kept, *halves])
+        parent = np.concatenate([np.delete(parent, around), parent[order]])
+    triangles, _ = boundary_triangles(tetrahedra)
+    whole = triangles.copy()  # the triangles that these are parts of
+    for k in range(len(ends) - 1, -1, -1):  # the last ones may lie between earlier ones
+        for corner in range(3):
+            here = whole[:, corner] == len(mesh.vertices) + k
+            there = (whole == ends[k, 0]).any(axis=1)
+            whole[here, corner] = np.where(there, ends[k, 1], ends[k, 0])[here]
+    note = (
+        f"mesh: {len(bad)} of {len(edges)} edges of its boundary had more than two triangles (the "
+        f"first at {place(mesh.vertices[bad[0]].mean(axis=0))}): the tetrahedra that met in them "
+        f"alone were separated ({len(tetrahedra) - len(mesh.tetrahedra)} tetrahedra halved, none "
+        "removed)"
+    )
+    return replace(
+        anatomy,
+        mesh=LabelledMesh(
+            vertices,
+            tetrahedra,
+            triangles,
+            mesh.labels[places_in(whole, mesh.triangles)],
+            None if mesh.regions is None else mesh.regions[parent],
+            mesh.name,
+        ),
+        fibres=None if anatomy.fibres is None else anatomy.fibres[parent],
+        sheets=None if anatomy.sheets is None else anatomy.sheets[parent],
+        notes=(*anatomy.notes, note),
+    )
+
+
+def _fans(tetrahedra: Integers, edge: Integers) -> list[Integers]:
+    """Groups of the tetrahedra that have an edge, linked by the faces that have it."""
+    around = np.flatnonzero(np.isin(tetrahedra, edge).sum(axis=1) == 2)
+    opposite = tetrahedra[around][~np.isin(tetrahedra[around], edge)].reshape(-1, 2)
+    _, ring = np.unique(opposite, return_inverse=True)
+    ring = ring.reshape(-1, 2)
+    group = components_of(ring, int(ring.max()) + 1)[ring[:, 0]]
+    return [around[group == k] for k in np.unique(group)]
+
+
+def _middle(vertices: Floats, fan: Integers, edge: Integers) -> Floats:
+    """The middle of an edge, a tenth of the way into its tetrahedra where these stay positive."""
+    middle = vertices[edge].mean(axis=0)
+    inwards = vertices[fan[~np.isin(fan, edge)]].mean(axis=0) - middle
+    trial = np.concatenate([vertices, (middle + 0.1 * inwards)[None]])
+    halves = [np.where(fan == end, len(vertices), fan) for end in edge]
+    if all((signed_volumes(trial, half) > 0).all() for half in halves):
+        return np.asarray(trial[-1])
+    return np.asarray(middle)

@@ -1,0 +1,156 @@
+"""The ventricles within the mesh of a whole heart, by the numbers of its regions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import igl
+import numpy as np
+
+from fascicle.build.labelled_files import REGION_NAMES
+from fascicle.build.surface_checks import closed_by_fan
+from fascicle.core.arrays import Booleans, Integers
+from fascicle.core.errors import InputError
+from fascicle.heart.fibres import SURFACES
+from fascicle.heart.labelled_surface import Label, LabelledMesh
+from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
+from fascicle.mesh.measures import signed_volumes, triangle_areas
+from fascicle.mesh.topology import boundary_triangles, places_in
+
+VENTRICLES = ("lv", "rv", "septum")
+MOST_REGIONS = 200  # an array of more numbers is one of elements, not of regions
+
+Regions = Mapping[str, tuple[int, ...]]  # the numbers of each of `VENTRICLES`
+
+
+def region_arrays(mesh: MeshFile) -> dict[str, Integers]:
+    """Arrays of the tetrahedra that can be regions: whole numbers, more than one and not too many.
+
+    Those with the usual names come first, then those of more numbers.
+    """
+    found = {}
+    for name, given in mesh.cell_data.get(TETRAHEDRON, {}).items():
+        values = np.asarray(given)
+        if values.ndim == 1 and (np.isfinite(values) & (values == np.round(values))).all():
+            count = len(np.unique(values))
+            if 1 < count <= MOST_REGIONS:
+                known = name.lower() in REGION_NAMES
+                found[name] = (not known, -count), values.astype(np.int64)
+    return {
+        name: values for name, (_, values) in sorted(found.items(), key=lambda item: item[1][0])
+    }
+
+
+def regions_in(mesh: MeshFile) -> str:
+    """The region numbers in a mesh and how large each region is, in words; empty if it has none."""
+    arrays = region_arrays(mesh)
+    if not arrays:
+        return ""
+    name, values = next(iter(arrays.items()))
+    tetrahedra = mesh.cells[TETRAHEDRON]
+    volumes = np.abs(signed_volumes(mesh.points, tetrahedra)) / 1e3
+    numbers, which, counts = np.unique(values, return_inverse=True, return_counts=True)
+    names = {number: group for group, (size, number) in mesh.groups.items() if size == 3}
+    listed = [
+        f"{number}{f' {names[number]}' if number in names else ''} ({count} elements, {ml:.3g} ml)"
+        for number, count, ml in zip(
+            numbers.tolist(), counts, np.bincount(which, volumes), strict=True
+        )
+    ]
+    if len(listed) > 12:
+        listed = [*listed[:12], f"and {len(listed) - 12} more"]
+    others = f"; other arrays: {', '.join(list(arrays)[1:])}" if len(arrays) > 1 else ""
+    return f"its array '{name}' has the regions {', '.join(listed)}{others}"
+
+
+def ventricles(
+    mesh: MeshFile, regions: Regions, array: str | None = None
+) -> tuple[MeshFile, Integers]:
+    """Take the ventricles out of a mesh.
+
+    Parameters
+    ----------
+    mesh : MeshFile
+        Tetrahedra with an array of region numbers.
+    regions : mapping of str to tuple of int
+        Numbers of ``lv``, ``rv`` and perhaps ``septum``.
+    array : str, optional
+        Name of the array; by default the one that has these numbers.
+
+    Returns
+    -------
+    mesh : MeshFile
+        Their tetrahedra, with the numbers in the array ``region``, and those triangles of the file
+        that are on their boundary.
+    cut : (k, 3) array
+        Triangles, as points of the file, that lay between ventricles and other tissue.
+    """
+    unknown = [name for name in regions if name not in VENTRICLES]
+    if unknown or not {"lv", "rv"} <= set(regions):
+        what = f"unknown '{unknown[0]}'" if unknown else "lv or rv missing"
+        raise InputError(
+            f"--regions: {what}; give lv, rv and perhaps septum, as lv=1,rv=2,septum=7"
+        )
+    wanted = np.concatenate([np.array(numbers) for numbers in regions.values()])
+    if len(np.unique(wanted)) < len(wanted):
+        raise InputError("--regions: a number is given twice; give each once")
+    values = _regions_with(mesh, wanted, array)
+    tetrahedra, chosen = mesh.cells[TETRAHEDRON], np.isin(values, wanted)
+    boundary, _ = boundary_triangles(tetrahedra[chosen])
+    outer, _ = boundary_triangles(tetrahedra)
+    kept = mesh.keeping(TETRAHEDRON, chosen)
+    if TRIANGLE in kept.cells:
+        kept = kept.keeping(TRIANGLE, places_in(kept.cells[TRIANGLE], boundary) >= 0)
+    arrays = {**kept.cell_data.get(TETRAHEDRON, {}), REGION_NAMES[0]: values[chosen].astype(float)}
+    kept = replace(kept, cell_data={**kept.cell_data, TETRAHEDRON: arrays})
+    return kept, boundary[places_in(boundary, outer) < 0]
+
+
+def _regions_with(mesh: MeshFile, wanted: Integers, array: str | None) -> Integers:
+    """Values of the array of regions that has these numbers."""
+    arrays = region_arrays(mesh)
+    there = regions_in(mesh) or "its tetrahedra have no array of region numbers"
+    if array is not None:
+        arrays = {name: values for name, values in arrays.items() if name == array}
+    fitting = {name: v for name, v in arrays.items() if np.isin(wanted, v).all()}
+    if not fitting:
+        numbers = ", ".join(map(str, wanted))
+        raise InputError(
+            f"{mesh.path}: no array{f' {array!r}' if array else ''} of the tetrahedra has all of "
+            f"the regions {numbers}; {there}; give numbers that are there (--regions, "
+            "--region-array)"
+        )
+    name, values = next(iter(fitting.items()))
+    for other, theirs in fitting.items():
+        if name.lower() not in REGION_NAMES and not np.array_equal(
+            np.isin(values, wanted), np.isin(theirs, wanted)
+        ):
+            raise InputError(
+                f"{mesh.path}: the arrays '{name}' and '{other}' both have these regions, of "
+                "different elements; say which one is meant (--region-array)"
+            )
+    return values
+
+
+def labels_of_ventricles(mesh: LabelledMesh, is_left: Booleans) -> Integers | None:
+    """Labels (b,) of the boundary of `ventricles`, whose base is labelled; None if not possible.
+
+    Without the base the boundary must fall into the epicardium, which encloses most, and two
+    endocardia, of which that of the left ventricle lies on more of its tetrahedra, as `is_left`
+    (m,) says. Smaller pieces become part of the base.
+    """
+    rest = np.flatnonzero(mesh.labels == 0)
+    triangles, owner = mesh.triangles[rest], boundary_triangles(mesh.tetrahedra)[1][rest]
+    piece = np.asarray(igl.facet_components(triangles)[1])
+    area = np.bincount(piece, triangle_areas(mesh.vertices, triangles))
+    large = np.flatnonzero(area > 0.02 * area.sum())
+    if len(large) != 3:
+        return None
+    enclosed = [closed_by_fan(mesh.vertices, triangles[piece == k])[0] for k in large]
+    outer = large[np.argmax(enclosed)]
+    rv, lv = sorted(large[large != outer], key=lambda k: float(is_left[owner[piece == k]].mean()))
+    labels = np.where(mesh.labels == 0, int(Label.BASE), mesh.labels)
+    for label, which in zip(SURFACES, (lv, rv, outer), strict=True):
+        labels[rest[piece == which]] = label
+    return labels
