@@ -76,7 +76,8 @@ def test_additional_electrodes_move_with_the_torso(default_heart):
     ):
         leads = model.simulate(with_torso(**values)).leads
         assert np.abs(leads[12] - plain[12]).max() > 0.01  # mV
-        np.testing.assert_allclose(leads[12], leads[4] * 2 / 3, atol=2e-3)
+        # what the modes do not span is scaled lead by lead
+        np.testing.assert_allclose(leads[12], leads[4] * 2 / 3, atol=0.01 * np.abs(leads[4]).max())
 
 
 @pytest.mark.slow

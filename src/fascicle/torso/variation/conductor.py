@@ -64,9 +64,8 @@ class TorsoState:
             for turn in ("", "rotation_")
             for axis in ("left", "posterior", "up")
         ]
-        conductivities = [
-            values.get(f"{tissue.name.lower()}_conductivity", 1.0) for tissue in TorsoTissue
-        ]
+        tissues = ("body", "lung", "blood")  # in the order of `TorsoTissue`
+        conductivities = [values.get(f"{tissue}_conductivity", 1.0) for tissue in tissues]
         muscle = values.get("myocardium_conductivity", 1.0)
         together = values.get("chest_electrodes_up", 0.0)
         chest = [
