@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -375,6 +376,37 @@ class TestOut:
         arguments = ["simulate", small_heart, "--params", parameters(), "--out", small_heart]
         refused(arguments, "which would be lost")
         assert {p.name: p.read_bytes() for p in small_heart.iterdir() if p.is_file()} == before
+
+
+def test_leads_of_additional_electrodes_follow_the_twelve(
+    small_heart, parameters, simulated, outside, run
+):
+    heart = outside / "with a vest"
+    shutil.copytree(small_heart, heart, ignore=shutil.ignore_patterns(".fascicle-cache"))
+    nine = (heart / "electrodes.csv").read_text().splitlines()[1:]
+    places = [line.partition(",")[2] for line in nine]
+    names = ["v7", *(f"E{k}" for k in range(1, 10)), *"ACEFHIM"]
+    with (heart / "electrodes.csv").open("a") as file:
+        for name, place in zip(names, [*places, *places[:8]], strict=True):
+            file.write(f"{name},{place}\n")
+    out = outside / "leads of a vest"
+    ended = run("simulate", heart, "--params", parameters(), "--out", out)
+    assert (ended.status, ended.err) == (0, "")
+    (header, rows), (_, plain) = read_ecg(out), read_ecg(simulated)
+    more = ["V7", *names[1:10], "X", "Y", "Z"]
+    assert header == ["time_ms", *LEADS, *more]
+    np.testing.assert_array_equal(rows[:, :13], plain)
+    lead = dict(zip(header, rows.T, strict=True))
+    np.testing.assert_allclose(lead["E8"], lead["V6"], atol=2e-5)  # places[8] is V6's
+    assert np.abs(lead["X"]).max() > 0.01  # mV
+
+
+def test_standard_electrodes_need_a_skin(small_heart, outside, refused):
+    out = outside / "more"
+    words = "lies in an unbounded conductor", "electrodes.csv"
+    refused(["heart", "add-electrodes", small_heart, "--out", out], *words)
+    asked = ["heart", "add-electrodes", small_heart, "--out", out, "--leads", "V7,V1"]
+    refused(asked, "lead V1: its electrodes have no standard place")
 
 
 def test_pictures_in_other_formats_take_the_place_of_the_first(run, tmp_path):
