@@ -89,10 +89,11 @@ def test_what_is_no_potential_or_has_gaps_is_not_a_lead(table, recording):
     """The axes of an accelerometer are called X, Y and Z, too."""
     gaps = recording.signal[6].copy()
     gaps[100:900] = np.nan
-    found = table({"X_g": gaps, "V8_mV": gaps, "V9_mV": recording.signal[6]})
+    columns = {"X_g": gaps, "V8_mV": gaps, "V7_mV": np.zeros(len(gaps))}
+    found = table(columns | {"V9_mV": recording.signal[6]})
     assert [*found.additional] == ["V9"]
-    assert sorted(found.ignored) == ["V8_mV", "X_g"]
-    with pytest.raises(InputError, match="lead V8 was not recorded all of the time"):
+    assert sorted(found.ignored) == ["V7_mV", "V8_mV", "X_g"]
+    with pytest.raises(InputError, match="lead V8 is constant, was not recorded all of the time"):
         table({"V8_mV": gaps}, leads=[*LEADS, "V8"])
 
 

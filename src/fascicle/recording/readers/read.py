@@ -236,8 +236,8 @@ def _assemble(
         left_out, additional = [*left_out, *additional], {}
     if left_out and wanted is not None:
         raise InputError(
-            f"{source}: lead {left_out[0]} was not recorded all of the time that the others were, "
-            "or has no unit of a potential; leave it out of --leads"
+            f"{source}: lead {left_out[0]} is constant, was not recorded all of the time that the "
+            "others were, or has no unit of a potential; leave it out of --leads"
         )
     signal, derived = derive_limb_leads(signal, leads)
     for lead in derived:
@@ -264,14 +264,15 @@ def _additional(
 ) -> tuple[dict[str, Floats], list[str]]:
     """Potentials (n,), mV, of additional leads, and names of those that cannot be used.
 
-    They are potentials without gaps: X, Y and Z may also be the axes of an accelerometer.
+    They are potentials without gaps: X, Y and Z may also be the axes of an accelerometer. Where no
+    electrode was connected, recorders may write a constant.
     """
     found, left_out = {}, []
     for lead, channel in channels.items():
         if lead in LEADS:
             continue
         values = without_fill(channel, rate)
-        whole = len(values) == length and bool(np.isfinite(values).all())
+        whole = len(values) == length and bool(np.isfinite(values).all() and np.ptp(values) > 0)
         if whole and millivolts(channel.unit or unit or "") is not None:
             found[lead] = _scale(channel, lead, source, unit, channels) * values
         else:
