@@ -88,7 +88,8 @@ class FitSettings(BaseModel):
     )
     leads: Literal["12", "8"] = Field(
         "12",
-        description="Leads that are compared: all 12, as in the paper, or the 8 independent ones.",
+        description="Leads that are compared: all 12, as in the paper, or the 8 independent ones; "
+        "and the additional ones that heart and recording share.",
     )
     fewest_junctions: int = _whole(
         0, 0, 100_000, "A network with a tree of fewer junctions does not count as one."
