@@ -72,8 +72,8 @@ READERS = [
     ),
     _built_in(
         "DICOM waveform", ".dcm", "dicom.read_dicom",
-        "the group with the most leads, joined in time with those that have others or continue them; "
-        "channels that are constant in one group only are not recorded in it",
+        "the group with the most leads, joined in time with those that have others or continue "
+        "them; channels that are constant in one group only are not recorded in it",
         lambda start: start[128:132] == b"DICM",
     ),
     _built_in(
