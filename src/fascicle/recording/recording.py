@@ -193,6 +193,27 @@ def bridge_gaps(
     return filled, notes
 
 
+def leave_out_pulses(signal: Floats, rate: float) -> tuple[Floats, list[str]]:
+    """Cut calibration pulses off the ends of leads (12, n): all leads are the same, and jump.
+
+    The leads of a heart never are, by Einthoven's law, unless all are 0. What was done is said.
+    """
+    there = signal[np.isfinite(signal).any(axis=1)]
+    apart = np.flatnonzero(~(np.ptp(there, axis=0) <= 0.01))  # mV
+    begin, end = 0, signal.shape[1]
+    if len(there) < 3 or len(apart) < end / 2:
+        return signal, []
+    first, last = int(apart[0]), int(apart[-1]) + 1
+    if first > 0 and np.ptp(there[0, :first]) >= 0.5:  # mV; pulses are of 1 mV
+        begin = first
+    if last < end and np.ptp(there[0, last:]) >= 0.5:
+        end = last
+    cut = [(0, begin)] * (begin > 0) + [(end, signal.shape[1])] * (end < signal.shape[1])
+    pulses = [f"{first / rate:.3f} to {stop / rate:.3f} s" for first, stop in cut]
+    notes = [f"calibration pulse left out: {', '.join(pulses)}"] if pulses else []
+    return signal[:, begin:end], notes
+
+
 def _spans(signal: Floats) -> Integers:
     """First sample of each lead (12, n) and the one after its last, (12, 2); zeros if absent."""
     finite = np.isfinite(signal)

@@ -12,6 +12,8 @@ from refusals import refused
 
 from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_LEADS, LEADS
+from fascicle.recording.missing_metadata import MissingMetadataError
+from fascicle.recording.pipeline import make_target
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Filters
 
@@ -56,10 +58,11 @@ class TestPublishedAecg:
     def test_philips(self, data_folder):
         """The example file of Sierra XML: its digits, XLI-compressed, obey the identities."""
         recording = read_recording(data_folder / "ecg" / "philips" / "129DYPRG.XML")
-        assert recording.signal.shape == (12, 5500)
         assert recording.filters == Filters(highpass=0.05, lowpass=150)
-        # a calibration pulse stands at the end
-        one, two, three, right, left, foot = recording.signal[:6, :5250]
+        # a calibration pulse stood at the end
+        assert recording.signal.shape == (12, 5264)
+        assert recording.provenance["remarks"] == "calibration pulse left out: 10.528 to 11.000 s"
+        one, two, three, right, left, foot = recording.signal[:6]
         for error in (one + three - two, right + (one + two) / 2, left - (one - three) / 2):
             assert np.abs(error).max() <= 0.0101  # two digits
         assert np.abs(foot - (two + three) / 2).max() <= 0.0101
@@ -296,7 +299,7 @@ class TestDamage:
             read_recording(path)
         assert "ge_muse_xml.py" in info.value.__notes__[0]
 
-    @pytest.mark.parametrize("place", [0, 5000, -50])
+    @pytest.mark.parametrize("place", [5000, -50])
     def test_checksum_of_scp(self, tmp_path, digits, place):
         content = bytearray(files.scp(digits))
         content[place] ^= 0x10
@@ -306,6 +309,124 @@ class TestDamage:
     def test_truncated(self, tmp_path, digits, share):
         for content in (files.aecg(digits), files.muse(digits), files.scp(digits, huffman=True)):
             refused(saved(tmp_path, content[: int(share * len(content))]))
+
+
+class TestDeviations:
+    """Of writers from their standard, where the samples are certain nevertheless."""
+
+    @pytest.mark.parametrize("huffman", [False, True])
+    @pytest.mark.parametrize("last", [1999, 2000])
+    def test_sample_ranges_from_0(self, tmp_path, digits, huffman, last):
+        sections = files.scp_sections(digits, huffman=huffman)
+        ranges = bytearray(sections[3])
+        for k in range(8):
+            struct.pack_into("<II", ranges, 2 + 9 * k, 0, last)
+        path = saved(tmp_path, files.scp_record(sections | {3: bytes(ranges)}))
+        recording = read_recording(path)
+        assert recording.signal[ROWS] == pytest.approx(digits[:, :last] * 4.88e-3, abs=1e-12)
+        assert "sample ranges count from 0" in recording.provenance["remarks"]
+
+    def test_scp_without_anything_wrong_says_nothing(self, tmp_path, digits):
+        assert "remarks" not in read_recording(saved(tmp_path, files.scp(digits))).provenance
+
+    def test_measurements_size_and_checksums_of_scp(self, tmp_path, digits):
+        def read(content):
+            recording = read_recording(saved(tmp_path, content))
+            assert recording.signal[ROWS] == pytest.approx(digits * 4.88e-3, abs=1e-12)
+            return recording.provenance["remarks"]
+
+        sections = files.scp_sections(digits)
+        damaged = files.scp_record(sections | {7: b"\1\2"})
+        assert "its measurements are damaged" in read(damaged)
+        content = files.scp(digits)
+        larger = bytearray(content)
+        larger[2:6] = struct.pack("<I", len(content) + 100)
+        assert "size of the record" in read(bytes(larger))
+        assert "3 bytes after the end" in read(content + b"end")
+        of_whole = bytes([content[0] ^ 1]) + content[1:]
+        assert "not those of the samples" in read(of_whole)
+        unwritten = bytearray(content)
+        unwritten[:2] = bytes(2)
+        assert "not those of the samples" in read(bytes(unwritten))
+
+    def test_header_checksum_of_ishne_that_was_not_written(self, tmp_path, digits):
+        content = bytearray(files.ishne(digits))
+        content[8:10] = bytes(2)
+        path = tmp_path / "a.ecg"
+        path.write_bytes(content)
+        assert read_recording(path).signal[ROWS] == pytest.approx(digits * 5e-3, abs=1e-12)
+        content[8:10] = b"\1\2"
+        path.write_bytes(content)
+        refused(path, "checksum")
+
+    def test_a_damaged_averaged_beat_of_muse(self, tmp_path, digits):
+        text = replaced(files.muse(digits), "Total>600<", "Total>601<")
+        recording = read_recording(saved(tmp_path, text))
+        assert recording.signal[ROWS] == pytest.approx(digits * 4.88e-3, abs=1e-12)
+        assert "averaged beat of the file is damaged" in recording.provenance["remarks"]
+
+    def test_unwritten_checksums_in_utf_16(self, tmp_path, digits):
+        text = replaced(files.muse(digits, checksums=False), "ISO-8859-1", "utf-16")
+        (tmp_path / "a.xml").write_bytes(text.encode("utf-16"))
+        assert read_recording(tmp_path / "a.xml").signal[6] == pytest.approx(digits[2] * 4.88e-3)
+        text = replaced(files.muse(digits), "ISO-8859-1", "utf-16")
+        text = re.sub(r"(?<=<LeadDataCRC32>)\d+", "12345", text)
+        (tmp_path / "a.xml").write_bytes(text.encode("utf-16"))
+        refused(tmp_path / "a.xml", "checksum")
+
+    @pytest.mark.parametrize("at_end", [True, False])
+    def test_calibration_pulses(self, tmp_path, digits, at_end):
+        pulse = np.zeros((8, 200), dtype=int)
+        pulse[:, 50:150] = 200  # 1 mV
+        noisy = np.where(digits == 0, 1, digits)
+        both = np.hstack([noisy, pulse] if at_end else [pulse, noisy])
+        path = tmp_path / "a.ecg"
+        path.write_bytes(files.ishne(both))
+        recording = read_recording(path)
+        assert "calibration pulse left out" in recording.provenance["remarks"]
+        assert recording.signal[ROWS] == pytest.approx(noisy * 5e-3, abs=1e-12)
+
+
+class TestAveragedBeatOnly:
+    """Is read as the one beat that it is."""
+
+    @pytest.fixture(scope="class")
+    def beat(self, digits):
+        return digits[:, 50:500]
+
+    def test_muse(self, tmp_path, data_folder):
+        recording = read_recording(data_folder / "cases" / "c30_muse_median_only.xml")
+        assert recording.signal.shape == (12, 600)
+        assert "averaged beat" in recording.provenance["remarks"]
+        with pytest.raises(MissingMetadataError, match="--noise"):
+            make_target(recording)
+        target = make_target(recording, noise=0.03)
+        assert target.qrs_duration == pytest.approx(98, abs=2)
+
+    def test_muse_of_a_test(self, tmp_path, beat):
+        text = files.muse(beat)
+        start = text.index("<Waveform>", text.index("Median"))
+        text = text[: text.index("<Waveform>")] + text[start:].replace("Rhythm", "Median")
+        recording = read_recording(saved(tmp_path, text))
+        assert recording.signal[ROWS] == pytest.approx(beat * 4.88e-3, abs=1e-12)
+        assert recording.sampling_rate == 500
+        assert recording.filters.lowpass == 150
+
+    def test_aecg(self, tmp_path, beat):
+        text = replaced(files.aecg(beat), 'code="RHYTHM"', 'code="REPRESENTATIVE_BEAT"')
+        recording = read_recording(saved(tmp_path, text))
+        assert recording.signal[ROWS] == pytest.approx(beat * 2.5e-3, abs=1e-12)
+        assert "averaged beat" in recording.provenance["remarks"]
+
+    @pytest.mark.parametrize("huffman", [False, True])
+    def test_scp(self, tmp_path, beat, huffman):
+        sections = files.scp_sections(beat, order=1, huffman=huffman)
+        sections[4] = struct.pack("<HHH", 900, 200, 0)  # ms
+        sections[5] = sections.pop(6)
+        recording = read_recording(saved(tmp_path, files.scp_record(sections)))
+        assert recording.signal[ROWS] == pytest.approx(beat * 4.88e-3, abs=1e-12)
+        assert recording.sampling_rate == 500
+        assert "averaged beat" in recording.provenance["remarks"]
 
 
 class TestHostileXml:

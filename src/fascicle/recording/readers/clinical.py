@@ -6,8 +6,10 @@ the folder of a WFDB header, samples that are marked invalid, leads without a sc
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
+import tempfile
 import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
@@ -18,8 +20,15 @@ from typing import Any
 import numpy as np
 
 from fascicle.core.errors import InputError, one_line, printable
+from fascicle.recording.readers.mended import mended_scp, mended_xml, scp_samples_are_right
 from fascicle.recording.readers.names import lead_name
-from fascicle.recording.readers.read import Channel, RawRecording, narrowest_passband, sha256_of
+from fascicle.recording.readers.read import (
+    Channel,
+    RawRecording,
+    narrowest_passband,
+    sha256_of,
+    with_remarks,
+)
 from fascicle.recording.recording import CHECKSUMS_AGREE, Filters
 
 
@@ -36,16 +45,14 @@ def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
         raise InputError(
             f"{path}: damaged, or of a kind that is not read; export it as HL7 aECG or DICOM"
         )
-    record, remarks, wrong = _parsed(found["parser_class"], path)
+    record, remarks, wrong = _parsed_or_mended(found["parser_class"], path)
     is_xml = record.source_format in ("hl7_aecg", "ge_muse_xml")
     root = _xml_root(path) if is_xml else None
-    _check_one_recording(record.source_format, path, root)
-    # programs other than MUSE write 0 for every checksum of its files
-    unwritten = record.source_format == "ge_muse_xml" and not re.search(
-        rb"<LeadDataCRC32>\s*0*[1-9]", path.read_bytes()
-    )
-    if wrong and not unwritten:
+    remarks += _check_one_recording(record.source_format, path, root)
+    if wrong and not _samples_are_right(record.source_format, path.read_bytes(), root):
         raise InputError(f"{path}: damaged, a checksum is wrong ({wrong[0]}); export it again")
+    if wrong and record.source_format == "scp_ecg":
+        remarks.append(f"checksums differ, but not those of the samples ({wrong[0]})")
     leads = [lead for lead in record.leads if _standard_name(lead) is not None]
     for tag in ("LeadTimeOffset", "LeadOffsetFirstSample"):  # of MUSE; what they count is unknown
         if len({lead.annotations.get(tag) for lead in leads}) > 1:
@@ -53,15 +60,51 @@ def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
     off = [lead.label for lead in leads if "LeadOff" in lead.annotations]
     remarks += [f"lead off: {', '.join(off)}"] if off else []
     provenance = {"parser": f"ecgdatakit {version('ecgdatakit')}"}
-    if remarks:
-        provenance["remarks"] = "; ".join(remarks)
     return RawRecording(
         _channels(record, path),
         _rate(record, leads, root),
         found["name"],
         _filters(record, leads),
-        provenance,
+        with_remarks(provenance, remarks),
     )
+
+
+def _parsed_or_mended(parser: Any, path: Path) -> tuple[Any, list[str], list[str]]:
+    """What `_parsed` returns, of the file or else of a copy that the library takes."""
+    try:
+        return _parsed(parser, path)
+    except InputError:
+        mended = _mended(path)
+        if mended is None:
+            raise
+        content, remark = mended
+        with tempfile.TemporaryDirectory() as folder, contextlib.suppress(InputError):
+            copy = Path(folder) / path.name
+            copy.write_bytes(content)
+            record, remarks, wrong = _parsed(parser, copy)
+            return record, [*remarks, remark], wrong
+        raise
+
+
+def _mended(path: Path) -> tuple[bytes, str] | None:
+    """Content that the library takes, and how it differs; None where nothing is known to help."""
+    from ecgdatakit.exceptions import ECGDataKitError
+
+    if (data := path.read_bytes())[16:22] == b"SCPECG":
+        return mended_scp(data)
+    try:
+        return mended_xml(_xml_root(path))
+    except (ET.ParseError, ECGDataKitError):
+        return None
+
+
+def _samples_are_right(source_format: str, data: bytes, root: ET.Element | None) -> bool:
+    """Whether no checksum of the samples is wrong; 0 is one that was not written."""
+    if source_format == "scp_ecg":
+        return scp_samples_are_right(data)
+    if source_format == "ge_muse_xml" and root is not None:
+        return not any((sum_.text or "").strip().strip("0") for sum_ in root.iter("LeadDataCRC32"))
+    return source_format == "ishne_holter" and data[8:10] == bytes(2)
 
 
 def _parsed(parser: Any, path: Path) -> tuple[Any, list[str], list[str]]:
@@ -95,13 +138,19 @@ def _parsed(parser: Any, path: Path) -> tuple[Any, list[str], list[str]]:
     return record, remarks, wrong
 
 
-def _check_one_recording(source_format: str, path: Path, root: ET.Element | None) -> None:
-    """Refuse what the library reads the first of: several subjects or recordings in one file."""
-    several = ""
+def _check_one_recording(source_format: str, path: Path, root: ET.Element | None) -> list[str]:
+    """Refuse what the library reads the first of: several subjects or recordings in one file.
+
+    What follows an SCP-ECG record and is none is left out, which is returned as a remark.
+    """
+    several, remarks = "", []
     if source_format == "scp_ecg":
         data = path.read_bytes()
         rest = data[int.from_bytes(data[2:6], "little") :]  # after what is stated as its size
-        several = f"{len(rest)} bytes follow the first one" if rest.strip(b"\0") else ""
+        if rest[16:22] == b"SCPECG":
+            several = f"{len(rest)} bytes follow the first one"
+        elif rest.strip(b"\0"):
+            remarks = [f"{len(rest)} bytes after the end of the record are left out"]
     elif root is not None:
         elements = list(root.iter())
         nested = sum(element.tag.lower() == "restingecg" for element in elements)
@@ -113,6 +162,7 @@ def _check_one_recording(source_format: str, path: Path, root: ET.Element | None
             several = f"they belong to {len(people)} different people"
     if several:
         raise InputError(f"{path}: holds several recordings ({several}); give a file of one")
+    return remarks
 
 
 def _identity(person: ET.Element) -> tuple[str, ...]:

@@ -82,7 +82,7 @@ READERS = [
         lambda start: start.lstrip(b"\xef\xbb\xbf\xff\xfe \t\r\n\0").startswith(b"<"),
     ),
     _built_in(
-        "SCP-ECG", ".scp", "clinical.read_clinical", "checksums must be right",
+        "SCP-ECG", ".scp", "clinical.read_clinical", "checksums of the samples must be right",
         lambda start: start[16:22] == b"SCPECG",
     ),
     _built_in(

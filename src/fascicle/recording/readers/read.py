@@ -34,6 +34,7 @@ from fascicle.recording.recording import (
     bridge_gaps,
     check_extent,
     derive_limb_leads,
+    leave_out_pulses,
 )
 
 
@@ -229,7 +230,8 @@ def _assemble(
             gains[row] = abs(channel.gain) / scale
     more, left_out = _additional(every, lengths[many], rate, source, unit)
     names = (*LEADS, *more)
-    signal, repairs = bridge_gaps(np.array([*signal, *more.values()]), rate, names)
+    signal, pulses = leave_out_pulses(np.array([*signal, *more.values()]), rate)
+    signal, repairs = bridge_gaps(signal, rate, names)
     signal, additional = signal[: len(LEADS)], dict(zip(more, signal[len(LEADS) :], strict=True))
     there = np.isfinite(signal)
     if not there[there.any(axis=1)].all():  # one group of leads after another
@@ -250,7 +252,7 @@ def _assemble(
         signal=signal,
         sampling_rate=rate,
         source=source,
-        provenance={"format": raw.format} | with_remarks(raw.provenance, repairs),
+        provenance={"format": raw.format} | with_remarks(raw.provenance, [*pulses, *repairs]),
         filters=raw.filters,
         digits_per_millivolt=gains,
         derived=derived,
