@@ -1,9 +1,13 @@
 """The example network grows on any heart."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import fascicle
+from fascicle.build.check import cavity_volume
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_AREAS, EXAMPLE_PARAMETERS
 from fascicle.purkinje.tree import FEW_JUNCTIONS, InvalidTree
@@ -30,6 +34,49 @@ def test_on_the_published_demonstration_heart(crtdemo):
     assert all("length" in name for name in changed)
     assert 60 < simulation.total_activation_time < 200
     assert np.isfinite(simulation.ecg).all()
+
+
+def small(heart, factor, rv_width):
+    """A heart scaled by a factor, whose right ventricle is also pressed towards the septum."""
+    centre = heart.lv.vertices.mean(axis=0)
+    across = heart.rv.vertices.mean(axis=0) - centre
+    across /= np.linalg.norm(across)
+    septum = ((heart.rv.vertices - centre) @ across).min()
+
+    def moved(points):
+        beyond = np.maximum((points - centre) @ across - septum, 0)
+        return centre + factor * (points - centre - np.outer((1 - rv_width) * beyond, across))
+
+    lv, rv = (replace(e, vertices=moved(e.vertices)) for e in heart.endocardia)
+    new = {"torso": None, "lead_fields": None, "folder": None}
+    return replace(heart, vertices=moved(heart.vertices), lv=lv, rv=rv, **new)
+
+
+@pytest.mark.parametrize(("factor", "rv_width", "ml"), [(0.7, 0.2, (35, 8)), (0.4, 0.2, (7, 2))])
+def test_on_small_hearts(default_heart, factor, rv_width, ml):
+    """Lengths go with the endocardium, but for what does not fit, and junctions with its area."""
+    heart = small(default_heart, factor, rv_width)
+    assert [cavity_volume(e) for e in heart.endocardia] == pytest.approx(ml, abs=1)
+    model = fascicle.ForwardModel(heart)
+    found = fascicle.example_parameters(model)
+    for endocardium, tree in zip(heart.endocardia, model.grow(found), strict=True):
+        share = endocardium.area / EXAMPLE_AREAS[endocardium.side]
+        assert len(tree.junctions) >= FEW_JUNCTIONS * min(1, 2 * share)
+        name = f"{endocardium.side}_initial_length"
+        assert 0.5 < found[name] / EXAMPLE_PARAMETERS[name] / np.sqrt(share) < 1.01
+
+
+def test_the_most_junctions_where_there_are_few(default_model, monkeypatch):
+    trees = list(default_model.grow(EXAMPLE_PARAMETERS))
+    lengths = []
+
+    def grow(parameters):
+        lengths.append(parameters["lv_initial_length"])
+        count = 9 if len(lengths) == 3 else 4
+        return [SimpleNamespace(side=tree.side, junctions=range(count)) for tree in trees]
+
+    monkeypatch.setattr(default_model, "grow", grow)
+    assert fascicle.example_parameters(default_model)["lv_initial_length"] == lengths[2]
 
 
 def test_a_heart_with_no_room_is_refused(default_model, monkeypatch):

@@ -20,12 +20,14 @@ def example_parameters(model: ForwardModel) -> dict[str, float]:
 
     Lengths are those of `fascicle.EXAMPLE_PARAMETERS` times the root of the endocardium's area over
     that of the packaged heart, for which they were found; what then leaves the endocardium is
-    shortened, and so is a bundle whose tree has few junctions.
+    shortened, and so is a bundle whose tree has few junctions: below 50, or fewer on an endocardium
+    of less than half the area, which has less room. Where no length gives as many, it is the
+    network with the most.
 
     Raises
     ------
     InputError
-        If no such network is found.
+        If no network fits.
 
     Examples
     --------
@@ -35,24 +37,31 @@ def example_parameters(model: ForwardModel) -> dict[str, float]:
     True
     """
     check_kind(model, ForwardModel, "model", "a fascicle.ForwardModel")
-    found = dict(EXAMPLE_PARAMETERS)
+    found, few = dict(EXAMPLE_PARAMETERS), {}
     for endocardium in model.heart.endocardia:
         side = endocardium.side
-        factor = round(math.sqrt(endocardium.area / EXAMPLE_AREAS[side]), 2)
+        share = endocardium.area / EXAMPLE_AREAS[side]
+        factor, few[side] = round(math.sqrt(share), 2), FEW_JUNCTIONS * min(1.0, 2 * share)
         for name in found:
             if name.startswith(f"{side}_") and "length" in name:
                 found[name] *= factor
+    best, most = dict(found), 0
     for _ in range(MOST_TRIES):
         grown = model.grow(found)
         if isinstance(grown, InvalidTree):
             part = "initial_length" if grown.branch == 0 else f"fascicle_length_{grown.branch}"
             found[f"{grown.side}_{part}"] = max(SHORTER * grown.grown, SHORTEST)
             continue
-        sparse = [tree.side for tree in grown if len(tree.junctions) < FEW_JUNCTIONS]
+        junctions = {tree.side: len(tree.junctions) for tree in grown}
+        if min(junctions.values()) > most:
+            best, most = dict(found), min(junctions.values())
+        sparse = [side for side, count in junctions.items() if count < few[side]]
         if not sparse:
             return found
         for side in sparse:  # it ends close to the base, where there is no room for branches
             found[f"{side}_initial_length"] *= SHORTER
+    if most:
+        return best
     raise InputError(
         f"{model.heart.name}: no example network was found that fits; choose other roots and "
         "directions for the bundles, or give parameters"
