@@ -12,7 +12,7 @@ from fascicle.build.labelled_files import Anatomy
 from fascicle.build.surface_checks import place
 from fascicle.build.surface_repair import LARGEST_CRUMB
 from fascicle.core.arrays import Floats, Integers
-from fascicle.heart.labelled_surface import LabelledMesh
+from fascicle.heart.labelled_surface import Label, LabelledMesh
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.measures import closed_volume, signed_volumes
 from fascicle.mesh.meshing import NOTHING, Interface, tetrahedralise
@@ -130,12 +130,13 @@ def _with_voids_filled(mesh: MeshFile, notes: list[str]) -> MeshFile:
 
 
 def separated_vertices(anatomy: Anatomy) -> Anatomy:
-    """Double the vertices in which tetrahedra meet that share no chain of faces around them.
+    """Double vertices of the endocardia in which tetrahedra meet without a chain of faces.
 
-    The boundary touches itself there. Positions stay, and so do fibres, sheets, regions and labels.
+    An endocardium touches itself there, so that no disk is left of it. Each copy goes a tenth of
+    the way into its tetrahedra where these stay positive. Fibres, sheets, regions and labels stay.
     The anatomy is returned as it is if that would take the tissue apart.
     """
-    mesh = anatomy.mesh
+    mesh, count = anatomy.mesh, len(anatomy.mesh.vertices)
     pairs = _neighbours(mesh.tetrahedra)
     if components_of(pairs, len(mesh.tetrahedra)).any():
         return anatomy
@@ -147,25 +148,39 @@ def separated_vertices(anatomy: Anatomy) -> Anatomy:
     _, first, corner = np.unique(part, return_index=True, return_inverse=True)
     parent = mesh.tetrahedra.ravel()[first]
     _, originals = np.unique(parent, return_index=True)
-    if len(originals) == len(parent):
-        return anatomy
-    copies = np.setdiff1d(np.arange(len(parent)), originals)
-    order = np.concatenate([originals, copies])
-    parent = parent[order]
+    order = np.concatenate([originals, np.setdiff1d(np.arange(len(parent)), originals)])
+    parent = parent[order]  # a vertex, then copies
     tetrahedra = np.argsort(order)[corner].reshape(-1, 4)
     triangles, _ = boundary_triangles(tetrahedra)
+    labels = mesh.labels[places_in(parent[triangles], mesh.triangles)]
+    lined = np.unique(triangles[np.isin(labels, (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM))])
+    twice = np.bincount(parent[lined], minlength=count) > 1
+    if not twice.any():
+        return anatomy
+    kept = np.concatenate([np.arange(count), count + np.flatnonzero(twice[parent[count:]])])
+    number = parent.copy()  # copies that no endocardium needs become one again
+    number[kept] = np.arange(len(kept))
+    vertices, tetrahedra = mesh.vertices[parent[kept]], number[tetrahedra]
+    for vertex in np.flatnonzero(twice[parent[kept]]):
+        around = tetrahedra[(tetrahedra == vertex).any(axis=1)]
+        moved = vertices.copy()
+        moved[vertex] += 0.1 * (vertices[around].mean(axis=(0, 1)) - vertices[vertex])
+        if (signed_volumes(moved, around) > 0).all():
+            vertices = moved
+    triangles, _ = boundary_triangles(tetrahedra)
     note = (
-        f"mesh: vertices in which its boundary touched itself were doubled: {len(copies)} (the "
-        f"first at {place(mesh.vertices[parent[-len(copies)]])})"
+        f"mesh: vertices in which an endocardium touched itself were doubled: {twice.sum()} (the "
+        f"first at {place(mesh.vertices[np.argmax(twice)])})"
     )
+    back = parent[kept][triangles]
     return replace(
         anatomy,
         mesh=replace(
             mesh,
-            vertices=mesh.vertices[parent],
+            vertices=vertices,
             tetrahedra=tetrahedra,
             triangles=triangles,
-            labels=mesh.labels[places_in(parent[triangles], mesh.triangles)],
+            labels=mesh.labels[places_in(back, mesh.triangles)],
         ),
         notes=(*anatomy.notes, note),
     )

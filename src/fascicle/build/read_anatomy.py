@@ -217,11 +217,12 @@ def _from_tetrahedra(source: Source, mesh: MeshFile, progress: Progress | None) 
         cut = np.empty((0, 3), dtype=np.int64)
     read = labelled_tetrahedra(mesh, source.label_array, names, cut=cut, fibres=source.fibres)
     read = replace(read, notes=(*notes, *repairs, *read.notes))
-    read = repaired_edges(separated_vertices(read))
+    read = repaired_edges(read)
     if not (read.mesh.labels > Label.BASE).any():
         unlabelled = f"{mesh.path}, which has no labels (--label-array names one)"
         source.check_unused(unlabelled, "labels")
         read = _classified(read, source, whole, progress)
+    read = separated_vertices(read)
     check_sides(read.mesh)
     return remeshed_anatomy(read) if source.remesh else read
 
