@@ -1,12 +1,20 @@
 """Corrections of a recording: the true leads come back."""
 
+import inspect
+
 import numpy as np
 import pytest
+import typer
 
+from fascicle.cli.commands import app
+from fascicle.cli.recordings import target
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES, LEADS, lead_matrix
 from fascicle.recording.corrections import invert, share_gain, swap
+from fascicle.recording.pipeline import make_target
+from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Recording, derive_limb_leads
+from fascicle.recording.target_options import TargetOptions
 
 
 @pytest.fixture
@@ -85,3 +93,36 @@ def test_shared_gain_brings_back_the_digits(potentials):
 def test_impossible_corrections_are_refused(potentials, change, words):
     with pytest.raises(InputError, match=rf"^file: .*{words}"):
         change(recorded(lead_matrix() @ potentials, ("I", "II", "V1")))
+
+
+def test_every_option_of_the_command_is_an_argument_in_python():
+    command = typer.main.get_command(app).commands["target"]
+    own = set(inspect.signature(target).parameters)  # those of every command are others
+    reading, deciding = (
+        set(inspect.signature(f).parameters) for f in (read_recording, make_target)
+    )
+    names = {
+        each.name: {option.removeprefix("--").replace("-", "_") for option in each.opts}
+        for each in command.params
+        if each.name in own - {"recording", "out", "kind"}
+    }
+    names["beat_class"] = {"beat_class"}  # class is a word of Python
+    missing = [name for name, spelt in names.items() if not spelt & (reading | deciding)]
+    assert len(names) >= 15
+    assert missing == []
+    assert deciding >= set(inspect.signature(TargetOptions).parameters)
+
+
+def test_corrections_are_arguments_of_reading(tmp_path):
+    data = lead_matrix() @ np.sin(np.arange(1, 10)[:, None] * np.arange(1000) / 200)
+    header = ",".join(["time_ms", *(f"{lead}_mV" for lead in LEADS)])
+    columns = np.column_stack([2.0 * np.arange(1000), *data])
+    np.savetxt(tmp_path / "a.csv", columns, delimiter=",", header=header, comments="", fmt="%.9f")
+    plain = read_recording(tmp_path / "a.csv")
+    read = read_recording(tmp_path / "a.csv", invert=["V1"], swap=["RA-LA", "V3-v4"])
+    assert read.signal[6] == pytest.approx(-plain.signal[6])
+    assert read.signal[[0, 8]] == pytest.approx(plain.signal[[0, 9]] * [[-1], [1]])
+    with pytest.raises(InputError, match="--shared-gain"):
+        read_recording(tmp_path / "a.csv", digits_per_mv=500)
+    with pytest.raises(InputError, match="two names"):
+        read_recording(tmp_path / "a.csv", swap=["RA"])

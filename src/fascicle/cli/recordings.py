@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,7 +18,6 @@ from fascicle.recording.readers.formats import known_formats
 if TYPE_CHECKING:
     from fascicle.recording.analysis import Analysis
     from fascicle.recording.quality.check_result import CheckResult
-    from fascicle.recording.recording import Recording
     from fascicle.recording.target import Target
 
 
@@ -35,7 +33,10 @@ def target(
     ] = None,
     beats: Annotated[str | None, Option(help="Numbers of the beats to use, such as 1-4,7.")] = None,
     exclude_beat: Annotated[
-        list[str] | None, Option(help="Numbers of beats to leave out, such as 3 or 3,8-9.")
+        list[str] | None,
+        Option(
+            "--exclude-beat", "--exclude", help="Numbers of beats to leave out, such as 3 or 3,8-9."
+        ),
     ] = None,
     leads: Annotated[
         str | None,
@@ -117,13 +118,21 @@ def target(
         notch=notch,
         recorder_lowpass=recorder_lowpass,
     )
-    gain = _gain(shared_gain, digits_per_mv)
     with TerminalProgress() as progress:
         progress("recording", 0, 3, "reading")
         wanted = None if leads is None else lead_names(leads)
-        read = read_recording(recording, leads=wanted, sampling_rate=sampling_rate, unit=unit)
+        read = read_recording(
+            recording,
+            leads=wanted,
+            sampling_rate=sampling_rate,
+            unit=unit,
+            shared_gain=shared_gain,
+            digits_per_mv=digits_per_mv,
+            invert=[lead for text in invert or () for lead in lead_names(text)],
+            swap=swap or (),
+        )
         progress("recording", 1, 3, "beats")
-        analysis = analyse(_corrected(read, gain, invert or (), swap or ()), choices)
+        analysis = analyse(read, choices)
         progress("recording", 2, 3, "picture")
         save(recording_figure(analysis), picture)
         write_target(analysis.target, out)
@@ -132,37 +141,6 @@ def target(
     print_row("target", out)
     print_row("picture", picture)
     return {"target": out, "picture": picture} | _result(analysis)
-
-
-def _corrected(
-    recording: Recording, gain: float | None, inverted: Sequence[str], swapped: Sequence[str]
-) -> Recording:
-    """Recording with gain (digits per mV), then polarity, then reversed leads corrected."""
-    from fascicle.recording.corrections import invert, share_gain, swap
-    from fascicle.recording.readers.names import lead_name
-
-    if gain is not None:
-        recording = share_gain(recording, gain)
-    for text in inverted:
-        for lead in lead_names(text):
-            recording = invert(recording, lead)
-    for text in swapped:
-        names = [part.strip() for part in re.split(r"[-,]", text)]
-        if len(names) != 2:
-            raise InputError(f"--swap {text}: give two names, such as RA-LA or V1-V2")
-        # leads by their standard names, electrodes in capitals
-        one, other = (lead_name(name) or name.upper() for name in names)
-        recording = swap(recording, one, other)
-    return recording
-
-
-def _gain(shared: bool, digits_per_mv: float | None) -> float | None:
-    """Digits per mV that all leads share; None where each has its own."""
-    if digits_per_mv is not None and not shared:
-        raise InputError("--digits-per-mv is the gain of --shared-gain; give both or neither")
-    if not shared:
-        return None
-    return digits_per_mv if digits_per_mv is not None else 1000.0
 
 
 def print_analysis(analysis: Analysis) -> None:

@@ -55,6 +55,9 @@ def make_target(
     beats: tuple[int, ...] | None = None,
     exclude: tuple[int, ...] = (),
     noise: float | None = None,
+    lowpass: float | None = None,
+    notch: float | None = None,
+    recorder_lowpass: float | None = None,
 ) -> Target:
     """Aligned, detrended beats of a recording and their QRS window.
 
@@ -70,6 +73,8 @@ def make_target(
         Numbers of the beats to use, whatever their class, and to leave out.
     noise : float, optional
         Standard deviation (mV) of a single beat.
+    lowpass, notch, recorder_lowpass : float, optional
+        Filters (Hz) to apply, and the recorder's own; see `TargetOptions`.
 
     Returns
     -------
@@ -81,7 +86,9 @@ def make_target(
     InputError
         When no target can be made of the recording, or a choice is impossible.
     """
-    options = TargetOptions(onset, offset, beat_class, beats, exclude, noise)
+    options = TargetOptions(
+        onset, offset, beat_class, beats, exclude, noise, lowpass, notch, recorder_lowpass
+    )
     return analyse(recording, options).target
 
 

@@ -31,6 +31,12 @@ from fascicle.recording.readers.read import (
 )
 from fascicle.recording.recording import CHECKSUMS_AGREE, Filters
 
+# what the library says that touches no sample: averaged beats, dates, its own rounding and defaults
+_TECHNICAL = re.compile(
+    "representative beat|median beat|median waveform|is not an integer; rounded|birth date|"
+    "measurement time|Unit .* not recognised|no physical unit|long-term rhythm|tag length"
+)
+
 
 def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
     """Read a file of any format that ecgdatakit knows by its content.
@@ -131,7 +137,9 @@ def _parsed(parser: Any, path: Path) -> tuple[Any, list[str], list[str]]:
     wrong: list[str] = []
     for warning in caught:
         is_checksum = issubclass(warning.category, ChecksumWarning)
-        (wrong if is_checksum else remarks).append(reason(warning.message))
+        text = re.sub(r";? ?\(?(see )?raw_metadata.*", "", reason(warning.message))
+        if is_checksum or not _TECHNICAL.search(text):
+            (wrong if is_checksum else remarks).append(text)
     for remark in remarks:
         if "truncated" in remark or "has gaps" in remark:
             raise InputError(f"{path}: incomplete recording ({remark}); export it again")

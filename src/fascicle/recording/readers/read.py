@@ -25,6 +25,7 @@ from fascicle.core.leads import (
     limb_leads_from,
 )
 from fascicle.core.ranges import check_items, check_text, number
+from fascicle.recording import corrections
 from fascicle.recording.missing_metadata import missing_rate, missing_unit
 from fascicle.recording.readers.formats import READERS, reader_of
 from fascicle.recording.readers.names import additional_lead_name, lead_name, millivolts, same_unit
@@ -103,8 +104,12 @@ def read_recording(
     leads: Sequence[str] | None = None,
     sampling_rate: float | None = None,
     unit: str | None = None,
+    shared_gain: bool = False,
+    digits_per_mv: float | None = None,
+    invert: Sequence[str] = (),
+    swap: Sequence[str] = (),
 ) -> Recording:
-    """Read a 12-lead recording.
+    """Read a 12-lead recording, as `fascicle target` does with options of the same names.
 
     Parameters
     ----------
@@ -120,6 +125,14 @@ def read_recording(
         Samples per second (Hz), for files that do not say.
     unit : str, optional
         Unit of the leads (nV, uV, mV, V), for files that do not say.
+    shared_gain : bool
+        Give all leads one gain, in place of the file's.
+    digits_per_mv : float, optional
+        That gain: the file's numbers per mV; by default 1000.
+    invert : sequence of str
+        Leads that were recorded upside down.
+    swap : sequence of str
+        Reversed limb electrodes or leads, such as ``RA-LA`` or ``V1-V2``.
 
     Returns
     -------
@@ -139,6 +152,8 @@ def read_recording(
         number(sampling_rate, "sampling_rate")
     if unit is not None:
         check_text(unit, "unit")
+    check_items(invert, str, "invert", "names of leads")
+    check_items(swap, str, "swap", "pairs such as RA-LA")
     reader = reader_of(path)
     if reader.isolated:
         # such as the signal file of a WFDB header
@@ -160,7 +175,23 @@ def read_recording(
         "choice_unit": unit,
     }
     said = {name: text for name, text in notes.items() if text is not None}
-    return replace(recording, provenance=recording.provenance | said)
+    recording = replace(recording, provenance=recording.provenance | said)
+    if digits_per_mv is not None and not shared_gain:
+        raise InputError("--digits-per-mv is the gain of --shared-gain; give both or neither")
+    if shared_gain:
+        recording = corrections.share_gain(
+            recording, 1000.0 if digits_per_mv is None else digits_per_mv
+        )
+    for lead in invert:
+        recording = corrections.invert(recording, lead_name(lead) or lead)
+    for text in swap:
+        pair = [part.strip() for part in re.split(r"[-,]", text)]
+        if len(pair) != 2:
+            raise InputError(f"--swap {text}: give two names, such as RA-LA or V1-V2")
+        # leads by their standard names, electrodes in capitals
+        one, other = (lead_name(name) or name.upper() for name in pair)
+        recording = corrections.swap(recording, one, other)
+    return recording
 
 
 def read_raw(path: Path, format: str, sampling_rate: float | None) -> RawRecording:
@@ -225,7 +256,8 @@ def _assemble(
     for lead, channel in leads.items():
         row, scale = LEADS.index(lead), _scale(channel, lead, source, unit, leads)
         with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused as a gap
-            signal[row] = scale * without_fill(channel, rate)
+            values = scale * without_fill(channel, rate)
+        signal[row] = np.where(np.isfinite(values), values, np.nan)
         if channel.gain is not None and math.isfinite(channel.gain):
             gains[row] = abs(channel.gain) / scale
     more, left_out = _additional(every, lengths[many], rate, source, unit)
@@ -362,6 +394,7 @@ def without_fill(channel: Channel, rate: float) -> Floats:
     and where it lasts no longer than 0.1 s or twice the longest run of any other value.
     """
     values = np.array(channel.values, dtype=np.float64)
+    values[~np.isfinite(values)] = np.nan
     for fill in channel.missing:
         starts = np.flatnonzero(np.diff(values, prepend=np.nan))
         lengths = np.diff(starts, append=len(values))
