@@ -204,5 +204,6 @@ def _check_openings(graph: DualGraph, regions: Integers, name: str) -> None:
             where = " and ".join(place(graph.vertices[loop].mean(axis=0)) for loop in loops)
             raise InputError(
                 f"{name}: the cavity of {volume:.3g} ml has {len(loops)} openings, about {where}"
-                "; cut the base off below the bridge between them"
+                "; label the surface (--label-array): then the longest counts as the base, the "
+                "others as valves"
             )
