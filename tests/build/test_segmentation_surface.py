@@ -19,6 +19,7 @@ from phantoms import (
     labels_at,
     segmentation_volumes,
 )
+from scipy.ndimage import binary_dilation
 from shapes import ellipsoid
 
 from fascicle.build.segmentation import Segmentation, SegmentationLabels, regions_at
@@ -266,9 +267,33 @@ def cut(labels):
     labels[0:6, 0:6, 0:6] = 3
 
 
+def exchanged(labels):
+    labels[:] = np.array([0, 2, 1, 3, 4])[labels]
+
+
+def without_rv_wall(change):
+    """The change in a map without an RV wall, as ACDC's are."""
+
+    def changed(labels):
+        tissue, lv = binary_dilation(labels == 1, iterations=4), labels == 1
+        labels[(labels >= 3) & ~tissue & ~lv] = 0
+        change(labels)
+
+    return changed
+
+
+def without_apex(labels):
+    labels[:, :, :14] = 0
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
+        (
+            without_rv_wall(exchanged),
+            r"% of the LV blood's surface borders on no tissue, .*--labels",
+        ),
+        (without_apex, r"ends at the apex in an opening of [\d.]+ cm² .*add the missing slices"),
         (drained, r"map: LV blood \(label 1\) has 0 voxels; the map has labels 0 \(\d+ voxels\)"),
         (cut, r"tissue falls into \d unconnected pieces \([\d., ]+ ml\)"),
     ],
@@ -276,6 +301,12 @@ def cut(labels):
 def test_incomplete_maps_are_refused(change, words):
     with pytest.raises(InputError, match=words):
         surface_from_segmentation(relabelled(change), LABELS)
+
+
+def test_slices_too_thick_are_refused():
+    phantom = ellipsoid_segmentation((2.0, 2.0, 16.0))
+    with pytest.raises(InputError, match="up to 16 mm long; give a map with slices at most 15 mm"):
+        surface_from_segmentation(phantom.segmentation, LABELS)
 
 
 def test_small_components_are_dropped_and_noted():

@@ -32,6 +32,7 @@ EDGE = 1.0  # mm, of the cubes that the surface is cut from
 # Wall of the RV where none was segmented: it is 3 to 5 mm thick (Ho and Nihoyannopoulos, Heart
 # 92 Suppl 1:i2–i13, 2006).
 RV_WALL = (3.0, 5.0)  # mm
+THICKEST = 15.0  # mm; short-axis slices are 6 to 10 mm thick, with gaps of up to 4 mm
 # A cavity with handles is opened with the first ball, which takes away threads of blood, then
 # closed with larger and larger ones, which fills gaps around papillary muscles, until none is left.
 BALLS = (1.5, 2.0, 4.0, 6.0)  # mm, radius
@@ -75,6 +76,12 @@ def surface_from_segmentation(
         Those of the label map, which the surface should have, and the wall that was added.
     """
     notes = notes if notes is not None else []
+    thickest = float(segmentation.spacing.max())
+    if thickest > THICKEST:
+        raise InputError(
+            f"{segmentation.name}: voxels up to {thickest:.3g} mm long; give a map with slices at "
+            f"most {THICKEST:g} mm apart"
+        )
     masks = masks_of(segmentation, labels, notes)
     counted = [
         float(mask.sum()) * segmentation.voxel_volume / 1e3
@@ -83,6 +90,7 @@ def surface_from_segmentation(
     masks = _coarsened(masks)
     progress(1, 6)
     plane = find_base_plane(masks)
+    _check_lv(masks, plane)
     grid = grid_below(plane, masks, EDGE)
     progress(2, 6)
     lv = level_set(masks.lv, masks, plane, grid)
@@ -109,6 +117,26 @@ def surface_from_segmentation(
     progress(6, 6)
     lv_ml, rv_ml, tissue_ml = counted
     return surface, Volumes(lv_ml, rv_ml, tissue_ml + added)
+
+
+def _check_lv(masks: Masks, plane: BasePlane) -> None:
+    """Refuse maps in which the LV is another part, or its apex is missing."""
+    faces = blood_faces(masks, masks.lv, masks.rv)
+    size, up = np.linalg.norm(faces.areas, axis=1), faces.areas @ plane.normal
+    bare = float(size[faces.free].sum() / size.sum())
+    if bare > 0.5:
+        raise InputError(
+            f"{masks.name}: {bare:.0%} of the LV blood's surface borders on no tissue, so the "
+            "labels seem to be exchanged; give those of this map (--labels; ACDC has lv=3,rv=1,"
+            "myocardium=2, UK Biobank lv=1,rv=3,myocardium=2)"
+        )
+    apical = -float(up[faces.free & (up < 0)].sum())
+    if apical > 0.25 * float(np.abs(up).sum()) / 2:  # of the area seen along the axis
+        raise InputError(
+            f"{masks.name}: the LV blood ends at the apex in an opening of {apical / 100:.1f} cm² "
+            "without tissue, so the map is truncated there; add the missing slices, or label "
+            "tissue below it"
+        )
 
 
 def _coarsened(masks: Masks) -> Masks:
