@@ -122,6 +122,15 @@ def right(study, predicted, recording, default_heart, default_model):
         "Scenario": (fascicle.Scenario, {}),
         "Conduction": (fascicle.Conduction, {}),
         "read_scenarios": (fascicle.read_scenarios, {"names": ["his-pacing"]}),
+        "ventricular_coordinates": (fascicle.ventricular_coordinates, {"heart": default_heart}),
+        "CoordinateSite": (
+            fascicle.CoordinateSite,
+            {"ventricle": "lv", "apicobasal": 0.5, "rotational": 0.5, "transmural": 0.5},
+        ),
+        "transfer_map": (
+            fascicle.transfer_map,
+            {"values": np.zeros(3), "heart": default_heart, "other": default_heart},
+        ),
         "load_heart": (fascicle.load_heart, {"path": "default"}),
         "compare": (
             fascicle.compare, {"first": pacing, "second": pacing, "index": "qrs_area"},

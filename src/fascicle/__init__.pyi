@@ -25,8 +25,11 @@ from .forward.simulation import Simulation as Simulation
 from .heart.action_potential import read_action_potential as read_action_potential
 from .heart.conduction import Conduction as Conduction
 from .heart.conduction import Region as Region
+from .heart.coordinates import transfer_map as transfer_map
+from .heart.coordinates import ventricular_coordinates as ventricular_coordinates
 from .heart.folder import load_heart as load_heart
 from .heart.heart import Heart as Heart
+from .heart.sites import CoordinateSite as CoordinateSite
 from .kernels.cable import CellModel as CellModel
 from .patients.cohort import cohort as cohort
 from .prediction.comparison import Comparison as Comparison

@@ -27,6 +27,7 @@ from fascicle.core.quantities import (
 from fascicle.core.ranges import RANGES, digits
 from fascicle.forward.scenario_files import tables
 from fascicle.heart.conduction import Conduction
+from fascicle.heart.sites import CoordinateSite
 from fascicle.purkinje.growth import GrowthRules
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -211,3 +212,4 @@ def test_tables_of_scenario_files_follow_from_the_declarations():
     page = (DOCS / "files.md").read_text(encoding="utf-8")
     for name, table in tables().items():
         assert table.reference() in page, name
+    assert CoordinateSite.reference() in page

@@ -35,35 +35,6 @@ def test_of_a_segment(sites, name):
     assert sites.position(f"segment {segment} {LAYERS[1]}") == tuple(outer)
 
 
-@pytest.mark.parametrize("angle", [0, 60, 120, 180, 240, -60])
-@pytest.mark.parametrize("depth", [0, 1])
-def test_of_coordinates(sites, angle, depth):
-    """The element found has the coordinates that were asked for, as far as elements are fine."""
-    place = np.array(sites.position(f"lv height 0.5 angle {angle} depth {depth}"))
-    heart, found = sites.heart, sites.places
-    element = cKDTree(heart.vertices[heart.tetrahedra].mean(axis=1)).query(place)[1]
-    assert found.segment[element] in range(7, 13)  # of the middle third
-    assert found.height[element] == pytest.approx(0.5, abs=0.05)
-    off = np.angle(np.exp(1j * (found.angle[element] - np.radians(angle))))
-    assert abs(off) < np.radians(15)
-    assert found.depth[element] == pytest.approx(depth, abs=0.35)
-    if depth == 0 and angle in (120, 180, 240):
-        assert distance(heart.lv.vertices, place) < 4
-
-
-def test_coordinates_of_the_right_ventricle(sites):
-    place = np.array(sites.position("rv height 0.4 angle 0 depth 0"))
-    element = cKDTree(sites.heart.vertices[sites.heart.tetrahedra].mean(axis=1)).query(place)[1]
-    assert sites.places.segment[element] == RIGHT
-    assert distance(sites.heart.rv.vertices, place) < 6
-
-
-@pytest.mark.parametrize("name", ["lv height 1.5 angle 0 depth 0", "rv height 0 angle 720 depth 0"])
-def test_coordinates_of_nowhere(sites, name):
-    with pytest.raises(InputError, match=f"site '{name}': height and depth go from 0 to 1"):
-        sites.position(name)
-
-
 def test_of_the_right_ventricle(sites):
     heart = sites.heart
     electrodes = dict(zip(ELECTRODES, heart.electrodes, strict=True))

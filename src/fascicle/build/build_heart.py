@@ -14,6 +14,7 @@ from fascicle.build.read_anatomy import Source, read_anatomy
 from fascicle.build.torso import TorsoOptions, in_torso
 from fascicle.core.leads import ELECTRODES
 from fascicle.core.progress import Progress, stage_progress
+from fascicle.heart.coordinates import with_coordinates
 from fascicle.heart.endocardium import ChosenSeed, seeded_endocardia
 from fascicle.heart.fibres import FibreAngles, rule_based_fibres
 from fascicle.heart.heart import Heart
@@ -67,13 +68,15 @@ def build_heart(
     anatomy = read_anatomy(source, edge_length, progress)
     check_tetrahedra(anatomy.mesh.name, anatomy.mesh.vertices, anatomy.mesh.tetrahedra)
     heart = heart_of(anatomy, angles, seeds, name, progress)
+    report = stage_progress(progress, "coordinates")
+    heart, located = with_coordinates(heart, anatomy.mesh, report)
     heart, notes = in_torso(heart, anatomy.mesh, torso or TorsoOptions(), progress)
     kept = []  # properties of the source that override options
     if anatomy.own_mesh:
         kept.append("mesh: as in the file, whose edge length was kept")
     if anatomy.fibres is not None:
         kept.append("fibres: those of the file; no rule was applied")
-    return BuiltHeart(heart, anatomy, (*anatomy.notes, *kept, *notes))
+    return BuiltHeart(heart, anatomy, (*anatomy.notes, *kept, *located, *notes))
 
 
 def heart_of(
@@ -99,4 +102,10 @@ def heart_of(
     left, right = seeded_endocardia(surfaces, chosen)
     unplaced = np.full((len(ELECTRODES), 3), np.nan)
     heart = Heart(mesh.vertices, mesh.tetrahedra, fibres, left, right, unplaced, name)
-    return replace(heart, regions=mesh.regions, sheets=sheets, values=anatomy.values)
+    return replace(
+        heart,
+        regions=mesh.regions,
+        sheets=sheets,
+        values=anatomy.values,
+        coordinates=anatomy.coordinates,
+    )

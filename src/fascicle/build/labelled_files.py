@@ -15,6 +15,7 @@ from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
 from fascicle.heart.assembly import FIBRE_NAMES, average_to_tetrahedra, region_labels
+from fascicle.heart.coordinate_arrays import VentricularCoordinates, read_coordinates
 from fascicle.heart.fibres import lengths_in_words, placeholder
 from fascicle.heart.label_names import (
     LABEL_NAMES,
@@ -54,6 +55,7 @@ class Anatomy:
     mesh: LabelledMesh  # all labels are 0 until they are known
     fibres: Floats | None = None  # unit directions (m, 3), if the source has any
     sheets: Floats | None = None
+    coordinates: VentricularCoordinates | None = None
     notes: tuple[str, ...] = ()  # decisions taken on the way, for the user
     guessed: bool = False  # labels were derived from the shape; the user should check them
     own_mesh: bool = False  # the tetrahedra are those of the source
@@ -219,6 +221,7 @@ def labelled_tetrahedra(
         LabelledMesh(vertices, tetrahedra, triangles, labels, regions, name),
         fibres=axes[0],
         sheets=None if axes[0] is None else axes[1],
+        coordinates=read_coordinates(mesh),
         notes=tuple(notes),
         own_mesh=True,
     )

@@ -239,6 +239,7 @@ def repaired_edges(anatomy: Anatomy) -> Anatomy:
         ),
         fibres=None if anatomy.fibres is None else anatomy.fibres[parent],
         sheets=None if anatomy.sheets is None else anatomy.sheets[parent],
+        coordinates=None,
         notes=(*anatomy.notes, note),
     )
 

@@ -46,6 +46,7 @@ def refined(heart: Heart, progress: Progress | None = None) -> Heart:
         regions=None if heart.regions is None else np.repeat(heart.regions, CHILDREN),
         sheets=None if heart.sheets is None else np.repeat(heart.sheets, CHILDREN, axis=0),
         torso=None,
+        coordinates=None,
         lead_fields=None,
         folder=None,
     )

@@ -107,6 +107,7 @@ def remeshed_anatomy(anatomy: Anatomy) -> Anatomy:
         mesh=replace(new, regions=None if mesh.regions is None else mesh.regions[near[:, 0]]),
         fibres=None if anatomy.fibres is None else mean_axes(anatomy.fibres[near], weights),
         sheets=None if anatomy.sheets is None else mean_axes(anatomy.sheets[near], weights),
+        coordinates=None,
         notes=(*anatomy.notes, note),
         own_mesh=False,
     )

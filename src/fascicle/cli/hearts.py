@@ -243,7 +243,9 @@ def heart_import(
     """
     from fascicle.build.regions import ventricles
     from fascicle.build.torso import in_torso
+    from fascicle.core.progress import stage_progress
     from fascicle.heart.assembly import assemble_heart
+    from fascicle.heart.coordinates import with_coordinates
     from fascicle.heart.folder import check_heart_folder
     from fascicle.heart.labelled_surface import labelled_mesh
     from fascicle.mesh.formats.read import read_mesh
@@ -270,8 +272,11 @@ def heart_import(
         notes=about_fibres,
     )
     with TerminalProgress() as progress:
-        heart, notes = in_torso(heart, labelled_mesh(heart), torso, progress)
-    notes = (*about_fibres, *notes)
+        labelled = labelled_mesh(heart)
+        report = stage_progress(progress, "coordinates")
+        heart, located = with_coordinates(heart, labelled, report)
+        heart, notes = in_torso(heart, labelled, torso, progress)
+    notes = (*about_fibres, *located, *notes)
     return _write_and_check(heart, out, notes, {"lv": lv_endocardium, "rv": rv_endocardium})
 
 

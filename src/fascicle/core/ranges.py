@@ -76,6 +76,7 @@ RANGES = {
     ),
     "threshold": Range("", -1e6, 1e6, "a gain that matters, in the unit of its index"),
     "delay": Range("ms", 0.0, 10_000.0, "delay of a junction; inf blocks", math.inf),
+    "fraction": Range("", 0.0, 1.0, "a ventricular coordinate of a site"),
     "label": Range("", -(2.0**31), 2.0**31 - 1, "number of a region of a mesh"),
 }
 

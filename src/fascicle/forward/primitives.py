@@ -6,11 +6,12 @@ comes down the other branch, and a front that enters a tree from the tissue retu
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, Any, cast
 
 import numpy as np
+from pydantic import BeforeValidator
 
 from fascicle.core.arrays import Booleans
 from fascicle.core.declared import (
@@ -25,9 +26,22 @@ from fascicle.core.declared import (
 )
 from fascicle.core.errors import InputError
 from fascicle.core.quantities import SIDES, default_of
+from fascicle.core.ranges import check_text
 from fascicle.forward.eikonal.activation import HisBundle
 from fascicle.forward.scenario import Beat, Primitive, root_times
+from fascicle.heart.sites import CoordinateSite
 
+
+def _site(value: Any) -> str | CoordinateSite:
+    """The name of a site, or its ventricular coordinates from a table."""
+    if isinstance(value, Mapping):
+        return CoordinateSite.of(value)
+    if not isinstance(value, CoordinateSite):
+        check_text(value, "'site'")
+    return cast("str | CoordinateSite", value)
+
+
+Site = Annotated[str | CoordinateSite, BeforeValidator(_site)]
 FURTHEST_STIMULUS = 5.0  # mm from the tissue or the tree; a stimulus further out is a mistake
 
 
@@ -37,7 +51,9 @@ class Stimulus(Primitive, table="stimulus"):
     time: Annotated[Time, "when it fires"]
     position: Annotated[Point | None, "where, within 5 mm of the tissue or the tree"] = None
     tree: Annotated[Name | None, "the tree whose node it fires; without, the myocardium"] = None
-    site: Annotated[Name | None, "where, by the name of a site, in place of a position"] = None
+    site: Annotated[
+        Site | None, "where, by name or ventricular coordinates, in place of a position"
+    ] = None
     radius: Annotated[CaptureRadius, "what lies within it is captured, too"] = 0.0
     part: Annotated[Name | None, "stimulated part of the tree, as in `slow_conduction`"] = None
 

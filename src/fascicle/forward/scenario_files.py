@@ -173,8 +173,15 @@ def scenario_text(scenario: Scenario) -> str:
         for key in primitive.key_names():
             value = getattr(primitive, key)
             if value is not None:
-                written = repr(list(value) if isinstance(value, tuple) else value)
-                # what Python escapes, TOML reads as JSON has it
-                text = json.dumps(value, ensure_ascii=False) if "\\" in written else written
-                lines.append(f"{key} = {text}")
+                lines.append(f"{key} = {_written(value)}")
     return "\n".join(lines) + "\n"
+
+
+def _written(value: Any) -> str:
+    """A value of a table in TOML."""
+    if isinstance(value, Table):
+        keys = (f"{key} = {_written(getattr(value, key))}" for key in value.key_names())
+        return "{" + ", ".join(keys) + "}"
+    written = repr(list(value) if isinstance(value, tuple) else value)
+    # what Python escapes, TOML reads as JSON has it
+    return json.dumps(value, ensure_ascii=False) if "\\" in written else written

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.ranges import check_array
+from fascicle.heart.coordinate_arrays import read_coordinates
 from fascicle.heart.electrodes import read_electrodes
 from fascicle.heart.endocardium import ChosenSeed, oriented_into_cavity, seeded_endocardia
 from fascicle.heart.fibres import lengths_in_words, placeholder, rule_based_fibres
@@ -98,6 +99,7 @@ def assemble_heart(
         additional_electrodes=more,
         regions=region_labels(mesh),
         sheets=None if by_rule else _sheets(mesh),
+        coordinates=read_coordinates(mesh),
     )
     check_electrodes(str(electrodes), heart)
     if not by_rule:

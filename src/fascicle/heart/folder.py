@@ -325,6 +325,10 @@ def write_mesh(heart: Heart, path: Path) -> None:
         # no field of an electrode that was added since
         fields = zip(heart.electrode_names, heart.lead_fields.values, strict=False)
         points = {f"lead_field_{electrode}": values for electrode, values in fields}
+    if heart.coordinates is not None:
+        points |= {
+            name: values.astype(np.float32) for name, values in heart.coordinates.arrays.items()
+        }
     write_grid(path, heart.vertices, heart.tetrahedra, TETRAHEDRON, points, cell_arrays(heart))
 
 

@@ -18,6 +18,7 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import ELECTRODES, LEADS, additional_leads
 from fascicle.core.ranges import short_repr
 from fascicle.heart.action_potential import TabulatedPotential
+from fascicle.heart.coordinate_arrays import VentricularCoordinates
 from fascicle.heart.endocardium import Endocardium
 from fascicle.mesh.measures import edge_lengths, signed_volumes
 from fascicle.mesh.topology import boundary_triangles
@@ -92,6 +93,9 @@ class Heart:
         ``region_1_conductivity``; the models of the heart start from them.
     action_potential : TabulatedPotential, optional
         Of the ECG, in place of the built-in one.
+    coordinates : VentricularCoordinates, optional
+        Those of its vertices; `fascicle.ventricular_coordinates` computes them where they are
+        missing.
     folder : Path, optional
         Where what is computed from it once is kept: mostly, where it was read from.
     """
@@ -110,6 +114,7 @@ class Heart:
     lead_fields: LeadFields | None = None
     values: Mapping[str, float] = field(default_factory=dict)
     action_potential: TabulatedPotential | None = None
+    coordinates: VentricularCoordinates | None = None
     folder: Path | None = None
 
     __repr__ = short_repr

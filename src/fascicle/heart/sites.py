@@ -13,6 +13,7 @@ import difflib
 import re
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated, Literal
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -20,7 +21,10 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Floats, Integers
+from fascicle.core.declared import Fraction, Table
 from fascicle.core.errors import InputError
+from fascicle.heart.coordinate_arrays import VentricularCoordinates
+from fascicle.heart.coordinates import ventricular_coordinates
 from fascicle.heart.endocardium import long_axis, septal_seeds
 from fascicle.heart.fibres import Wall, wall_and_depth, wall_potentials
 from fascicle.heart.heart import Heart
@@ -105,33 +109,52 @@ def _segment(height: Floats, angle: Floats) -> Integers:
     return np.select([third < 1, third < 2, third < 3], [sixth, 6 + sixth, quarter], APEX)
 
 
+class CoordinateSite(Table, table="stimulus.site", once=True):
+    """A site by ventricular coordinates, which mean the same in every heart: the nearest vertex."""
+
+    ventricle: Annotated[Literal["lv", "rv"], '`"lv"` or `"rv"`; each has its half of the septum']
+    apicobasal: Annotated[Fraction, "0 at the apex, 1 at the base"]
+    rotational: Annotated[
+        Fraction, "0 posterior, 1/3 lateral, 2/3 anterior, 5/6 in the middle of the septum"
+    ]
+    transmural: Annotated[
+        Fraction, "0 on the epicardium, in the septum in its middle; 1 on the endocardium"
+    ]
+
+    def vertex(self, coordinates: VentricularCoordinates) -> int:
+        """The vertex of a heart that is nearest to it."""
+        right = float(self.ventricle == "rv")
+        given = (right, self.transmural, self.rotational, self.apicobasal)
+        place = VentricularCoordinates(*np.array(given)[:, None]).places
+        away = np.linalg.norm(coordinates.places - place, axis=1)
+        return int(np.argmin(np.where(coordinates.ventricle == right, away, np.inf)))
+
+
 class Sites:
     """The named sites of a heart."""
 
     def __init__(self, heart: Heart) -> None:
         self.heart = heart
-        self._known: dict[str, tuple[float, float, float]] = {}
+        self._known: dict[str | CoordinateSite, tuple[float, float, float]] = {}
 
     @cached_property
     def places(self) -> Places:
         """Where in the ventricles each element lies, computed when first asked for."""
         return places(self.heart)
 
-    def position(self, name: str) -> tuple[float, float, float]:
-        """Position of a named site (mm).
+    def position(self, site: str | CoordinateSite) -> tuple[float, float, float]:
+        """Position of a site (mm).
 
         Parameters
         ----------
-        name : str
+        site : CoordinateSite or str
+            Ventricular coordinates, whose nearest vertex is taken, or a name:
+
             - ``"mid anterolateral epicardium"``, ``"segment 12 epicardium"``: the middle of a
               segment of the left ventricle (`SEGMENTS`) under one of its `LAYERS`; the epicardium
               of a septal segment is the right side of the septum;
             - ``"rv apex"``, ``"rv septum"``, ``"rv outflow tract"``, ``"rv free wall"``: on the
               right endocardium;
-            - ``"lv height 0.5 angle 120 depth 1"``: coordinates that mean the same in every heart,
-              as `Places` has them, the angle in degrees; ``rv`` for the right free wall. They serve
-              as universal ventricular coordinates do (J. Bayer et al., Med Image Anal 45, 2018),
-              but are measured along and about the left ventricle's long axis;
             - ``"left bundle"``: 15 mm below the root of the left network, towards its direction and
               the apex, and ``"left septum"``, 10 mm further, on the left endocardium. The bundles
               of all networks with the paper's ranges of lengths pass there.
@@ -139,12 +162,16 @@ class Sites:
         Raises
         ------
         InputError
-            If there is no such site, or coordinates name none.
+            If there is no such site, or the heart has no ventricular coordinates.
         """
-        if name not in self._known:
-            x, y, z = map(float, self._find(name))
-            self._known[name] = x, y, z
-        return self._known[name]
+        if site not in self._known:
+            if isinstance(site, CoordinateSite):
+                place = self.heart.vertices[site.vertex(ventricular_coordinates(self.heart))]
+            else:
+                place = self._find(site)
+            x, y, z = map(float, place)
+            self._known[site] = x, y, z
+        return self._known[site]
 
     def _find(self, name: str) -> Floats:
         segment = re.fullmatch(
@@ -153,12 +180,6 @@ class Sites:
         if segment is not None and (segment[1] is None or 1 <= int(segment[1]) <= len(SEGMENTS)):
             number = int(segment[1]) if segment[1] is not None else 1 + SEGMENTS.index(segment[2])
             return self._in_segment(number, segment[3])
-        number_text = r"(-?\d+(?:\.\d+)?)"
-        coordinates = re.fullmatch(
-            f"(lv|rv) height {number_text} angle {number_text} depth {number_text}", name
-        )
-        if coordinates is not None:
-            return self._at_coordinates(name, coordinates[1], *map(float, coordinates.groups()[1:]))
         if name in LEFT_SITES:
             return self._below_left_root(LEFT_SITES[name])
         if name in RIGHT_SITES:
@@ -168,34 +189,9 @@ class Sites:
         raise InputError(
             f"there is no site '{name}'; did you mean '{near}'? Sites are "
             f"{', '.join((*LEFT_SITES, *RIGHT_SITES))}, and segments with a layer, such as "
-            f"'{SEGMENTS[11]} {LAYERS[1]}' or 'segment 12 {LAYERS[1]}', or coordinates, such as "
-            "'lv height 0.5 angle 120 depth 1'"
+            f"'{SEGMENTS[11]} {LAYERS[1]}' or 'segment 12 {LAYERS[1]}'; or give ventricular "
+            "coordinates"
         )
-
-    def _at_coordinates(
-        self, name: str, ventricle: str, height: float, angle: float, depth: float
-    ) -> Floats:
-        """Middle of the element whose coordinates are nearest, as lengths in this heart."""
-        if not (0 <= height <= 1 and 0 <= depth <= 1 and -360 <= angle <= 360):
-            raise InputError(
-                f"site '{name}': height and depth go from 0 to 1, and the angle from -360 to 360 "
-                "degrees"
-            )
-        heart, found = self.heart, self.places
-        inside = np.flatnonzero((found.wall == Wall.RV) == (ventricle == "rv"))
-        centres = heart.vertices[heart.tetrahedra[inside]].mean(axis=1)
-        base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
-        length = np.linalg.norm(apex - base)
-        radius = np.linalg.norm(np.cross(centres - base, apex - base), axis=1) / length
-        turn = np.angle(np.exp(1j * (found.angle[inside] - np.radians(angle))))
-        apart = np.array(
-            [
-                length * (found.height[inside] - height),
-                radius * turn,
-                10 * (found.depth[inside] - depth),  # a wall counts as 10 mm thick
-            ]
-        )
-        return np.asarray(centres[np.argmin((apart**2).sum(axis=0))])
 
     def _in_segment(self, number: int, layer: str) -> Floats:
         """The element of a layer that is nearest to the middle of that layer in a segment."""

@@ -1,0 +1,125 @@
+"""Ventricular coordinates as arrays of a mesh's points, by the names of those who define them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError
+from fascicle.core.ranges import short_repr
+from fascicle.mesh.formats.mesh_file import TETRAHEDRON, MeshFile
+
+NAMES = ("tv", "tm", "rt", "ab")  # as Cobiveco writes them
+UNIVERSAL = ("v", "rho", "phi", "z")
+WALL = 0.1  # a wall counts for a tenth of the way from apex to base
+
+
+@dataclass(frozen=True)
+class VentricularCoordinates:
+    """Ventricular coordinates of each vertex, as `fascicle.heart.coordinates` defines them.
+
+    Attributes
+    ----------
+    ventricle : (n,) array
+        0 in the left, 1 in the right one.
+    transmural, rotational, apicobasal : (n,) arrays
+        From 0 to 1.
+    """
+
+    ventricle: Floats
+    transmural: Floats
+    rotational: Floats
+    apicobasal: Floats
+
+    __repr__ = short_repr
+
+    @property
+    def arrays(self) -> dict[str, Floats]:
+        """The coordinates by `NAMES`."""
+        values = (self.ventricle, self.transmural, self.rotational, self.apicobasal)
+        return dict(zip(NAMES, values, strict=True))
+
+    @property
+    def places(self) -> Floats:
+        """Either ventricle as a disk with its apex in the middle, as thick as `WALL`, (n, 3)."""
+        turn = 2 * np.pi * self.rotational
+        around = self.apicobasal * np.array([np.cos(turn), np.sin(turn)])
+        return np.column_stack([*around, WALL * self.transmural])
+
+
+def read_coordinates(mesh: MeshFile) -> VentricularCoordinates | None:
+    """Ventricular coordinates of the vertices of a mesh's tetrahedra, if it has the point arrays.
+
+    Those are ``tv``, ``tm``, ``rt`` (or ``rtSin`` and ``rtCos``) and ``ab`` of Cobiveco, or
+    ``v``, ``rho``, ``phi`` and ``z`` of `from_universal`, in upper or lower case; all four.
+
+    Raises
+    ------
+    InputError
+        If one is not a number a point, or out of range.
+    """
+    arrays = {name.lower(): values for name, values in mesh.point_data.items()}
+    if {"rtsin", "rtcos"} <= set(arrays) and "rt" not in arrays:
+        arrays["rt"] = np.arctan2(arrays["rtsin"], arrays["rtcos"]) / (2 * np.pi) % 1
+    if set(NAMES) <= set(arrays):
+        return VentricularCoordinates(*(_checked(mesh, arrays, name, 0, 1) for name in NAMES))
+    if not set(UNIVERSAL) <= set(arrays):
+        return None
+    limits = {"v": (-1, 1), "phi": (-np.pi, np.pi)}
+    v, *others = (_checked(mesh, arrays, name, *limits.get(name, (0, 1))) for name in UNIVERSAL)
+    if np.ptp(v) == 0:
+        raise InputError(
+            f"{mesh.path}: the point array 'v' of ventricular coordinates is {v[0]:g} everywhere; "
+            "give -1 in the left and 1 in the right ventricle, or remove it"
+        )
+    return from_universal(v, *others)
+
+
+def _checked(
+    mesh: MeshFile, arrays: Mapping[str, Floats], name: str, low: float, high: float
+) -> Floats:
+    """The values (n,) of an array at the vertices of the tetrahedra, each in range."""
+    values, among = np.asarray(arrays[name], dtype=float), "to"
+    if values.shape != (len(mesh.points),):
+        raise InputError(
+            f"{mesh.path}: the point array '{name}' has shape {values.shape}; ventricular "
+            "coordinates are one number a point; correct or remove it"
+        )
+    values = values[np.unique(mesh.cells[TETRAHEDRON])]
+    slack = 1e-3 * (high - low)  # interpolation rounds
+    bad = ~((values >= low - slack) & (values <= high + slack))
+    if name in ("tv", "v"):
+        bad, among = ~np.isin(values, (low, high)), "or"
+    if bad.any():
+        raise InputError(
+            f"{mesh.path}: the point array '{name}' of ventricular coordinates is "
+            f"{values[bad][0]:.4g} at a point; give {low:.4g} {among} {high:.4g}, or remove the "
+            "array to have them computed"
+        )
+    return values.clip(low, high)
+
+
+def from_universal(v: Floats, rho: Floats, phi: Floats, z: Floats) -> VentricularCoordinates:
+    """The coordinates that correspond to universal ventricular coordinates (n,).
+
+    These are by Bayer et al. 2018, Med Image Anal 45:83-93: v −1 in the left, 1 in the right
+    ventricle; ρ 0 on the endocardium, 1 on the epicardium; φ from −π to π in the left ventricle, to
+    which the septum belongs, and in the right one from its posterior attachment to the anterior
+    one; z 0 at the apex, 1 at the base. Their apex is the left ventricle's; it is left there.
+    """
+    right = v > 0
+    behind, before = phi[right].min(), phi[right].max()
+    way = (phi - behind) / (before - behind)
+    septal = ~right & (way >= 0) & (way <= 1)
+    # in the left free wall from the anterior attachment on to the posterior one
+    back = (phi - before) % (2 * np.pi) / (2 * np.pi - before + behind)
+    free = 2 / 3 * np.where(right, way, 1 - back)
+    return VentricularCoordinates(
+        (right | (septal & (rho > 0.5))).astype(float),
+        np.where(septal, np.abs(1 - 2 * rho), 1 - rho),
+        np.where(septal, 1 - way / 3, free),
+        z,
+    )

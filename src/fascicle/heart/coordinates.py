@@ -1,0 +1,305 @@
+"""Ventricular coordinates: where a point is, in terms that mean the same in every heart.
+
+They are the consistent biventricular coordinates (Cobiveco) of Schuler, Pilia, Potyagaylo and Loewe
+2021, Med Image Anal 74:102247, which follow from the labels of base, epicardium and endocardia:
+
+- *ventricle* (``tv``): 0 in the left, 1 in the right one; each has its half of the septum.
+- *transmural* (``tm``): 0 on the epicardium and in the middle of the septum, 1 on the endocardia.
+- *rotational* (``rt``): in the free wall from 0 at the posterior to 2/3 at the anterior attachment
+  of the two ventricles, back through the septum to 1, which is 0 again.
+- *apicobasal* (``ab``): 0 at the apex, on the attachment of the two ventricles; 1 at the base.
+
+The last three are the share of a length: of the line of steepest descent of a harmonic potential,
+from where it is 0 to where it is 1. Departures from the paper, whose meshes are cut in two twice:
+
+- The mesh stays as it is. The middle of the septum is where a potential that is 1 on the left
+  endocardium, −1 on the right one and 0 on the epicardium vanishes; the potential of ``tm`` is then
+  its absolute value. The ridges between septum and free walls are the elements between vertices
+  whose lines end in the middle of the septum and those whose lines end on the epicardium; so ``rt``
+  is known to an element there.
+- The lines of ``rt`` descend the potential between the two ridges, and those of ``ab`` the
+  potential between apex and base, in place of lines across the other two coordinates.
+- Anterior and posterior are told apart by the plane through the middle of the left endocardium
+  along the long axis and across the septum; the apex is where it cuts the ridge.
+
+Lengths are integrated upwind, as thickness is by Yezzi and Prince 2003, IEEE Trans Med Imaging
+22:1332-1339.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+
+import numpy as np
+from scipy import sparse
+from scipy.interpolate import LinearNDInterpolator
+from scipy.sparse.linalg import spsolve
+from scipy.spatial import cKDTree
+
+from fascicle.core.array_cache import ArrayCache
+from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.core.errors import InputError
+from fascicle.core.files import DISPOSABLE
+from fascicle.core.progress import StageProgress, no_progress
+from fascicle.core.ranges import check_kind
+from fascicle.heart.coordinate_arrays import NAMES, WALL, VentricularCoordinates
+from fascicle.heart.heart import Heart
+from fascicle.heart.labelled_surface import BASAL, Label, LabelledMesh, labelled_mesh, missing_parts
+from fascicle.heart.laplace import QuadraticSpace, quadratic_space, solve_laplace
+from fascicle.mesh.measures import barycentric_gradients, signed_volumes, triangle_normals, unit
+from fascicle.mesh.topology import TETRAHEDRON_FACES, components_of
+
+LV, RV, SEPTUM = range(3)  # parts of the tissue; the first two are free walls
+OFF = 1e-6  # of the way from apex to base
+
+
+def ventricular_coordinates(heart: Heart) -> VentricularCoordinates:
+    """Ventricular coordinates of a heart's vertices: those it has, or computed (some seconds).
+
+    What is computed is kept in the heart's folder.
+
+    Raises
+    ------
+    InputError
+        If a surface of the heart, its septum or its apex cannot be found.
+    """
+    check_kind(heart, Heart, "heart", "a heart, as fascicle.load_heart gives")
+    if heart.coordinates is not None:
+        return heart.coordinates
+    if heart.folder is None or not os.access(heart.folder, os.W_OK):
+        return computed_coordinates(labelled_mesh(heart))
+    cache = ArrayCache(heart.folder / DISPOSABLE, "coordinates")
+    arrays = cache.read(heart.digest)
+    if arrays is None:
+        arrays = computed_coordinates(labelled_mesh(heart)).arrays
+        cache.keep(heart.digest, arrays)
+    return VentricularCoordinates(*(arrays[name] for name in NAMES))
+
+
+def with_coordinates(
+    heart: Heart, mesh: LabelledMesh, progress: StageProgress = no_progress
+) -> tuple[Heart, tuple[str, ...]]:
+    """A heart with ventricular coordinates, those it has or computed on its labelled mesh; notes.
+
+    A heart without a septum, such as one with a hole in it, stays without them.
+    """
+    if heart.coordinates is not None:
+        return heart, ("ventricular coordinates: those of the file; none were computed",)
+    try:
+        return replace(heart, coordinates=computed_coordinates(mesh, progress)), ()
+    except InputError as error:
+        return heart, (f"ventricular coordinates: none ({error})",)
+
+
+def transfer_map(values: Floats, heart: Heart, other: Heart) -> Floats:
+    """Values at the vertices of a heart, such as activation times, at those of another one.
+
+    They are interpolated linearly between places of equal ventricular coordinates; beyond the
+    outermost ones, and where a value is not finite, that of the nearest place is taken.
+
+    Parameters
+    ----------
+    values : (..., n) array
+        Values at the vertices of `heart`.
+    heart, other : Heart
+        Where they are, and where they are wanted.
+
+    Returns
+    -------
+    (..., k) array
+        Values at the vertices of `other`.
+
+    Raises
+    ------
+    InputError
+        If there is not one value a vertex, or the coordinates of a heart cannot be found.
+    """
+    check_kind(values, np.ndarray, "values", "an array of one value a vertex of the heart")
+    for name, given in (("heart", heart), ("other", other)):
+        check_kind(given, Heart, name, "a heart, as fascicle.load_heart gives")
+    if values.dtype.kind not in "biuf" or values.shape[-1:] != (len(heart.vertices),):
+        raise InputError(
+            f"values are {values.dtype} of shape {values.shape}; give one number for each of the "
+            f"{len(heart.vertices)} vertices of '{heart.name}', in the last axis"
+        )
+    of, to = ventricular_coordinates(heart), ventricular_coordinates(other)
+    found = np.empty((*values.shape[:-1], len(to.ventricle)))
+    for side in (LV, RV):
+        here, there = of.ventricle == side, to.ventricle == side
+        known, wanted, own = of.places[here], to.places[there], values[..., here].astype(float)
+        nearest = own[..., cKDTree(known).query(wanted)[1]]
+        # the base goes on outwards, since between its vertices the hull of the places falls short
+        edge = of.apicobasal[here] > 0.99
+        known = np.concatenate([known, known[edge] * (1.1, 1.1, 1)])
+        own = np.moveaxis(np.concatenate([own, own[..., edge]], axis=-1), -1, 0)
+        # to find a place that is a vertex takes a thousand times as long
+        inwards = np.sign(WALL / 2 - wanted[:, 2])
+        wanted = wanted + OFF * np.column_stack([np.ones((len(wanted), 2)), inwards])
+        between = np.moveaxis(LinearNDInterpolator(known, own)(wanted), 0, -1)
+        found[..., there] = np.where(np.isfinite(between), between, nearest)
+    return found
+
+
+def computed_coordinates(
+    mesh: LabelledMesh, progress: StageProgress = no_progress
+) -> VentricularCoordinates:
+    """Ventricular coordinates of a mesh's vertices by its labelled surface.
+
+    Raises
+    ------
+    InputError
+        If the surface lacks a label, or there is no septum, or no apex at its end.
+    """
+    missing = missing_parts(mesh.labels)
+    if missing:
+        raise InputError(f"{mesh.name}: no boundary triangle is {', '.join(missing)}; label it")
+    progress(0, 4)
+    space = quadratic_space(mesh.vertices, mesh.tetrahedra)
+    left, right, outside, base = (
+        space.on(mesh.having(*labels))
+        for labels in ((Label.LV_ENDOCARDIUM,), (Label.RV_ENDOCARDIUM,), (Label.EPICARDIUM,), BASAL)
+    )
+    ventricle = _potential(space, (0.0, left), (1.0, right)) > 0.5
+    progress(1, 4)
+    inwards = _potential(space, (1.0, left), (-1.0, right), (0.0, outside))
+    transmural, septal = _transmural(mesh, ventricle, inwards)
+    progress(2, 4)
+    part = _parts(mesh, space, ventricle, septal)
+    anterior, below = _sides(mesh, part, inwards)
+    corners = part[mesh.tetrahedra]
+    ridge = mesh.tetrahedra[corners.min(axis=1) != corners.max(axis=1)]
+    mixed = anterior[ridge].any(axis=1) & ~anterior[ridge].all(axis=1)
+    mixed &= below[ridge].all(axis=1)
+    on_ridge, at_apex = (_marked(cells, len(part)) for cells in (ridge, ridge[mixed]))
+    if not at_apex.any():
+        raise InputError(f"{mesh.name}: no apex where the ventricles join; check the labels")
+    behind, before = (_nodes(space, on_ridge & (anterior == side)) for side in (False, True))
+    turned = line_shares(mesh, _potential(space, (0.0, behind), (1.0, before)))
+    progress(3, 4)
+    apicobasal = line_shares(mesh, _potential(space, (0.0, _nodes(space, at_apex)), (1.0, base)))
+    progress(4, 4)
+    rotational = np.where(part == SEPTUM, 1 - turned / 3, 2 / 3 * turned)
+    return VentricularCoordinates(ventricle.astype(float), transmural, rotational, apicobasal)
+
+
+def _potential(space: QuadraticSpace, *given: tuple[float, Integers]) -> Floats:
+    """Harmonic function at the vertices (n,) with these values on sets of nodes, the first first.
+
+    Quadratic functions overshoot a little, which is cut off.
+    """
+    values = np.full(space.size, np.nan)
+    for value, nodes in reversed(given):
+        values[nodes] = value
+    fixed = np.flatnonzero(np.isfinite(values))
+    values = values[fixed]
+    solved = solve_laplace(space, fixed, values[None])[0]
+    return np.asarray(np.clip(solved, values.min(), values.max())[: len(space.vertices)])
+
+
+def _transmural(
+    mesh: LabelledMesh, ventricle: Booleans, inwards: Floats
+) -> tuple[Floats, Booleans]:
+    """Transmural coordinate (n,), and whether the lines out of a cavity end in the septum (n,)."""
+    share, septal = np.zeros(len(ventricle)), np.zeros(len(ventricle), dtype=bool)
+    for side, potential in ((~ventricle, inwards), (ventricle, -inwards)):
+        out, beyond = _lengths(mesh, potential, 0.0)
+        back, _ = _lengths(mesh, -potential, -1.0)
+        # on the far side of the septum's middle they are negative
+        out, back = np.maximum(out, 0), np.maximum(back, 0)
+        shares = np.where(potential < 1, out / np.maximum(out + back, 1e-12), 1.0)
+        share[side], septal[side] = shares[side], beyond[side] > 0.5
+    return share, septal
+
+
+def line_shares(mesh: LabelledMesh, potential: Floats) -> Floats:
+    """How far each vertex is along its line of steepest descent of a potential from 0 to 1, (n,).
+
+    By length: 0 where the potential (n,) is 0, 1 where it is 1.
+    """
+    (back, _), (forth, _) = _lengths(mesh, potential, 0.0), _lengths(mesh, -potential, -1.0)
+    inside = (potential > 0) & (potential < 1) & (back + forth > 0)
+    return np.asarray(np.where(inside, back / np.where(inside, back + forth, 1), potential))
+
+
+def _lengths(mesh: LabelledMesh, potential: Floats, level: float) -> tuple[Floats, Floats]:
+    """Lengths (mm) of lines of steepest descent down to a level (n,), negative beyond it.
+
+    And the part of each line, as it is interpolated, that ends beyond the level (n,).
+
+    A line goes from a vertex through the tetrahedron in which the potential, linear there, falls
+    most steeply to the face opposite, and on from the face's corners by their weights.
+    """
+    vertices, tetrahedra = mesh.vertices, mesh.tetrahedra
+    gradients = barycentric_gradients(vertices, tetrahedra)
+    down = -unit(np.einsum("mi,mix->mx", potential[tetrahedra], gradients))
+    # of each corner: the corners opposite, and the weights of where the line leaves by their face
+    faces = tetrahedra[:, TETRAHEDRON_FACES]
+    weights = np.einsum("mix,mx->mi", gradients, down)[:, TETRAHEDRON_FACES].clip(0)
+    total = weights.sum(axis=2)
+    weights /= np.where(total > 0, total, 1)[..., None]
+    end = np.einsum("mik,mikx->mix", weights, vertices[faces])
+    length = np.linalg.norm(end - vertices[tetrahedra], axis=2)
+    fall = potential[tetrahedra] - np.einsum("mik,mik->mi", weights, potential[faces])
+    slope = np.where(total > 0, fall / np.where(length > 0, length, 1), -np.inf).ravel()
+
+    count, corner = len(vertices), tetrahedra.ravel()
+    order = np.lexsort((slope, corner))
+    steepest = order[np.flatnonzero(np.diff(corner[order], append=count))]
+    slope, length = slope[steepest], length.ravel()[steepest]
+    ends = (potential <= level) | (slope <= 0)
+    weights = weights.reshape(-1, 3)[steepest] * ~ends[:, None]
+    beyond = np.minimum(potential - level, 0) / np.where(slope > 0, slope, np.inf)
+    known = np.column_stack([np.where(ends, beyond, length), ends & (potential < level)])
+    rows = np.arange(0, 3 * count + 1, 3)
+    onwards = sparse.csr_matrix((weights.ravel(), faces.reshape(-1, 3)[steepest].ravel(), rows))
+    onwards.resize(count, count)
+    # nearly triangular in the order of descent
+    order = np.argsort(potential)
+    matrix = (sparse.identity(count) - onwards).tocsr()[order][:, order].tocsc()
+    found = np.empty((count, 2))
+    found[order] = spsolve(matrix, known[order], permc_spec="NATURAL")
+    return found[:, 0], found[:, 1]
+
+
+def _parts(
+    mesh: LabelledMesh, space: QuadraticSpace, ventricle: Booleans, septal: Booleans
+) -> Integers:
+    """Part of the tissue that each vertex belongs to (n,); pieces but the largest change sides."""
+    part = np.where(septal, SEPTUM, np.where(ventricle, RV, LV))
+    joined = space.edges[part[space.edges[:, 0]] == part[space.edges[:, 1]]]
+    piece = components_of(joined, len(part))
+    size = np.bincount(piece)
+    for kind in (LV, RV, SEPTUM):
+        own = part == kind
+        if not own.any():
+            raise InputError(f"{mesh.name}: no septum between two ventricles; check the labels")
+        largest = piece[own][np.argmax(size[piece[own]])]
+        septal = np.where(own & (piece != largest), ~septal, septal)
+    return np.where(septal, SEPTUM, np.where(ventricle, RV, LV))
+
+
+def _sides(mesh: LabelledMesh, part: Integers, inwards: Floats) -> tuple[Booleans, Booleans]:
+    """Which vertices are anterior, and which are on the apex's side of the left cavity, (n,)."""
+    vertices, endocardium = mesh.vertices, mesh.having(Label.LV_ENDOCARDIUM)
+    normals = triangle_normals(vertices, endocardium)
+    areas = np.linalg.norm(normals, axis=1)
+    middle = areas @ vertices[endocardium].mean(axis=1) / areas.sum()
+    # the long axis is as orthogonal to the endocardium's normals as can be
+    axis = np.linalg.eigh((normals / areas[:, None]).T @ normals)[1][:, 0]
+    axis *= np.sign(axis @ (middle - vertices[mesh.having(*BASAL)].mean(axis=(0, 1))))
+    septum = mesh.tetrahedra[(part[mesh.tetrahedra] == SEPTUM).all(axis=1)]
+    gradients = np.einsum("mi,mix->mx", inwards[septum], barycentric_gradients(vertices, septum))
+    to_the_right = -signed_volumes(vertices, septum) @ gradients
+    away = vertices - middle
+    return away @ np.cross(axis, to_the_right) < 0, away @ axis > 0
+
+
+def _nodes(space: QuadraticSpace, vertices: Booleans) -> Integers:
+    """Nodes of the edges between some vertices (n,), and these."""
+    return np.flatnonzero(np.concatenate([vertices, vertices[space.edges].all(axis=1)]))
+
+
+def _marked(cells: Integers, count: int) -> Booleans:
+    """Which of so many vertices some cells (m, k) have."""
+    return np.bincount(cells.ravel(), minlength=count) > 0
