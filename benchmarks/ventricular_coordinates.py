@@ -67,8 +67,8 @@ def draw(heart, file):
     front = np.cross(up, right)  # anterior to the reader
     front /= np.linalg.norm(front)
     titles = {
-        "tv": "tv: left or right", "tm": "tm: epicardium to endocardium",
-        "rt": "rt: around, from posterior", "ab": "ab: apex to base",
+        "tv": "tv", "tm": "tm",
+        "rt": "rt", "ab": "ab",
     }  # fmt: skip
     plot = pv.Plotter(shape=(2, 4), off_screen=True, window_size=(1600, 820), border=False)
     for column, (name, title) in enumerate(titles.items()):
@@ -84,7 +84,7 @@ def draw(heart, file):
             away = -up if row == 0 else front
             bar = {**bar, "fmt": "%.1f"}
             plot.add_mesh(part, **colours, scalar_bar_args=bar, show_scalar_bar=row == 1)
-            plot.camera_position = [middle + 330 * away, middle, front if row == 0 else up]
+            plot.camera_position = [middle + 260 * away, middle, front if row == 0 else up]
     plot.set_background("white")
     plot.screenshot(file)
 

@@ -182,6 +182,7 @@ def separated_vertices(anatomy: Anatomy) -> Anatomy:
             triangles=triangles,
             labels=mesh.labels[places_in(back, mesh.triangles)],
         ),
+        coordinates=None,
         notes=(*anatomy.notes, note),
     )
 
