@@ -5,6 +5,7 @@ import pytest
 
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS, lead_matrix
+from fascicle.recording.missing_metadata import MissingMetadataError
 from fascicle.recording.pipeline import analyse, make_target
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Recording
@@ -192,6 +193,28 @@ def test_unusable_recordings_are_refused_in_one_line(change, rate, words):
         make_target(Recording(change(ecg()[0]), rate, "file.csv"))
     assert str(info.value).startswith("file.csv: ")
     assert "\n" not in str(info.value)
+
+
+@pytest.mark.parametrize("factor", [0.1, 1.0, 5.0])
+def test_an_implausible_amplitude_is_asked_and_may_be_confirmed(tmp_path, factor):
+    signal, _ = ecg()
+    signal = signal * 1.6 / np.ptp(signal, axis=1).max()  # mV
+    table = tmp_path / "ecg.csv"
+    header = ",".join(f"{lead} (mV)" for lead in LEADS)
+    np.savetxt(table, factor * signal.T, "%.5f", ",", header=header, comments="")
+
+    def made(unit=None):
+        return make_target(read_recording(table, sampling_rate=500.0, unit=unit))
+
+    if factor == 1.0:
+        assert "voltage" not in made().provenance.get("warnings", "")
+        return
+    with pytest.raises(MissingMetadataError, match=r"the QRS spans .* mV .* by --unit"):
+        made()
+    size = "low" if factor < 1 else "high"
+    assert f"{size} voltage: the QRS spans" in made("mV").provenance["warnings"]
+    # a simulated ECG in memory is in mV by definition
+    assert make_target(Recording(factor * signal, 500.0, "simulated")).qrs_duration > 50
 
 
 def test_unequal_gains_are_refused_and_equal_ones_are_not():

@@ -13,6 +13,7 @@ from quality_recordings import REAL, beating, fatal, real, row, warned, with_lea
 from fascicle.core.leads import LEADS, LIMB_LEADS
 from fascicle.recording.detection import r_peaks
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
+from fascicle.recording.pipeline import make_target
 from fascicle.recording.quality.check_result import CheckResult, Severity
 from fascicle.recording.quality.checks import LEAD_CHECKS, check_leads, check_recording
 from fascicle.recording.quality.limb_leads import check_identities, check_reversal
@@ -130,6 +131,10 @@ def test_clipped_peaks(good) -> None:
     finding = one(with_lead(good, "V4", cut), "clipped")
     assert finding.value == pytest.approx(np.mean(cut == cut.max()), rel=0.2)
     assert finding.message.startswith("peaks of lead V4 are clipped")
+    # a plateau near the baseline
+    plateau = np.maximum(row(good, "V4"), -0.05)
+    assert (plateau == plateau.min()).sum() > 100
+    assert one(with_lead(good, "V4", plateau), "clipped").value == 0
     # the rounded tops of coarse digits
     smooth = beating(noise=0.0)
     assert one(replace(good, signal=0.01 * np.round(smooth.signal / 0.01)), "clipped").value == 0
@@ -304,6 +309,29 @@ def test_reversed_electrodes(good, patients: dict[str, Recording], name: str) ->
     assert "the heart lies on the right" in arms.message
     assert reversal(recording, "RA-LL").message.endswith("--swap RA-LL")
     assert check_identities(recording)[-1].severity is Severity.FINE  # no law is broken
+
+
+def test_no_reversal_is_advised_for_paced_beats_or_without_p_waves(good) -> None:
+    order, sign = REVERSALS["RA-LA"]
+    signal = good.signal.copy()
+    signal[:6] = np.array(sign)[:, None] * signal[order]
+    reversed_arms = replace(good, signal=signal)
+    peaks = r_peaks(signal, good.sampling_rate)
+    assert "--swap RA-LA" in check_reversal(reversed_arms, peaks).message
+    assert check_reversal(reversed_arms, peaks, paced=True).message.endswith("rhythm is paced")
+    for peak in peaks:  # 260 to 100 ms before R
+        p_wave = slice(peak - 130, peak - 48)
+        signal[:, p_wave] = np.linspace(*signal[:, [p_wave.start, p_wave.stop]].T, 82).T
+    finding = check_reversal(reversed_arms, peaks)
+    assert finding.message == "not checked: leads I and II show no P wave"
+
+
+def test_paced_recordings_are_neither_reversed_nor_clipped(data_folder) -> None:
+    for name in ("c05_spike_decay.hea", "c08_rv_slow_150.xml"):
+        target = make_target(read_recording(data_folder / "cases" / name))
+        warnings = target.provenance.get("warnings", "")
+        assert "--swap" not in warnings
+        assert "clipped" not in warnings
 
 
 def test_an_axis_to_the_right_is_no_reversal(good) -> None:

@@ -20,7 +20,7 @@ def share_gain(recording: Recording, digits_per_millivolt: float = 1000.0) -> Re
     Raises
     ------
     InputError
-        When the file does not state the gain of every lead, or all have one already.
+        When the file does not state the gain of every lead, or all have that one already.
     """
     within("gain of the file", digits_per_millivolt, "the gain that leads share")
     gains, kept = recording.digits_per_millivolt, recording.measured_leads
@@ -30,10 +30,10 @@ def share_gain(recording: Recording, digits_per_millivolt: float = 1000.0) -> Re
             f"{recording.source}: the file does not state the gain of each lead, so they cannot "
             "share one; leave out --shared-gain"
         )
-    if np.ptp(gains[rows]) == 0:
+    if (gains[rows] == digits_per_millivolt).all():
         raise InputError(
             f"{recording.source}: all its leads have one gain already ({gains[rows[0]]:g} per mV); "
-            "leave out --shared-gain"
+            "leave out --shared-gain, or give another gain by --digits-per-mv"
         )
     if recording.additional:
         raise InputError(

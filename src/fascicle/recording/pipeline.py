@@ -45,6 +45,14 @@ from fascicle.recording.window import (
     window_uncertainty,
 )
 
+# QRS of a person, peak to peak in the largest lead (mV). Below 0.5 mV in the limb leads and 1.0 mV
+# in the chest leads the voltage is low (E. W. Hancock et al., AHA/ACCF/HRS recommendations, part V,
+# J. Am. Coll. Cardiol. 53:992, 2009); the 98th percentiles of R and S are up to 3 mV in a lead (P.
+# R. Rijnbeek et al., J. Electrocardiol. 47:914, 2014), and hypertrophy adds to that.
+USUAL_QRS = (0.5, 5.0)
+POSSIBLE_QRS = (0.3, 6.0)  # what is outside may be a wrong gain or unit, and is asked
+AMPLITUDE_SAID = {"choice_unit", "shared_gain"}  # notes on what the user has said
+
 
 def make_target(
     recording: Recording,
@@ -123,11 +131,11 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
         clean = replace(recording, signal=remove_spikes(recording.signal, spikes), additional=more)
     try:
         groups = lead_groups(clean, spikes, options)
-        _check_beats_found(source, groups)
+        _check_beats_found(recording, groups)
         times = np.concatenate([group.times for group in groups])
         r_peaks = np.round(times * rate).astype(np.int64)
         filters = passed_filters(recording, r_peaks, options)
-        findings += check_recording(clean, r_peaks, filters)
+        findings += check_recording(clean, r_peaks, filters, paced=len(spikes) > 0)
         _refuse(findings, recording)
         by_group, label = select_beats(groups, options, source)
         aligned = combine(
@@ -167,8 +175,9 @@ def _refuse(findings: Sequence[CheckResult], recording: Recording) -> None:
             raise InputError(f"{recording.source}: {finding.message}{note}")
 
 
-def _check_beats_found(source: str, groups: Sequence[LeadGroup]) -> None:
+def _check_beats_found(recording: Recording, groups: Sequence[LeadGroup]) -> None:
     """Refuse recordings without beats, or with beats of another size than a heart's."""
+    source = recording.source
     for group in groups:
         if not len(group.peaks):
             seconds = group.signal.shape[1] / TARGET_RATE
@@ -181,6 +190,19 @@ def _check_beats_found(source: str, groups: Sequence[LeadGroup]) -> None:
         raise InputError(
             f"{source}: the largest lead spans {height:.3g} mV in one beat, expected 0.05 to "
             "20 mV; correct the unit or the gain of the file"
+        )
+    low, high = POSSIBLE_QRS
+    notes = recording.provenance  # of a file, with what the user has said of its amplitude
+    if not low <= height <= high and "source_sha256" in notes and not AMPLITUDE_SAID & set(notes):
+        gains = recording.digits_per_millivolt
+        gain = ""
+        if gains is not None and np.isfinite(gains).any():
+            gain = f" (--shared-gain --digits-per-mv, in place of {np.nanmedian(gains):g})"
+        raise MissingMetadataError(
+            f"{source}: the QRS spans {height:.2g} mV in its largest lead, that of a person "
+            f"{low:g} to {high:g} mV; correct the gain{gain}, or confirm the unit that the file "
+            "states by --unit",
+            "unit",
         )
     clearest = min(group.signal_to_noise for group in groups)
     if clearest < 0.5:
@@ -363,6 +385,14 @@ def _warnings(
     rate = target.heart_rate
     if rate is not None and not 20.0 <= rate <= 300.0:
         warnings.append(f"{rate:.0f} beats per minute; is the sampling rate right?")
+    largest = float(np.nanmax(np.ptp(target.qrs, axis=1)))
+    low, high = USUAL_QRS
+    if not low <= largest <= high and "source_sha256" in notes:
+        size = "low" if largest < low else "high"
+        warnings.append(
+            f"{size} voltage: the QRS spans {largest:.2g} mV in its largest lead, usually {low:g} "
+            f"to {high:g} mV; are unit and gain right?"
+        )
     if len(target.beats) == 2:
         warnings.append("two beats show little of how beats vary; give a longer recording")
     alike = sum(beat.label == label for beat in beats)

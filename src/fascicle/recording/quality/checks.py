@@ -59,15 +59,16 @@ def check_leads(recording: Recording) -> tuple[CheckResult, ...]:
 
 
 def check_recording(
-    recording: Recording, peaks: Integers, filters: Sequence[Filter]
+    recording: Recording, peaks: Integers, filters: Sequence[Filter], paced: bool = False
 ) -> tuple[CheckResult, ...]:
     """Every other check, also those that are fine, of a recording without pacing spikes.
 
-    The R peaks are at the samples `peaks` (n_beats,); `filters` are those that it has passed.
+    The R peaks are at the samples `peaks` (n_beats,); `filters` are those that it has passed;
+    `paced` says that it had spikes.
     """
     return (
         *check_identities(recording),
-        check_reversal(recording, peaks),
+        check_reversal(recording, peaks, paced),
         *(check.of(recording) for check in LEAD_CHECKS),
         _check_lowpass(recording, peaks, filters),
     )
@@ -229,14 +230,21 @@ def _clipped(values: Floats, rate: float) -> float:
     """Share of the samples in runs of three or more at the lowest or highest value.
 
     A rounded peak comes to its top by steps of about one digit; a clipped one arrives at full
-    slope, by four digits or more. Fewer than three runs shorter than 20 ms happen by chance.
+    slope, by four digits or more. Fewer than three runs shorter than 20 ms happen by chance. The
+    end of a range is far out: a plateau nearer to the baseline than half the lead's largest
+    deflection is none.
     """
     if np.ptp(values) == 0:
         return 0.0
+    middle = np.median(values)
+    furthest = np.abs(values - middle).max()
     steps = np.abs(np.diff(values, prepend=values[0], append=values[-1]))
-    steep = 4.0 * _resolution(values)
+    # a digit, whatever lies between digits where spikes were taken out
+    steep = 4.0 * float(np.quantile(steps[steps > 1e-7], 0.02))
     count = 0
     for extreme in (values.min(), values.max()):
+        if abs(extreme - middle) < 0.5 * furthest:
+            continue
         edges = np.diff(np.concatenate([[0], values == extreme, [0]]))
         starts, stops = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
         lengths = (stops - starts)[np.maximum(steps[starts], steps[stops]) >= steep]

@@ -18,6 +18,8 @@ from fascicle.recording.recording import Recording
 
 GAINS = Check("gains of limb leads, ratio", "", 1.01)  # up to which gains are one
 REVERSAL = Check("lead reversal, I and II against V6", "", -0.4)
+P_WAVE = (-0.26, -0.10)  # s from R
+SMALLEST_P = 0.05  # mV, peak to peak in lead I or II; half a mm on paper
 WRONG_GAINS = (
     "its gains per lead are wrong, the raw digits satisfy the identities; "
     "read it with --shared-gain"
@@ -259,14 +261,14 @@ def _factors(leads: Floats, zeros: Floats) -> Floats | None:
     return np.asarray(factors / np.exp(np.log(factors).mean()))[:, None]
 
 
-def check_reversal(recording: Recording, peaks: Integers) -> CheckResult:
+def check_reversal(recording: Recording, peaks: Integers, paced: bool = False) -> CheckResult:
     """Suspect the right arm's electrode of having been exchanged with another limb's.
 
     Leads I and II look to the left and down, as V6 (or V5) does. Reversed arms turn lead I upside
     down, and reversed right arm and left leg lead II. The figure is the lower mean of the
     correlations of I or II with V6 in P wave and QRS, so that a QRS axis to the right alone does
-    not count. Reversed left arm and left leg look like a turned axis. The `peaks` (n_beats,) are
-    samples of the R peaks.
+    not count; a rhythm that is `paced` or has no P wave is not judged. Reversed left arm and left
+    leg look like a turned axis. The `peaks` (n_beats,) are samples of the R peaks.
 
     References
     ----------
@@ -280,6 +282,10 @@ def check_reversal(recording: Recording, peaks: Integers) -> CheckResult:
         message = "not checked: needs leads I, II and V6 or V5, and two beats"
         return REVERSAL.found(np.nan, message, Severity.FINE)
     reference = median[left[0]]
+    p_waves = _wave(median[:2], P_WAVE, rate)
+    if paced or np.ptp(p_waves, axis=1).max() < SMALLEST_P:
+        why = "the rhythm is paced" if paced else "leads I and II show no P wave"
+        return REVERSAL.found(np.nan, f"not checked: {why}", Severity.FINE)
     now = _likeness(median[:2], reference, rate)
     if min(now) >= REVERSAL.limit:
         return REVERSAL.found(min(now))
@@ -315,20 +321,20 @@ def _median_beat(recording: Recording, peaks: Integers) -> Floats:
 
 
 def _likeness(leads: Floats, reference: Floats, rate: float) -> list[float]:
-    """Mean of the correlations of leads with another, in P wave and QRS of median beats (n,).
-
-    Each wave is taken less the line between the means of its first and last 10 ms.
-    """
-    edge = max(round(0.01 * rate), 1)
+    """Mean of the correlations of leads with another, in P wave and QRS of median beats (n,)."""
     likeness = [0.0] * len(leads)
-    for wave in ((-0.26, -0.10), (-0.06, 0.08)):  # s from R
-        start, stop = (round((0.26 + end) * rate) for end in wave)
-        shapes = []
-        for lead in (*leads, reference):
-            x = lead[start : stop + 1]
-            x = x - np.linspace(x[:edge].mean(), x[-edge:].mean(), len(x))
-            shapes.append(x - x.mean())
+    for wave in (P_WAVE, (-0.06, 0.08)):  # s from R
+        shapes = _wave(np.vstack([leads, reference]), wave, rate)
         for k, shape in enumerate(shapes[:-1]):
             scale = float(np.linalg.norm(shape) * np.linalg.norm(shapes[-1]))
             likeness[k] += float(shape @ shapes[-1]) / scale / 2 if scale > 0 else 0.0
     return likeness
+
+
+def _wave(leads: Floats, wave: tuple[float, float], rate: float) -> Floats:
+    """A wave (s from R) of median beats (k, n), less the line between its first and last 10 ms."""
+    edge = max(round(0.01 * rate), 1)
+    start, stop = (round((0.26 + end) * rate) for end in wave)
+    x = leads[:, start : stop + 1]
+    x = x - np.linspace(x[:, :edge].mean(axis=1), x[:, -edge:].mean(axis=1), x.shape[1], axis=1)
+    return np.asarray(x - x.mean(axis=1, keepdims=True))
