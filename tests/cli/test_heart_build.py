@@ -128,7 +128,7 @@ def test_surfaces(build, tmp_path, kind):
     others = [w for w in warnings if "edge length" not in w]
     assert not [w for w in others if not (found and w.startswith("warning: LV cavity: 39."))]
     assert "volumes: LV cavity" in ended.out
-    assert ("found from the shape: look at" in ended.out) == ("unlabelled" in kind)
+    assert ("labels were found, not given: look at" in ended.out) == ("unlabelled" in kind)
     assert (heart.folder / "labels.png").exists() == ("unlabelled" in kind)
     assert heart.sheets is not None
     assert heart.regions is None
@@ -183,7 +183,7 @@ def test_tetrahedra_stay_as_they_are(build, tmp_path, labelled):
     heart, ended = build(file, edge_length=2.0)  # of no consequence here
     np.testing.assert_array_equal(heart.vertices, mesh.vertices)
     np.testing.assert_array_equal(heart.tetrahedra, mesh.tetrahedra)
-    assert ("found from the shape: look at" in ended.out) == (not labelled)
+    assert ("labels were found, not given: look at" in ended.out) == (not labelled)
     assert "mesh: as in the file" in ended.out
     assert_ventricles(heart)
 
