@@ -84,7 +84,7 @@ def draw(heart, file):
             away = -up if row == 0 else front
             bar = {**bar, "fmt": "%.1f"}
             plot.add_mesh(part, **colours, scalar_bar_args=bar, show_scalar_bar=row == 1)
-            plot.camera_position = [middle + 260 * away, middle, front if row == 0 else up]
+            plot.camera_position = [middle + 310 * away, middle, front if row == 0 else up]
     plot.set_background("white")
     plot.screenshot(file)
 
