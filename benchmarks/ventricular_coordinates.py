@@ -1,8 +1,9 @@
 """Ventricular coordinates: error of the mesh, maps there and back, and the documentation's figure.
 
-``python -m benchmarks.ventricular_coordinates [HEART ...]`` compares the packaged heart with itself
-on a mesh of half the edge length (baseline), and carries positions to other hearts and back;
-``--figure FILE`` draws the coordinates of the packaged heart.
+    python -m benchmarks.ventricular_coordinates [HEART ...] [--figure FILE]
+
+The packaged heart is compared with itself on a mesh of half the edge length, and positions are
+carried to the other hearts and back. The figure draws the coordinates of the packaged heart.
 """
 
 from __future__ import annotations

@@ -41,6 +41,7 @@ WRONG: dict[str, Any] = {
 ALSO = {
     ("ForwardModel", "heart"): {"heart"},
     ("simulate_prior", "heart"): {"heart"},
+    ("ventricular_coordinates", "heart"): {"heart"},
     ("simulate_prior", "networks"): {"whole"},
     ("simulate_prior", "workers"): {"whole"},
     ("fit", "heart"): {"heart"},

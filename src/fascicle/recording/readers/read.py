@@ -24,7 +24,7 @@ from fascicle.core.leads import (
     LIMB_LEADS,
     limb_leads_from,
 )
-from fascicle.core.ranges import check_items, check_text, number
+from fascicle.core.ranges import check_items, check_kind, check_text, number
 from fascicle.recording import corrections
 from fascicle.recording.missing_metadata import missing_rate, missing_unit
 from fascicle.recording.readers.formats import READERS, reader_of
@@ -152,6 +152,7 @@ def read_recording(
         number(sampling_rate, "sampling_rate")
     if unit is not None:
         check_text(unit, "unit")
+    check_kind(shared_gain, bool, "shared_gain", "True or False")
     check_items(invert, str, "invert", "names of leads")
     check_items(swap, str, "swap", "pairs such as RA-LA")
     reader = reader_of(path)
