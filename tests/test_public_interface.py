@@ -42,6 +42,7 @@ ALSO = {
     ("ForwardModel", "heart"): {"heart"},
     ("simulate_prior", "heart"): {"heart"},
     ("ventricular_coordinates", "heart"): {"heart"},
+    ("read_recording", "shared_gain"): {"bool"},
     ("simulate_prior", "networks"): {"whole"},
     ("simulate_prior", "workers"): {"whole"},
     ("fit", "heart"): {"heart"},
