@@ -122,6 +122,8 @@ def test_the_file_of_a_scenario_is_printed(run, refused, tmp_path):
     assert 'site = "left bundle"' in run("scenarios", "left-bundle-branch-pacing").out
     refused(["scenarios", tmp_path / "none.toml"], "no such file")
     refused(["scenarios", "his-pacin"], "did you mean 'his-pacing'")
+    refused(["scenarios", "LBBB"], "did you mean 'left-bundle-branch-block'?")
+    refused(["scenarios", "nothing-like-it"], "no scenario 'nothing-like-it'; 'fascicle scenarios'")
 
 
 def test_log_that_cannot_be_written(refused, tmp_path):

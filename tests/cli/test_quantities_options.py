@@ -36,7 +36,7 @@ def test_fixed_in_a_simulation(run, outside):
     ("options", "words"),
     [
         (["--fix", "alpha"], "--fix alpha: not a name and a number"),
-        (["--fix", "alfa=0.1"], "did you mean 'alpha'"),
+        (["--fix", "aplha=0.1"], "did you mean 'alpha'"),
         (["--fix", "alpha=0.1", "--fix", "alpha=0.2"], "given twice"),
         (["--cv", "3", "--fix", "cv=2"], "given twice"),
         (["--fix", "cv=200"], "--fix cv=200: parameter 'cv' is 200 mm/ms; give"),

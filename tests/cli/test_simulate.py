@@ -304,7 +304,7 @@ class TestParameters:
     @pytest.mark.parametrize(
         ("changed", "words"),
         [
-            ({"lv_lenght": 3.0}, "unknown parameter 'lv_lenght'; did you mean '"),
+            ({"lv_initial_lenght": 3.0}, "unknown parameter 'lv_initial_lenght'; did you mean '"),
             ({"root_time": None, "cv": None}, "missing parameters root_time, cv; add them"),
             ({"cv": "nan"}, "parameter 'cv' is nan"),
             ({"cv": '"3"'}, "parameter 'cv' is '3'; give a number"),

@@ -83,6 +83,7 @@ def test_numbers_of_numpy_are_numbers(value):
     ("name", "words"),
     [
         ("rooot_time", "unknown parameter 'rooot_time'; did you mean 'root_time'"),
+        ("conduction_velocity", "did you mean 'cv' or 'fibre_speed'?"), ("qrs", "'qrs'; 'fascicle"),
         ("poses", "did you mean 'pose'"), ("region_x_conductivity", "region_x"),
     ],
 )  # fmt: skip

@@ -88,12 +88,19 @@ def test_the_way_of_the_left_bundle_goes_on_to_the_apex(default_heart):
 
 
 @pytest.mark.parametrize(
-    "name", ["", "lv", "segment 0 endocardium", "segment 18 endocardium", "mid anterior", "RV apex"]
+    "name", ["", "lv", "segment 0 endocardium", "segment 18 endocardium", "mid anterior", "rv apx"]
 )
 def test_there_are_no_others(sites, name):
-    with pytest.raises(InputError, match=f"there is no site '{name}'; did you mean '") as caught:
+    with pytest.raises(InputError, match=f"there is no site '{name}'; ") as caught:
         sites.position(name)
     assert "\n" not in str(caught.value)
+    assert ("did you mean" in str(caught.value)) == (name in ("mid anterior", "rv apx"))
+
+
+def test_names_of_sites_in_any_case(sites):
+    assert sites.position("RV_Apex") == sites.position("rv apex")
+    with pytest.raises(InputError, match="did you mean 'rv outflow tract'"):
+        sites.position("RVOT")
 
 
 def test_more_stimuli_than_anybody_has():

@@ -7,7 +7,6 @@ docs/extending.md adds one with `declare`.
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -16,7 +15,7 @@ from enum import StrEnum
 from typing import Any
 
 from fascicle.core.errors import ValueRefusedError
-from fascicle.core.ranges import Range, check_kind, shown
+from fascicle.core.ranges import Range, check_kind, did_you_mean, shown
 
 SIDES = ("lv", "rv")
 
@@ -59,6 +58,8 @@ class Quantity:
     apply : callable, optional
         ``apply(conduction, value)`` gives the `fascicle.Conduction` with the quantity at a value,
         for quantities that are declared outside the package.
+    aliases : tuple of str
+        Other names, as `fascicle.core.ranges.plain_name` gives them, for which it is suggested.
     """
 
     name: str
@@ -72,6 +73,7 @@ class Quantity:
     default_prior: tuple[str, float] | None = None
     also: float | None = None
     apply: Callable[[Any, float], Any] | None = field(default=None, compare=False)
+    aliases: tuple[str, ...] = ()
 
     @property
     def valid(self) -> Range:
@@ -120,18 +122,27 @@ def _of_conduction() -> Iterator[Quantity]:
     """Speeds and delays, and the size of the ECG."""
     times, tissue = Changes.TIMES, Changes.TISSUE
     meaning = "t_RV - t_LV of the roots; negative, the left one fires later"
-    yield Quantity("root_time", "ms", None, (-1000.0, 1000.0), (-75.0, 50.0), meaning, times)
+    yield Quantity(
+        "root_time", "ms", None, (-1000.0, 1000.0), (-75.0, 50.0), meaning, times,
+        aliases=("vvdelay", "lvrvdelay", "rvlvdelay", "interventriculardelay"),
+    )  # fmt: skip
     yield Quantity(
         "his_time", "ms", 10.0, (0.0, 500.0), (5.0, 40.0),  # docs/files.md says why
         "from the His bundle to the root that fires first; counts where a scenario has the bundle",
-        times,
+        times, aliases=("hv", "hvinterval"),
     )  # fmt: skip
-    meaning = "Purkinje conduction velocity"
-    yield Quantity("cv", "mm/ms", None, (0.1, 20.0), (2.0, 4.0), meaning, times)
+    velocity = ("conductionvelocity", "velocity", "speed")  # of the network or of the myocardium
+    yield Quantity(
+        "cv", "mm/ms", None, (0.1, 20.0), (2.0, 4.0), "Purkinje conduction velocity", times,
+        aliases=("purkinjeconductionvelocity", "purkinjevelocity", "purkinjespeed", *velocity),
+    )  # fmt: skip
     meaning = "speed constant of the myocardium: D = alpha² Gi (Gi+Ge)^-1 Ge"
     yield Quantity("alpha", "cm/ms √(cm/mS)", 0.05, (0.005, 0.5), (0.04, 0.12), meaning, times)
     meaning = "speed along the fibre; stands for alpha"
-    yield Quantity("fibre_speed", "mm/ms", None, (0.05, 5.0), (0.5, 1.5), meaning, times)
+    yield Quantity(
+        "fibre_speed", "mm/ms", None, (0.05, 5.0), (0.5, 1.5), meaning, times,
+        aliases=("myocardialconductionvelocity", "myocardialvelocity", "tissuevelocity", *velocity),
+    )  # fmt: skip
     yield Quantity(
         "anisotropy_ratio", "1", None, (1.0, 10.0), (1.5, 4.0),
         "speed along the fibre over that across; as the conductivities have it (2.5) if not given",
@@ -146,8 +157,9 @@ def _of_conduction() -> Iterator[Quantity]:
         ("retrograde", "the same, from myocardium to tree"),
     ):
         yield Quantity(
-            f"{name}_delay", "ms", 0.0, (0.0, 10_000.0), (0.0, 10.0), meaning, times, also=math.inf
-        )
+            f"{name}_delay", "ms", 0.0, (0.0, 10_000.0), (0.0, 10.0), meaning, times, also=math.inf,
+            aliases=("junctiondelay", "pmjdelay"),
+        )  # fmt: skip
     yield Quantity("gain", "1", 1.0, (1e-3, 1e3), (0.2, 5.0), "factor on the simulated ECG", times)
 
 
@@ -233,8 +245,9 @@ def quantity(name: str) -> Quantity:
     if name in QUANTITIES:
         return QUANTITIES[name]
     if not region_labels([str(name)]):
-        near = difflib.get_close_matches(str(name), [*QUANTITIES, *GROUPS], n=1)
-        hint = f"did you mean '{near[0]}'?" if near else "'fascicle parameters' lists what there is"
+        aliases = [(alias, q.name) for q in QUANTITIES.values() for alias in q.aliases]
+        hint = did_you_mean(str(name), [*QUANTITIES, *GROUPS], aliases)
+        hint = hint or "'fascicle parameters' lists what there is"
         raise ValueRefusedError(f"unknown parameter '{name}'; {hint}")
     (label,) = region_labels([name])
     meaning = f"factor on the conductivities of the elements labelled {label}; 0 is scar"

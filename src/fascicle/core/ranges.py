@@ -7,10 +7,11 @@ slip of units or of a key, and would make a simulation of hours, or one of nothi
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import math
 import numbers
 import re
-from collections.abc import Sized
+from collections.abc import Iterable, Sized
 from typing import TYPE_CHECKING, Any
 
 from fascicle.core.errors import ValueRefusedError
@@ -101,6 +102,26 @@ def check_count(value: Any, what: str, least: int = 1) -> None:
     whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
     if not whole or value < least:
         raise ValueRefusedError(f"{what} is {shown(value)}; give a whole number, {least} or more")
+
+
+def plain_name(name: str) -> str:
+    """A name in small letters, without blanks, hyphens and underscores."""
+    return re.sub(r"[\W_]+", "", name.casefold())
+
+
+def did_you_mean(
+    name: str, known: Iterable[str], aliases: Iterable[tuple[str, str]] = ()
+) -> str | None:
+    """Question whether a known name was meant; None where none is alike.
+
+    `aliases` are pairs of another name, as `plain_name` gives it, and the known one.
+    """
+    meant: dict[str, list[str]] = {}
+    for other, one in (*((plain_name(one), one) for one in known), *aliases):
+        meant.setdefault(other, []).append(one)
+    plain = plain_name(name)
+    near = [plain] if plain in meant else difflib.get_close_matches(plain, meant, 1, cutoff=0.75)
+    return f"did you mean {' or '.join(map(repr, meant[near[0]]))}?" if near else None
 
 
 def check_kind(value: object, kind: type | tuple[type, ...], what: str, needed: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -16,7 +15,7 @@ import fascicle.forward.primitives  # noqa: F401  registers those of the package
 from fascicle.core.declared import Name, Point, Table, Time
 from fascicle.core.errors import InputError, given_in
 from fascicle.core.files import as_path, check_file, named_by, read_toml
-from fascicle.core.ranges import check_items, check_text
+from fascicle.core.ranges import check_items, check_text, did_you_mean
 from fascicle.forward.scenario import PRIMITIVES, Scenario
 from fascicle.heart.conduction import Region
 from fascicle.purkinje.tree import PurkinjeTree
@@ -50,6 +49,21 @@ def tables() -> dict[str, type[Table]]:
     return {**PRIMITIVES, "region": Region, "tree": TreeFile}
 
 
+# Abbreviations for scenarios of the library, as `plain_name` gives them
+ALIASES = {
+    "lbbb": "left-bundle-branch-block", "rbbb": "right-bundle-branch-block",
+    "crt": "biventricular-pacing", "biv": "biventricular-pacing", "bivp": "biventricular-pacing",
+    "bivcrt": "biventricular-pacing", "hbp": "his-pacing", "hisbundlepacing": "his-pacing",
+    "nshbp": "his-pacing-nonselective", "lbbp": "left-bundle-branch-pacing",
+    "lbbap": "left-bundle-branch-pacing-nonselective",
+    "nslbbp": "left-bundle-branch-pacing-nonselective", "lvsp": "left-septal-pacing",
+    "hotcrt": "his-optimised-pacing", "lotcrt": "left-bundle-optimised-pacing",
+    "rvp": "rv-apical-pacing", "rvpacing": "rv-apical-pacing", "rvap": "rv-apical-pacing",
+    "rvsp": "rv-septal-pacing", "rvotpacing": "rv-outflow-pacing", "pvc": "pvc-rv-outflow",
+    "sinus": "intrinsic", "sinusrhythm": "intrinsic", "baseline": "intrinsic",
+}  # fmt: skip
+
+
 def library() -> dict[str, Path]:
     """The scenarios that come with the package, by name."""
     folder = Path(str(files("fascicle") / "data" / "scenarios"))
@@ -73,10 +87,10 @@ def find_scenario(name: str) -> Path:
     if name in known:
         return known[name]
     if not path.exists() and path.name == name and not path.suffix:
-        near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)[0]
+        hint = did_you_mean(name, known, ALIASES.items())
         raise InputError(
-            f"there is no scenario '{name}'; did you mean '{near}'? 'fascicle scenarios' lists "
-            "them; a file of your own ends in .toml"
+            f"there is no scenario '{name}'; {hint + ' ' if hint else ''}'fascicle scenarios' "
+            "lists them; a file of your own ends in .toml"
         )
     return path
 

@@ -9,7 +9,6 @@ right ventricle): two of 60° are septal, whatever the septum spans.
 
 from __future__ import annotations
 
-import difflib
 import re
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,6 +22,7 @@ from scipy.spatial import cKDTree
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.declared import Fraction, Table
 from fascicle.core.errors import InputError
+from fascicle.core.ranges import did_you_mean, plain_name
 from fascicle.heart.coordinate_arrays import VentricularCoordinates
 from fascicle.heart.coordinates import ventricular_coordinates
 from fascicle.heart.endocardium import long_axis, septal_seeds
@@ -46,6 +46,12 @@ LAYERS = ("endocardium", "epicardium")
 RIGHT_SITES = ("rv apex", "rv septum", "rv outflow tract", "rv free wall")
 # mm below the left root, on the endocardium
 LEFT_SITES = {"left bundle": 15.0, "left septum": 25.0}
+# Other names of sites, as `plain_name` gives them
+ALIASES = {
+    "rvot": "rv outflow tract", "rvoutflow": "rv outflow tract", "rightventricularapex": "rv apex",
+    "rightseptum": "rv septum", "lbb": "left bundle", "leftbundlebranch": "left bundle",
+    "lvseptum": "left septum",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -148,7 +154,7 @@ class Sites:
         Parameters
         ----------
         site : CoordinateSite or str
-            Ventricular coordinates, whose nearest vertex is taken, or a name:
+            Ventricular coordinates, whose nearest vertex is taken, or a name in any case:
 
             - ``"mid anterolateral epicardium"``, ``"segment 12 epicardium"``: the middle of a
               segment of the left ventricle (`SEGMENTS`) under one of its `LAYERS`; the epicardium
@@ -174,6 +180,7 @@ class Sites:
         return self._known[site]
 
     def _find(self, name: str) -> Floats:
+        given, name = name, re.sub(r"[\s_-]+", " ", name.strip().casefold())
         segment = re.fullmatch(
             rf"(?:segment (\d+)|({'|'.join(SEGMENTS)})) ({'|'.join(LAYERS)})", name
         )
@@ -185,9 +192,10 @@ class Sites:
         if name in RIGHT_SITES:
             return self._on_the_right(name)
         known = [*LEFT_SITES, *RIGHT_SITES, *(f"{segment} {LAYERS[0]}" for segment in SEGMENTS)]
-        near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)[0]
+        layers = [(plain_name(s), f"{s} {layer}") for s in SEGMENTS for layer in LAYERS]
+        hint = did_you_mean(name, known, [*ALIASES.items(), *layers])
         raise InputError(
-            f"there is no site '{name}'; did you mean '{near}'? Sites are "
+            f"there is no site '{given}'; {f'{hint} Sites' if hint else 'sites'} are "
             f"{', '.join((*LEFT_SITES, *RIGHT_SITES))}, and segments with a layer, such as "
             f"'{SEGMENTS[11]} {LAYERS[1]}' or 'segment 12 {LAYERS[1]}'; or give ventricular "
             "coordinates"
