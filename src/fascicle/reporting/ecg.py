@@ -123,6 +123,7 @@ def lead_panels(figure: Figure | SubFigure, leads: int) -> list[Axes]:
     panels = list(figure.subplots(rows, columns, sharex=True, sharey=True).T.flat)
     for axes in panels[leads:]:
         axes.remove()
+    panels[leads - 1].tick_params(labelbottom=True)  # the last column may be shorter
     return panels[:leads]
 
 
