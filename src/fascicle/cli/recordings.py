@@ -199,6 +199,8 @@ def _result(analysis: Analysis) -> dict[str, object]:
         "global_qrs_onset_ms": target.global_qrs[0],
         "global_qrs_offset_ms": target.global_qrs[1],
         "global_qrs_duration_ms": target.global_qrs_duration,
+        "global_qrs_onset_sd_ms": target.global_qrs_sd[0],
+        "global_qrs_offset_sd_ms": target.global_qrs_sd[1],
         "noise_mV": target.noise,
         "filters": [str(one) for one in target.filters],
         "checks": {
@@ -228,11 +230,12 @@ def _print_target(target: Target) -> None:
         f"{target.onset_sd:.0f} to {target.qrs_offset:.0f} ± {target.offset_sd:.0f} ms about R "
         "(all leads together)",
     )
-    first, last = target.global_qrs
+    (first, last), (first_sd, last_sd) = target.global_qrs, target.global_qrs_sd
     print_row(
         "global QRS",
-        f"{target.global_qrs_duration:.0f} ms, from {first:.0f} to {last:.0f} ms about R "
-        "(outermost leads, as clinics measure it)",
+        f"{target.global_qrs_duration:.0f} ± {np.hypot(first_sd, last_sd):.0f} ms, from {first:.0f} "
+        f"± {first_sd:.0f} to {last:.0f} ± {last_sd:.0f} ms about R (outermost leads, as clinics "
+        "measure it)",
     )
     if target.noise is not None:
         print_row("noise", f"{target.noise:.3g} mV, as stated")

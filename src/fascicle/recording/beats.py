@@ -18,8 +18,9 @@ from fascicle.core.leads import LEADS
 from fascicle.recording.analysis import Beat, Drift, Unused
 from fascicle.recording.detection import magnitude
 from fascicle.recording.filters import SAMPLING_STEP
-from fascicle.recording.lead_groups import LeadGroup
+from fascicle.recording.lead_groups import LeadGroup, end_of_spikes
 from fascicle.recording.morphology import LARGEST_SHIFT, cut, detrended
+from fascicle.recording.spikes import spike_tail
 from fascicle.recording.target_options import TargetOptions
 from fascicle.recording.window import qrs_window, spatial_velocity
 
@@ -69,13 +70,19 @@ def cut_beats(group: LeadGroup, members: Integers, onset: float | None = None) -
     """
     before, after = extent(group)
     peaks = group.peaks[members]
-    median = np.median(cut(group.signal, peaks, before, after), axis=0)
-    not_before = _end_of_spikes(group, members, before)
+    signal = np.concatenate([group.signal, group.additional])
+    median = np.median(cut(signal, peaks, before, after), axis=0)
+    not_before = end_of_spikes(group.signal, group.spikes, peaks, before)
+    if not_before:
+        tail = spike_tail(median, not_before)
+        median = median - tail
+        for peak in peaks:
+            signal[:, peak - before : peak + after + 1] -= tail
+    median = median[: len(LEADS)]
     first = qrs_window(median, SAMPLING_STEP, not_before)[0]
     if onset is not None:
         first = min(max(before + round(onset / SAMPLING_STEP), 0), before + after)
     knots = peaks - before + _isoelectric_start(median, first)
-    signal = np.concatenate([group.signal, group.additional])
     beats = _detrended_beats(signal, knots, peaks, before, after)
     return AlignedBeats(beats, before, not_before)
 
@@ -115,15 +122,6 @@ def _slope(level: Floats, knots: Integers, beat: int) -> Floats:
     if not 0 < abs(distance) <= 2500:  # samples; over more, drift does not follow a straight line
         return np.zeros(level.shape[1])
     return np.asarray((level[near] - level[beat]) / distance)
-
-
-def _end_of_spikes(group: LeadGroup, members: Integers, before: int) -> int:
-    """Sample of the window after the spikes that fired most of the beats; 0 if none did."""
-    ends = [(group.spike_before(int(k)), group.peaks[k]) for k in members]
-    offsets = [end - peak + before for end, peak in ends if end is not None]
-    if len(offsets) <= len(members) / 2:
-        return 0
-    return max(int(np.median(offsets)), 0)
 
 
 def drifting_beats(

@@ -59,8 +59,7 @@ class LeadGroup:
     @property
     def height(self) -> float:
         """Largest deflection, peak to peak, of the median beat of class A in any lead (mV)."""
-        beats = cut(self.signal, self.peaks[self.of_class("A")], HALF_WIDTH, HALF_WIDTH)
-        return float(np.nanmax(np.ptp(np.median(beats, axis=0), axis=1)))
+        return _height(self.signal, self.peaks[self.of_class("A")])
 
     @property
     def signal_to_noise(self) -> float:
@@ -77,7 +76,7 @@ class LeadGroup:
     def describe(self, label: str) -> str:
         """What is notable about a class: paced, early, wide; empty if nothing is."""
         members, words = self.of_class(label), []
-        if np.mean([self.spike_before(k) is not None for k in members]) > 0.5:
+        if end_of_spikes(self.signal, self.spikes, self.peaks[members], 2 * HALF_WIDTH):
             words.append("paced")
         if label != "A":
             own = self.intervals[members]
@@ -85,19 +84,30 @@ class LeadGroup:
             if np.isfinite(own).any() and np.nanmedian(own) < 0.85 * np.nanmedian(self.intervals):
                 words.append("early")
             own_width, usual_width = (
-                _qrs_width(self.signal, self.peaks[self.of_class(one)]) for one in (label, "A")
+                _qrs_width(self.signal, self.peaks[self.of_class(one)], self.spikes)
+                for one in (label, "A")
             )
             if own_width > max(120.0, usual_width + 20.0):  # ms
                 words.append("wide")
         return ", ".join(words)
 
-    def spike_before(self, beat: int) -> int | None:
-        """Sample after the end of the last pacing spike within 200 ms before a beat."""
-        peak = self.peaks[beat]
-        near = self.spikes[
-            (self.spikes[:, 1] <= peak) & (self.spikes[:, 0] > peak - 200.0 / SAMPLING_STEP)
-        ]
-        return int(near[-1, 1]) if len(near) else None
+
+def end_of_spikes(signal: Floats, spikes: Integers, peaks: Integers, before: int) -> int:
+    """Sample at which the pacing spikes that fired most beats at `peaks` end; 0 if none did.
+
+    Counted from `before` samples ahead of R: the median over the beats of the last spike within 200
+    ms before R. `spikes` (k, 2) are first samples and those after the last. A spike into a QRS that
+    has begun, as in pseudofusion, fired none.
+    """
+    found = []
+    for peak in peaks:
+        near = spikes[(spikes[:, 1] <= peak) & (spikes[:, 0] > peak - 200.0 / SAMPLING_STEP)]
+        found += [near[-1] - peak] if len(near) else []
+    if len(found) <= len(peaks) / 2:
+        return 0
+    first, end = np.median(found, axis=0).astype(int)
+    ahead = np.ptp(np.median(cut(signal, peaks + first, 30, -2), axis=0), axis=1)
+    return max(int(end) + before, 0) if np.nanmax(ahead) < 0.2 * _height(signal, peaks) else 0
 
 
 def lead_groups(recording: Recording, spikes: Integers, options: TargetOptions) -> list[LeadGroup]:
@@ -143,17 +153,18 @@ def _group(
     for one in applied_filters(options.lowpass, options.notch):
         signal, additional = one.apply(signal), one.apply(additional)
     inside = spikes[(spikes[:, 0] >= first) & (spikes[:, 0] < stop)] - first
+    inside = np.round(inside * (TARGET_RATE / rate)).astype(np.int64)
     independent = signal[_independent(signal)]
     noise = noise_energy(independent)
     peaks = _find_peaks(signal)
     labels: tuple[str, ...] = ()
     if len(peaks):
         classes, peaks = cluster_morphology(independent, peaks, noise)
-        peaks, labels = _name_classes(signal, classes, peaks)
+        peaks, labels = _name_classes(signal, classes, peaks, inside)
     return LeadGroup(
         start=first / rate,
         signal=signal,
-        spikes=np.round(inside * (TARGET_RATE / rate)).astype(np.int64),
+        spikes=inside,
         noise=noise,
         peaks=peaks,
         labels=labels,
@@ -175,22 +186,27 @@ def _find_peaks(signal: Floats) -> Integers:
 
 
 def _name_classes(
-    signal: Floats, classes: Integers, peaks: Integers
+    signal: Floats, classes: Integers, peaks: Integers, spikes: Integers
 ) -> tuple[Integers, tuple[str, ...]]:
     """R peaks in the order of time, and the label of each beat's class.
 
-    A is the class with the most beats, and of equally many the one with the narrower QRS. A wave
-    that was found next to its QRS moves to the R peak of that, and does not count as a beat.
+    A is the class with the most beats, and of equally many the one with the narrower QRS, unless
+    that is low enough for a P or T wave. A wave that was found next to its QRS moves to the R peak
+    of that, and does not count as a beat.
     """
     moved = peaks.copy()
     for number in np.unique(classes):
-        moved[classes == number] += _to_r_peak(signal, peaks[classes == number])
+        moved[classes == number] += _to_r_peak(signal, peaks[classes == number], spikes)
     moved = np.clip(moved, 0, signal.shape[1] - 1)
     kept = _distinct_beats(moved, np.abs(moved - peaks))
     peaks, classes = moved[kept], classes[kept]
-    numbers = np.unique(classes).tolist()
-    rank = {k: (-(classes == k).sum(), _qrs_width(signal, peaks[classes == k])) for k in numbers}
-    names = {k: _name(place) for place, k in enumerate(sorted(numbers, key=rank.__getitem__))}
+    of_class = {k: peaks[classes == k] for k in np.unique(classes).tolist()}
+    heights = {k: _height(signal, beats) for k, beats in of_class.items()}
+    rank = {
+        k: (-len(beats), heights[k] < max(heights.values()) / 3, _qrs_width(signal, beats, spikes))
+        for k, beats in of_class.items()
+    }
+    names = {k: _name(place) for place, k in enumerate(sorted(rank, key=rank.__getitem__))}
     return peaks, tuple(names[k] for k in classes)
 
 
@@ -211,13 +227,13 @@ def _name(place: int) -> str:
     return ascii_uppercase[letter] + (str(again + 1) if again else "")
 
 
-def _to_r_peak(signal: Floats, peaks: Integers) -> int:
+def _to_r_peak(signal: Floats, peaks: Integers, spikes: Integers) -> int:
     """Samples from the common mark of aligned beats to the R peak of their median.
 
     It is the median over the leads of each one's R wave, its largest upward deflection, or of its
     largest deflection where it has no R wave.
     """
-    median, onset, offset = _median_beat(signal, peaks)
+    median, onset, offset = _median_beat(signal, peaks, spikes)
     qrs = median[np.isfinite(median).all(axis=1), onset : offset + 1]
     qrs = qrs - np.linspace(qrs[:, 0], qrs[:, -1], qrs.shape[1], axis=1)
     has_r = qrs.max(axis=1) >= 0.1 * np.abs(qrs).max(axis=1)
@@ -225,13 +241,20 @@ def _to_r_peak(signal: Floats, peaks: Integers) -> int:
     return int(np.median(tops)) + onset - 2 * HALF_WIDTH
 
 
-def _qrs_width(signal: Floats, peaks: Integers) -> float:
+def _height(signal: Floats, peaks: Integers) -> float:
+    """Largest deflection, peak to peak, of the median of aligned beats in any lead (mV)."""
+    beats = cut(signal, peaks, HALF_WIDTH, HALF_WIDTH)
+    return float(np.nanmax(np.ptp(np.median(beats, axis=0), axis=1)))
+
+
+def _qrs_width(signal: Floats, peaks: Integers, spikes: Integers) -> float:
     """QRS duration (ms) of the median of aligned beats."""
-    _, onset, offset = _median_beat(signal, peaks)
+    _, onset, offset = _median_beat(signal, peaks, spikes)
     return (offset - onset) * SAMPLING_STEP
 
 
-def _median_beat(signal: Floats, peaks: Integers) -> tuple[Floats, int, int]:
+def _median_beat(signal: Floats, peaks: Integers, spikes: Integers) -> tuple[Floats, int, int]:
     """Median of aligned beats, `2 HALF_WIDTH` samples each side of R, and the ends of its QRS."""
-    median = np.median(cut(signal, peaks, 2 * HALF_WIDTH, 2 * HALF_WIDTH), axis=0)
-    return median, *qrs_window(median, SAMPLING_STEP)
+    reach = 2 * HALF_WIDTH
+    median = np.median(cut(signal, peaks, reach, reach), axis=0)
+    return median, *qrs_window(median, SAMPLING_STEP, end_of_spikes(signal, spikes, peaks, reach))

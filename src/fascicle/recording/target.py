@@ -12,7 +12,7 @@ from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.leads import LEADS
 from fascicle.core.ranges import short_repr
 from fascicle.recording.filters import SAMPLING_STEP, Filter, combined_gain
-from fascicle.recording.window import qrs_windows, smoothing_against_ringing
+from fascicle.recording.window import qrs_windows, smoothing_against_ringing, window_uncertainty
 
 
 @dataclass(frozen=True)
@@ -110,11 +110,21 @@ class Target:
 
         Always found in the mean beat, wherever the window is; see `fascicle.recording.window`.
         """
+        onset, offset = qrs_windows(self.mean, SAMPLING_STEP, *self._window_options).global_window
+        start = float(self.time[0])
+        return start + SAMPLING_STEP * onset, start + SAMPLING_STEP * offset
+
+    @cached_property
+    def global_qrs_sd(self) -> tuple[float, float]:
+        """Standard deviations of the ends of the global QRS (ms)."""
+        not_before, smoothing = self._window_options
+        return window_uncertainty(self.beats, SAMPLING_STEP, not_before, self.noise, smoothing)
+
+    @property
+    def _window_options(self) -> tuple[int, float]:
+        """Sample of the end of the pacing spike, 0 without one, and the least smoothing (ms)."""
         first = self.time[0] if self.earliest_onset is None else self.earliest_onset
-        not_before = int(np.searchsorted(self.time, first))
-        smoothing = smoothing_against_ringing(self.filters)
-        onset, offset = qrs_windows(self.mean, SAMPLING_STEP, not_before, smoothing).global_window
-        return float(self.time[onset]), float(self.time[offset])
+        return int(np.searchsorted(self.time, first)), smoothing_against_ringing(self.filters)
 
     @property
     def global_qrs_duration(self) -> float:

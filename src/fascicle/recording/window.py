@@ -16,20 +16,25 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from fascicle.core.arrays import Floats
+from fascicle.core.arrays import Floats, Integers
+from fascicle.core.leads import LIMB_LEADS
 from fascicle.recording.detection import complete_leads
 from fascicle.recording.filters import MAINS, Filter, FilterKind
 
 SMOOTHING = 4.0  # ms; standard deviation of the Gaussian derivative
-# Error of the method without noise (ms), bias included: 95 % within two of it
-ONSET_ERROR, OFFSET_ERROR = 5.0, 7.0
+# Error of the method without noise (ms), that of the experts included, and the share of how far the
+# leads disagree that adds to it: 95 % within two standard deviations
+ONSET_ERROR, OFFSET_ERROR, DISAGREEMENT = 5.0, 4.5, 0.4
 CORE_SMOOTHING = 10.0  # ms; leaves 1 % of 50 Hz interference
-STANDS_OUT = 1.8  # speed over that of the quietest stretch nearby from which it is more than noise
+STANDS_OUT = 2.2  # speed over that of the quietest stretch nearby from which it is more than noise
 ESCALATION = 1.1  # by which a level rises that is too low for noise
 WINDOWS = 50  # mean beats, changed by noise, in which the window is found again
-# Share of the highest speed of all leads together from which one lead moves: 25 to 30 dB above the
-# noise of a mean beat, so that recordings and simulated ECGs without noise have the same level.
-ONE_LEAD_LEVEL = 0.035
+MOVING = 0.001  # mV/ms from which the leads are not at rest
+VISIBLE = 0.02  # mV from which the QRS is seen to differ from the PR or ST segment
+NOISE = 3.0  # standard deviations of the noise of a mean beat over which it is seen
+# ms by which the window and the global QRS, which experts mark in the outermost lead, begin earlier
+# and end later than the QRS is seen in two leads
+FIRST_ACTIVATION, EXPERT = 3.0, 7.0
 
 
 class NoQrsError(ValueError):
@@ -46,17 +51,17 @@ class QrsWindows(NamedTuple):
 class _Search(NamedTuple):
     """How an end of the QRS is looked for."""
 
-    level: float  # share of the highest speed that counts as moving without noise
     # Time that makes a speed of a curvature (ms): at the top of a P wave or of a notch the leads
     # stand still for a moment, but turn.
     turning: float
     reach: float  # ms; the slow start or end of a QRS is not longer
     trend: float  # ms of the PR or ST segment that are taken as straight
+    sloping: bool  # whether the segment may slope
 
 
 # The QRS leaves an isoelectric PR segment slowly, and runs into an ST segment that is none.
-_ONSET = _Search(level=0.025, turning=8.0, reach=80.0, trend=20.0)
-_OFFSET = _Search(level=0.03, turning=5.0, reach=100.0, trend=30.0)
+_ONSET = _Search(turning=8.0, reach=80.0, trend=20.0, sloping=False)
+_OFFSET = _Search(turning=5.0, reach=100.0, trend=30.0, sloping=True)
 
 
 @dataclass(frozen=True)
@@ -87,13 +92,6 @@ class _Velocity:
         """Highest speeds (mV/ms), by the measures of the onset and of the offset."""
         return [_highest(self.speed(search.turning), step) for search in (_ONSET, _OFFSET)]
 
-    def ends(self, core: tuple[int, int], levels: list[float], step: float) -> list[int]:
-        """First and last sample outside the core from which the leads are isoelectric."""
-        last = self.slope.shape[1] - 1
-        backward = _Velocity(-self.slope[:, ::-1], self.curvature[:, ::-1], self.smoothing)
-        before = _isoelectric_from(backward, last - core[0], _ONSET, levels[0], step)
-        return [last - before, _isoelectric_from(self, core[1], _OFFSET, levels[1], step)]
-
 
 def spatial_velocity(signal: Floats, step: float) -> Floats:
     r"""Speed (mV/ms) of all leads together, :math:`v(t) = \sqrt{\mathrm{mean}_i (dV_i/dt)^2}`.
@@ -119,29 +117,30 @@ def smoothing_against_ringing(filters: Sequence[Filter]) -> float:
 def qrs_windows(
     signal: Floats, step: float, not_before: int = 0, smoothing: float = SMOOTHING
 ) -> QrsWindows:
-    r"""First and last sample of the QRS, of all leads together and in the outermost leads.
+    r"""First and last sample of the QRS, of the window and of the global QRS.
 
-    The fastest stretches of the beat are its core; from there outward the QRS lasts until the leads
-    have been isoelectric for 10 ms. How fast they move is the root mean square over the leads, less
-    the fastest, of :math:`\sqrt{(\dot V - \dot V_0)^2 + (\tau \ddot V)^2}`, with derivatives by a
-    Gaussian, :math:`\tau` a time and :math:`\dot V_0` the slope of the PR or ST segment next to the
-    QRS. Isoelectric is what is slower than a share of the highest speed, or than `STANDS_OUT` times
-    the quietest stretch near the QRS: noise, an ending P wave or a rising ST segment. Power-line
-    interference is subtracted.
+    The fastest stretches of the beat, and what lies before them far from the isoelectric level, are
+    the core of the QRS. From there outward the leads are followed until they rest for 10 ms, slower
+    than a level or than `STANDS_OUT` times the quietest stretch nearby. How fast they move is the
+    root mean square over the leads, less the fastest, of
+    :math:`\sqrt{(\dot V - \dot V_0)^2 + (\tau \ddot V)^2}`, with derivatives by a Gaussian,
+    :math:`\tau` a time and :math:`\dot V_0` the slope of the PR or ST segment. From rest back
+    inward, a lead is in the QRS from where it is `VISIBLE` from the line through the segment.
+    Power-line interference is subtracted.
 
-    For the global window the same rule is applied to each lead alone, with `ONE_LEAD_LEVEL` times
-    the highest speed of all leads together. The onset is the earliest mark that three other leads
-    confirm within 12 ms, the offset the latest, within 10 ms.
+    Two must confirm each other: the limb leads, which share electrodes, are one, and each chest
+    lead is one. `FIRST_ACTIVATION` (ms) further out than the second of them are the ends of the
+    window, and `EXPERT` further out is what an expert marks in the outermost of twelve leads.
 
     Parameters
     ----------
     signal : (12, n) array
         One beat, recorded (mean) or simulated, potential (mV); leads that are not there are NaN. A
-        simulated QRS may begin and end at the ends of the array.
+        simulated QRS may begin and end at the ends of the array, the global QRS outside.
     step : float
         Sampling step (ms).
     not_before : int
-        First sample that is looked at: the end of a pacing spike.
+        End of a pacing spike; the leads are at rest before it.
     smoothing : float
         Least smoothing (ms); see `smoothing_against_ringing`.
 
@@ -152,24 +151,119 @@ def qrs_windows(
 
     References
     ----------
-    J. L. Willems et al., Eur. Heart J. 6:815 (1985), on both windows; P. Laguna et al., Comput.
-    Biomed. Res. 27:45 (1994), and J. P. Martínez et al., IEEE Trans. Biomed. Eng. 51:570 (2004), on
-    the outermost mark that others confirm.
+    J. L. Willems et al., Eur. Heart J. 6:815 (1985), on the global QRS.
     """
-    beat = signal[:, not_before:]
-    core, together = _core_and_velocity(beat, step, smoothing)
-    onset, offset = _outermost_ends(beat, core, together, step)
-    return QrsWindows(
-        _window(core, together, step, not_before), (not_before + onset, not_before + offset)
-    )
+    marks = _marks(signal, step, not_before, smoothing)
+    onset, offset = marks.further_out(EXPERT / step)
+    window = _inside(marks, signal, step, not_before)
+    return QrsWindows(window, (max(onset, not_before) if not_before else onset, offset))
 
 
 def qrs_window(
     signal: Floats, step: float, not_before: int = 0, smoothing: float = SMOOTHING
 ) -> tuple[int, int]:
-    """Window of `qrs_windows`, of all leads together, alone."""
-    core, together = _core_and_velocity(signal[:, not_before:], step, smoothing)
-    return _window(core, together, step, not_before)
+    """Window of `qrs_windows` alone."""
+    return _inside(_marks(signal, step, not_before, smoothing), signal, step, not_before)
+
+
+def _inside(marks: _Marks, signal: Floats, step: float, not_before: int) -> tuple[int, int]:
+    """Window, inside the array."""
+    onset, offset = marks.further_out(FIRST_ACTIVATION / step)
+    return max(onset, not_before), min(offset, signal.shape[1] - 1)
+
+
+class _Marks(NamedTuple):
+    """Sorted onsets and offsets (samples), outermost first, of the limb and each chest lead."""
+
+    onsets: Integers
+    offsets: Integers
+
+    @property
+    def apart(self) -> tuple[int, int]:
+        """Samples from the first to the fourth onset, and offset."""
+        k = min(3, len(self.onsets) - 1)
+        return int(self.onsets[k] - self.onsets[0]), int(self.offsets[0] - self.offsets[k])
+
+    def further_out(self, by: float) -> tuple[int, int]:
+        """So many samples out of the second onset and offset; where there is one lead, of its."""
+        k = min(1, len(self.onsets) - 1)
+        return int(self.onsets[k]) - round(by), int(self.offsets[k]) + round(by)
+
+
+def _marks(signal: Floats, step: float, not_before: int, smoothing: float) -> _Marks:
+    """Ends of the QRS in the limb leads and in each chest lead."""
+    beat = _at_rest_before(signal, not_before, step)
+    core, velocity = _core_and_velocity(beat, step, smoothing)
+    there = np.isfinite(beat).all(axis=1)
+    leads = _without_interference(beat[there], core, step)
+    electrodes = np.maximum(np.flatnonzero(there) - len(LIMB_LEADS) + 1, 0)
+    first = _with_slow_start(leads, velocity, core, step)
+    # A share of the height in ECGs of another size than a person's, such as uncalibrated ones
+    height = float(np.ptp(leads[:, first : core[1] + 1], axis=1).max())
+    visible = float(np.clip(VISIBLE, 0.005 * height, 0.04 * height))
+    last, fastest = leads.shape[1] - 1, velocity.highest(step)
+    backward = _Velocity(-velocity.slope[:, ::-1], velocity.curvature[:, ::-1], velocity.smoothing)
+    ends = []
+    for search, moving, outward, inside, start, high in (
+        (_ONSET, backward, leads[:, ::-1], last - core[0], last - first, fastest[0]),
+        (_OFFSET, velocity, leads, core[1], core[1], fastest[1]),
+    ):
+        level = float(np.clip(MOVING, 0.005 * high, 0.04 * high))
+        rest = _isoelectric_from(moving, start, search, level, step)
+        away = _away_from_segment(outward, rest, search, smoothing, step)
+        noise = np.sqrt((away[:, rest : rest + round(search.trend / step)] ** 2).mean(axis=1))
+        least = np.maximum(visible, NOISE * np.maximum(noise, np.median(noise)))
+        seen = np.abs(away[:, inside : rest + 1]) > least[:, None]
+        until = np.where(seen.any(axis=1), seen.shape[1] - 1 - np.argmax(seen[:, ::-1], axis=1), 0)
+        ends.append([inside + until[electrodes == one].max() for one in np.unique(electrodes)])
+    smeared = round(1.2 * (smoothing - SMOOTHING) / step)  # by more smoothing, outward
+    onsets = np.sort(last - np.array(ends[0])) + smeared
+    return _Marks(np.maximum(onsets, not_before), -np.sort(-np.array(ends[1])) - smeared)
+
+
+def _at_rest_before(signal: Floats, not_before: int, step: float) -> Floats:
+    """Signal (12, n) that keeps its level before a pacing spike until that ends."""
+    if not not_before:
+        return signal
+    first, stop = (max(not_before - round(before / step), 0) for before in (30.0, 12.0))  # ms
+    beat = signal.copy()
+    beat[:, :not_before] = signal[:, first : max(stop, first + 1)].mean(axis=1, keepdims=True)
+    return beat
+
+
+def _away_from_segment(
+    leads: Floats, rest: int, search: _Search, smoothing: float, step: float
+) -> Floats:
+    """Leads (k, n), outward, less the level or line of the segment from the sample `rest` on."""
+    segment = np.arange(rest, min(rest + round(search.trend / step), leads.shape[1]))
+    away = leads - leads[:, segment].mean(axis=1, keepdims=True)
+    if search.sloping and len(segment) > 2:
+        centred = segment - segment.mean()
+        slope = away[:, segment] @ centred / (centred @ centred)
+        away = away - slope[:, None] * (np.arange(leads.shape[1]) - segment.mean())
+    width = max(smoothing - 1.0, 0.5) / step
+    return np.asarray(gaussian_filter1d(away, width, axis=1, mode="nearest"))
+
+
+def _with_slow_start(leads: Floats, velocity: _Velocity, core: tuple[int, int], step: float) -> int:
+    """First sample at which leads (k, n) are off their level by a tenth of what they are in the core.
+
+    So that a slow first part, such as a delta wave, does not pass for the PR segment.
+    """
+    earliest, width = max(core[0] - round(220.0 / step), 0), round(20.0 / step)
+    speed = velocity.speed(_ONSET.turning)[earliest : core[0]]
+    if len(speed) < 2 * width:
+        return core[0]
+    speed = np.convolve(speed, np.full(width, 1 / width), mode="valid")
+    rest = earliest + int(np.argmin(speed))
+    level = leads[:, rest : rest + width].mean(axis=1, keepdims=True)
+    away = np.sqrt(((leads - level) ** 2).mean(axis=0))
+    noise = 2.0 * float(away[rest : rest + width].mean())
+    far = max(0.1 * float(away[core[0] : core[1] + 1].max()), noise)
+    near = np.flatnonzero(away[: core[0] + 1] <= far)
+    start = int(near[-1]) + 1 if near.size else 0
+    start = max(start, core[0] - round(130.0 / step), rest + width)
+    return min(start, core[0])
 
 
 def _core_and_velocity(
@@ -182,56 +276,10 @@ def _core_and_velocity(
     velocity = _Velocity.of(leads, smoothing, step)
     for wider in (wider for wider in (5.0, 6.0, 8.0) if wider > smoothing):  # ms
         speed = velocity.speed(_OFFSET.turning)
-        if STANDS_OUT * _quietest(speed, step) <= _ONSET.level * _highest(speed, step):
+        if STANDS_OUT * _quietest(speed, step) <= 0.025 * _highest(speed, step):
             break
         velocity = _Velocity.of(leads, wider, step)
     return core, velocity
-
-
-def _window(
-    core: tuple[int, int], velocity: _Velocity, step: float, not_before: int
-) -> tuple[int, int]:
-    """First and last sample of the QRS of all leads together."""
-    fastest = velocity.highest(step)
-    levels = [_ONSET.level * fastest[0], _OFFSET.level * fastest[1]]
-    onset, offset = velocity.ends(core, levels, step)
-    smeared = _smeared(velocity)
-    # How much further out than the first and last activation the ends are found in simulated ECGs
-    # without noise (ms): 1 is half of the 2 ms at the onset, which experts mark earlier.
-    if onset > 0:
-        onset = min(onset + round((smeared + 1.0) / step), core[0])
-    if offset < velocity.slope.shape[1] - 1:
-        offset = max(offset - round((smeared + 2.0) / step), core[1])
-    return not_before + onset, not_before + offset
-
-
-def _smeared(velocity: _Velocity) -> float:
-    """How much further out (ms) more smoothing than `SMOOTHING` moves the ends."""
-    return 1.75 * (velocity.smoothing - SMOOTHING)
-
-
-def _outermost_ends(
-    beat: Floats, core: tuple[int, int], together: _Velocity, step: float
-) -> tuple[int, int]:
-    """First and last sample of the QRS in the outermost leads that others confirm."""
-    leads = _without_interference(beat[np.isfinite(beat).all(axis=1)], core, step)
-    alone = [_Velocity.of(lead[None], together.smoothing, step) for lead in leads]
-    levels = [ONE_LEAD_LEVEL * highest for highest in together.highest(step)]
-    moving = [one for one in alone if one.highest(step)[0] > levels[0]]
-    marks = [one.ends(core, levels, step) for one in moving]
-    onsets, offsets = np.array(marks).T
-    smeared = round(_smeared(together) / step)
-    onset = _confirmed(onsets, 12.0 / step) + smeared
-    offset = -_confirmed(-offsets, 10.0 / step) - smeared
-    return min(onset, core[0]), max(offset, core[1])
-
-
-def _confirmed(marks: Floats, within: float) -> int:
-    """The smallest mark that three others confirm, or the median where none is confirmed."""
-    marks = np.sort(marks)
-    others = min(3, len(marks) - 1)
-    confirmed = np.flatnonzero(marks[others:] - marks[: len(marks) - others] <= within)
-    return int(marks[confirmed[0]] if confirmed.size else np.median(marks))
 
 
 def _derivative(leads: Floats, smoothing: float, step: float, order: int) -> Floats:
@@ -262,8 +310,8 @@ def _without_interference(leads: Floats, core: tuple[int, int], step: float) -> 
 
 
 def _quietest(speed: Floats, step: float) -> float:
-    """Mean speed of the quietest 30 ms, or of all where there is less."""
-    width = min(max(round(30.0 / step), 1), len(speed))
+    """Mean speed of the quietest 20 ms, or of all where there is less."""
+    width = min(max(round(20.0 / step), 1), len(speed))
     return float(np.convolve(speed, np.full(width, 1 / width), mode="valid").min())
 
 
@@ -276,7 +324,8 @@ def _core_of(leads: Floats, step: float) -> tuple[int, int]:
     """First and last sample of the stretch of a beat (k, n) that is surely QRS.
 
     It has a fifth of the highest speed, but for gaps of 40 ms; where that is longer than any QRS,
-    because noise or a T wave are fast, the level rises.
+    because noise or a T wave are fast, the level rises. Then half of a slow, wide QRS may be left;
+    the other one is half as fast or faster, which hardly a T wave is.
     """
     # In the core curvature counts much: tall T waves are steep, but turn slowly.
     speed = _Velocity.of(leads, CORE_SMOOTHING, step).speed(turning=10.0)
@@ -291,8 +340,12 @@ def _core_of(leads: Floats, step: float) -> tuple[int, int]:
         if (group[-1] - group[0]) * step <= 220.0:  # ms
             break
         level *= ESCALATION
-    # smoothing has moved the ends out, but for those of the array
     first, last, end = int(group[0]), int(group[-1]), len(speed) - 1
+    sure, reach = np.flatnonzero(speed >= 0.5 * highest), 110.0 / step
+    sure = sure[(sure >= first - reach) & (sure <= last + reach)]
+    if sure.size and (max(last, sure[-1]) - min(first, sure[0])) * step <= 300.0:  # ms
+        first, last = min(first, int(sure[0])), max(last, int(sure[-1]))
+    # smoothing has moved the ends out, but for those of the array
     spread = round(CORE_SMOOTHING / step)
     return (
         min(first + spread, peak) if first else 0,
@@ -309,7 +362,10 @@ def _isoelectric_from(
     beyond = velocity.slope[:, start : start + round(search.trend / step)]
     if not beyond.shape[1]:
         return end
-    relative = velocity.speed(search.turning, beyond.mean(axis=1, keepdims=True))
+    trend = beyond.mean(axis=1, keepdims=True)
+    if not search.sloping:
+        trend = np.clip(trend, -0.3 * level, 0.3 * level)
+    relative = velocity.speed(search.turning, trend)
     return core + _slow_after(relative, core, level, search.reach, step)
 
 
@@ -342,10 +398,12 @@ def window_uncertainty(
 ) -> tuple[float, float]:
     """Standard deviations (ms) of the ends of the QRS that `qrs_window` finds in the mean beat.
 
-    Of aligned beats (n_beats, 12, n), mV. The window is found again in `WINDOWS` mean beats: of
-    beats drawn with replacement (bootstrap, Efron, Ann. Statist. 7:1, 1979) or, where the `noise`
-    (mV) of a beat is stated, as for a single one, with that much noise added. The method's own
-    error, `ONSET_ERROR` and `OFFSET_ERROR`, adds to it. The draws are the same in every call.
+    Of aligned beats (n_beats, 12, n), mV; they hold for the global QRS, too. The window is found
+    again in `WINDOWS` mean beats: of beats drawn with replacement (bootstrap, Efron, Ann. Statist.
+    7:1, 1979) or, where the `noise` (mV) of a beat is stated, as for a single one, with that much
+    noise added. The method's own error, `ONSET_ERROR` and `OFFSET_ERROR`, adds to it, and
+    `DISAGREEMENT` times the time from the first to the fourth lead that is in the QRS. The draws
+    are the same in every call.
     """
     rng = np.random.default_rng(0)
     n_beats = len(beats)
@@ -363,5 +421,7 @@ def window_uncertainty(
     # 68 % of a normal distribution; a few means in which another wave stands out do not count
     low, high = np.quantile(windows, [0.16, 0.84], axis=0)
     by_noise = step**2 * inflation * ((high - low) / 2) ** 2
-    onset, offset = np.sqrt(by_noise + np.square([ONSET_ERROR, OFFSET_ERROR]))
+    apart = _marks(beats.mean(axis=0), step, not_before, smoothing).apart
+    by_leads = np.square(DISAGREEMENT * step * np.array(apart))
+    onset, offset = np.sqrt(by_noise + by_leads + np.square([ONSET_ERROR, OFFSET_ERROR]))
     return float(onset), float(offset)
