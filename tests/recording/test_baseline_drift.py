@@ -89,7 +89,7 @@ def test_of_few_beats_none_is_left_out():
     ("file", "expected"),
     [
         ("ludb/119_common.hea", {1: "V6"}), ("ludb/23_common.hea", {}), ("ludb/24_common.hea", {}),
-        ("dicom/waveform_ecg.dcm", {4: "III"}), ("ptb-s0010/s0010_re.hea", {}),
+        ("dicom/waveform_ecg.dcm", {4: "aVF"}), ("ptb-s0010/s0010_re.hea", {}),
         ("aecg/Example_aECG.xml", {}),
     ],
 )  # fmt: skip

@@ -59,8 +59,8 @@ def test_a_qrs_may_fill_the_array():
 
 def test_both_windows_of_one_beat():
     assert qrs_window(beat(), 1.0) == BEAT_WINDOW == pytest.approx((150, 250), abs=10)
-    assert 138 <= PLAIN.global_window[0] <= 150
-    assert 250 <= PLAIN.global_window[1] <= 262
+    assert 130 <= PLAIN.global_window[0] <= 145
+    assert 255 <= PLAIN.global_window[1] <= 270
 
 
 def test_neither_amplitude_nor_level_nor_drift_matter():
@@ -171,8 +171,8 @@ def test_two_electrodes_decide_but_not_one_nor_the_limb_leads_that_share_theirs(
     for leads in ([6, 8], [0, 1, 2, 7]):
         moved = beat() + in_leads(leads, 125, 175, 0.2) + in_leads(leads, 225, 275, 0.2)
         onset, offset = outermost(moved)
-        assert 115 <= onset <= 130
-        assert 270 <= offset <= 285
+        assert 110 <= onset <= 126
+        assert 274 <= offset <= 290
     for leads in ([7], [11], range(6)):
         moved = beat() + in_leads(leads, 110, 175) + in_leads(leads, 225, 300)
         assert outermost(moved) == pytest.approx(PLAIN.global_window, abs=8)
@@ -214,7 +214,7 @@ def test_global_window_is_the_same_with_the_noise_of_recordings_as_without(defau
     """A simulated ECG has none: the level must not be that of the noise."""
     simulation = default_model.simulate(EXAMPLE_PARAMETERS)
     clean = simulation.global_qrs_duration
-    assert clean == pytest.approx(np.ptp(simulation.activation), abs=12)
+    assert 10 < clean - np.ptp(simulation.activation) < 25  # what experts mark further out
     rng = np.random.default_rng(5)
     noisy = []
     for _ in range(8):

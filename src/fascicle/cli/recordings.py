@@ -233,9 +233,9 @@ def _print_target(target: Target) -> None:
     (first, last), (first_sd, last_sd) = target.global_qrs, target.global_qrs_sd
     print_row(
         "global QRS",
-        f"{target.global_qrs_duration:.0f} ± {np.hypot(first_sd, last_sd):.0f} ms, from {first:.0f} "
-        f"± {first_sd:.0f} to {last:.0f} ± {last_sd:.0f} ms about R (outermost leads, as clinics "
-        "measure it)",
+        f"{target.global_qrs_duration:.0f} ± {np.hypot(first_sd, last_sd):.0f} ms, from "
+        f"{first:.0f} ± {first_sd:.0f} to {last:.0f} ± {last_sd:.0f} ms about R "
+        "(outermost leads, as clinics measure it)",
     )
     if target.noise is not None:
         print_row("noise", f"{target.noise:.3g} mV, as stated")

@@ -232,5 +232,6 @@ def _extents(signal: Floats, tops: Integers, reach: int) -> Integers:
         stop = before + int(inside[-1]) + 1
         steps = np.abs(np.diff(signal[:, stop - 1 : stop + reach], axis=1))  # of what rings on
         ringing = np.flatnonzero((steps > 0.02).any(axis=0))  # mV
-        spikes.append((before + int(inside[0]), stop + (int(ringing[-1]) + 1 if ringing.size else 0)))
+        stop += int(ringing[-1]) + 1 if ringing.size else 0
+        spikes.append((before + int(inside[0]), stop))
     return np.array(spikes, dtype=np.int64).reshape(-1, 2)

@@ -34,7 +34,7 @@ VISIBLE = 0.02  # mV from which the QRS is seen to differ from the PR or ST segm
 NOISE = 3.0  # standard deviations of the noise of a mean beat over which it is seen
 # ms by which the window and the global QRS, which experts mark in the outermost lead, begin earlier
 # and end later than the QRS is seen in two leads
-FIRST_ACTIVATION, EXPERT = 3.0, 7.0
+FIRST_ACTIVATION, EXPERT = 4.0, 12.0
 
 
 class NoQrsError(ValueError):
@@ -193,7 +193,7 @@ class _Marks(NamedTuple):
 def _marks(signal: Floats, step: float, not_before: int, smoothing: float) -> _Marks:
     """Ends of the QRS in the limb leads and in each chest lead."""
     beat = _at_rest_before(signal, not_before, step)
-    core, velocity = _core_and_velocity(beat, step, smoothing)
+    core, velocity = _core_and_velocity(beat, step, smoothing, not_before > 0)
     there = np.isfinite(beat).all(axis=1)
     leads = _without_interference(beat[there], core, step)
     electrodes = np.maximum(np.flatnonzero(there) - len(LIMB_LEADS) + 1, 0)
@@ -246,7 +246,7 @@ def _away_from_segment(
 
 
 def _with_slow_start(leads: Floats, velocity: _Velocity, core: tuple[int, int], step: float) -> int:
-    """First sample at which leads (k, n) are off their level by a tenth of what they are in the core.
+    """First sample at which leads (k, n) are off their level by a tenth of that in the core.
 
     So that a slow first part, such as a delta wave, does not pass for the PR segment.
     """
@@ -267,11 +267,11 @@ def _with_slow_start(leads: Floats, velocity: _Velocity, core: tuple[int, int], 
 
 
 def _core_and_velocity(
-    beat: Floats, step: float, smoothing: float
+    beat: Floats, step: float, smoothing: float, paced: bool
 ) -> tuple[tuple[int, int], _Velocity]:
     """Core of the QRS and the velocity of all leads together, hardly faster by noise than it."""
     leads = beat[complete_leads(beat)]
-    core = _core_of(leads, step)
+    core = _core_of(leads, step, paced)
     leads = _without_interference(leads, core, step)
     velocity = _Velocity.of(leads, smoothing, step)
     for wider in (wider for wider in (5.0, 6.0, 8.0) if wider > smoothing):  # ms
@@ -320,12 +320,12 @@ def _highest(speed: Floats, step: float) -> float:
     return float(np.sort(speed)[-max(round(10.0 / step), 1) :].mean())
 
 
-def _core_of(leads: Floats, step: float) -> tuple[int, int]:
+def _core_of(leads: Floats, step: float, paced: bool) -> tuple[int, int]:
     """First and last sample of the stretch of a beat (k, n) that is surely QRS.
 
     It has a fifth of the highest speed, but for gaps of 40 ms; where that is longer than any QRS,
-    because noise or a T wave are fast, the level rises. Then half of a slow, wide QRS may be left;
-    the other one is half as fast or faster, which hardly a T wave is.
+    because noise or a T wave are fast, the level rises. Then half of a slow paced QRS may be left;
+    the other one is half as fast or faster, which hardly its T wave is.
     """
     # In the core curvature counts much: tall T waves are steep, but turn slowly.
     speed = _Velocity.of(leads, CORE_SMOOTHING, step).speed(turning=10.0)
@@ -343,7 +343,7 @@ def _core_of(leads: Floats, step: float) -> tuple[int, int]:
     first, last, end = int(group[0]), int(group[-1]), len(speed) - 1
     sure, reach = np.flatnonzero(speed >= 0.5 * highest), 110.0 / step
     sure = sure[(sure >= first - reach) & (sure <= last + reach)]
-    if sure.size and (max(last, sure[-1]) - min(first, sure[0])) * step <= 300.0:  # ms
+    if paced and sure.size and (max(last, sure[-1]) - min(first, sure[0])) * step <= 300.0:  # ms
         first, last = min(first, int(sure[0])), max(last, int(sure[-1]))
     # smoothing has moved the ends out, but for those of the array
     spread = round(CORE_SMOOTHING / step)
