@@ -1,7 +1,6 @@
 """Both QRS durations against manual marks in every lead: the window and the global QRS.
 
     python -m benchmarks.global_qrs FOLDER
-    python -m benchmarks.global_qrs --simulated 60
 
 FOLDER holds recordings of the Lobachevsky University Electrocardiography Database (LUDB): for each
 N.hea the annotations N.i to N.v6, marked by cardiologists, lead by lead. Leads of one record share
@@ -13,11 +12,8 @@ records) of found less marked onset, offset and duration (ms): of the window tha
 decide (`fascicle.recording.window`, which losses and likelihoods see), and of the global QRS
 (same module), that of the outermost leads. Then the records in which not as
 many beats were found as are marked, counted from the first marked wave to the last, and those that
-were refused.
-
-With `--simulated` the same is printed against the first and the last activation of so many ECGs
-simulated with random networks, without noise and as the mean of ten beats with noise, by
-`benchmarks.qrs_window`. Run from the root of the repository.
+were refused. Run
+from the root of the repository.
 """
 
 from __future__ import annotations
@@ -31,7 +27,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fascicle
-from benchmarks.qrs_window import simulated, simulations
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.recording.analysis import Analysis
@@ -40,15 +35,12 @@ from fascicle.recording.detection import r_peaks
 from fascicle.recording.filters import resample
 from fascicle.recording.recording import Recording
 from fascicle.recording.target import Target
-from fascicle.recording.window import qrs_windows
 
 Array = NDArray[np.float64]
 
 SAME_BEAT = 200.0  # ms; marks of several leads closer than this belong to one beat
 REACH = 40  # ms by which a detected R peak may be off that of the target
 FEWEST = 2  # beats that a lead must be marked in
-RATIOS = (20.0, 25.0, 30.0, 40.0)  # dB, of one beat
-BEATS = 10
 
 
 @dataclass(frozen=True)
@@ -154,12 +146,6 @@ def errors(analysis: Analysis, marks: Marks) -> Array | None:
     return np.array([[*each, each[1] - each[0]] for each in (window, outermost)])
 
 
-def errors_of_both(beat: Array, ends: tuple[float, float]) -> Array:
-    """Found less true onset, offset and duration (ms) of a beat (12, n), as `errors` gives them."""
-    found = np.array(qrs_windows(beat, 1.0)) - ends
-    return np.column_stack([found, found[:, 1] - found[:, 0]])
-
-
 def report(label: str, off: Array) -> None:
     """Print a table of errors (n, 2, 3), ms."""
     print(f"{label}, n = {len(off)}: found less true (ms), mean ± standard deviation")
@@ -167,21 +153,6 @@ def report(label: str, off: Array) -> None:
     for row, name in enumerate(("window, all leads together", "global QRS, outermost leads")):
         cells = [f"{each.mean():6.1f} ±{each.std():5.1f}" for each in off[:, row].T]
         print(f"{name:<28}" + "".join(f"{cell:<16}" for cell in cells))
-
-
-def on_simulations(count: int) -> None:
-    """Print errors on simulated ECGs, without noise and with it."""
-    rng = np.random.default_rng(0)
-    complexes = simulations(rng, count)
-    off = []
-    for qrs in complexes:
-        reached = qrs.activation[np.isfinite(qrs.activation)] - qrs.onset
-        off.append(errors_of_both(qrs.leads, (reached.min(), reached.max())))
-    report("without noise", np.array(off))
-    for ratio in RATIOS:
-        cases = [simulated(rng, qrs, ratio, BEATS) for qrs in complexes]
-        off = [errors_of_both(case.beats.mean(axis=0), (case.onset, case.offset)) for case in cases]
-        report(f"{ratio:g} dB, {BEATS} beats", np.array(off))
 
 
 def on_records(folder: Path) -> None:
@@ -215,13 +186,8 @@ def on_records(folder: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path, nargs="?", help="records and annotations of LUDB")
-    parser.add_argument("--simulated", type=int, metavar="N", help="ECGs of so many networks")
-    arguments = parser.parse_args()
-    if arguments.folder is not None:
-        on_records(arguments.folder)
-    if arguments.simulated is not None:
-        on_simulations(arguments.simulated)
+    parser.add_argument("folder", type=Path, help="records and annotations of LUDB")
+    on_records(parser.parse_args().folder)
 
 
 if __name__ == "__main__":
