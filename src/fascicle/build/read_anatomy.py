@@ -245,6 +245,6 @@ def _classified(
             raise
         raise InputError(
             f"{error}; {there}; if this is a whole heart, say which are the ventricles, as "
-            "--regions lv=1,rv=2,septum=3"
+            "--regions lv=...,rv=...,septum=..."
         ) from None
     return replace(read, mesh=replace(mesh, labels=found.labels), guessed=True)
