@@ -179,11 +179,11 @@ def shown(value: object) -> str:
 
 
 def short_repr(self: Any) -> str:
-    """Be the ``__repr__`` of a dataclass: its fields on one line, arrays by their shape."""
+    """Be the ``__repr__`` of a dataclass: the fields it has on one line, arrays by their shape."""
     fields = (
         f"{field.name}={_short(getattr(self, field.name))}"
         for field in dataclasses.fields(self)
-        if field.repr
+        if field.repr and getattr(self, field.name) is not None
     )
     return f"{type(self).__name__}({', '.join(fields)})"
 
@@ -191,7 +191,7 @@ def short_repr(self: Any) -> str:
 def _short(value: Any) -> str:
     if isinstance(value, str):
         return repr(value if len(value) <= 40 else f"{value[:40]}…")
-    if value is None or isinstance(value, bool | int):
+    if isinstance(value, bool | int):
         return repr(value)
     if isinstance(value, numbers.Real):
         return digits(float(value))
