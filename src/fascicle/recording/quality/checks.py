@@ -239,8 +239,9 @@ def _clipped(values: Floats, rate: float) -> float:
     middle = np.median(values)
     furthest = np.abs(values - middle).max()
     steps = np.abs(np.diff(values, prepend=values[0], append=values[-1]))
-    # a digit, whatever lies between digits where spikes were taken out
-    steep = 4.0 * float(np.quantile(steps[steps > 1e-7], 0.02))
+    # A digit is the smallest step that is common: between digits lies what replaced a spike.
+    sizes, counts = np.unique(np.round(steps[steps > 1e-7], 7), return_counts=True)
+    steep = 4.0 * float(sizes[counts >= 0.1 * counts.max()][0])
     count = 0
     for extreme in (values.min(), values.max()):
         if abs(extreme - middle) < 0.5 * furthest:
