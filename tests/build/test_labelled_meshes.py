@@ -272,7 +272,7 @@ def swap(block):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (swap, r"1 of 384 tetrahedra are inverted \(first: 7\)"),
+        (swap, r"1 of 384 tetrahedra are inverted \(first: 7 at \("),
         (lambda b: less(b, b.labels < 4), r"missing: rv endocardium \(32 of 192 boundary"),
         (lambda b: less(b, slice(1, None)), r"1 of 192 boundary triangles have no label"),
         (lambda b: more(b, [[0, 31, 62]], 2), "1 of 193 labelled triangles are not on the bound"),

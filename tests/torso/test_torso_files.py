@@ -37,7 +37,7 @@ def test_refuses_a_damaged_torso(default_heart, around, tmp_path, what):
     if what == "points":
         vertices, message = vertices + 0.01, "points are not the heart's"
     elif what == "tissue 7":
-        torso, message = replace(torso, tissues=np.array([1, 2, 7])), r"not 1 \(body\) or 2"
+        torso, message = replace(torso, tissues=np.array([1, 2, 7])), r"not 1 \(other\) or 2"
     elif what == "inverted":
         torso = replace(torso, tetrahedra=torso.tetrahedra[:, [1, 0, 2, 3]])
         message = "3 of 3 tetrahedra are flat or inverted"

@@ -35,7 +35,7 @@ from fascicle.heart.labelled_surface import (
 from fascicle.heart.validate import check_fibres, check_tetrahedra, check_units
 from fascicle.mesh.formats.mesh_file import GROUP, OPENCARP_FORMATS, TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.formats.opencarp import opencarp_file, read_surf, read_vtx
-from fascicle.mesh.measures import unit
+from fascicle.mesh.measures import first_places, unit
 from fascicle.mesh.topology import (
     boundary_triangles,
     merged_vertices,
@@ -283,7 +283,8 @@ def _label_boundary(
         counted = f" ({rest})" if without.size else ""
         raise InputError(f"{source}: labels missing: {', '.join(missing)}{counted}; add them")
     if without.size:
-        raise InputError(f"{source}: {rest} (first: {without[0]}); label every one")
+        first = first_places(without, mesh.points[boundary[without]])
+        raise InputError(f"{source}: {rest} (first: {first}); label every one")
     return labels
 
 

@@ -34,7 +34,7 @@ from fascicle.heart.heart import Heart, LeadFields, Torso, TorsoTissue
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, MeshFile
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.formats.vtk import write_grid, write_surface
-from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.measures import first_places, signed_volumes
 
 MANIFEST = "heart.toml"
 PICTURE = "check.png"  # of what the folder holds; whoever writes the folder may draw it
@@ -230,7 +230,7 @@ def read_torso(path: Path, heart_vertices: Floats) -> Torso:
         (
             inverted.any(),
             f"{inverted.sum()} of {len(tetrahedra)} tetrahedra are flat or inverted (first: "
-            f"{inverted.argmax()})",
+            f"{first_places(np.flatnonzero(inverted), mesh.points[tetrahedra[inverted]])})",
         ),
     ):
         if bad:

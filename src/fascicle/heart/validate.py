@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.heart import Heart
-from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.measures import first_places, signed_volumes
 from fascicle.mesh.topology import TETRAHEDRON_FACES, components_of
 
 
@@ -46,15 +46,16 @@ def check_tetrahedra(name: str, vertices: Floats, tetrahedra: Integers) -> None:
     volumes = signed_volumes(vertices, tetrahedra)
     flat = 1e-9 * float(np.abs(volumes).mean())
     inverted = volumes < -flat
-    remedy = "swap two vertices of every one" if inverted.all() else "remove them or remesh"
-    for what, bad in (
-        (f"have zero volume (first: {{}}); {remedy}", np.abs(volumes) <= flat),
-        (f"are inverted (first: {{}}); {remedy}", inverted),
-        ("overlap others (first: {}); remove what is there twice", _overlapping(tetrahedra)),
+    mend = "swap two vertices of every one" if inverted.all() else "remove them or remesh"
+    for what, remedy, bad in (
+        ("have zero volume", mend, np.abs(volumes) <= flat),
+        ("are inverted", mend, inverted),
+        ("overlap others", "remove what is there twice", _overlapping(tetrahedra)),
     ):
         if bad.any():
+            first = first_places(at := np.flatnonzero(bad), vertices[tetrahedra[at]])
             raise InputError(
-                f"{name}: {bad.sum()} of {len(bad)} tetrahedra {what.format(bad.argmax())}"
+                f"{name}: {len(at)} of {len(bad)} tetrahedra {what} (first: {first}); {remedy}"
             )
     linked = tetrahedra[:, [(0, 1), (0, 2), (0, 3)]].reshape(-1, 2)
     sizes = np.bincount(components_of(linked, len(vertices)))

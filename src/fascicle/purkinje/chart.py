@@ -13,6 +13,7 @@ from scipy.sparse.linalg import MatrixRankWarning, spsolve
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import Endocardium
+from fascicle.mesh.measures import first_places
 from fascicle.mesh.topology import boundary_loops
 
 
@@ -76,9 +77,10 @@ def build_chart(endocardium: Endocardium) -> Chart:
         points = _less_stretched(points, vertices, triangles, loop, circle)
     folded = np.flatnonzero(~(signed_areas(points, triangles) > 0))  # NaN among them
     if folded.size:
+        first = first_places(folded, vertices[triangles[folded]])
         raise InputError(
             f"{endocardium.side.upper()} endocardium: {folded.size} triangles fold when mapped to "
-            f"the disk (first: {folded[0]}); remove degenerate triangles or remesh the surface"
+            f"the disk (first: {first}); remove degenerate triangles or remesh the surface"
         )
     neighbours = np.asarray(igl.triangle_triangle_adjacency(triangles)[0], dtype=np.int64)
     # libigl numbers edges from their first corner; the walk wants the corner opposite to them
