@@ -12,6 +12,7 @@ from fascicle.forward.primitives import His, SlowConduction, Stimulus
 from fascicle.forward.scenario import Scenario
 from fascicle.prediction.comparison import FEWEST, compare, missing_blocks
 from fascicle.prediction.predicted import Predicted
+from fascicle.recording.window import OFFSET_ERROR, ONSET_ERROR
 
 
 def predicted(beats=(), effective=np.inf, **indices):
@@ -138,7 +139,7 @@ def test_says_what_would_help():
     ]  # fmt: skip
     shares = {what: share for _, what, share in helped}
     assert shares["lv_rv_delay"] == pytest.approx(1.0, abs=1e-3)
-    error = np.hypot(5, 7)  # ms, of onset and offset
+    error = np.hypot(ONSET_ERROR, OFFSET_ERROR)
     assert shares["qrs_duration"] == pytest.approx(36 / (36 + error**2), abs=0.01)
     assert shares["qrs_area"] == pytest.approx(0.0, abs=0.001)
     assert shares["lv_activation_time"] == 0.0

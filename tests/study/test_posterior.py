@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fascicle.core.errors import InputError
+from fascicle.core.leads import LEADS
 from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.inference.evaluation import Evaluation
 from fascicle.study.evaluations import Stage
@@ -273,7 +274,7 @@ def test_the_file_is_whole_inference_data(done, tmp_path):
     ecg = rng.standard_normal((60, 12, len(time)))
     drawn = rng.random((3, 60))
     checks = Checks(0.12, {"V1": 0.4, "axis": 0.03})
-    target = SimpleNamespace(time=time, mean=ecg[0], beats=ecg[:5])
+    target = SimpleNamespace(time=time, mean=ecg[0], beats=ecg[:5], leads=LEADS)
     path = tmp_path / "posterior.nc"
     prediction = Prediction(ecg, ecg + 1, *drawn, checks)
     write_population(path, posterior, SPACE, [target], [prediction], {"verdict": "converged"})

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from fascicle.core.leads import LEADS
 from fascicle.core.parameters import NETWORK_SPACE
 from fascicle.heart.conduction import Conduction
 from fascicle.inference.evaluation import Evaluation
@@ -62,7 +63,7 @@ def fitted(
             SimpleNamespace(
                 null_loss=2.0,
                 target=SimpleNamespace(
-                    qrs=recorded, qrs_samples=slice(2, 42), beats=np.empty(beats)
+                    leads=LEADS, qrs=recorded, qrs_samples=slice(2, 42), beats=np.empty(beats)
                 ),
                 compared=np.arange(12) != 11,  # all but V6
             ),

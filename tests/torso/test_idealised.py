@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -99,11 +100,12 @@ def test_electrodes_off_the_skin_are_refused(mesh: LabelledMesh, torso: TorsoSur
     moved[v1] += 25 * to_the_front
     expected = np.where(np.arange(9) == v1, 25, 0)  # the chest is nearly flat there
     assert contacts_on(*torso.skin, moved).moved == pytest.approx(expected, abs=1)
-    check_on_skin("e.csv", contacts_on(*torso.skin, moved).moved)
+    heart = SimpleNamespace(electrode_names=ELECTRODES)
+    check_on_skin(heart, contacts_on(*torso.skin, moved).moved, "e.csv")
     moved[v1] += 25 * to_the_front
     message = r"^e\.csv: electrode V1 is (49|50) mm from the skin, more than 30; .*--torso FILE"
     with pytest.raises(InputError, match=message):
-        check_on_skin("e.csv", contacts_on(*torso.skin, moved).moved)
+        check_on_skin(heart, contacts_on(*torso.skin, moved).moved, "e.csv")
 
 
 def test_heart_does_not_move_but_the_torso(mesh: LabelledMesh, torso: TorsoSurfaces) -> None:

@@ -283,8 +283,8 @@ class TestCases:
     def test_a_rhythm_strip_aligns_the_groups(self, data_folder):
         recording = read_recording(data_folder / "cases" / "c12_4x3_rhythm.dcm")
         target = make_target(recording)
-        assert target.qrs_onset == pytest.approx(-49, abs=1)
-        assert target.qrs_offset == pytest.approx(50, abs=1)
+        assert target.qrs_onset == pytest.approx(-49, abs=4)
+        assert target.qrs_offset == pytest.approx(50, abs=4)
         assert "aligned by lead II" in target.provenance["warnings"]
 
     def test_zeros_where_not_recorded(self, data_folder):
