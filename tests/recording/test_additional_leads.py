@@ -114,6 +114,16 @@ def test_decide_nothing(recording, more):
     np.testing.assert_allclose(with_more.mean[12], 0.7 * single.mean[11], atol=1e-6)
 
 
+def test_later_ones_do_not_move_the_marks(recording):
+    """Two leads in which the QRS ends 10 ms later, which would confirm each other."""
+    later = np.roll(recording.signal[7], 5)
+    plain = make_target(recording)
+    target = make_target(replace(recording, additional={"X": 3.0 * later, "Y": 2.0 * later}))
+    assert (target.qrs_onset, target.qrs_offset) == (plain.qrs_onset, plain.qrs_offset)
+    assert (target.offset_sd, target.global_qrs) == (plain.offset_sd, plain.global_qrs)
+    assert target.global_qrs_sd == plain.global_qrs_sd
+
+
 def test_are_checked_and_corrected(more):
     flat = replace(more, additional=more.additional | {"V7": 0.0 * more.signal[0]})
     with pytest.raises(InputError, match=r"no signal in lead V7; go on without: --leads .*V6,X$"):

@@ -324,8 +324,9 @@ def _end_deviations(
     aligned: AlignedBeats, smoothing: float, options: TargetOptions, source: str
 ) -> list[float]:
     """Standard deviations (ms) of the ends of the window: 0 where given, refused above 40."""
-    twelve = aligned.beats[:, : len(LEADS)]
-    found = window_uncertainty(twelve, SAMPLING_STEP, aligned.not_before, options.noise, smoothing)
+    found = window_uncertainty(
+        aligned.beats, SAMPLING_STEP, aligned.not_before, options.noise, smoothing
+    )
     deviations = []
     for name, sd in zip(("onset", "offset"), found, strict=True):
         given = getattr(options, name) is not None

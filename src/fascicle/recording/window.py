@@ -17,7 +17,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.core.leads import LIMB_LEADS
+from fascicle.core.leads import LEADS, LIMB_LEADS
 from fascicle.recording.detection import complete_leads
 from fascicle.recording.filters import MAINS, Filter, FilterKind
 
@@ -135,7 +135,8 @@ def qrs_windows(
     Parameters
     ----------
     signal : (12, n) array
-        One beat, recorded (mean) or simulated, potential (mV); leads that are not there are NaN. A
+        One beat, recorded (mean) or simulated, potential (mV); leads that are not there are NaN.
+        Rows after the twelfth, of additional leads, decide nothing. A
         simulated QRS may begin and end at the ends of the array, the global QRS outside.
     step : float
         Sampling step (ms).
@@ -192,7 +193,7 @@ class _Marks(NamedTuple):
 
 def _marks(signal: Floats, step: float, not_before: int, smoothing: float) -> _Marks:
     """Ends of the QRS in the limb leads and in each chest lead."""
-    beat = _at_rest_before(signal, not_before, step)
+    beat = _at_rest_before(signal[: len(LEADS)], not_before, step)
     core, velocity = _core_and_velocity(beat, step, smoothing, not_before > 0)
     there = np.isfinite(beat).all(axis=1)
     leads = _without_interference(beat[there], core, step)
@@ -406,7 +407,7 @@ def window_uncertainty(
     are the same in every call.
     """
     rng = np.random.default_rng(0)
-    n_beats = len(beats)
+    n_beats, beats = len(beats), beats[:, : len(LEADS)]
     if noise is None:
         draws = rng.multinomial(n_beats, np.full(n_beats, 1 / n_beats), size=WINDOWS) / n_beats
         means = np.tensordot(draws, beats, axes=1)
