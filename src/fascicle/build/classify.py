@@ -6,19 +6,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fascicle.build.borders import DualGraph, Region, openness, smoothed_regions
-from fascicle.build.surface_checks import (
-    check_edges,
-    closed_by_fan,
-    leftness,
-    oriented_piece,
-    place,
-)
+from fascicle.build.surface_checks import check_edges, closed_by_fan, leftness, oriented_piece
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import Label, LabelledSurface
 from fascicle.heart.validate import check_units
-from fascicle.mesh.measures import turned_outwards, unit
+from fascicle.mesh.measures import place, turned_outwards, unit
 from fascicle.mesh.topology import boundary_loops, without_unused_vertices
 
 # At the upper edge of a cavity the openness of a wall is a half, deeper less; that of the

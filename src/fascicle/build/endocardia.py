@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fascicle.build.surface_checks import place
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import oriented_into_cavity
@@ -15,6 +14,7 @@ from fascicle.mesh.measures import (
     best_plane,
     edge_lengths,
     loop_length,
+    place,
     triangle_areas,
     triangle_normals,
     unit,

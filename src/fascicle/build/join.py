@@ -8,13 +8,19 @@ import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fascicle.build.surface_checks import Surface, check_edges, oriented_piece, place
+from fascicle.build.surface_checks import Surface, check_edges, oriented_piece
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import Label, LabelledSurface
 from fascicle.heart.validate import check_units
-from fascicle.mesh.measures import best_plane, edge_lengths, mean_edge_length, turned_outwards
+from fascicle.mesh.measures import (
+    best_plane,
+    edge_lengths,
+    mean_edge_length,
+    place,
+    turned_outwards,
+)
 from fascicle.mesh.meshing import constrained_delaunay
 from fascicle.mesh.topology import (
     boundary_loops,

@@ -9,12 +9,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fascicle.build.labelled_files import Anatomy
-from fascicle.build.surface_checks import place
 from fascicle.build.surface_repair import LARGEST_CRUMB
 from fascicle.core.arrays import Floats, Integers
 from fascicle.heart.labelled_surface import Label, LabelledMesh
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
-from fascicle.mesh.measures import closed_volume, signed_volumes
+from fascicle.mesh.measures import closed_volume, place, signed_volumes
 from fascicle.mesh.meshing import NOTHING, Interface, tetrahedralise
 from fascicle.mesh.topology import (
     TETRAHEDRON_FACES,

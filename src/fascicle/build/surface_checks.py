@@ -11,17 +11,12 @@ from scipy.spatial import ConvexHull
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface
-from fascicle.mesh.measures import closed_volume, triangle_areas
+from fascicle.mesh.measures import closed_volume, place, triangle_areas
 from fascicle.mesh.topology import unique_edges
 
 LARGEST_CHANGE = 0.03  # of a volume between its file and the mesh, above which the user is warned
 
 Surface = tuple[Floats, Integers]  # vertices (n, 3) in mm, triangles (m, 3)
-
-
-def place(point: Floats) -> str:
-    """A position as messages give it."""
-    return "({:.1f}, {:.1f}, {:.1f}) mm".format(*point)
 
 
 def check_edges(name: str, vertices: Floats, triangles: Integers, *, closed: bool = False) -> None:

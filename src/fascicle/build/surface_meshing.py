@@ -7,7 +7,6 @@ from dataclasses import replace
 import igl
 import numpy as np
 
-from fascicle.build.surface_checks import place
 from fascicle.build.surface_repair import closed_surface, compacted, oriented_outwards
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
@@ -16,6 +15,7 @@ from fascicle.mesh.measures import (
     closed_volume,
     edge_lengths,
     mean_edge_length,
+    place,
     self_intersections,
     triangle_areas,
 )

@@ -8,12 +8,18 @@ import igl
 import numpy as np
 
 from fascicle.build.endocardia import cleaned_labels
-from fascicle.build.surface_checks import check_edges, check_sides, oriented_piece, place
+from fascicle.build.surface_checks import check_edges, check_sides, oriented_piece
 from fascicle.core.arrays import Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledSurface, missing_parts
 from fascicle.heart.validate import check_units
-from fascicle.mesh.measures import closed_volume, loop_length, self_intersections, turned_outwards
+from fascicle.mesh.measures import (
+    closed_volume,
+    loop_length,
+    place,
+    self_intersections,
+    turned_outwards,
+)
 from fascicle.mesh.meshing import marching_cubes
 from fascicle.mesh.topology import (
     boundary_loops,
