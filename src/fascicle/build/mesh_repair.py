@@ -16,9 +16,9 @@ from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.measures import closed_volume, place, signed_volumes
 from fascicle.mesh.meshing import NOTHING, Interface, tetrahedralise
 from fascicle.mesh.topology import (
-    TETRAHEDRON_FACES,
     boundary_triangles,
     components_of,
+    faces_in_order,
     places_in,
     unique_edges,
     without_unused_vertices,
@@ -76,9 +76,7 @@ def _without_crumbs(mesh: MeshFile, notes: list[str]) -> MeshFile:
 
 def _neighbours(tetrahedra: Integers) -> Integers:
     """Pairs (k, 2) of tetrahedra that share a face."""
-    faces = np.sort(tetrahedra[:, TETRAHEDRON_FACES].reshape(-1, 3), axis=1)
-    order = np.lexsort(faces.T)
-    same = (faces[order[1:]] == faces[order[:-1]]).all(axis=1)
+    order, same = faces_in_order(tetrahedra)
     return np.column_stack([order[:-1][same], order[1:][same]]) // 4
 
 

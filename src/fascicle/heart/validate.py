@@ -13,7 +13,7 @@ from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import first_places, signed_volumes
-from fascicle.mesh.topology import TETRAHEDRON_FACES, components_of
+from fascicle.mesh.topology import components_of, faces_in_order
 
 
 def check_units(name: str, points: Floats, limits: tuple[float, float] = (35.0, 400.0)) -> None:
@@ -69,9 +69,7 @@ def check_tetrahedra(name: str, vertices: Floats, tetrahedra: Integers) -> None:
 
 def _overlapping(tetrahedra: Integers) -> Booleans:
     """Which (m,) are the third tetrahedron on one face, or a further one: they count twice."""
-    faces = np.sort(tetrahedra[:, TETRAHEDRON_FACES].reshape(-1, 3), axis=1)
-    order = np.lexsort(faces.T)
-    same = (faces[order[1:]] == faces[order[:-1]]).all(axis=1)
+    order, same = faces_in_order(tetrahedra)
     crowded = np.zeros(len(tetrahedra), dtype=bool)
     crowded[order[2:][same[1:] & same[:-1]] // 4] = True
     return crowded

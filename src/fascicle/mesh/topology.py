@@ -51,6 +51,16 @@ def boundary_triangles(tetrahedra: NDArray[np.integer]) -> tuple[Integers, Integ
     return np.asarray(triangles, dtype=np.int64), np.asarray(owner, dtype=np.int64)
 
 
+def faces_in_order(tetrahedra: Integers) -> tuple[Integers, Booleans]:
+    """Faces of tetrahedra (m, 4), equal ones in a row, and which equal the one after, (4m - 1,).
+
+    A face's number is 4 times its tetrahedron's and the corner opposite.
+    """
+    faces = np.sort(tetrahedra[:, TETRAHEDRON_FACES].reshape(-1, 3), axis=1)
+    order = np.lexsort(faces.T)
+    return order, (faces[order[1:]] == faces[order[:-1]]).all(axis=1)
+
+
 def interior_edges(triangles: Integers) -> tuple[Integers, Integers]:
     """Edges (e, 2) between two triangles, and these triangles (e, 2)."""
     neighbours, _ = igl.triangle_triangle_adjacency(triangles)
