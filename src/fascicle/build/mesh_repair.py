@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fascicle.build.labelled_files import Anatomy
-from fascicle.build.surface_repair import LARGEST_CRUMB
+from fascicle.build.surface_repair import LARGEST_CRUMB, small_pieces
 from fascicle.core.arrays import Floats, Integers
 from fascicle.heart.labelled_surface import Label, LabelledMesh
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
@@ -56,13 +56,8 @@ def _without_crumbs(mesh: MeshFile, notes: list[str]) -> MeshFile:
     """Drop small pieces that hang by an edge, by a vertex, or not at all."""
     tetrahedra = mesh.cells[TETRAHEDRON]
     piece = components_of(_neighbours(tetrahedra), len(tetrahedra))
-    sizes = np.bincount(piece)
-    small = [
-        k
-        for k in np.flatnonzero(np.arange(len(sizes)) != sizes.argmax())
-        if np.ptp(mesh.points[tetrahedra[piece == k]], axis=(0, 1)).max() <= LARGEST_CRUMB
-    ]
-    if not small:
+    small = small_pieces(piece, mesh.points[tetrahedra])
+    if not small.size:
         return mesh
     dropped = np.isin(piece, small)
     first = mesh.points[tetrahedra[np.argmax(dropped)]].mean(axis=0)
@@ -86,13 +81,10 @@ def _with_voids_filled(mesh: MeshFile, notes: list[str]) -> MeshFile:
     boundary, owner = boundary_triangles(tetrahedra)
     apart, _ = igl.split_nonmanifold(boundary)  # a void may touch another, or the outer surface
     piece = np.asarray(igl.facet_components(apart)[1])
-    sizes = np.bincount(piece)
     points, added, rows, volume = mesh.points, [tetrahedra], [np.arange(len(tetrahedra))], 0.0
     point_rows = [np.arange(len(points))]
-    for k in np.flatnonzero(np.arange(len(sizes)) != sizes.argmax()):
+    for k in small_pieces(piece, mesh.points[boundary]):
         around = boundary[piece == k]
-        if np.ptp(mesh.points[around], axis=(0, 1)).max() > LARGEST_CRUMB:
-            continue
         vertices, triangles = without_unused_vertices(mesh.points, around)
         volume -= closed_volume(vertices, triangles)
         filled, inside, _ = tetrahedralise(

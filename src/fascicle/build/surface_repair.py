@@ -9,7 +9,7 @@ import numpy as np
 
 from fascicle.build.endocardia import cleaned_labels
 from fascicle.build.surface_checks import check_edges, check_sides, oriented_piece
-from fascicle.core.arrays import Integers
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledSurface, missing_parts
 from fascicle.heart.validate import check_units
@@ -103,16 +103,27 @@ def _separated(surface: LabelledSurface) -> LabelledSurface:
     )
 
 
+def small_pieces(piece: Integers, corners: Floats) -> Integers:
+    """Numbers of the pieces of at most `LARGEST_CRUMB`, without the piece of the most cells.
+
+    `piece` (m,) is that of each cell, `corners` (m, k, 3) are its positions (mm).
+    """
+    sizes = np.bincount(piece)
+    high = np.full((len(sizes), 3), -np.inf)
+    low = -high
+    np.maximum.at(high, piece, corners.max(axis=1))
+    np.minimum.at(low, piece, corners.min(axis=1))
+    small = (high - low).max(axis=1) <= LARGEST_CRUMB
+    small[sizes.argmax()] = False
+    return np.flatnonzero(small)
+
+
 def _without_crumbs(surface: LabelledSurface) -> LabelledSurface:
     """Leave out small pieces: crumbs, and the surfaces of voids in the tissue."""
     piece = np.asarray(igl.facet_components(surface.triangles)[1])
-    corners, sizes = surface.vertices[surface.triangles], np.bincount(piece)
-    small = [
-        k
-        for k in np.flatnonzero(np.arange(len(sizes)) != sizes.argmax())
-        if np.ptp(corners[piece == k], axis=(0, 1)).max() <= LARGEST_CRUMB
-    ]
-    if not small:
+    corners = surface.vertices[surface.triangles]
+    small = small_pieces(piece, corners)
+    if not small.size:
         return surface
     kept = ~np.isin(piece, small)
     note = (
