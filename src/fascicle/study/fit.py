@@ -380,8 +380,8 @@ def _simulated_and_compared(
     space, fixed = config.parameter_space, config.fixed
     model = ForwardModel(heart, rules=rules, progress=progress)
     backend = usable(backend, model, [*space.names, *fixed], recordings[0][1])
-    if body := torso_values(dict.fromkeys((*space.names, *fixed), 0.0)):
-        model.torso([*body])  # built here, not by every worker
+    if torso := torso_values(dict.fromkeys((*space.names, *fixed), 0.0)):
+        model.torso([*torso])  # built here, not by every worker
     compared = tuple(
         TargetComparison(
             target.in_leads(heart.leads),
