@@ -197,6 +197,14 @@ def test_every_kind_of_pacing_is_found(pacing, rate):
             assert found > 5
 
 
+def test_spikes_of_two_chambers_below_tall_t_waves():
+    """Those of the atria are before no wave as high as a T wave, but come at the same rate."""
+    rng = np.random.default_rng([106, 11])
+    recording, truth = synthetic_recording(rng, Synthesis(rhythm="paced", tall_t=6.0, noise_db=20))
+    spikes = find_spikes(recording.signal, recording.sampling_rate)
+    assert counts(spikes, truth.spikes, recording.sampling_rate) == (30, 0, 0)
+
+
 def test_a_single_beat_keeps_its_spikes():
     for seed in range(6):
         _, signal, times = paced(seed, "biventricular", 500.0)

@@ -185,6 +185,15 @@ def _given_by_a_pacemaker(
 
 
 def _regular(tops: Integers, reach: int) -> Booleans:
+    """Which spikes come at a fixed rate, or every second one does: one in each of two chambers."""
+    regular = _at_fixed_rate(tops, reach)
+    if len(tops) >= 6:  # three in each
+        for chamber in (slice(0, None, 2), slice(1, None, 2)):
+            regular[chamber] |= _at_fixed_rate(tops[chamber], reach)
+    return regular
+
+
+def _at_fixed_rate(tops: Integers, reach: int) -> Booleans:
     """Which of three or more spikes come at an interval of 0.25 to 2.5 s, or multiples of it."""
     intervals = np.diff(tops)
     usual = float(np.median(intervals)) if len(intervals) > 1 else 0.0
