@@ -202,7 +202,8 @@ def test_spikes_of_two_chambers_below_tall_t_waves():
     rng = np.random.default_rng([106, 11])
     recording, truth = synthetic_recording(rng, Synthesis(rhythm="paced", tall_t=6.0, noise_db=20))
     spikes = find_spikes(recording.signal, recording.sampling_rate)
-    assert counts(spikes, truth.spikes, recording.sampling_rate) == (30, 0, 0)
+    found, missed, false = counts(spikes, truth.spikes, recording.sampling_rate)
+    assert (found, missed, false) == (len(truth.spikes), 0, 0)
 
 
 def test_a_single_beat_keeps_its_spikes():
