@@ -241,8 +241,8 @@ def heart_import(
     the apex. Without **--torso idealised** the volume conductor is unbounded, and the ratios of the
     leads are wrong.
     """
-    from fascicle.build.regions import ventricles
     from fascicle.build.torso import in_torso
+    from fascicle.build.whole_heart import ventricles
     from fascicle.core.progress import stage_progress
     from fascicle.heart.assembly import assemble_heart
     from fascicle.heart.coordinates import with_coordinates

@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 
 from fascicle.core.errors import InputError, one_line, printable
-from fascicle.recording.readers.mended import mended_scp, mended_xml, scp_samples_are_right
 from fascicle.recording.readers.names import lead_name
 from fascicle.recording.readers.read import (
     Channel,
@@ -28,6 +27,11 @@ from fascicle.recording.readers.read import (
     narrowest_passband,
     sha256_of,
     with_remarks,
+)
+from fascicle.recording.readers.writer_deviations import (
+    mended_scp,
+    mended_xml,
+    scp_samples_are_right,
 )
 from fascicle.recording.recording import CHECKSUMS_AGREE, Filters
 

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from fascicle.build.endocardia import endocardia
 from fascicle.build.read_anatomy import Source, read_anatomy
-from fascicle.build.regions import region_arrays, regions_in, ventricles
+from fascicle.build.whole_heart import region_arrays, regions_in, ventricles
 from fascicle.core.errors import InputError
 from fascicle.heart.fibres import placeholder
 from fascicle.heart.labelled_surface import Label, labelled_mesh
