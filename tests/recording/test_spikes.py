@@ -2,35 +2,12 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter1d
-from scipy.signal import butter, sosfilt
 
-from benchmarks.synthetic_recordings.artefacts import SIGHT
+from benchmarks.pacing_spikes import DISTURBANCES, PACING, UNPACED, counts, disturbed, paced
 from benchmarks.synthetic_recordings.rhythms import RHYTHMS, Synthesis, synthetic_recording
 from fascicle.core.leads import lead_matrix
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.spikes import find_spikes, remove_spikes
-
-DISTURBANCES = ("clean", "digits", "hum", "hum digits", "muscle", "muscle digits", "edge")
-UNPACED = sorted(set(RHYTHMS) - {"paced"})
-# largest potential (mV) of the pulses, and ms from each ventricular one to the others of its beat
-PACING = {
-    "small bipolar": (0.2, (0.0,)),
-    "unipolar with a tail": (5.0, (0.0,)),
-    "biventricular": (0.4, (-35.0, 0.0)),
-    "atrial": (0.4, (-160.0,)),
-    "atrial and biventricular": (1.0, (-190.0, -30.0, 0.0)),
-}
-
-
-def counts(found, times, rate):
-    """Spikes found, missed, and marks that are none."""
-    free = np.ones(len(found), dtype=bool)
-    for time in times:
-        begins, ends = found.T / rate
-        here = np.flatnonzero(free & (begins <= time + 0.005) & (ends >= time))
-        free[here[:1]] = False
-    return np.array([(~free).sum(), len(times) - (~free).sum(), free.sum()])
 
 
 @pytest.mark.parametrize("rate", [250.0, 500.0, 1000.0, 2000.0])
@@ -108,52 +85,6 @@ def test_leads_recorded_one_group_after_another():
     assert missed <= 0.15 * found
     assert false == 0
     assert np.array_equal(np.isnan(remove_spikes(signal, spikes)), np.isnan(signal))
-
-
-def disturbed(rng, signal, rate, what, size=1.0):
-    """A signal (mV) with hum of 50 or 60 Hz and harmonics, coarse digits, muscle, a torn end."""
-    t = np.arange(signal.shape[1]) / rate
-    electrodes = np.zeros((9, len(t)))
-    if "hum" in what:
-        turns = 2 * np.pi * rng.choice([49.9, 50.0, 60.0]) * t
-        for harmonic in range(1, int(rng.integers(2, 7))):
-            phase = rng.uniform(0, 2 * np.pi) + rng.uniform(-0.3, 0.3, (9, 1))
-            electrodes += rng.uniform(0.1, 1, (9, 1)) / harmonic * np.sin(harmonic * turns + phase)
-        electrodes *= size * rng.uniform(0.02, 0.5) / np.abs(electrodes).max()
-    if "muscle" in what:
-        band = butter(2, (20, min(200, 0.45 * rate)), "bandpass", fs=rate, output="sos")
-        noise = sosfilt(band, rng.standard_normal(electrodes.shape), axis=-1)
-        electrodes += size * rng.uniform(0.01, 0.1) * noise / noise.std()
-    signal = signal + lead_matrix() @ electrodes
-    if what == "edge":
-        last = int(rng.integers(1, 2 + 0.012 * rate))
-        torn = rng.uniform(-3, 3, (12, 1)) * rng.choice([np.linspace(0, 1, last), np.ones(last)])
-        signal[:, -last:] += torn
-        signal[:, :last] += torn[:, ::-1]
-    digit = rng.choice([0.005, 0.01, 0.02]) if "digits" in what else 0.001  # mV
-    return digit * np.round(signal / digit)
-
-
-def paced(seed, pacing, rate):
-    """A paced rhythm with pulses of one's own behind a low-pass of 150 Hz, and when they begin."""
-    rng = np.random.default_rng(seed)
-    synthesis = Synthesis(rhythm="paced", rate=rate, spike_size=1e-9)
-    recording, truth = synthetic_recording(rng, synthesis)
-    size, delays = PACING[pacing]
-    signal, times = recording.signal.copy(), []
-    fine = np.arange(-0.1, 0.1, 1e-5)
-    for delay in delays:
-        lead = lead_matrix() @ SIGHT @ rng.standard_normal(3)
-        pulse = ((fine >= 0) & (fine < 0.001)).astype(float)
-        if "tail" in pacing:
-            pulse += rng.choice([-0.1, 0.1]) * (fine >= 0.001) * np.exp(-(fine - 0.001) / 0.01)
-        pulse = gaussian_filter1d(pulse, np.sqrt(np.log(2)) / (2 * np.pi * 150.0) / 1e-5)
-        for time in truth.onsets - rng.uniform(0.005, 0.02) + delay / 1000:
-            if 0.05 < time < recording.duration - 0.05:
-                at = np.interp(np.arange(signal.shape[1]) / rate - time, fine, pulse, 0, 0)
-                signal += (size / np.abs(lead).max() * lead)[:, None] * at / np.abs(at).max()
-                times.append(time)
-    return rng, signal, np.sort(times)
 
 
 @pytest.mark.parametrize("rate", [250.0, 800.0])
