@@ -67,14 +67,10 @@ def draw(heart, file):
     up /= np.linalg.norm(up)
     front = np.cross(up, right)  # anterior to the reader
     front /= np.linalg.norm(front)
-    titles = {
-        "tv": "tv", "tm": "tm",
-        "rt": "rt", "ab": "ab",
-    }  # fmt: skip
     plot = pv.Plotter(shape=(2, 4), off_screen=True, window_size=(1600, 820), border=False)
-    for column, (name, title) in enumerate(titles.items()):
+    for column, name in enumerate(found.arrays):
         colours = {"scalars": name, "cmap": "hsv" if name == "rt" else "viridis", "clim": (0, 1)}
-        bar = {"title": title, "n_labels": 3, "title_font_size": 20, "color": "black"}
+        bar = {"title": name, "n_labels": 3, "title_font_size": 20, "color": "black"}
         for row in (0, 1):
             plot.subplot(row, column)
             part = (
