@@ -214,6 +214,22 @@ def mortara(digits, *, names=INDEPENDENT_LEADS) -> bytes:
     return f'<?xml version="1.0"?><ECG VENT_RATE="60">{source}{channels}</ECG>'.encode()
 
 
+def philips(beat, *, names=INDEPENDENT_LEADS, rate="") -> str:
+    """Philips XML of representative beats alone, of 5 uV a digit at 500 Hz."""
+    beats = "".join(
+        f'<repbeat leadname="{name}"><waveform duration="{2 * len(row)}">'
+        f"{base64.b64encode(np.asarray(row).astype('<i2').tobytes()).decode()}</waveform></repbeat>"
+        for name, row in zip(names, beat, strict=True)
+    )
+    return (
+        '<?xml version="1.0"?><restingecgdata xmlns="http://www3.medical.philips.com"><documentinfo>'
+        "<documenttype>PhilipsECG</documenttype><documentversion>1.04</documentversion>"
+        "</documentinfo><dataacquisition><signalcharacteristics><samplingrate>500</samplingrate>"
+        "<signalresolution>5</signalresolution></signalcharacteristics></dataacquisition><waveforms>"
+        f'<repbeats dataencoding="Base64" {rate}>{beats}</repbeats></waveforms></restingecgdata>'
+    )
+
+
 def ishne(digits, *, names=INDEPENDENT_LEADS, nanovolts=5000, rate=500) -> bytes:
     """ISHNE Holter file (Badilini 1998): a header of 522 bytes, then the leads in turns."""
     codes = [5 + LEADS.index(name) for name in names] + [-9] * (12 - len(names))

@@ -327,8 +327,12 @@ class TestDeviations:
         assert recording.signal[ROWS] == pytest.approx(digits[:, :last] * 4.88e-3, abs=1e-12)
         assert "sample ranges count from 0" in recording.provenance["remarks"]
 
-    def test_scp_without_anything_wrong_says_nothing(self, tmp_path, digits):
-        assert "remarks" not in read_recording(saved(tmp_path, files.scp(digits))).provenance
+    @pytest.mark.parametrize("measurements", [{}, {7: b"\1\2"}])
+    def test_scp_says_nothing_of_what_is_not_used(self, tmp_path, digits, measurements):
+        content = files.scp_record(files.scp_sections(digits) | measurements)
+        recording = read_recording(saved(tmp_path, content))
+        assert recording.signal[ROWS] == pytest.approx(digits * 4.88e-3, abs=1e-12)
+        assert "remarks" not in recording.provenance
 
     def test_measurements_size_and_checksums_of_scp(self, tmp_path, digits):
         def read(content):
@@ -336,9 +340,6 @@ class TestDeviations:
             assert recording.signal[ROWS] == pytest.approx(digits * 4.88e-3, abs=1e-12)
             return recording.provenance["remarks"]
 
-        sections = files.scp_sections(digits)
-        damaged = files.scp_record(sections | {7: b"\1\2"})
-        assert "its measurements are damaged" in read(damaged)
         content = files.scp(digits)
         larger = bytearray(content)
         larger[2:6] = struct.pack("<I", len(content) + 100)
@@ -359,12 +360,6 @@ class TestDeviations:
         content[8:10] = b"\1\2"
         path.write_bytes(content)
         refused(path, "checksum")
-
-    def test_a_damaged_averaged_beat_of_muse(self, tmp_path, digits):
-        text = replaced(files.muse(digits), "Total>600<", "Total>601<")
-        recording = read_recording(saved(tmp_path, text))
-        assert recording.signal[ROWS] == pytest.approx(digits * 4.88e-3, abs=1e-12)
-        assert "averaged beat of the file is damaged" in recording.provenance["remarks"]
 
     def test_unwritten_checksums_in_utf_16(self, tmp_path, digits):
         text = replaced(files.muse(digits, checksums=False), "ISO-8859-1", "utf-16")
@@ -419,6 +414,16 @@ class TestAveragedBeatOnly:
         assert recording.signal[ROWS] == pytest.approx(beat * 2.5e-3, abs=1e-12)
         assert "averaged beat" in recording.provenance["remarks"]
 
+    @pytest.mark.parametrize("rate", ["", 'samplespersec="1000"'])
+    def test_philips(self, tmp_path, beat, rate):
+        text = files.philips(beat, rate=rate)
+        if rate:
+            text = replaced(text, 'duration="900"', 'duration="450"', 8)
+        recording = read_recording(saved(tmp_path, text))
+        assert recording.signal[ROWS] == pytest.approx(beat * 5e-3, abs=1e-12)
+        assert recording.sampling_rate == (1000 if rate else 500)
+        assert "averaged beat" in recording.provenance["remarks"]
+
     @pytest.mark.parametrize("huffman", [False, True])
     def test_scp(self, tmp_path, beat, huffman):
         sections = files.scp_sections(beat, order=1, huffman=huffman)
@@ -453,10 +458,12 @@ class TestHostileXml:
         assert read_recording(saved(tmp_path, text)).duration == 4
 
     def test_deep_nesting(self, tmp_path, digits):
+        """Of annotations, which are not needed, and of anything else."""
         nested = "<component><annotation>" * 20_000 + "</annotation></component>" * 20_000
         text = f"<subjectOf><annotationSet>{nested}</annotationSet></subjectOf></series>"
         text = replaced(files.aecg(digits), "</series>", text)
-        refused(saved(tmp_path, text))
+        assert read_recording(saved(tmp_path, text)).duration == 4
+        refused(saved(tmp_path, text.replace("annotationSet", "other")))
 
     @pytest.mark.parametrize("encoding", ["utf-16", "latin-1", "utf-8-sig"])
     def test_encodings(self, tmp_path, digits, encoding):

@@ -12,7 +12,7 @@ import re
 import tempfile
 import warnings
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -29,16 +29,18 @@ from fascicle.recording.readers.read import (
     with_remarks,
 )
 from fascicle.recording.readers.writer_deviations import (
-    mended_scp,
-    mended_xml,
+    NO_RHYTHM,
+    UNKNOWN_RATE,
+    mended,
+    mended_wfdb,
     scp_samples_are_right,
+    wfdb_lines,
 )
 from fascicle.recording.recording import CHECKSUMS_AGREE, Filters
 
-# what the library says that touches no sample: averaged beats, dates, its own rounding and defaults
+# what the library says that touches no sample: dates, its own rounding, averaged beats of SCP-ECG
 _TECHNICAL = re.compile(
-    "representative beat|median beat|median waveform|is not an integer; rounded|birth date|"
-    "measurement time|Unit .* not recognised|no physical unit|long-term rhythm|tag length"
+    "is not an integer; rounded|birth date|measurement time|long-term rhythm|tag length|median beat"
 )
 
 
@@ -50,16 +52,19 @@ def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
     """
     from ecgdatakit.parsing.parser import FileParser
 
-    found = FileParser.detect_format(path)
-    if found is None:
-        raise InputError(
-            f"{path}: damaged, or of a kind that is not read; export it as HL7 aECG or DICOM"
-        )
-    record, remarks, wrong = _parsed_or_mended(found["parser_class"], path)
-    is_xml = record.source_format in ("hl7_aecg", "ge_muse_xml")
-    root = _xml_root(path) if is_xml else None
-    remarks += _check_one_recording(record.source_format, path, root)
-    if wrong and not _samples_are_right(record.source_format, path.read_bytes(), root):
+    data = path.read_bytes()
+    content, root, mends = mended(data)
+    with _copy(path, {path.name: content} if content != data else {}) as copy:
+        found = FileParser.detect_format(path) or FileParser.detect_format(copy)
+        if found is None:
+            raise InputError(
+                f"{path}: damaged, or of a kind that is not read; export it as HL7 aECG or DICOM"
+            )
+        record, remarks, wrong = _parsed(found["parser_class"], path, copy)
+    if NO_RHYTHM in mends and record.median_beats:
+        record.leads = record.median_beats
+    remarks += [*mends, *_check_one_recording(record.source_format, path, data, root)]
+    if wrong and not _samples_are_right(record.source_format, data, root):
         raise InputError(f"{path}: damaged, a checksum is wrong ({wrong[0]}); export it again")
     if wrong and record.source_format == "scp_ecg":
         remarks.append(f"checksums differ, but not those of the samples ({wrong[0]})")
@@ -79,33 +84,16 @@ def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
     )
 
 
-def _parsed_or_mended(parser: Any, path: Path) -> tuple[Any, list[str], list[str]]:
-    """What `_parsed` returns, of the file or else of a copy that the library takes."""
-    try:
-        return _parsed(parser, path)
-    except InputError:
-        mended = _mended(path)
-        if mended is None:
-            raise
-        content, remark = mended
-        with tempfile.TemporaryDirectory() as folder, contextlib.suppress(InputError):
-            copy = Path(folder) / path.name
-            copy.write_bytes(content)
-            record, remarks, wrong = _parsed(parser, copy)
-            return record, [*remarks, remark], wrong
-        raise
-
-
-def _mended(path: Path) -> tuple[bytes, str] | None:
-    """Content that the library takes, and how it differs; None where nothing is known to help."""
-    from ecgdatakit.exceptions import ECGDataKitError
-
-    if (data := path.read_bytes())[16:22] == b"SCPECG":
-        return mended_scp(data)
-    try:
-        return mended_xml(_xml_root(path))
-    except (ET.ParseError, ECGDataKitError):
-        return None
+@contextlib.contextmanager
+def _copy(path: Path, contents: Mapping[str, bytes]) -> Iterator[Path]:
+    """A copy of a file, and of those that it names, of other contents; itself if there are none."""
+    if not contents:
+        yield path
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        for name, content in contents.items():
+            (Path(folder) / name).write_bytes(content)
+        yield Path(folder) / path.name
 
 
 def _samples_are_right(source_format: str, data: bytes, root: ET.Element | None) -> bool:
@@ -117,19 +105,20 @@ def _samples_are_right(source_format: str, data: bytes, root: ET.Element | None)
     return source_format == "ishne_holter" and data[8:10] == bytes(2)
 
 
-def _parsed(parser: Any, path: Path) -> tuple[Any, list[str], list[str]]:
+def _parsed(parser: Any, path: Path, copy: Path | None = None) -> tuple[Any, list[str], list[str]]:
     """Run one parser; return its record, its warnings, and those that a checksum is wrong."""
+    copy = path if copy is None else copy
     from ecgdatakit.exceptions import ChecksumWarning, ECGDataKitError, UnsupportedFormatError
 
     def reason(error: object) -> str:
         """One short line; the file is named elsewhere."""
-        file = f" (in|of) ({re.escape(str(path))}|{re.escape(path.name)})"
+        file = f" (in|of) ({re.escape(str(copy))}|{re.escape(path.name)})"
         return one_line(re.sub(file, "", str(error)))
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            record = parser().parse(path)
+            record = parser().parse(copy)
         except UnsupportedFormatError as error:
             raise InputError(
                 f"{path}: cannot be read ({reason(error)}); export it without compression, or as "
@@ -144,20 +133,21 @@ def _parsed(parser: Any, path: Path) -> tuple[Any, list[str], list[str]]:
         text = re.sub(r";? ?\(?(see )?raw_metadata.*", "", reason(warning.message))
         if is_checksum or not _TECHNICAL.search(text):
             (wrong if is_checksum else remarks).append(text)
-    for remark in remarks:
-        if "truncated" in remark or "has gaps" in remark:
+    for remark in remarks:  # what EDF has of whole records is right
+        if re.search("(may be|are) truncated|has gaps|shorter than the frame", remark):
             raise InputError(f"{path}: incomplete recording ({remark}); export it again")
     return record, remarks, wrong
 
 
-def _check_one_recording(source_format: str, path: Path, root: ET.Element | None) -> list[str]:
+def _check_one_recording(
+    source_format: str, path: Path, data: bytes, root: ET.Element | None
+) -> list[str]:
     """Refuse what the library reads the first of: several subjects or recordings in one file.
 
     What follows an SCP-ECG record and is none is left out, which is returned as a remark.
     """
     several, remarks = "", []
     if source_format == "scp_ecg":
-        data = path.read_bytes()
         rest = data[int.from_bytes(data[2:6], "little") :]  # after what is stated as its size
         if rest[16:22] == b"SCPECG":
             several = f"{len(rest)} bytes follow the first one"
@@ -184,18 +174,10 @@ def _identity(person: ET.Element) -> tuple[str, ...]:
     return tuple(text.strip() for each in texts for text in each)
 
 
-def _xml_root(path: Path) -> ET.Element:
-    """Root of an XML file that the library has read, without namespaces."""
-    from ecgdatakit.parsing.helpers.xml import parse_xml_root
-
-    root: ET.Element = parse_xml_root(path.read_bytes())
-    return root
-
-
 def _standard_name(lead: Any) -> str | None:
     """Name of the lead of a label such as ``V1-WCT``, or ``II_2`` where II is there twice."""
-    # chest leads may name Wilson's terminal, the reference that makes them unipolar
-    label = re.sub("(?<=V[1-6])-(WCT|Wilson)$", "", lead.label, flags=re.IGNORECASE)
+    # EDF+ may name the reference: of chest leads Wilson's terminal, which makes them unipolar
+    label = re.sub("(?<=V[1-6])-(WCT|Wilson)$|-Ref$", "", lead.label, flags=re.IGNORECASE)
     return lead_name(label) or lead_name(re.sub(r"_\d+$", "", label))
 
 
@@ -243,13 +225,14 @@ def _rate(record: Any, leads: Sequence[Any], root: ET.Element | None) -> float |
     if not raw.get("sampling_rate_stated", True):
         return None
     if record.source_format == "hl7_aecg":
-        return float(raw["rhythm_time"]["sampling_rate_exact"])
+        rate = float(raw["rhythm_time"]["sampling_rate_exact"])
+        return None if rate == UNKNOWN_RATE else rate
     if record.source_format == "scp_ecg":
         return float(1e6 / raw["rhythm_sample_interval_us"])
     if record.source_format == "mfer":
         return float(raw["sampling_rates"][record.leads.index(first)])
     if record.source_format == "ge_muse_xml" and root is not None:
-        return _muse_rate(root)
+        return None if (rate := _muse_rate(root)) == UNKNOWN_RATE else rate
     return float(raw.get("exact_sampling_rates", {}).get(first.label, first.sampling_rate))
 
 
@@ -296,8 +279,18 @@ def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
     """
     from ecgdatakit.parsing.parsers.wfdb import WFDBParser
 
-    files = _wfdb_files(path)
-    record, _, wrong = _parsed(WFDBParser, path)
+    remarks: list[str] = []
+    contents: dict[str, bytes] = {}
+    if _has_segments(path):
+        files = _wfdb_files(path)
+    else:
+        text, named, remarks = mended_wfdb(path)
+        files = sorted(set(named))
+        if remarks:
+            contents = {path.name: text.encode("latin-1")}
+            contents |= {file.name: file.read_bytes() for file in files}
+    with _copy(path, contents) as copy:
+        record, _, wrong = _parsed(WFDBParser, path, copy)
     raw = record.raw_metadata
     units = {spec["description"]: spec["units"] for spec in raw["signal_specs"]}
     for segment in (file for file in files if file.suffix == ".hea"):
@@ -342,14 +335,18 @@ def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
         said = f"differ for {', '.join(differ)}" if differ else CHECKSUMS_AGREE
         provenance = {"checksums": said} | provenance
     stated = rate if raw["sampling_frequency_stated"] else None
-    return RawRecording(channels, stated, provenance=provenance)
+    return RawRecording(channels, stated, provenance=with_remarks(provenance, remarks))
+
+
+def _has_segments(header: Path) -> bool:
+    """Whether the lines of a header are about segments: they have two words."""
+    first, *lines = wfdb_lines(header) or [[""]]
+    return "/" in first[0] and all(len(line) == 2 for line in lines)
 
 
 def _wfdb_files(header: Path, is_segment: bool = False) -> list[Path]:
-    """Files that a header names, sorted; all must be in its own folder."""
-    text = header.read_text("latin-1")
-    lines = [line.split() for line in text.splitlines() if line.strip() and line.strip()[0] != "#"]
-    has_segments = bool(lines) and "/" in lines[0][0]
+    """Files that the header of segments, or of one, names, sorted; all must be in its folder."""
+    lines, has_segments = wfdb_lines(header), _has_segments(header)
     names = {line[0] for line in lines[1:]} - {"~"}
     for name in names:
         if Path(name).name != name or "\\" in name or (has_segments and is_segment):

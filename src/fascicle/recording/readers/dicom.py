@@ -16,8 +16,14 @@ import numpy as np
 
 from fascicle.core.errors import InputError, printable
 from fascicle.core.leads import CHEST_LEADS, limb_leads_from
-from fascicle.recording.readers.names import lead_name, lead_of_code
-from fascicle.recording.readers.read import Channel, RawRecording, narrowest_passband, without_fill
+from fascicle.recording.readers.names import lead_name, lead_of_code, millivolts
+from fascicle.recording.readers.read import (
+    Channel,
+    RawRecording,
+    narrowest_passband,
+    with_remarks,
+    without_fill,
+)
 
 
 class _Group:
@@ -60,10 +66,16 @@ def read_dicom(path: Path, sampling_rate: float | None) -> RawRecording:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        dataset = pydicom.dcmread(path)
+        # some writers leave out what comes before the data set
+        dataset = pydicom.dcmread(path, force=path.suffix.lower() == ".dcm")
         items = _items(dataset, "WaveformSequence")
         for item in items:
             list(item.iterall())  # decodes all elements
+    if "TransferSyntaxUID" not in dataset.file_meta:
+        explicit = not dataset.original_encoding[0]
+        dataset.file_meta.TransferSyntaxUID = (
+            uid.ExplicitVRLittleEndian if explicit else uid.ImplicitVRLittleEndian
+        )
     if not items:
         kind = _text(dataset, "Modality") or "unknown"
         stored = getattr(dataset.get("SOPClassUID", None), "name", "") or "unknown object"
@@ -71,7 +83,7 @@ def read_dicom(path: Path, sampling_rate: float | None) -> RawRecording:
             f"{path}: DICOM file without a waveform (modality {kind}, {printable(stored)}); give a "
             "DICOM ECG waveform without encryption"
         )
-    syntax = dataset.file_meta.get("TransferSyntaxUID", uid.ImplicitVRLittleEndian)
+    syntax = dataset.file_meta.TransferSyntaxUID
     plain = (uid.ImplicitVRLittleEndian, uid.ExplicitVRLittleEndian)
     compressed = any(
         item["WaveformData"].is_undefined_length  # encapsulated
@@ -83,6 +95,7 @@ def read_dicom(path: Path, sampling_rate: float | None) -> RawRecording:
             f"{path}: its waveform is compressed or big-endian ({printable(syntax.name)}); export "
             "it as Explicit VR Little Endian"
         )
+    remarks = [remark for item in items for remark in _mended(item)]
     groups = [_Group(item, k) for k, item in enumerate(items)]
     if len(groups) > 1:
         _drop_empty(groups, [multiplex_array(dataset, group.index) for group in groups])
@@ -110,7 +123,23 @@ def read_dicom(path: Path, sampling_rate: float | None) -> RawRecording:
         for keyword in ("FilterLowFrequency", "FilterHighFrequency", "NotchFilterFrequency")
     )
     filters = narrowest_passband(*bands)
+    provenance = with_remarks(provenance, remarks)
     return RawRecording(channels, chosen[0].rate, filters=filters, provenance=provenance)
+
+
+def _mended(item: Any) -> list[str]:
+    """State what a group holds, where it is certain; a line for what was stated instead."""
+    described, data = len(_items(item, "ChannelDefinitionSequence")), len(item.WaveformData)
+    channels, samples = item.NumberOfWaveformChannels, item.NumberOfWaveformSamples
+    frame = described * item.get("WaveformBitsAllocated", 0) // 8
+    held = data // frame if frame else 0
+    if held == samples and channels != described:
+        item.NumberOfWaveformChannels = described
+        return [f"states {channels} channels in a waveform and describes {described}, all its data"]
+    if channels == described and 0 < held < samples:
+        item.NumberOfWaveformSamples = held
+        return [f"states {samples} samples in a waveform and holds {held}, which are read"]
+    return []
 
 
 def _source(channel: Any, number: int) -> tuple[str, str | None]:
@@ -247,7 +276,8 @@ def _channels(group: _Group, samples: Any, path: Path) -> list[Channel]:
         baseline = _number(channel, "ChannelBaseline", 0.0)
         values, missing = samples[:, k] * sensitivity + baseline, pads * sensitivity + baseline
         units = _items(channel, "ChannelSensitivityUnitsSequence")
-        unit = (_text(units[0], "CodeValue") or None) if units else None
+        spelt = [_text(each, word) for each in units[:1] for word in ("CodeValue", "CodeMeaning")]
+        unit = next((text for text in spelt if millivolts(text)), next(filter(None, spelt), None))
         channels.append(Channel(name, values, unit, lead, 1 / sensitivity, tuple(missing)))
     return channels
 

@@ -39,6 +39,13 @@ _BEHIND = (
 _LEAD = re.compile(f"{_BEFORE}(?:{_NAMES}){_BEHIND}")
 
 
+PER_SECOND = (  # how many of a unit of time are a second
+    dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0)
+    | dict.fromkeys(("ms", "msec", "msecs", "millisecond", "milliseconds"), 1e3)
+    | dict.fromkeys(("us", "microsecond", "microseconds"), 1e6)
+)
+
+
 def lead_name(text: str) -> str | None:
     """Return the name in `fascicle.core.leads.LEADS` of a text without unit, None for others.
 
@@ -84,11 +91,11 @@ def millivolts(unit: str) -> float | None:
     """Return how many mV one such unit is, or None when the unit is unknown.
 
     Understands nV, uV (with u or either code point of the Greek letter), mV, V and the words
-    (``microvolts``), in any case: a megavolt is not a unit of an ECG.
+    (``microvolts``, ``uVolt``), in any case: a megavolt is not a unit of an ECG.
     """
-    sizes = {"nv": 1e-6, "uv": 1e-3, "mv": 1.0, "v": 1e3}
-    sizes |= {"nanovolt": 1e-6, "microvolt": 1e-3, "millivolt": 1.0, "volt": 1e3}
-    return sizes.get(re.sub("volts$", "volt", plain_unit(unit)))
+    sizes = {"n": 1e-6, "nano": 1e-6, "u": 1e-3, "micro": 1e-3, "m": 1.0, "milli": 1.0, "": 1e3}
+    match = re.fullmatch(r"\[?([a-z]*)v(?:olts?)?\]?", plain_unit(unit))
+    return sizes.get(match[1]) if match else None
 
 
 def same_unit(one: str, other: str) -> bool:

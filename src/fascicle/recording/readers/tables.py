@@ -18,6 +18,7 @@ from fascicle.core.errors import InputError, one_line, printable
 from fascicle.core.leads import LEADS
 from fascicle.recording.missing_metadata import missing_rate, missing_time_unit
 from fascicle.recording.readers.names import (
+    PER_SECOND,
     Entry,
     additional_lead_name,
     check_physical,
@@ -34,12 +35,6 @@ from fascicle.recording.readers.read import Channel, RawRecording, without_fill
 
 if TYPE_CHECKING:
     import pandas as pd
-
-_PER_SECOND = (
-    dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0)
-    | dict.fromkeys(("ms", "msec", "msecs", "millisecond", "milliseconds"), 1e3)
-    | dict.fromkeys(("us", "microsecond", "microseconds"), 1e6)
-)
 
 
 @dataclass(frozen=True)
@@ -60,7 +55,7 @@ class _Column:
     @property
     def per_second(self) -> float | None:
         """How many of the column's units are a second; None where it has no unit of time."""
-        return _PER_SECOND.get(plain_unit(self.quantity if self.unit is None else self.unit))
+        return PER_SECOND.get(plain_unit(self.quantity if self.unit is None else self.unit))
 
     def numbers(self, path: Path) -> Floats:
         """The cells as numbers (n,); empty cells are NaN."""
@@ -234,7 +229,7 @@ def _column(spelt: str, names: Sequence[str], cells: pd.Series) -> _Column:
         brackets = re.fullmatch(r"(.+?)\s*[\[(]\s*([^\])]*?)\s*[\])]", name)  # "V1 [uV]"
         tail = re.fullmatch(r"(.+?)(?:[_ ]in[_ ]|[_ ]|\s*/\s*)([^_ /]+)", name)  # "V1_uV", "V1/uV"
         match = brackets or tail
-        if match and (brackets or millivolts(match[2]) or plain_unit(match[2]) in _PER_SECOND):
+        if match and (brackets or millivolts(match[2]) or plain_unit(match[2]) in PER_SECOND):
             name, unit = match[1], printable(match[2])
             lead, rhythm = _lead_or_rhythm(name)
     quantity = name.lower().replace("_", " ")

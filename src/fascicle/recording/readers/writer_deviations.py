@@ -5,48 +5,245 @@ ecgdatakit refuses them; it is given a copy in which the deviation is mended. Wh
 
 from __future__ import annotations
 
+import base64
 import binascii
+import re
 import struct
 import xml.etree.ElementTree as ET
+import zlib
 from collections.abc import Iterator
+from pathlib import Path
+
+from fascicle.core.errors import InputError, printable
+from fascicle.recording.readers.names import PER_SECOND, lead_name, plain_unit
 
 NO_RHYTHM = "the file holds no rhythm but an averaged beat, which is read"
+UNKNOWN_RATE = 1.0  # Hz; what stands for a rate that the file does not state
 SCP_SAMPLES = (0, 2, 3, 4, 5, 6)  # sections of SCP-ECG that the samples rest on
 
 
-def mended_xml(root: ET.Element) -> tuple[bytes, str] | None:
-    """MUSE or HL7 aECG with only its rhythm, or with its averaged beat in the place of one."""
-    if root.tag.lower() == "restingecg":
-        waves = root.findall("Waveform")
-        names = [wave.find("WaveformType") for wave in waves]
-        averaged = [name is not None and (name.text or "").strip() == "Median" for name in names]
-    elif root.tag == "AnnotatedECG":
-        parents = [each for each in root.findall("component") if each.find("series") is not None]
-        waves, names = parents, [each.find("series/code") for each in parents]
-        averaged = [
-            name is not None and name.get("code", "").upper() == "REPRESENTATIVE_BEAT"
-            for name in names
-        ]
-    else:
-        return None
-    if not any(averaged):
-        return None
-    remark = "the averaged beat of the file is damaged; its rhythm is read"
-    if all(averaged):
-        name, remark = names[0], NO_RHYTHM
-        assert name is not None  # it says that this is an averaged beat
-        name.text = "Rhythm"
-        name.set("code", "RHYTHM")
-    else:
-        for wave in (wave for wave, one in zip(waves, averaged, strict=True) if one):
-            root.remove(wave)
-    return ET.tostring(root), remark
+def mended(data: bytes) -> tuple[bytes, ET.Element | None, list[str]]:
+    """A file as ecgdatakit takes it, its root if it is XML, and what was mended, in a line each."""
+    if data[16:22] == b"SCPECG":
+        content, remarks = _mended_scp(data)
+        return content, None, remarks
+    if data[:8].strip(b" \0") == b"0" and data[252:256].strip(b" \0").isdigit():
+        content, remarks = _mended_edf(data)
+        return content, None, remarks
+    if data.lstrip(b"\xef\xbb\xbf\xff\xfe \t\r\n\0").startswith(b"<"):
+        return _mended_xml(data)
+    return data, None, []
 
 
-def mended_scp(data: bytes) -> tuple[bytes, str] | None:
+def _point(number: str) -> str:
+    """A number with a point for its decimal comma; 2,500 stays as it is, it may be 2500."""
+    ambiguous = re.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}", number)
+    return number if ambiguous or "." in number else number.replace(",", ".", 1)
+
+
+def _mended_edf(data: bytes) -> tuple[bytes, list[str]]:
+    """EDF with blanks, points and whole numbers where its header must have them."""
+    n = int(data[252:256].strip(b" \0"))
+    head = bytearray(data[: 256 * (n + 1)].replace(b"\0", b" "))
+    remarks: list[str] = []
+    ends = [(256 + offset * n, 8 * n) for offset in (104, 112, 120, 128, 216)]
+    places = [(place, k >= 2) for k, (at, size) in enumerate(ends)
+              for place in range(at, at + size, 8)]  # fmt: skip
+    for at, whole in [(184, True), (236, True), (244, False), *places]:
+        text = head[at : at + 8].decode("latin-1").strip()
+        new = _point(text) or ("-1" if at == 236 else "")  # where records are not counted
+        new = re.sub(r"\.0*$", "", new) if whole else new
+        head[at : at + 8] = new.encode("latin-1").ljust(8)
+        if new != text:
+            remarks = [f"deviates from EDF: '{printable(text)}' in its header is read as {new}"]
+    return bytes(head) + data[len(head) :], remarks
+
+
+def _mended_xml(data: bytes) -> tuple[bytes, ET.Element | None, list[str]]:
+    """XML that is well-formed and holds a rhythm, which may be an averaged beat, and no other."""
+    from ecgdatakit.exceptions import ECGDataKitError
+    from ecgdatakit.parsing.helpers.xml import parse_xml_root
+
+    remarks: list[str] = []
+    try:
+        root: ET.Element = parse_xml_root(data)
+    except ECGDataKitError:
+        return data, None, []
+    except ET.ParseError as error:
+        try:
+            root = parse_xml_root(_well_formed(data))
+        except (ET.ParseError, ECGDataKitError):
+            return data, None, []
+        remarks.append(f"is not well-formed XML ({error}), but its samples are")
+    parents = {child: parent for parent in root.iter() for child in parent}
+    for notes in list(root.iter("annotationSet")):
+        parents[notes].remove(notes)
+    rhythms, averaged = _waves(root)
+    if rhythms:
+        for beat in averaged:
+            parents[beat].remove(beat)
+    elif averaged:
+        _make_rhythm(averaged[0], parents)
+        remarks.append(NO_RHYTHM)
+    for sequences in root.iter("sequenceSet"):
+        remarks += _mend_aecg(sequences)
+    for lead in root.iter("LeadData"):
+        remarks += _mend_muse(lead)
+    for wave in root.findall("Waveform"):
+        if wave.find("SampleBase") is None:
+            ET.SubElement(wave, "SampleBase").text = f"{UNKNOWN_RATE:g}"
+    return ET.tostring(root), root, list(dict.fromkeys(remarks))
+
+
+def _well_formed(data: bytes) -> bytes:
+    """Text that no sample stands in set right: its encoding, its comments, what follows its end."""
+    wide = data.startswith((b"\xff\xfe", b"\xfe\xff"))
+    text = data.decode("utf-16" if wide else "utf-8", "replace")
+    text = re.sub(r"<\?xml.*?\?>|<!--.*?-->|[\0-\x08\x0b\x0c\x0e-\x1f]", "", text, flags=re.DOTALL)
+    text = re.sub(r"&(?!#?\w{1,20};)", "&amp;", text[: text.rfind(">") + 1])
+    # prefixes that no namespace is declared for
+    return re.sub(r"(</?|\s)(?!xmlns:)\w{1,20}:(?=[A-Za-z])", r"\1", text).encode()
+
+
+def _waves(root: ET.Element) -> tuple[list[ET.Element], list[ET.Element]]:
+    """Elements that hold a rhythm, and those that hold averaged beats."""
+    if root.tag == "restingecgdata":  # Philips
+        return list(root.iter("parsedwaveforms")), list(root.iter("repbeats"))
+    if root.tag == "ECG":  # Mortara
+        return list(root.iter("CHANNEL")), list(root.iter("TYPICAL_CYCLE"))
+    waves: list[ET.Element] = root.findall("Waveform")  # MUSE
+    kinds = [(wave.findtext("WaveformType") or "").strip().lower() for wave in waves]
+    if root.tag == "AnnotatedECG":
+        waves = root.findall("component/series")
+        codes = [wave.find("code") for wave in waves]
+        kinds = ["" if code is None else code.get("code", "").lower() for code in codes]
+    averaged = [kind in ("median", "representative_beat") for kind in kinds]
+    of_kind = [[w for w, one in zip(waves, averaged, strict=True) if one == a] for a in (0, 1)]
+    return of_kind[0], [*of_kind[1], *root.iter("derivation")]
+
+
+def _make_rhythm(beat: ET.Element, parents: dict[ET.Element, ET.Element]) -> None:
+    """Call an averaged beat the rhythm; where a file has it elsewhere, make one of no meaning."""
+    if beat.tag == "Waveform":
+        ET.SubElement(beat, "WaveformType").text = "Rhythm"
+        beat.remove(beat.find("WaveformType"))  # type: ignore[arg-type]
+    elif beat.tag == "series":
+        beat.find("code").set("code", "RHYTHM")  # type: ignore[union-attr]
+    elif beat.tag == "repbeats":
+        extent = {"dataencoding": "Plain", "durationperchannel": "4", "leadlabels": "I"}
+        ET.SubElement(parents[beat], "parsedwaveforms", extent).text = "0 " * 100
+
+
+def _mend_aecg(sequences: ET.Element) -> list[str]:
+    """Name leads and units as HL7 aECG does, and state a rate, unknown where none is."""
+    remarks = []
+    for number in (
+        each for tag in ("increment", "scale", "origin") for each in sequences.iter(tag)
+    ):
+        text = number.get("value", "")
+        if (new := _point(text)) != text:
+            number.set("value", new)
+            remarks.append(
+                f"deviates from HL7 aECG: '{printable(text[:40])}' is read as {new[:40]}"
+            )
+    for code in sequences.iterfind("component/sequence/code"):
+        if lead := lead_name(code.get("code", "")):
+            code.set("code", f"MDC_ECG_LEAD_{lead.upper()}")
+    steps = list(sequences.iter("increment"))
+    for step in steps:
+        per_second = PER_SECOND.get(plain_unit(step.get("unit", "")), 0.0)
+        step.set("unit", {1.0: "s", 1e3: "ms", 1e6: "us"}.get(per_second, ""))
+    if not any(step.get("unit") and step.get("value") for step in steps):
+        component = ET.Element("component")
+        sequence = ET.SubElement(component, "sequence")
+        ET.SubElement(sequence, "code", code="TIME_RELATIVE")
+        value = ET.SubElement(sequence, "value")
+        ET.SubElement(value, "increment", value=f"{1 / UNKNOWN_RATE:g}", unit="s")
+        sequences.insert(0, component)  # the first counts
+    return remarks
+
+
+def _mend_muse(lead: ET.Element) -> list[str]:
+    """Fill Base64 up to whole groups; where its checksum is right, state its true counts."""
+    data = lead.find("WaveFormData")
+    if data is None:
+        return []
+    text = "".join((data.text or "").split())
+    data.text = text + "=" * (-len(text) % 4)
+    try:
+        samples = base64.b64decode(data.text, validate=True)
+    except binascii.Error:
+        return []
+    if (lead.findtext("LeadDataCRC32") or "").strip() != str(zlib.crc32(samples)):
+        return []
+    remarks = []
+    for tag, count in (
+        ("LeadByteCountTotal", len(samples)),
+        ("LeadSampleCountTotal", len(samples) // int(lead.findtext("LeadSampleSize") or 2)),
+    ):
+        stated = lead.find(tag)
+        if stated is not None and (stated.text or "").strip() != str(count):
+            stated.text = str(count)
+            remarks.append(f"deviates from MUSE XML: {tag} is wrong, checksums are right")
+    return remarks
+
+
+def wfdb_lines(header: Path) -> list[list[str]]:
+    """Words of the lines of a WFDB header that are no comments."""
+    text = header.read_text("latin-1").removeprefix("\xef\xbb\xbf")
+    return [line.split() for line in text.splitlines() if line.strip() and line.strip()[0] != "#"]
+
+
+def mended_wfdb(header: Path) -> tuple[str, list[Path], list[str]]:
+    """Header of one segment as WFDB has it, the signal files that it names, and what was mended.
+
+    A signal file is the one in the header's folder that is called so, whatever its case and the
+    folder in the header; or like the header, where that names a single one.
+    """
+    record, *signals = wfdb_lines(header)
+    time, date = r"\d\d?(:\d\d?){0,2}(\.\d*)?", r"\d\d?/\d\d?/\d{4}"
+    new = [header.stem, record[1], *(re.sub("(?i)hz$", "", rate) for rate in record[2:3])]
+    right = all(map(re.fullmatch, (time, date), record[4:6]))
+    lines, files = [new + record[3 : 6 if right else 4]], []
+    for signal in signals:
+        files.append(_signal_file(header, signal[0], len({line[0] for line in signals}) == 1))
+        gain = re.sub(r"^[-+\d]+,\d+", lambda number: _point(number[0]), "".join(signal[2:3]))
+        gain = re.sub(r"(/[^\s(]+)(\([^)]*\))$", r"\2\1", gain)
+        gain = re.sub(r"(?<=\d)\.0*(?=\))", "", gain)
+        whole = [re.sub(r"(?<=\d)\.0*$", "", number) for number in signal[3:8]]
+        lines.append(
+            [files[-1].name, *signal[1:2], *[gain][: len(signal) - 2], *whole, *signal[8:]]
+        )
+    words = [pair for old, new in zip([record, *signals], lines, strict=True)
+             for pair in zip(old, new, strict=False)]  # fmt: skip
+    changed = {was: now for was, now in words[1:] if was != now}
+    remarks = [f"'{printable(was)}' in its header is read as {now}" for was, now in changed.items()]
+    if not right:
+        remarks.append(f"'{printable(' '.join(record[4:]))}' is left out, it is no time and date")
+    remarks = [f"deviates from WFDB: {remark}" for remark in remarks]
+    return "\n".join(map(" ".join, lines)) + "\n", files, remarks
+
+
+def _signal_file(header: Path, name: str, alone: bool) -> Path:
+    """The file that a header means by a name."""
+    wanted = re.split(r"[\\/]", name)[-1]
+    alike = [file for file in header.parent.iterdir() if file.name.casefold() == wanted.casefold()]
+    exact = [file for file in alike if file.name == wanted] or alike
+    if alone:
+        exact.append(header.with_suffix(Path(wanted).suffix))
+    for file in exact:
+        if file.is_file() and file != header:
+            return file
+    raise InputError(
+        f"{header}: names '{printable(name[:40])}', which is no file in its folder; put all files "
+        "of the record in one folder"
+    )
+
+
+def _mended_scp(data: bytes) -> tuple[bytes, list[str]]:
     """SCP-ECG whose sample ranges count from 1, with what is needed for its samples only.
 
-    Its size is that of the file, and section 5 stands for a section 6 that is not there.
+    It is no longer than the file, and section 5 stands for a section 6 that is not there.
     """
     content, remarks = bytearray(data), []
     right = {place for place, stated, found in scp_checksums(data) if stated == found}
@@ -55,10 +252,10 @@ def mended_scp(data: bytes) -> tuple[bytes, str] | None:
     entries = {number: pointer for number, (pointer, _, _) in sections.items()}
     places = {number: (start, n) for number, (_, start, n) in sections.items() if n > 0}
     if 3 not in places:
-        return None
-    if int.from_bytes(data[2:6], "little") != len(data):
+        return data, []
+    if int.from_bytes(data[2:6], "little") > len(data):
         struct.pack_into("<I", content, 2, len(data))
-        remarks.append("the size of the record is stated wrongly")
+        remarks.append("deviates from SCP-ECG: the size of the record is stated wrongly")
     dropped = [number for number in places if number > 6]
     leads = range(places[3][0] + 18, places[3][0] + 18 + 9 * data[places[3][0] + 16], 9)
     if 6 not in places and 6 in entries and {4, 5} <= set(places):
@@ -74,21 +271,20 @@ def mended_scp(data: bytes) -> tuple[bytes, str] | None:
         remarks.append(NO_RHYTHM)
     elif min(firsts := [int.from_bytes(data[at : at + 4], "little") for at in leads]) == 0:
         if 1 in firsts:  # they count from both
-            return None
+            return data, []
         for lead, first in zip(leads, firsts, strict=True):
             struct.pack_into("<I", content, lead, first + 1)
-        remarks.append("its sample ranges count from 0; the last sample may be left out")
+        remarks.append(
+            "deviates from SCP-ECG: its sample ranges count from 0; the last sample may be left out"
+        )
     for number in dropped:
         struct.pack_into("<II", content, entries[number] + 2, 0, 0)
-    if not remarks and not dropped:
-        return None
-    remarks = remarks or ["its measurements are damaged and left out"]
     # what was right is right again, the whole last
     for place, _, _ in reversed(list(scp_checksums(data))):
         sums = {at: found for at, _, found in scp_checksums(bytes(content))}
         if place in right and place in sums:
             struct.pack_into("<H", content, place, sums[place])
-    return bytes(content), f"deviates from SCP-ECG: {'; '.join(remarks)}"
+    return bytes(content), remarks
 
 
 def scp_samples_are_right(data: bytes) -> bool:
