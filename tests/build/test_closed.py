@@ -75,7 +75,7 @@ def test_a_small_hole_is_closed():
 
 def test_a_large_hole_is_refused_with_its_place():
     surface = ventricles()
-    with pytest.raises(InputError, match=r"not closed: a hole .* \(.*, .*, -6\d\.\d\) mm"):
+    with pytest.raises(InputError, match=r"not closed: 1 of 1 holes .* \(.*, .*, -6\d\.\d\) mm"):
         prepared_surface(without(surface, around_apex(surface, 15)))
 
 
@@ -115,9 +115,7 @@ def test_a_sheet_across_the_base_is_refused():
         np.concatenate([surface.triangles, sheet]),
         np.append(surface.labels, Label.BASE),
     )
-    with pytest.raises(
-        InputError, match=r"1 of \d+ edges have more than two triangles \(the first at"
-    ):
+    with pytest.raises(InputError, match=r"1 of \d+ edges have more than two triangles \(first: "):
         prepared_surface(extended)
 
 

@@ -174,7 +174,7 @@ SPOILT = {  # what a tree is saved with, from its points, lines and lengths; and
                  "mm away, at (", "; give the tree in the heart's frame"),
     "leaves far away": (lambda p, t, n: {"points": np.vstack([p[:1], p[1:] + 300])},
                         "mm from the tissue", "; give the tree in the heart's frame"),
-    "nan": (lambda p, t, n: {"points": changed(p, 4, np.nan)}, "not finite (first: point 4)"),
+    "nan": (lambda p, t, n: {"points": changed(p, 4, np.nan)}, "not finite (first: 4 at ("),
     "too short": (lambda p, t, n: {"length": changed(n, 6, 0.1)},
                   "segment 6 has length", "; correct or remove the array 'length'"),
     "inf": (lambda p, t, n: {"length": changed(n, 6, np.inf)}, "segment 6 has length"),

@@ -1,5 +1,6 @@
 """Scenarios: what each does to the packaged heart, and exact answers where there are any."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -13,8 +14,10 @@ from fascicle.forward.ecg.lead_field import nodal_gradients
 from fascicle.forward.eikonal.myocardium import build_myocardium
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.primitives import JunctionDelays, SlowConduction, Stimulus
+from fascicle.forward.scenario_files import read_scenario
 from fascicle.heart.conduction import Conduction, Region
 from fascicle.mesh.measures import barycentric_gradients
+from fascicle.purkinje.tree_files import write_tree
 
 CV = EXAMPLE_PARAMETERS["cv"]
 BOTH = ("lv", "rv")
@@ -302,6 +305,35 @@ class TestExtraTrees:
             times[2], 3.0 + along_path(left, left.lengths) / (0.5 * CV), atol=1e-9
         )
         assert np.isinf(times[0]).all()
+
+    @pytest.mark.parametrize("off", [0.0, 300.0])
+    def test_a_fork_given_as_the_root_fires_there(self, default_model, normal, tmp_path, off):
+        """Or the node that is told where the place given is too far from any."""
+        left = normal.trees[0]
+        write_tree(tmp_path / "mine.vtu", left, normal.coupled.trees[0])
+        given = left.nodes[np.argmax(np.bincount(left.parents[1:]) > 1)] + [0.0, 0.0, off]
+
+        def read(root):
+            silent = "[[inactive_root]]\ntree = 'lv'\n[[inactive_root]]\ntree = 'rv'\n"
+            (tmp_path / "case.toml").write_text(
+                f"{silent}[[tree]]\nname = 'mine'\nfile = 'mine.vtu'\ntime = 3\nroot = {root}\n"
+                "[delay]\nretrograde = inf\n"
+            )
+            return read_scenario(tmp_path / "case.toml")[0]
+
+        if off:
+            with pytest.raises(InputError, match="give the place of a node") as refused:
+                read(given.tolist())
+            given = [float(x) for x in re.findall(r"-?\d+\.\d{4}", str(refused.value))[3:]]
+        simulation = default_model.simulate(EXAMPLE_PARAMETERS, read(list(map(float, given))))
+        tree, times = simulation.trees[2], simulation.coupled.trees[2]
+        assert np.linalg.norm(tree.nodes[tree.root] - given) < 1e-4
+        if not off:
+            assert (tree.parents == tree.root).sum() == 3  # the bundle and two fascicles
+        assert times[tree.root] == 3.0 == times.min()
+        child = tree.parents >= 0
+        steps = times[child] - times[tree.parents[child]]
+        np.testing.assert_allclose(steps, tree.lengths[child] / CV, atol=1e-9)
 
     def test_two_of_one_name_are_refused(self, simulate, normal):
         with pytest.raises(InputError, match="two trees are named 'lv'"):

@@ -344,15 +344,15 @@ class TestFiles:
     @pytest.mark.parametrize(
         ("name", "value", "words"),
         [
-            ("ab", 1.2, "'ab' of ventricular coordinates is 1.2 at a point; give 0 to 1"),
-            ("tm", np.nan, "'tm' of ventricular coordinates is nan at a point; give 0 to 1"),
-            ("tv", 0.5, "'tv' of ventricular coordinates is 0.5 at a point; give 0 or 1"),
+            ("ab", 1.2, r"values are not 0 to 1, as 1.2 \(first: 7 at"),
+            ("tm", np.nan, r"values are not 0 to 1, as nan \(first: 7 at"),
+            ("tv", 0.5, r"values are not 0 or 1, as 0.5 \(first: 7 at"),
         ],
     )
     def test_out_of_range(self, points, found, name, value, words):
         arrays = {each: values.copy() for each, values in found.arrays.items()}
         arrays[name][7] = value
-        with pytest.raises(InputError, match=f"mesh.vtu: the point array {words}, or remove"):
+        with pytest.raises(InputError, match=f"array '{name}'.*{words}.*, or remove"):
             read_coordinates(points(**arrays))
 
     def test_as_vectors(self, points, found):

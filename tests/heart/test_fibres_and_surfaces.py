@@ -42,7 +42,7 @@ def test_matching_undoes_a_permutation_and_single_precision():
     order = rng.permutation(50)
     row = _match_by_position("f", wanted[order].astype(np.float32).astype(float), wanted, "points")
     np.testing.assert_array_equal(order[row], np.arange(50))
-    with pytest.raises(InputError, match=r"^f: no fibre within .* of 50 of 50 points .*; give"):
+    with pytest.raises(InputError, match=r"^f: 50 of 50 points .* no fibre within .*; give"):
         _match_by_position("f", wanted + 0.1, wanted, "points")
 
 

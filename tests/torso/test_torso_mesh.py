@@ -102,7 +102,7 @@ def one_turned() -> Surface:
     ("body", "lungs", "message"),
     [
         (Surface(skin().vertices / 10, skin().triangles), [], "seems to be in centimetres"),
-        (Surface(skin().vertices, skin().triangles[1:]), [], "an open edge at"),
+        (Surface(skin().vertices, skin().triangles[1:]), [], r"torso: 3 of \d+ edges are open"),
         (Surface(skin().vertices, skin().triangles[:, ::-1]), [], "inside out"),
         (one_turned(), [], "wound against each other"),
         (shifted(skin(), [500, 0, 0]), [], "block: lies outside the torso, 31. mm from its skin"),
@@ -121,7 +121,7 @@ def test_refuses_surfaces_that_do_not_fit(heart, body, lungs, message):
 
 def test_refuses_an_open_heart(heart):
     opened = replace(heart, triangles=heart.triangles[1:], labels=heart.labels[1:])
-    with pytest.raises(InputError, match="block: the surface has an open edge"):
+    with pytest.raises(InputError, match=r"block: 3 of \d+ edges are open"):
         check_within(opened, skin())
 
 

@@ -6,13 +6,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fascicle.build.borders import DualGraph, Region, openness, smoothed_regions
-from fascicle.build.surface_checks import check_edges, closed_by_fan, leftness, oriented_piece
+from fascicle.build.surface_checks import OPEN_PIECE, closed_by_fan, leftness
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import Label, LabelledSurface
 from fascicle.heart.validate import check_units
-from fascicle.mesh.measures import place, turned_outwards, unit
+from fascicle.mesh.checks import check_edges, oriented_piece, place
+from fascicle.mesh.measures import turned_outwards, unit
 from fascicle.mesh.topology import boundary_loops, without_unused_vertices
 
 # At the upper edge of a cavity the openness of a wall is a half, deeper less; that of the
@@ -48,8 +49,9 @@ def classify_surface(
     """
     vertices, triangles = without_unused_vertices(vertices, triangles)
     check_units(name, vertices)
-    check_edges(name, vertices, triangles, closed=True)
-    triangles = turned_outwards(vertices, oriented_piece(name, vertices, triangles))
+    check_edges(name, vertices, triangles, "close the surface, or give its parts one by one")
+    triangles = oriented_piece(name, vertices, triangles, OPEN_PIECE)
+    triangles = turned_outwards(vertices, triangles)
     graph = DualGraph(vertices, triangles)
     exposed = openness(graph, progress)
     cavity = _cavities(graph, exposed, name)

@@ -10,11 +10,11 @@ from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import oriented_into_cavity
 from fascicle.heart.labelled_surface import BASAL, Label, LabelledMesh
+from fascicle.mesh.checks import place
 from fascicle.mesh.measures import (
     best_plane,
     edge_lengths,
     loop_length,
-    place,
     triangle_areas,
     triangle_normals,
     unit,

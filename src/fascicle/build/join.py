@@ -8,19 +8,14 @@ import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fascicle.build.surface_checks import Surface, check_edges, oriented_piece
+from fascicle.build.surface_checks import Surface
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import Label, LabelledSurface
 from fascicle.heart.validate import check_units
-from fascicle.mesh.measures import (
-    best_plane,
-    edge_lengths,
-    mean_edge_length,
-    place,
-    turned_outwards,
-)
+from fascicle.mesh.checks import check_edges, oriented_piece, place, refuse
+from fascicle.mesh.measures import best_plane, edge_lengths, mean_edge_length, turned_outwards
 from fascicle.mesh.meshing import constrained_delaunay
 from fascicle.mesh.topology import (
     boundary_loops,
@@ -110,7 +105,7 @@ def join_surfaces(
     triangles.append(np.concatenate(number)[between])
     vertices = np.vstack([*(part.vertices for part in parts), inner])
     whole = np.vstack(triangles)
-    check_edges(name, vertices, whole, closed=True)
+    check_edges(name, vertices, whole, "give no base to have one made")
     whole = turned_outwards(vertices, oriented_piece(name, vertices, whole))
     labels = (Label.EPICARDIUM, Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.BASE)
     of_triangles = np.repeat(labels, list(map(len, triangles))).astype(np.int64)
@@ -159,12 +154,8 @@ def _check_places(name: str, epicardium: OpenSurface, lv: OpenSurface, rv: OpenS
             (deep & (_winding(outer, part.vertices) < 0.6), "outside the epicardium"),
             (deep & (_winding(other, part.vertices) > 0.4), f"within the {other.what}"),
         ):
-            if bad.any():
-                raise InputError(
-                    f"{name}: {part.what}: {int(bad.sum())} of {len(bad)} vertices lie {where} "
-                    f"(first at {place(part.vertices[np.argmax(bad)])}); give parts of one heart, "
-                    "in one frame, that do not cross"
-                )
+            remedy = "give parts of one heart, in one frame, that do not cross"
+            refuse(f"{name}: {part.what}", bad, f"vertices lie {where}", remedy, part.vertices)
 
 
 def _winding(part: OpenSurface, points: Floats) -> Floats:

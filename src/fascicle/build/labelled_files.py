@@ -33,9 +33,10 @@ from fascicle.heart.labelled_surface import (
     missing_parts,
 )
 from fascicle.heart.validate import check_fibres, check_tetrahedra, check_units
+from fascicle.mesh.checks import refuse
 from fascicle.mesh.formats.mesh_file import GROUP, OPENCARP_FORMATS, TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.formats.opencarp import opencarp_file, read_surf, read_vtx
-from fascicle.mesh.measures import first_places, unit
+from fascicle.mesh.measures import unit
 from fascicle.mesh.topology import (
     boundary_triangles,
     merged_vertices,
@@ -253,7 +254,9 @@ def _directions(mesh: MeshFile, what: str, choice: FibreChoice, notes: list[str]
             "applied instead (--fibres file keeps the array)"
         )
         return None
-    check_fibres(title, used, "give every one a direction, or take a rule (--fibres rule)")
+    points = mesh.points if of_cells else mesh.points[np.unique(tetrahedra)]
+    remedy = "give every one a direction, or take a rule (--fibres rule)"
+    check_fibres(title, used, points, tetrahedra if of_cells else None, remedy)
     if lengths := lengths_in_words(used):
         notes.append(f"{what}: array '{found[0]}' has {lengths}; they were made unit vectors")
     return unit(values) if of_cells else average_to_tetrahedra(values, tetrahedra)
@@ -277,14 +280,11 @@ def _label_boundary(
         return basal
     source, labels = found[0], np.where(found[1] == 0, basal, found[1])
     missing = missing_parts(labels)
-    without = np.flatnonzero(labels == 0)
-    rest = f"{without.size} of {len(labels)} boundary triangles have no label"
     if missing:
-        counted = f" ({rest})" if without.size else ""
-        raise InputError(f"{source}: labels missing: {', '.join(missing)}{counted}; add them")
-    if without.size:
-        first = first_places(without, mesh.points[boundary[without]])
-        raise InputError(f"{source}: {rest} (first: {first}); label every one")
+        without = f"{(labels == 0).sum()} of {len(labels)} boundary triangles have none"
+        raise InputError(f"{source}: labels missing: {', '.join(missing)} ({without}); add them")
+    fault = "boundary triangles have no label"
+    refuse(source, labels == 0, fault, "label every one", mesh.points, boundary, boundary)
     return labels
 
 
@@ -306,7 +306,8 @@ def _from_array(
     if not given.any():
         return None
     labels = labels_of(found.source, numbers[given], names, found.groups or {})
-    return found.source, _on_boundary(found.source, mesh.cells[TRIANGLE][given], labels, boundary)
+    triangles = mesh.cells[TRIANGLE][given]
+    return found.source, _on_boundary(found.source, mesh.points, triangles, labels, boundary)
 
 
 def _from_surface_files(
@@ -331,14 +332,15 @@ def _from_surface_files(
             triangles = np.concatenate(parts)
             # of a boundary that was changed, triangles may be gone
             still = (places_in(triangles, boundary) >= 0) | (not changed)
-            return source, _on_boundary(source, triangles[still], labels[still], boundary)
+            triangles, labels = triangles[still], labels[still]
+            return source, _on_boundary(source, mesh.points, triangles, labels, boundary)
         votes = np.zeros((points, max(Label) + 1), dtype=bool)
         for path, label in files:
             votes[read_vtx(path, points)[0], label] = True
-        if not votes[np.unique(boundary)].any(axis=1).all():
-            raise InputError(
-                f"{source}: some points of the boundary have no label; label every one"
-            )
+        used = np.unique(boundary)
+        without = np.asarray(~votes[used].any(axis=1))
+        fault = "points of the boundary have no label"
+        refuse(source, without, fault, "label every one", mesh.points[used], numbers=used)
         return source, _elected(votes, boundary)
     return None
 
@@ -352,7 +354,9 @@ def _elected(votes: Booleans, boundary: Integers) -> Integers:
     return np.asarray(order[np.argmax(votes[boundary].sum(axis=1)[:, order], axis=1)])
 
 
-def _on_boundary(source: str, triangles: Integers, given: Integers, boundary: Integers) -> Integers:
+def _on_boundary(
+    source: str, points: Floats, triangles: Integers, given: Integers, boundary: Integers
+) -> Integers:
     """Label of each boundary triangle; 0 where none was given."""
     at = places_in(triangles, boundary)
     labels = np.zeros(len(boundary), dtype=np.int64)
@@ -361,10 +365,5 @@ def _on_boundary(source: str, triangles: Integers, given: Integers, boundary: In
         (at < 0, "labelled triangles are not on the boundary", "label faces of the mesh itself"),
         (labels[at] != given, "triangles have two labels", "keep one"),
     ):
-        if bad.any():
-            first = " ".join(map(str, triangles[np.argmax(bad)]))
-            raise InputError(
-                f"{source}: {int(bad.sum())} of {len(triangles)} {fault} (first: points {first}); "
-                f"{remedy}"
-            )
+        refuse(source, bad, fault, remedy, points, triangles, triangles)
     return labels

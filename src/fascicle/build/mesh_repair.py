@@ -12,8 +12,9 @@ from fascicle.build.labelled_files import Anatomy
 from fascicle.build.surface_repair import LARGEST_CRUMB, small_pieces
 from fascicle.core.arrays import Floats, Integers
 from fascicle.heart.labelled_surface import Label, LabelledMesh
+from fascicle.mesh.checks import first_places, place
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
-from fascicle.mesh.measures import closed_volume, place, signed_volumes
+from fascicle.mesh.measures import closed_volume, signed_volumes
 from fascicle.mesh.meshing import NOTHING, Interface, tetrahedralise
 from fascicle.mesh.topology import (
     boundary_triangles,
@@ -60,11 +61,11 @@ def _without_crumbs(mesh: MeshFile, notes: list[str]) -> MeshFile:
     if not small.size:
         return mesh
     dropped = np.isin(piece, small)
-    first = mesh.points[tetrahedra[np.argmax(dropped)]].mean(axis=0)
+    first = np.array([np.argmax(piece == k) for k in small[:3]])
     notes.append(
         f"mesh: pieces of at most {LARGEST_CRUMB:g} mm that share no face with the rest were left "
-        f"out: {len(small)} (the first at {place(first)}), with {dropped.sum()} of {len(dropped)} "
-        "tetrahedra"
+        f"out: {len(small)}, with {dropped.sum()} of {len(dropped)} tetrahedra (first: "
+        f"{first_places(first, mesh.points[tetrahedra[first]])})"
     )
     return mesh.keeping(TETRAHEDRON, ~dropped)
 
@@ -104,10 +105,10 @@ def _with_voids_filled(mesh: MeshFile, notes: list[str]) -> MeshFile:
         return mesh
     row, at = np.concatenate(rows), np.concatenate(point_rows)
     whole = mesh.keeping(TETRAHEDRON, row)
-    first = place(points[added[1][0]].mean(axis=0))
+    first = ", ".join(place(points[inside].mean(axis=(0, 1))) for inside in added[1:4])
     notes.append(
         f"mesh: voids of at most {LARGEST_CRUMB:g} mm in the tissue were filled: {len(added) - 1} "
-        f"(the first at {first}), {volume:.3g} mm³ in all, with {len(row) - len(tetrahedra)} "
+        f"(first: {first}), {volume:.3g} mm³ in all, with {len(row) - len(tetrahedra)} "
         "tetrahedra that have the fibres and regions of those next to them"
     )
     return replace(
@@ -157,9 +158,10 @@ def separated_vertices(anatomy: Anatomy) -> Anatomy:
         if (signed_volumes(moved, around) > 0).all():
             vertices = moved
     triangles, _ = boundary_triangles(tetrahedra)
+    at = np.flatnonzero(twice)
     note = (
-        f"mesh: vertices in which an endocardium touched itself were doubled: {twice.sum()} (the "
-        f"first at {place(mesh.vertices[np.argmax(twice)])})"
+        f"mesh: vertices in which an endocardium touched itself were doubled: {len(at)} (first: "
+        f"{first_places(at, mesh.vertices[at])})"
     )
     back = parent[kept][triangles]
     return replace(
@@ -212,10 +214,9 @@ def repaired_edges(anatomy: Anatomy) -> Anatomy:
             there = (whole == ends[k, 0]).any(axis=1)
             whole[here, corner] = np.where(there, ends[k, 1], ends[k, 0])[here]
     note = (
-        f"mesh: {len(bad)} of {len(edges)} edges of its boundary had more than two triangles (the "
-        f"first at {place(mesh.vertices[bad[0]].mean(axis=0))}): the tetrahedra that met in them "
-        f"alone were separated ({len(tetrahedra) - len(mesh.tetrahedra)} tetrahedra halved, none "
-        "removed)"
+        f"mesh: {len(bad)} of {len(edges)} edges of its boundary had more than two triangles "
+        f"(first: {first_places(bad, mesh.vertices[bad])}): the tetrahedra that met in them alone "
+        f"were separated ({len(tetrahedra) - len(mesh.tetrahedra)} tetrahedra halved, none removed)"
     )
     return replace(
         anatomy,

@@ -1,4 +1,4 @@
-"""What a surface of the ventricles must be: manifold, left and right as labelled, walls thick."""
+"""What a surface of the ventricles must be: left and right as labelled, walls thick."""
 
 from __future__ import annotations
 
@@ -11,46 +11,14 @@ from scipy.spatial import ConvexHull
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface
-from fascicle.mesh.measures import closed_volume, place, triangle_areas
-from fascicle.mesh.topology import unique_edges
+from fascicle.mesh.measures import closed_volume, triangle_areas
 
 LARGEST_CHANGE = 0.03  # of a volume between its file and the mesh, above which the user is warned
 
 Surface = tuple[Floats, Integers]  # vertices (n, 3) in mm, triangles (m, 3)
 
 
-def check_edges(name: str, vertices: Floats, triangles: Integers, *, closed: bool = False) -> None:
-    """Refuse edges that more than two triangles share, and open ones of a `closed` surface."""
-    edges, count = unique_edges(triangles)
-    for bad, fault, remedy in (
-        (
-            edges[count > 2],
-            "have more than two triangles",
-            "remove sheets inside the tissue or the cavities, or remesh the surface",
-        ),
-        (edges[count < 2], "are open", "close the surface, or give its parts one by one"),
-    )[: 1 + closed]:
-        if len(bad):
-            raise InputError(
-                f"{name}: {len(bad)} of {len(edges)} edges {fault} (the first at "
-                f"{place(vertices[bad[0]].mean(axis=0))}); {remedy}"
-            )
-
-
-def oriented_piece(name: str, vertices: Floats, triangles: Integers) -> Integers:
-    """Triangles (m, 3) all turned the same way; a surface in several pieces is refused."""
-    oriented, piece = igl.bfs_orient(triangles)
-    sizes = np.bincount(np.asarray(piece))
-    if len(sizes) > 1:
-        listed = ", ".join(
-            f"{sizes[k]} triangles about {place(vertices[triangles[piece == k]].mean(axis=(0, 1)))}"
-            for k in np.argsort(-sizes, kind="stable")[:3]
-        )
-        raise InputError(
-            f"{name}: the surface falls into {len(sizes)} pieces ({listed}"
-            f"{', ...' if len(sizes) > 3 else ''}); keep one (cavities must be open at the base)"
-        )
-    return np.ascontiguousarray(oriented, dtype=np.int64)
+OPEN_PIECE = "one (cavities must be open at the base)"
 
 
 class Volumes(NamedTuple):

@@ -11,11 +11,11 @@ from fascicle.build.surface_repair import closed_surface, compacted, oriented_ou
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import LabelledSurface
+from fascicle.mesh.checks import first_places
 from fascicle.mesh.measures import (
     closed_volume,
     edge_lengths,
     mean_edge_length,
-    place,
     self_intersections,
     triangle_areas,
 )
@@ -51,11 +51,11 @@ def remeshed_surface(surface: LabelledSurface, edge_length: float) -> LabelledSu
     best = oriented_outwards(compacted(best))
     cuts = self_intersections(best.vertices, best.triangles)
     if len(cuts):
-        at = place(best.vertices[best.triangles[cuts[0, 0]]].mean(axis=0))
+        at = first_places(cuts, best.vertices[best.triangles[cuts]])
         raise InputError(
             f"{surface.name}: with edges of {edge_length:g} mm the surface cuts itself in "
-            f"{len(cuts)} places (the first at {at}); give a shorter edge length, or smooth the "
-            "surface there"
+            f"{len(cuts)} pairs of triangles (first: {at}); give a shorter edge length, or smooth "
+            "the surface there"
         )
     return best
 

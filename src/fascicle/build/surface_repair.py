@@ -8,18 +8,13 @@ import igl
 import numpy as np
 
 from fascicle.build.endocardia import cleaned_labels
-from fascicle.build.surface_checks import check_edges, check_sides, oriented_piece
+from fascicle.build.surface_checks import OPEN_PIECE, check_sides
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledSurface, missing_parts
 from fascicle.heart.validate import check_units
-from fascicle.mesh.measures import (
-    closed_volume,
-    loop_length,
-    place,
-    self_intersections,
-    turned_outwards,
-)
+from fascicle.mesh.checks import check_edges, first_places, oriented_piece, place, refuse
+from fascicle.mesh.measures import closed_volume, loop_length, self_intersections, turned_outwards
 from fascicle.mesh.meshing import marching_cubes
 from fascicle.mesh.topology import (
     boundary_loops,
@@ -93,10 +88,10 @@ def _separated(surface: LabelledSurface) -> LabelledSurface:
     around = np.asarray(igl.adjacency_matrix(triangles) @ vertices)
     degree = np.bincount(unique_edges(triangles)[0].ravel(), minlength=len(vertices))
     vertices[moving] += 0.1 * (around / degree[:, None] - vertices)[moving]
+    at = np.flatnonzero(copied)
     note = (
-        f"surface: vertices in which it touched itself were doubled and moved apart: "
-        f"{copied.sum()} of {len(copied)} (the first at "
-        f"{place(surface.vertices[np.argmax(copied)])})"
+        f"surface: vertices in which it touched itself were doubled and moved apart: {len(at)} of "
+        f"{len(copied)} (first: {first_places(at, surface.vertices[at])})"
     )
     return LabelledSurface(
         vertices, triangles, surface.labels, surface.name, (*surface.notes, note)
@@ -126,10 +121,10 @@ def _without_crumbs(surface: LabelledSurface) -> LabelledSurface:
     if not small.size:
         return surface
     kept = ~np.isin(piece, small)
+    middles = [corners[piece == k].mean(axis=(0, 1)) for k in small[:3]]
     note = (
-        f"surface: pieces of at most {LARGEST_CRUMB:g} mm were left out: {len(small)} (the first "
-        f"about {place(corners[piece == small[0]].mean(axis=(0, 1)))}), with {(~kept).sum()} of "
-        f"{len(kept)} triangles"
+        f"surface: pieces of at most {LARGEST_CRUMB:g} mm were left out: {len(small)} (first: "
+        f"{first_places(small, np.array(middles))}), with {(~kept).sum()} of {len(kept)} triangles"
     )
     return compacted(
         replace(
@@ -151,17 +146,16 @@ def _with_holes_filled(surface: LabelledSurface) -> LabelledSurface:
     """Close small holes by a fan of triangles, which take the label of most around them."""
     check_edges(surface.name, surface.vertices, surface.triangles)
     vertices, labels = surface.vertices, surface.labels
-    triangles = oriented_piece(surface.name, vertices, surface.triangles)
+    triangles = oriented_piece(surface.name, vertices, surface.triangles, OPEN_PIECE)
     loops = boundary_loops(triangles)
-    for loop in loops:
-        middle = surface.vertices[loop].mean(axis=0)
-        length = loop_length(surface.vertices, loop)
-        if length > LARGEST_HOLE:
-            raise InputError(
-                f"{surface.name}: the surface is not closed: a hole {length:.0f} mm around at "
-                f"{place(middle)}, {len(loops)} holes in all; close it (holes up to "
-                f"{LARGEST_HOLE:g} mm around are closed here)"
-            )
+    holes = [(loop_length(vertices, loop), vertices[loop].mean(axis=0)) for loop in loops]
+    if large := [hole for hole in holes if hole[0] > LARGEST_HOLE]:
+        where = ", ".join(f"{length:.0f} mm around at {place(at)}" for length, at in large[:3])
+        raise InputError(
+            f"{surface.name}: the surface is not closed: {len(large)} of {len(loops)} holes are "
+            f"too large to be closed here ({where}; up to {LARGEST_HOLE:g} mm are); close them"
+        )
+    for loop, (_, middle) in zip(loops, holes, strict=True):
         filling = loop[::-1][None]
         if len(loop) > 3:
             filling, vertices = fan(loop, len(vertices)), np.vstack([vertices, middle])
@@ -180,12 +174,9 @@ def oriented_outwards(surface: LabelledSurface) -> LabelledSurface:
         raise InputError(
             f"{surface.name}: the surface has no inside (it is one-sided); remesh or repair it"
         )
-    bad = np.flatnonzero(~np.asarray(igl.is_vertex_manifold(triangles)).ravel())
-    if bad.size:
-        raise InputError(
-            f"{surface.name}: at {bad.size} vertices the surface touches itself (the first at "
-            f"{place(surface.vertices[bad[0]])}); separate the parts there"
-        )
+    bad = ~np.asarray(igl.is_vertex_manifold(triangles)).ravel()
+    fault, remedy = "vertices are where the surface touches itself", "separate the parts there"
+    refuse(surface.name, bad, fault, remedy, surface.vertices)
     return replace(surface, triangles=turned_outwards(surface.vertices, triangles))
 
 
@@ -221,10 +212,11 @@ def _without_cuts(surface: LabelledSurface, cuts: Integers) -> LabelledSurface:
         if igl.euler_characteristic(triangles) != igl.euler_characteristic(surface.triangles):
             raise InputError("there would be a hole through a wall")
     except InputError as error:
-        at = place(surface.vertices[surface.triangles[cuts[0, 0]]].mean(axis=0))
+        bad = np.unique(cuts)
+        at = first_places(bad, surface.vertices[surface.triangles[bad]])
         raise InputError(
-            f"{surface.name}: {len(np.unique(cuts))} triangles cut through one another (the first "
-            f"at {at}), and the repair failed: {str(error).removeprefix(f'{surface.name}: ')}; "
-            "remesh the surface there"
+            f"{surface.name}: {len(bad)} triangles cut through one another (first: {at}), and the "
+            f"repair failed: {str(error).removeprefix(f'{surface.name}: ')}; remesh the surface "
+            "there"
         ) from None
     return drawn

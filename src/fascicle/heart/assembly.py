@@ -24,6 +24,7 @@ from fascicle.heart.validate import (
     check_tetrahedra,
     check_units,
 )
+from fascicle.mesh.checks import refuse
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.measures import principal_axes, unit
 from fascicle.mesh.topology import without_unused_vertices
@@ -122,12 +123,9 @@ def _endocardium(side: str, surface: MeshFile) -> Integers:
     """
     name = f"{surface.path} ({side.upper()} endocardium)"
     triangles = surface.require(TRIANGLE, "triangles")
-    unused = len(surface.points) - np.unique(triangles).size
-    if unused:
-        raise InputError(
-            f"{name}: {unused} of {len(surface.points)} points belong to no triangle; remove them "
-            "(ParaView: Clean)"
-        )
+    unused = np.bincount(triangles.ravel(), minlength=len(surface.points)) == 0
+    remedy = "remove them (ParaView: Clean)"
+    refuse(name, unused, "points belong to no triangle", remedy, surface.points)
     check_array("coordinate", surface.points, f"{name}: a coordinate")
     return oriented_into_cavity(surface.points, triangles, name)
 
@@ -140,7 +138,7 @@ def _fibres_per_tetrahedron(mesh: MeshFile, tetrahedra: Integers, source: MeshFi
         theirs = source.points[source.require(TETRAHEDRON, "tetrahedra")].mean(axis=1)
         ours = mesh.points[tetrahedra].mean(axis=1)
         values = values[_match_by_position(name, theirs, ours, "tetrahedra")]
-        check_fibres(name, values)
+        check_fibres(name, values, mesh.points, tetrahedra)
         length = np.linalg.norm(values, axis=1, keepdims=True)
         # those of unit length stay, so that a heart that was written reads back equal
         return np.asarray(np.where(np.abs(length - 1) < 1e-12, values, values / length))
@@ -148,7 +146,7 @@ def _fibres_per_tetrahedron(mesh: MeshFile, tetrahedra: Integers, source: MeshFi
     row = _match_by_position(name, source.points, mesh.points[used], "vertices")
     at_vertex = np.zeros((len(mesh.points), 3))
     at_vertex[used] = values[row]
-    check_fibres(name, at_vertex[used])
+    check_fibres(name, at_vertex[used], mesh.points[used])
     return average_to_tetrahedra(at_vertex, tetrahedra)
 
 
@@ -170,12 +168,14 @@ def _match_by_position(name: str, given: Floats, wanted: Floats, what: str) -> I
     """Rows (k,) of the given positions (n, 3) that are those of the wanted ones (k, 3)."""
     distance, row = cKDTree(given).query(wanted)
     tolerance = 1e-5 * float(np.ptp(wanted, axis=0).max())  # room for single precision
-    bad = np.flatnonzero(distance > tolerance)
-    if bad.size:
-        raise InputError(
-            f"{name}: no fibre within {tolerance:.2g} mm of {bad.size} of {len(wanted)} {what} of "
-            f"the mesh (largest gap {distance.max():.3g} mm); give fibres on the same mesh"
-        )
+    refuse(
+        name,
+        distance > tolerance,
+        f"{what} of the mesh have no fibre within {tolerance:.2g} mm (largest gap "
+        f"{distance.max():.3g} mm)",
+        "give fibres on the same mesh",
+        wanted,
+    )
     return np.asarray(row, dtype=np.int64)
 
 
@@ -205,7 +205,7 @@ def _sheets(mesh: MeshFile) -> Floats | None:
     name = f"{mesh.path} ('sheet')"
     if values.ndim != 2 or values.shape[1] != 3:
         raise InputError(f"{name}: sheets must be vectors of three numbers; correct or remove it")
-    check_fibres(name, values)
+    check_fibres(name, values, mesh.points, mesh.cells[TETRAHEDRON])
     return values
 
 

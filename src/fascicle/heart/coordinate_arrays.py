@@ -10,6 +10,7 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.ranges import short_repr
+from fascicle.mesh.checks import refuse
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, MeshFile
 
 NAMES = ("tv", "tm", "rt", "ab")  # as Cobiveco writes them
@@ -88,17 +89,20 @@ def _checked(
             f"{mesh.path}: the point array '{name}' has shape {values.shape}; ventricular "
             "coordinates are one number a point; correct or remove it"
         )
-    values = values[np.unique(mesh.cells[TETRAHEDRON])]
+    used = np.unique(mesh.cells[TETRAHEDRON])
+    values = values[used]
     slack = 1e-3 * (high - low)  # interpolation rounds
     bad = ~((values >= low - slack) & (values <= high + slack))
     if name in ("tv", "v"):
         bad, among = ~np.isin(values, (low, high)), "or"
-    if bad.any():
-        raise InputError(
-            f"{mesh.path}: the point array '{name}' of ventricular coordinates is "
-            f"{values[bad][0]:.4g} at a point; give {low:.4g} {among} {high:.4g}, or remove the "
-            "array to have them computed"
-        )
+    refuse(
+        f"{mesh.path}: the point array '{name}' of ventricular coordinates",
+        bad,
+        f"values are not {low:.4g} {among} {high:.4g}, as {values[np.argmax(bad)]:.4g}",
+        "correct them, or remove the array to have them computed",
+        mesh.points[used],
+        numbers=used,
+    )
     return values.clip(low, high)
 
 

@@ -12,8 +12,9 @@ from scipy.spatial import cKDTree
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.ranges import short_repr
+from fascicle.mesh.checks import check_edges, oriented_piece
 from fascicle.mesh.measures import enclosed_volume, triangle_areas, unit
-from fascicle.mesh.topology import boundary_loops, unique_edges
+from fascicle.mesh.topology import boundary_loops
 
 # A vertex by its number, a position (mm), or neither: then the anatomy decides
 ChosenSeed = int | tuple[float, float, float] | None
@@ -59,27 +60,15 @@ def oriented_into_cavity(vertices: Floats, triangles: Integers, name: str) -> In
     InputError
         If the surface, called `name`, is not one manifold piece with the topology of a disk.
     """
-    edges, count = unique_edges(triangles)
-    bad = np.flatnonzero(count > 2)
-    if bad.size:
-        a, b = edges[bad[0]]
-        raise InputError(
-            f"{name}: {bad.size} non-manifold edges (first: {a}-{b}, shared by "
-            f"{count[bad[0]]} triangles); repair or remesh the surface"
-        )
-    oriented, pieces = igl.bfs_orient(triangles)
-    if pieces.max() > 0:
-        raise InputError(
-            f"{name}: the surface falls into {pieces.max() + 1} pieces; "
-            "keep the one that is the endocardium"
-        )
+    check_edges(name, vertices, triangles)
+    oriented = oriented_piece(name, vertices, triangles, "the one that is the endocardium")
     loops = boundary_loops(oriented)
     if len(loops) != 1:
         found = "no boundary loop (it is closed)" if not loops else f"{len(loops)} boundary loops"
         raise InputError(
             f"{name}: the surface has {found}; it must be open at the base, with exactly one"
         )
-    euler = np.unique(oriented).size - len(edges) + len(oriented)
+    euler = np.unique(oriented).size - len(igl.edges(oriented)) + len(oriented)
     if euler != 1 or np.unique(loops[0]).size != loops[0].size:
         raise InputError(
             f"{name}: the surface has handles or a pinched boundary (Euler characteristic "

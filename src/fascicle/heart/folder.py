@@ -31,10 +31,11 @@ from fascicle.heart.assembly import assemble_heart
 from fascicle.heart.conduction import SPEEDS, Region
 from fascicle.heart.electrodes import write_electrodes
 from fascicle.heart.heart import Heart, LeadFields, Torso, TorsoTissue
+from fascicle.mesh.checks import refuse
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, MeshFile
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.formats.vtk import write_grid, write_surface
-from fascicle.mesh.measures import first_places, signed_volumes
+from fascicle.mesh.measures import signed_volumes
 
 MANIFEST = "heart.toml"
 PICTURE = "check.png"  # of what the folder holds; whoever writes the folder may draw it
@@ -219,7 +220,7 @@ def read_torso(path: Path, heart_vertices: Floats) -> Torso:
     tissues = mesh.cell_data[TETRAHEDRON].get("tissue", np.empty(0))
     known = " or ".join(f"{tissue.value} ({tissue.name.lower()})" for tissue in TorsoTissue)
     count = len(heart_vertices)
-    inverted = signed_volumes(mesh.points, tetrahedra) <= 0
+    again = "build the heart's torso again"
     for bad, fault in (
         (tissues.shape != (len(tetrahedra),), "no cell array 'tissue' with a label each"),
         (not np.isin(tissues, list(TorsoTissue)).all(), f"a tissue that is not {known}"),
@@ -227,14 +228,12 @@ def read_torso(path: Path, heart_vertices: Floats) -> Torso:
             not np.array_equal(mesh.points[:count], heart_vertices),
             f"its first {count} points are not the heart's",
         ),
-        (
-            inverted.any(),
-            f"{inverted.sum()} of {len(tetrahedra)} tetrahedra are flat or inverted (first: "
-            f"{first_places(np.flatnonzero(inverted), mesh.points[tetrahedra[inverted]])})",
-        ),
     ):
         if bad:
-            raise InputError(f"{path}: {fault}; build the heart's torso again")
+            raise InputError(f"{path}: {fault}; {again}")
+    inverted = signed_volumes(mesh.points, tetrahedra) <= 0
+    fault = "tetrahedra are flat or inverted"
+    refuse(str(path), inverted, fault, again, mesh.points, tetrahedra)
     return Torso(mesh.points, tetrahedra, tissues.astype(np.int64))
 
 

@@ -12,7 +12,8 @@ from scipy.spatial import cKDTree
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.heart import Heart
-from fascicle.mesh.measures import first_places, signed_volumes
+from fascicle.mesh.checks import refuse
+from fascicle.mesh.measures import signed_volumes
 from fascicle.mesh.topology import components_of, faces_in_order
 
 
@@ -52,19 +53,16 @@ def check_tetrahedra(name: str, vertices: Floats, tetrahedra: Integers) -> None:
         ("are inverted", mend, inverted),
         ("overlap others", "remove what is there twice", _overlapping(tetrahedra)),
     ):
-        if bad.any():
-            first = first_places(at := np.flatnonzero(bad), vertices[tetrahedra[at]])
-            raise InputError(
-                f"{name}: {len(at)} of {len(bad)} tetrahedra {what} (first: {first}); {remedy}"
-            )
+        refuse(name, bad, f"tetrahedra {what}", remedy, vertices, tetrahedra)
     linked = tetrahedra[:, [(0, 1), (0, 2), (0, 3)]].reshape(-1, 2)
-    sizes = np.bincount(components_of(linked, len(vertices)))
-    if len(sizes) > 1:
-        raise InputError(
-            f"{name}: the tissue falls into {len(sizes)} unconnected pieces "
-            f"({len(vertices) - sizes.max()} vertices outside the largest); keep one piece or join "
-            "them"
-        )
+    piece = components_of(linked, len(vertices))
+    refuse(
+        f"{name}: the tissue falls into {piece.max() + 1} unconnected pieces",
+        piece != np.bincount(piece).argmax(),
+        "vertices are outside the largest",
+        "keep one piece or join them",
+        vertices,
+    )
 
 
 def _overlapping(tetrahedra: Integers) -> Booleans:
@@ -76,9 +74,13 @@ def _overlapping(tetrahedra: Integers) -> Booleans:
 
 
 def check_fibres(
-    name: str, fibres: Floats, remedy: str = "give every vertex or element a direction"
+    name: str,
+    fibres: Floats,
+    vertices: Floats,
+    cells: Integers | None = None,
+    remedy: str = "give every vertex or element a direction",
 ) -> None:
-    """Refuse fibre directions (n, 3) whose length is not finite, or 0."""
+    """Refuse directions of vertices (n, 3) or cells (m, 3) whose length is not finite, or 0."""
     # any length serves, as long as its square is a number
     usable = np.all(np.abs(fibres) < 1e100, axis=1, keepdims=True)
     length = np.linalg.norm(np.where(usable, fibres, 1.0), axis=1)
@@ -86,11 +88,7 @@ def check_fibres(
         ("are not finite, or longer than 1e+100", ~usable[:, 0]),
         ("have zero length", length < 1e-6),
     ):
-        if bad.any():
-            raise InputError(
-                f"{name}: {bad.sum()} of {len(fibres)} fibres {what} (first: {bad.argmax()}); "
-                f"{remedy}"
-            )
+        refuse(name, bad, f"fibres {what}", remedy, vertices, cells)
 
 
 def check_endocardium_in_place(name: str, surface: Floats, vertices: Floats) -> None:

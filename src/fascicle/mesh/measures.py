@@ -186,17 +186,3 @@ def intersections(one: tuple[Floats, Integers], other: tuple[Floats, Integers]) 
     ]
     _, pairs, _ = igl.predicates.find_intersections(*arrays)
     return np.unique(np.reshape(pairs, (-1, 2)), axis=0)
-
-
-def place(point: Floats) -> str:
-    """A position (mm) as messages give it."""
-    return "({:.1f}, {:.1f}, {:.1f}) mm".format(*point)
-
-
-def first_places(bad: Integers, points: Floats) -> str:
-    """Numbers and places of the first three offending elements or vertices, for messages.
-
-    `points` (k, 3) or (k, c, 3) are the positions (mm) of the k of them, or of their corners.
-    """
-    at = [np.asarray(point).reshape(-1, 3).mean(axis=0) for point in points[:3]]
-    return ", ".join(f"{k} at {place(point)}" for k, point in zip(bad[:3], at, strict=True))

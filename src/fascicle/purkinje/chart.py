@@ -11,9 +11,8 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import MatrixRankWarning, spsolve
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import Endocardium
-from fascicle.mesh.measures import first_places
+from fascicle.mesh.checks import refuse
 from fascicle.mesh.topology import boundary_loops
 
 
@@ -75,13 +74,14 @@ def build_chart(endocardium: Endocardium) -> Chart:
         points = _mean_value_map(vertices, triangles, loop, circle)
     elif stretch(_metric(points, vertices, triangles)).max() > 20.0:
         points = _less_stretched(points, vertices, triangles, loop, circle)
-    folded = np.flatnonzero(~(signed_areas(points, triangles) > 0))  # NaN among them
-    if folded.size:
-        first = first_places(folded, vertices[triangles[folded]])
-        raise InputError(
-            f"{endocardium.side.upper()} endocardium: {folded.size} triangles fold when mapped to "
-            f"the disk (first: {first}); remove degenerate triangles or remesh the surface"
-        )
+    refuse(
+        f"{endocardium.side.upper()} endocardium",
+        ~(signed_areas(points, triangles) > 0),  # NaN among them
+        "triangles fold when mapped to the disk",
+        "remove degenerate triangles or remesh the surface",
+        vertices,
+        triangles,
+    )
     neighbours = np.asarray(igl.triangle_triangle_adjacency(triangles)[0], dtype=np.int64)
     # libigl numbers edges from their first corner; the walk wants the corner opposite to them
     neighbours = np.ascontiguousarray(neighbours[:, [1, 2, 0]])

@@ -29,7 +29,7 @@ from fascicle.core.leads import ELECTRODES
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart, LeadFields, Torso, TorsoTissue, digest_of
-from fascicle.mesh.measures import first_places
+from fascicle.mesh.checks import refuse
 from fascicle.mesh.topology import boundary_triangles
 from fascicle.torso.electrode_sites import check_on_skin
 
@@ -186,12 +186,8 @@ def assemble_stiffness(vertices: Floats, tetrahedra: Integers, conductivity: Flo
         If a vertex belongs to no tetrahedron.
     """
     unused = np.bincount(tetrahedra.ravel(), minlength=len(vertices)) == 0
-    if unused.any():
-        at = np.flatnonzero(unused)
-        raise InputError(
-            f"{at.size} of {len(vertices)} vertices of the mesh of heart and torso belong to "
-            f"no tetrahedron (first: {first_places(at, vertices[at])}); leave them out"
-        )
+    whole = "mesh of heart and torso"
+    refuse(whole, unused, "vertices belong to no tetrahedron", "leave them out", vertices)
     from skfem import Basis, BilinearForm, ElementTetP1, MeshTet
     from skfem.helpers import dot, mul
 

@@ -14,16 +14,12 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import LabelledMesh
 from fascicle.heart.validate import check_units
+from fascicle.mesh.checks import check_edges, oriented_piece, place, refuse
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.measures import closed_volume, intersections, self_intersections, turned_outwards
 from fascicle.mesh.meshing import remeshed_triangles
-from fascicle.mesh.topology import (
-    boundary_triangles,
-    directed_edges,
-    unique_edges,
-    without_unused_vertices,
-)
+from fascicle.mesh.topology import boundary_triangles, directed_edges, without_unused_vertices
 
 SKIN_EDGE, LUNG_EDGE = 11.0, 9.0  # mm, of the triangles
 LEAST_GAP = 0.5  # mm, between one surface and another
@@ -117,11 +113,7 @@ def _read_surface(path: Path, purpose: str, edge: float, most: int = 20_000) -> 
     triangles = number.reshape(-1)[triangles]
     triangles = triangles[(np.diff(np.sort(triangles, axis=1), axis=1) > 0).all(axis=1)]
     vertices, triangles = without_unused_vertices(points, triangles)
-    oriented, pieces = igl.bfs_orient(triangles)
-    if pieces.max() > 0:
-        raise InputError(
-            f"{path}: the surface falls into {pieces.max() + 1} pieces; keep the outer one"
-        )
+    oriented = oriented_piece(str(path), vertices, triangles, "the outer one")
     surface = Surface(vertices, turned_outwards(vertices, oriented))
     if len(triangles) > most:
         check_closed(str(path), surface, purpose)
@@ -143,7 +135,7 @@ def check_within(
         where = crossing(surface, surface)
         if where is not None:
             raise InputError(
-                f"{name}: the surface crosses itself at {_place(where)}; repair it or smooth it "
+                f"{name}: the surface crosses itself at {place(where)}; repair it or smooth it "
                 "there"
             )
     heart = Surface(mesh.vertices, mesh.triangles)
@@ -162,22 +154,10 @@ def check_closed(name: str, surface: Surface, organ: str = "heart") -> None:
     # largest extents (mm): a child's is above the first, no adult's above the second
     extents = {"torso": (200.0, 2500.0), "lung": (70.0, 450.0), "heart": (35.0, 400.0)}
     check_units(name, surface.vertices, extents[organ])
-    edges, count = unique_edges(surface.triangles)
-    directed, times = np.unique(directed_edges(surface.triangles), axis=0, return_counts=True)
-    for bad, fault in (
-        (edges[count == 1], "the surface has an open edge at {}; close the hole"),
-        (
-            edges[count > 2],
-            "the surface has an edge of more than two triangles at {}; make it one closed surface",
-        ),
-        (
-            directed[times > 1],
-            "neighbouring triangles at {} are wound against each other; turn one",
-        ),
-    ):
-        if len(bad):
-            where = _place(surface.vertices[bad[0]].mean(axis=0))
-            raise InputError(f"{name}: {fault.format(where)}")
+    check_edges(name, surface.vertices, surface.triangles, "close the hole")
+    edges, times = np.unique(directed_edges(surface.triangles), axis=0, return_counts=True)
+    fault = "edges are of triangles wound against each other"
+    refuse(name, times > 1, fault, "turn one of each two", surface.vertices, edges, edges)
     if surface.litres < 0:
         raise InputError(f"{name}: the surface is inside out; reverse its triangles")
 
@@ -193,7 +173,7 @@ def _check_inside(name: str, points: Floats, skin: Surface) -> None:
     if beyond[worst] > -LEAST_GAP:
         how = f"pokes {beyond[worst]:.1f} mm through" if beyond[worst] > 0 else "touches"
         raise InputError(
-            f"{name}: {how} the torso's skin at {_place(points[worst])}; give both in the same "
+            f"{name}: {how} the torso's skin at {place(points[worst])}; give both in the same "
             f"frame, or a torso that holds it and {LEAST_GAP:g} mm around it"
         )
 
@@ -210,13 +190,9 @@ def _check_apart(name: str, one: Surface, other_name: str, other: Surface) -> No
         where = crossed if crossed is not None and gap.min() >= 0 else points[np.argmin(gap)]
         how = f"overlaps {other_name} by {max(-gap.min(), 0):.1f} mm"
         raise InputError(
-            f"{name}: {how if overlaps else f'touches {other_name}'} at {_place(where)}; cut it "
+            f"{name}: {how if overlaps else f'touches {other_name}'} at {place(where)}; cut it "
             f"back there, with {LEAST_GAP:g} mm between"
         )
-
-
-def _place(point: Floats) -> str:
-    return "({:.1f}, {:.1f}, {:.1f})".format(*point)
 
 
 def crossing(one: Surface, other: Surface) -> Floats | None:

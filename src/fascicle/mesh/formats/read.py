@@ -9,6 +9,7 @@ import numpy as np
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
 from fascicle.core.isolated import read_isolated
+from fascicle.mesh.checks import refuse
 from fascicle.mesh.formats.mesh_file import OPENCARP_FORMATS, MeshFile, damaged
 from fascicle.mesh.formats.meshio_files import gmsh22_header, read_gmsh22, read_meshio
 from fascicle.mesh.formats.opencarp import read_opencarp_mesh
@@ -38,12 +39,9 @@ def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
         mesh = read_isolated(read_vtk if path.suffix.lower() in VTK_FORMATS else read_meshio, path)
     if not len(mesh.points):
         raise InputError(f"{path}: no points could be read; the file is empty or truncated")
-    bad = np.flatnonzero(~np.isfinite(mesh.points).all(axis=1))
-    if bad.size:
-        raise InputError(
-            f"{path}: {bad.size} of {len(mesh.points)} points have coordinates that are not finite "
-            f"(first: point {bad[0]}); correct or remove them"
-        )
+    bad = np.asarray(~np.isfinite(mesh.points).all(axis=1))
+    fault = "points have coordinates that are not finite"
+    refuse(str(path), bad, fault, "correct or remove them", mesh.points)
     for cells in mesh.cells.values():
         if cells.size and (cells.min() < 0 or cells.max() >= len(mesh.points)):
             raise damaged(path, "cells refer to points that are not there")

@@ -1,0 +1,92 @@
+"""Faults of meshes, told with the places of the first: edges shared by many, several pieces."""
+
+from __future__ import annotations
+
+import igl
+import numpy as np
+
+from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.core.errors import InputError
+from fascicle.mesh.topology import unique_edges
+
+
+def place(point: Floats) -> str:
+    """A position (mm) as messages give it."""
+    return "({:.1f}, {:.1f}, {:.1f}) mm".format(*point)
+
+
+def first_places(bad: Integers, points: Floats) -> str:
+    """Numbers and places of the first three offending elements or vertices, for messages.
+
+    `bad` are numbers (k,), or the corners (k, c) of elements that have none; `points` (k, 3) or
+    (k, c, 3) are the positions (mm) of the k of them, or of their corners.
+    """
+    at = [np.reshape(point, (-1, 3)).mean(axis=0) for point in points[:3]]
+    names = ["-".join(map(str, np.ravel(number))) for number in bad[:3]]
+    return ", ".join(f"{name} at {place(point)}" for name, point in zip(names, at, strict=True))
+
+
+def refuse(
+    name: str,
+    bad: Booleans,
+    fault: str,
+    remedy: str,
+    vertices: Floats,
+    cells: Integers | None = None,
+    numbers: Integers | None = None,
+) -> None:
+    """Refuse vertices, or cells, if some are bad; the message tells how many and the first places.
+
+    Parameters
+    ----------
+    name, fault, remedy : str
+        The parts of the message, as in "heart.vtu: 3 of 80 tetrahedra are inverted (first: ...);
+        remesh them".
+    bad : (n,) or (m,) array
+        Which vertices, or which cells, have the fault.
+    vertices, cells : (n, 3) and (m, c) arrays
+        Positions (mm), and the corners of the cells, if these are meant.
+    numbers : (m,) or (m, c) array, optional
+        What each is called, by default its row.
+    """
+    at = np.flatnonzero(bad)
+    if not at.size:
+        return
+    called = at if numbers is None else numbers[at]
+    where = first_places(called, vertices[at if cells is None else cells[at]])
+    raise InputError(f"{name}: {at.size} of {len(bad)} {fault} (first: {where}); {remedy}")
+
+
+def check_edges(name: str, vertices: Floats, triangles: Integers, closed: str = "") -> None:
+    """Refuse edges of more than two triangles, and open ones of a surface that is to be closed.
+
+    `closed` says what to do about open edges, which are no fault without it.
+    """
+    edges, count = unique_edges(triangles)
+    remedy = "remove sheets inside the tissue or the cavities, or remesh the surface"
+    for bad, fault, what in (
+        (count > 2, "edges have more than two triangles", remedy),
+        ((count < 2) & bool(closed), "edges are open", closed),
+    ):
+        refuse(name, bad, fault, what, vertices, edges, edges)
+
+
+def oriented_piece(
+    name: str, vertices: Floats, triangles: Integers, which: str = "one"
+) -> Integers:
+    """Triangles (m, 3) all turned the same way; a surface in several pieces is refused.
+
+    `which` says in the message which piece to keep.
+    """
+    oriented, piece = igl.bfs_orient(triangles)
+    sizes = np.bincount(np.asarray(piece))
+    if len(sizes) > 1:
+        listed = ", ".join(
+            f"{sizes[k]} triangles about {place(vertices[triangles[piece == k]].mean(axis=(0, 1)))}"
+            for k in np.argsort(-sizes, kind="stable")[:3]
+        )
+        raise InputError(
+            f"{name}: the surface falls into {len(sizes)} pieces ({listed}"
+            f"{', ...' if len(sizes) > 3 else ''}); keep {which}"
+        )
+    return np.ascontiguousarray(oriented, dtype=np.int64)
