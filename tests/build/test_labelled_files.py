@@ -28,7 +28,7 @@ def test_whole_numbers_are_labels_by_name_only(tmp_path):
     labels = ventricles().labels
     path = write_surface(tmp_path / "heart.vtk", patch=labels, RegionId=np.zeros(len(labels), int))
     assert not has_labels(read_mesh(path))
-    with pytest.raises(InputError, match=r"\(arrays: RegionId, patch\); name .*--label-array"):
+    with pytest.raises(InputError, match=r"\(arrays: RegionId, patch\); name .*label_array="):
         read_labelled_surface(path)
     assert (read_labelled_surface(path, array="patch").labels == labels).all()
     for name in ("class", "label", "surface"):
@@ -67,7 +67,7 @@ def test_own_numbers_are_translated(tmp_path):
         read_labelled_surface(path, names={"lv": 10, "rv": 10})
     shorter = {"BASE": 10, "epi": 20, "lv_endo": 30, "Right ventricle": 40}
     assert (read_labelled_surface(path, names=shorter).labels == ventricles().labels).all()
-    with pytest.raises(InputError, match=r"as in --labels base=1,epicardium=2,lv=3,rv=4$"):
+    with pytest.raises(InputError, match=r"as in labels= base=1,epicardium=2,lv=3,rv=4$"):
         read_labelled_surface(path)
     with pytest.raises(InputError, match="unknown 'apex'; the parts are base, epicardium, lv"):
         read_labelled_surface(path, names={"apex": 10})

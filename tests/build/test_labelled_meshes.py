@@ -189,7 +189,7 @@ def test_groups_of_other_names(tmp_path, block):
     with pytest.raises(InputError, match="cannot tell which surface 'pericardial' is"):
         read_labelled_mesh(path)
     check(read_labelled_mesh(path, names={"pericardial": Label.EPICARDIUM}), block)
-    with pytest.raises(InputError, match=r"--labels epicardium=12$") as caught:
+    with pytest.raises(InputError, match=r"labels= epicardium=12$") as caught:
         read_labelled_mesh(path)
     word = str(caught.value).split()[-1].split("=")
     check(read_labelled_mesh(path, names=labels_by_number({word[0]: int(word[1])})), block)

@@ -126,7 +126,9 @@ def test_later_ones_do_not_move_the_marks(recording):
 
 def test_are_checked_and_corrected(more):
     flat = replace(more, additional=more.additional | {"V7": 0.0 * more.signal[0]})
-    with pytest.raises(InputError, match=r"no signal in lead V7; go on without: --leads .*V6,X$"):
+    with pytest.raises(
+        InputError, match=r"no signal in lead V7; go on without: leads=\[.*'V6', 'X'\]$"
+    ):
         make_target(flat)
     turned = invert(more, "X")
     np.testing.assert_array_equal(turned.additional["X"], -more.additional["X"])

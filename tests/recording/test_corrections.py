@@ -122,7 +122,7 @@ def test_corrections_are_arguments_of_reading(tmp_path):
     read = read_recording(tmp_path / "a.csv", invert=["V1"], swap=["RA-LA", "V3-v4"])
     assert read.signal[6] == pytest.approx(-plain.signal[6])
     assert read.signal[[0, 8]] == pytest.approx(plain.signal[[0, 9]] * [[-1], [1]])
-    with pytest.raises(InputError, match="--shared-gain"):
+    with pytest.raises(InputError, match="shared_gain=True"):
         read_recording(tmp_path / "a.csv", digits_per_mv=500)
     with pytest.raises(InputError, match="two names"):
         read_recording(tmp_path / "a.csv", swap=["RA"])

@@ -91,7 +91,7 @@ def test_the_file_counts_before_the_user():
     named = replace(recording, filters=Filters(lowpass=150.0, notch=60.0, highpass=0.05))
     by_file = [("low-pass", 150.0, FilterOrigin.FILE), ("notch", 60.0, FilterOrigin.FILE)]
     assert passed(named) == passed(named, recorder_lowpass=150.0) == by_file
-    with pytest.raises(InputError, match=r"150 Hz in the file, not 40 Hz; leave --recorder-low"):
+    with pytest.raises(InputError, match=r"150 Hz in the file, not 40 Hz; leave recorder_lowpass="):
         passed(named, recorder_lowpass=40.0)
     applied = FilterOrigin.APPLIED
     assert passed(named, lowpass=100.0, notch=50.0) == [

@@ -13,6 +13,7 @@ from fascicle.core.errors import InputError
 def main() -> None:
     """Run the command line; a wrong input ends in one line and exit status 2."""
     with ended_promptly() as interruption:
+        InputError.names_options = True
         try:
             from fascicle.cli.commands import app
 
@@ -31,6 +32,8 @@ def main() -> None:
             if error.filename is None:  # not about a file that the user named: a bug, to be seen
                 raise
             _fail(f"{error.filename}: {error.strerror}; check the path")
+        finally:
+            InputError.names_options = False
 
 
 def _fail(message: str) -> NoReturn:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, ClassVar
 
 
 class InputError(ValueError):
@@ -14,11 +15,20 @@ class InputError(ValueError):
     command line prints it and exits with status 2. Anything else that is raised is a bug. What is
     not printable in it, such as a line break in the name of a file, is written out; what is too
     long, since it quotes a damaged file, is cut.
+
+    Options of the command line (``--digits-per-mv 1000``) are written as arguments of Python
+    (``digits_per_mv=1000``) unless `names_options`, which the command line sets.
     """
+
+    names_options: ClassVar[bool] = False
 
     def __init__(self, message: str, longest: int = 900) -> None:
         text = printable(message)
         super().__init__(text if len(text) <= longest else f"{text[:longest]}…")
+
+    def __str__(self) -> str:
+        message = str(self.args[0])
+        return message if InputError.names_options else as_arguments(message)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """How a process hands it over: whatever arguments a subclass takes."""
@@ -49,8 +59,28 @@ def given_in(where: object) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        error.args = (f"{where}: {error}",)
+        error.args = (f"{where}: {error.args[0]}",)
         raise
+
+
+def as_arguments(message: str) -> str:
+    """A message with arguments of Python for options of the command line, but not of a command."""
+    others = {"class": "beat_class", "exclude-beat": "exclude", "shared-gain": "shared_gain=True"}
+
+    def argument(match: re.Match[str]) -> str:
+        option, value = match["option"], match["value"]
+        if option is None:
+            return match[0]
+        name = others.get(option, option.replace("-", "_"))
+        if value is None:
+            return name if "=" in name else f"{name}="
+        if name in ("leads", "invert", "swap"):
+            return f"{name}={value.split(',')}"
+        return f"{name}='{value}'" if name in ("unit", "beat_class") else f"{name}={value}"
+
+    value = r"(?: (?P<value>(?=\S*[A-Z\d])[\w.+-]+(?:,[\w.+-]+)*)(?=[;:,.)\s]|$))?"
+    commands = r"'(?:fascicle|heart) [^']*'"
+    return re.sub(rf"{commands}|(?<![\w-])--(?P<option>[a-z][a-z-]*){value}", argument, message)
 
 
 def printable(text: str) -> str:

@@ -1,5 +1,6 @@
 """Samples that were lost: what marks them, which are interpolated, and which are refused."""
 
+import ast
 import re
 from dataclasses import replace
 
@@ -123,8 +124,8 @@ class TestGaps:
         for k in range(samples):
             lost[V2, 300 + k :: every] = -(2**15)
         message = refused(save_dicom(tmp_path, lost, -(2**15)), "lead V2 lacks")
-        leads = re.search(r"--leads (\S+)", message)[1].rstrip(",")
-        recording = read_recording(tmp_path / "a.dcm", leads=leads.split(","))
+        leads = ast.literal_eval(re.search(r"leads=(\[.*\])", message)[1])
+        recording = read_recording(tmp_path / "a.dcm", leads=leads)
         assert not recording.recorded[LEADS.index("V2")]
         part = re.search(r"cut the recording to (\S+) to (\S+) s", message)
         assert (part is None) == (every == 50)
@@ -137,7 +138,7 @@ class TestGaps:
         lost = digits.copy()
         lost[:, 300:320] = -(2**15)
         path = save_dicom(tmp_path, lost, -(2**15))
-        assert "--leads" not in refused(path, "to 0.640 to 4.000 s, which has no gaps")
+        assert "leads=" not in refused(path, "to 0.640 to 4.000 s, which has no gaps")
         lost[:, 1200:1220] = -(2**15)
         refused(save_dicom(tmp_path, lost, -(2**15)), "give another recording")
 

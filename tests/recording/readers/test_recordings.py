@@ -153,10 +153,10 @@ class TestChecks:
     def test_what_the_user_says(self, path):
         expected = read_recording(path).signal
         assert read_recording(path, unit="MV", sampling_rate=500).sampling_rate == 500
-        refused(path, "lead I is in 'mV', --unit says 'uV'", unit="uV")
+        refused(path, "lead I is in 'mV', unit= says 'uV'", unit="uV")
         refused(path, "is 500 Hz", "says 1000 Hz", sampling_rate=1000)
         self.found = {"units": [None] * 12, "rate": None}
-        refused(path, "no sampling rate in the file", "--sampling-rate")
+        refused(path, "no sampling rate in the file", "sampling_rate=")
         refused(path, "unknown unit of lead I (the file names none)", sampling_rate=400)
         recording = read_recording(path, unit="uV", sampling_rate=400)
         assert recording.signal == pytest.approx(1e-3 * expected)
@@ -169,7 +169,10 @@ class TestChecks:
             ({"units": ["adc"] * 12}, ["unknown unit of lead I ('adc')"]),
             ({"names": [*LEADS[:11], "V5"]}, ["lead V5 is there twice ('V5' and 'V5')"]),
             ({"names": ["I", *"xyzuv", *LEADS[6:]]}, ["lead II missing (found: I, V1"]),
-            ({"names": [*LEADS[:6], "-V1", *LEADS[7:]]}, ["lead V1 missing", "--leads I,II,III"]),
+            (
+                {"names": [*LEADS[:6], "-V1", *LEADS[7:]]},
+                ["lead V1 missing", "leads=['I', 'II', 'III'"],
+            ),
             ({"lengths": [*[1000] * 11, 990]}, ["lead V6 has 990 samples, lead I 1000"]),
             ({"lengths": [100] * 12}, ["0.20 s long"]),
             ({"rate": 0.5}, ["0.5 Hz"]),

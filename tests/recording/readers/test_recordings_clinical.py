@@ -192,7 +192,7 @@ class TestRate:
 class TestAmplitude:
     def test_unit_serves_only_a_stated_scale(self, tmp_path, digits):
         path = saved(tmp_path, files.aecg(digits, scale=("2.5", "")))
-        refused(path, "unknown unit of lead I", "--unit")
+        refused(path, "unknown unit of lead I", "unit=")
         signal = read_recording(path, unit="uV").signal
         assert signal[6] == pytest.approx(digits[2] * 2.5e-3, abs=1e-12)
         path = saved(tmp_path, re.sub("<scale[^>]*/>", "", files.aecg(digits)))
@@ -394,7 +394,7 @@ class TestAveragedBeatOnly:
         recording = read_recording(data_folder / "cases" / "c30_muse_median_only.xml")
         assert recording.signal.shape == (12, 600)
         assert "averaged beat" in recording.provenance["remarks"]
-        with pytest.raises(MissingMetadataError, match="--noise"):
+        with pytest.raises(MissingMetadataError, match="noise="):
             make_target(recording)
         target = make_target(recording, noise=0.03)
         assert target.qrs_duration == pytest.approx(98, abs=5)

@@ -71,11 +71,11 @@ class TestUnits:
 
     def test_by_the_user_or_a_comment(self, tmp_path, signal):
         path = save(table(1e3 * signal, time="time_s"), tmp_path / "a.csv")
-        refused(path, "unknown unit of lead I", "--unit")
+        refused(path, "unknown unit of lead I", "unit=")
         assert_allclose(read_recording(path, unit="uV").signal, signal, rtol=0, atol=1e-9)
         path = write(tmp_path / "b.csv", f"# units: uV\n{path.read_text()}")
         assert_allclose(read_recording(path).signal, signal, rtol=0, atol=1e-9)
-        refused(path, "is in 'uV', --unit says 'mV'", unit="mV")
+        refused(path, "is in 'uV', unit= says 'mV'", unit="mV")
         path = save(table(signal, IN_MV), tmp_path / "c.csv")
         path = write(tmp_path / "c.csv", f"# unit = uV\n{path.read_text()}")
         refused(path, "column 'I_mV' is in 'mV', a comment says 'uV'")
@@ -186,22 +186,22 @@ class TestTimes:
         frame = table(signal, IN_MV, "time")
         frame["time"] = 3 + step * np.arange(N)
         path = save(frame, tmp_path / "a.csv")
-        refused(path, "unknown unit of the time column 'time'", "--sampling-rate")
+        refused(path, "unknown unit of the time column 'time'", "sampling_rate=")
         assert read_recording(path, sampling_rate=500).sampling_rate == 500
 
     def test_without_times_the_rate_must_be_given(self, tmp_path, signal):
         frame = table(signal, IN_MV)[IN_MV]
-        refused(save(frame, tmp_path / "a.csv"), "no time column", "--sampling-rate")
+        refused(save(frame, tmp_path / "a.csv"), "no time column", "sampling_rate=")
         recording = read_recording(tmp_path / "a.csv", sampling_rate=400)
         assert recording.sampling_rate == 400
         assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
         path = write(tmp_path / "b.csv", f"# fs=1000 Hz\n{(tmp_path / 'a.csv').read_text()}")
         assert read_recording(path).sampling_rate == 1000
-        refused(path, "400 Hz by --sampling-rate, 1000 Hz by a comment", sampling_rate=400)
+        refused(path, "400 Hz by sampling_rate=, 1000 Hz by a comment", sampling_rate=400)
 
     def test_that_disagree_with_the_rate_given(self, tmp_path, signal):
         path = save(table(signal), tmp_path / "a.csv")
-        refused(path, "512 Hz by --sampling-rate, 500 Hz in the column", sampling_rate=512)
+        refused(path, "512 Hz by sampling_rate=, 500 Hz in the column", sampling_rate=512)
         assert read_recording(path, sampling_rate=500.2).sampling_rate == 500.2
 
     def test_sample_numbers_show_gaps(self, tmp_path, signal):

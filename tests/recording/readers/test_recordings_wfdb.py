@@ -174,7 +174,7 @@ def test_microvolts_of_old_encodings(tmp_path):
     path = write(tmp_path, digits(), gain="0.04/µV")
     path.write_text(path.read_text(encoding="utf-8"), encoding="latin-1")
     assert read_recording(path).signal == pytest.approx(digits() / GAIN, rel=1e-12)
-    refused(path, "lead I is in 'µV', --unit says 'mV'", unit="mV")
+    refused(path, "lead I is in 'µV', unit= says 'mV'", unit="mV")
 
 
 @pytest.mark.parametrize("gain", ["0", "0.0/mV", "0(5)/mV", "/mV", "x"])
@@ -205,7 +205,7 @@ def test_wrong_checksums_are_told(tmp_path):
 
 def test_header_without_a_rate(tmp_path):
     path = write(tmp_path, digits(), first="rec 12")
-    refused(path, "no sampling rate in the file", "--sampling-rate")
+    refused(path, "no sampling rate in the file", "sampling_rate=")
     assert read_recording(path, sampling_rate=1000).sampling_rate == 1000
 
 
