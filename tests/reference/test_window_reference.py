@@ -15,14 +15,14 @@ BEFORE, AFTER = 250, 450  # ms around the R peak
 
 
 # Of the window and of the global QRS, found less marked in the outermost leads: 24 (left bundle
-# branch block) -28 and -12 ms; 23 (right) -23 and -7 ms; 119 (normal) -7.5 and 8.5 ms.
+# branch block) -28 and -8 ms; 23 (right) -23 and -3 ms; 119 (normal) -7.5 and 12.5 ms.
 @pytest.mark.parametrize("record", ["24", "23", "119"])
 def test_manual_marks(data_folder, record):
     folder = data_folder / "ecg" / "ludb"
     analysis = fascicle.analyse(fascicle.read_recording(folder / f"{record}_common.hea"))
     window, outermost = errors(analysis, manual_marks(folder / record))
     assert (np.abs(window) <= (18, 14, 30)).all()
-    assert (np.abs(outermost) <= (10, 10, 14)).all()
+    assert (np.abs(outermost) <= (6, 8, 13)).all()
 
 
 def test_machine_duration():

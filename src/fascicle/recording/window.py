@@ -32,9 +32,9 @@ WINDOWS = 50  # mean beats, changed by noise, in which the window is found again
 MOVING = 0.001  # mV/ms from which the leads are not at rest
 VISIBLE = 0.02  # mV from which the QRS is seen to differ from the PR or ST segment
 NOISE = 3.0  # standard deviations of the noise of a mean beat over which it is seen
-# ms by which the window and the global QRS, which experts mark in the outermost lead, begin earlier
-# and end later than the QRS is seen in two leads
-FIRST_ACTIVATION, EXPERT = 4.0, 12.0
+# ms by which the window begins earlier and ends later than the QRS is seen in two leads, and by
+# which the global QRS does, which experts mark in the outermost lead
+FIRST_ACTIVATION, EXPERT = (4.0, 4.0), (17.0, 11.0)
 
 
 class NoQrsError(ValueError):
@@ -155,7 +155,7 @@ def qrs_windows(
     J. L. Willems et al., Eur. Heart J. 6:815 (1985), on the global QRS.
     """
     marks = _marks(signal, step, not_before, smoothing)
-    onset, offset = marks.further_out(EXPERT / step)
+    onset, offset = marks.further_out(EXPERT, step)
     window = _inside(marks, signal, step, not_before)
     return QrsWindows(window, (max(onset, not_before) if not_before else onset, offset))
 
@@ -169,7 +169,7 @@ def qrs_window(
 
 def _inside(marks: _Marks, signal: Floats, step: float, not_before: int) -> tuple[int, int]:
     """Window, inside the array."""
-    onset, offset = marks.further_out(FIRST_ACTIVATION / step)
+    onset, offset = marks.further_out(FIRST_ACTIVATION, step)
     return max(onset, not_before), min(offset, signal.shape[1] - 1)
 
 
@@ -185,20 +185,26 @@ class _Marks(NamedTuple):
         k = min(3, len(self.onsets) - 1)
         return int(self.onsets[k] - self.onsets[0]), int(self.offsets[0] - self.offsets[k])
 
-    def further_out(self, by: float) -> tuple[int, int]:
-        """So many samples out of the second onset and offset; where there is one lead, of its."""
+    def further_out(self, by: tuple[float, float], step: float) -> tuple[int, int]:
+        """So many ms before the second onset and after the second offset; of one lead, of its."""
         k = min(1, len(self.onsets) - 1)
-        return int(self.onsets[k]) - round(by), int(self.offsets[k]) + round(by)
+        return int(self.onsets[k]) - round(by[0] / step), int(self.offsets[k]) + round(by[1] / step)
 
 
 def _marks(signal: Floats, step: float, not_before: int, smoothing: float) -> _Marks:
     """Ends of the QRS in the limb leads and in each chest lead."""
     beat = _at_rest_before(signal[: len(LEADS)], not_before, step)
-    core, velocity = _core_and_velocity(beat, step, smoothing, not_before > 0)
     there = np.isfinite(beat).all(axis=1)
-    leads = _without_interference(beat[there], core, step)
     electrodes = np.maximum(np.flatnonzero(there) - len(LIMB_LEADS) + 1, 0)
+    core, velocity = _core_and_velocity(beat, step, smoothing, not_before > 0)
+    leads = _without_interference(beat[there], core, step)
     first = _with_slow_start(leads, velocity, core, step)
+    p_end = 0 if not_before else _end_of_p_wave(leads, velocity, first, core, step)
+    if p_end:
+        beat[:, :p_end] = beat[:, p_end, None]
+        core, velocity = _core_and_velocity(beat, step, smoothing, False)
+        leads = _without_interference(beat[there], core, step)
+        first = _with_slow_start(leads, velocity, core, step)
     # A share of the height in ECGs of another size than a person's, such as uncalibrated ones
     height = float(np.ptp(leads[:, first : core[1] + 1], axis=1).max())
     visible = float(np.clip(VISIBLE, 0.005 * height, 0.04 * height))
@@ -224,10 +230,10 @@ def _marks(signal: Floats, step: float, not_before: int, smoothing: float) -> _M
 
 def _at_rest_before(signal: Floats, not_before: int, step: float) -> Floats:
     """Signal (12, n) that keeps its level before a pacing spike until that ends."""
-    if not not_before:
-        return signal
-    first, stop = (max(not_before - round(before / step), 0) for before in (30.0, 12.0))  # ms
     beat = signal.copy()
+    if not not_before:
+        return beat
+    first, stop = (max(not_before - round(before / step), 0) for before in (30.0, 12.0))  # ms
     beat[:, :not_before] = signal[:, first : max(stop, first + 1)].mean(axis=1, keepdims=True)
     return beat
 
@@ -265,6 +271,27 @@ def _with_slow_start(leads: Floats, velocity: _Velocity, core: tuple[int, int], 
     start = int(near[-1]) + 1 if near.size else 0
     start = max(start, core[0] - round(130.0 / step), rest + width)
     return min(start, core[0])
+
+
+def _end_of_p_wave(
+    leads: Floats, velocity: _Velocity, first: int, core: tuple[int, int], step: float
+) -> int:
+    """Sample at which a P wave that passes for the first part of the QRS ends, or 0.
+
+    All leads (k, n) at once come back there to the level before it, which those of no QRS do 60 ms
+    or more after its onset, and what follows is faster.
+    """
+    smooth = gaussian_filter1d(leads[:, : core[1] + 1], 3.0 / step, axis=1, mode="nearest")
+    level = smooth[:, max(first - round(15.0 / step), 0) : first + 1].mean(axis=1, keepdims=True)
+    away = np.sqrt(((smooth - level) ** 2).mean(axis=0))[first:]
+    highest, earliest = int(np.argmax(away)), round(60.0 / step)
+    if highest <= earliest:
+        return 0
+    lowest = earliest + int(np.argmin(away[earliest:highest]))
+    speed = velocity.speed(_ONSET.turning)[first : core[1] + 1]
+    alone = away[lowest] < 0.2 * min(away[:lowest].max(), away[highest])
+    slower = speed[:lowest].max() < 0.5 * speed[lowest:].max()
+    return first + lowest if alone and slower else 0
 
 
 def _core_and_velocity(
