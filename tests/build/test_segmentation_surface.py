@@ -291,7 +291,7 @@ def without_apex(labels):
     [
         (
             without_rv_wall(exchanged),
-            r"% of the LV blood's surface borders on no tissue, .*--labels",
+            r"% of the LV blood's surface borders on no tissue, .*labels=",
         ),
         (without_apex, r"ends at the apex in an opening of [\d.]+ cm² .*add the missing slices"),
         (drained, r"map: LV blood \(label 1\) has 0 voxels; the map has labels 0 \(\d+ voxels\)"),

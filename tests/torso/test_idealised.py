@@ -103,7 +103,7 @@ def test_electrodes_off_the_skin_are_refused(mesh: LabelledMesh, torso: TorsoSur
     heart = SimpleNamespace(electrode_names=ELECTRODES)
     check_on_skin(heart, contacts_on(*torso.skin, moved).moved, "e.csv")
     moved[v1] += 25 * to_the_front
-    message = r"^e\.csv: electrode V1 is (49|50) mm from the skin, more than 30; .*--torso FILE"
+    message = r"^e\.csv: electrode V1 is (49|50) mm from the skin, more than 30; .*torso=FILE"
     with pytest.raises(InputError, match=message):
         check_on_skin(heart, contacts_on(*torso.skin, moved).moved, "e.csv")
 

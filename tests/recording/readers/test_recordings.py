@@ -141,9 +141,12 @@ class TestChecks:
         self.found = {}
         return tmp_path / "a.any"
 
-    def raw(self, units=("mV",) * 12, names=LEADS, rate=500.0, lengths=(1000,) * 12, start=0):
+    def raw(
+        self, units=("mV",) * 12, names=LEADS, rate=500.0, lengths=(1000,) * 12, start=0, silent=()
+    ):
         signal = lead_matrix() @ np.sin(np.arange(1, 10)[:, None] * np.arange(1000) / 200)
         signal[6, :start] = np.nan
+        signal[list(silent)] = 0.0
         channels = [
             Channel(name, row[:length], unit, gain=200)
             for name, row, length, unit in zip(names, signal, lengths, units, strict=True)
@@ -191,6 +194,18 @@ class TestChecks:
         assert recording.derived == ("III", "aVR", "aVL", "aVF")
         assert recording.ignored == ("u",)
         assert [*recording.additional] == ["X", "Y", "Z"]
+
+    def test_leads_without_signal_were_not_recorded(self, path):
+        expected = read_recording(path).signal
+        self.found = {"silent": [2, 3]}
+        recording = read_recording(path)
+        assert recording.signal == pytest.approx(expected, abs=1e-12)
+        assert recording.derived == ("III", "aVR")
+        assert recording.provenance["remarks"].endswith("empty from start to end: III, aVR")
+        self.found = {"silent": [8]}
+        refused(path, "lead V3 missing", "constant or empty: V3", "leads=['I', 'II', 'III', 'aVR'")
+        recording = read_recording(path, leads=[lead for lead in LEADS if lead != "V3"])
+        assert np.flatnonzero(~recording.recorded).tolist() == [8]
 
 
 def test_a_reader_of_the_same_name_takes_the_place(readers, tmp_path):

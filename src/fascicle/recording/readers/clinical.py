@@ -193,7 +193,7 @@ def _channels(record: Any, path: Path) -> list[Channel]:
             calibrated = int(ends["digital_minimum"]) < int(ends["digital_maximum"])
             calibrated &= ends["physical_minimum"] != ends["physical_maximum"]
         calibrated &= math.isfinite(lead.resolution) and lead.resolution != 0
-        if standard is None and not calibrated:
+        if not calibrated and (standard is None or np.ptp(digits) == 0):  # 0: not recorded
             channels.append(Channel(name, digits))
             continue
         if not calibrated:
@@ -310,7 +310,7 @@ def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
         name = printable(spec["description"] or lead.label)
         digits = lead.samples[: len(lead.samples) - skew * spec["samples_per_frame"]]
         known = lead_name(name) is not None
-        if not known and not spec["gain"]:
+        if not spec["gain"] and (not known or np.ptp(digits) == 0):  # 0: not recorded
             channels.append(Channel(name, digits))
             continue
         if not spec["gain"]:

@@ -233,7 +233,11 @@ def _assemble(
     This is the one check of what a reader found, against itself and against what the user says.
     """
     every, ignored = _by_lead(raw, source, wanted)
-    _check_complete(list(every), source, wanted)
+    silent = [lead for lead, channel in every.items() if lead in LEADS and not _moves(channel)]
+    if len(silent) == len([lead for lead in every if lead in LEADS]):
+        silent = []  # so that all are refused for what they hold
+    every = {lead: channel for lead, channel in every.items() if lead not in silent}
+    _check_complete(list(every), silent, source, wanted)
     leads = {lead: channel for lead, channel in every.items() if lead in LEADS}
     lengths = {lead: len(channel.values) for lead, channel in leads.items()}
     few, many = min(lengths, key=lengths.__getitem__), max(lengths, key=lengths.__getitem__)
@@ -263,6 +267,9 @@ def _assemble(
             gains[row] = abs(channel.gain) / scale
     more, left_out = _additional(every, lengths[many], rate, source, unit)
     names = (*LEADS, *more)
+    lost = [f"not recorded, constant or empty from start to end: {', '.join(silent)}"][
+        : len(silent)
+    ]
     signal, pulses = leave_out_pulses(np.array([*signal, *more.values()]), rate)
     signal, repairs = bridge_gaps(signal, rate, names)
     signal, additional = signal[: len(LEADS)], dict(zip(more, signal[len(LEADS) :], strict=True))
@@ -285,7 +292,8 @@ def _assemble(
         signal=signal,
         sampling_rate=rate,
         source=source,
-        provenance={"format": raw.format} | with_remarks(raw.provenance, [*pulses, *repairs]),
+        provenance={"format": raw.format}
+        | with_remarks(raw.provenance, [*lost, *pulses, *repairs]),
         filters=raw.filters,
         digits_per_millivolt=gains,
         derived=derived,
@@ -345,8 +353,16 @@ def _name_of(channel: str, wanted: Sequence[str] | None) -> str | None:
     return lead
 
 
-def _check_complete(found: Sequence[str], source: str, wanted: Sequence[str] | None) -> None:
-    """Refuse a file without the leads that are needed or wanted."""
+def _moves(channel: Channel) -> bool:
+    """Whether a channel holds more than one value: writers fill what was not recorded up."""
+    there = channel.values[np.isfinite(channel.values)]
+    return there.size > 0 and bool((there != there[0]).any())
+
+
+def _check_complete(
+    found: Sequence[str], silent: Sequence[str], source: str, wanted: Sequence[str] | None
+) -> None:
+    """Refuse a file without the leads that are needed or wanted; `silent` ones hold no signal."""
     limb_known = limb_leads_from(found) is not None
     needed = INDEPENDENT_LEADS if wanted is None else wanted
     missing = [
@@ -358,9 +374,10 @@ def _check_complete(found: Sequence[str], source: str, wanted: Sequence[str] | N
     advice = "two limb leads and V1 to V6 are needed"
     if limb_known and any(lead in CHEST_LEADS for lead in found):
         advice += f"; to go on without, name the leads to use: --leads {','.join(usable)}"
+    there = f"found: {', '.join(usable) or 'none'}"
+    there += f"; constant or empty: {', '.join(silent)}" if silent else ""
     raise InputError(
-        f"{source}: lead{'s' * (len(missing) > 1)} {', '.join(missing)} missing (found: "
-        f"{', '.join(usable) or 'none'}); {advice}"
+        f"{source}: lead{'s' * (len(missing) > 1)} {', '.join(missing)} missing ({there}); {advice}"
     )
 
 
