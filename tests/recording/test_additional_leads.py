@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from quality_recordings import beating
 
@@ -112,6 +113,33 @@ def test_decide_nothing(recording, more):
     np.testing.assert_array_equal(with_more.beats[:, :12], single.beats)
     assert with_more.onset_sd == single.onset_sd
     np.testing.assert_allclose(with_more.mean[12], 0.7 * single.mean[11], atol=1e-6)
+
+
+@pytest.mark.parametrize("long", [False, True])
+def test_of_groups_one_after_another(tmp_path, recording, long):
+    """V7 is that of its group, in a table with empty cells or with a row for each lead and time."""
+    n = recording.signal.shape[1]
+    half, time = n // 2, 2.0 * np.arange(n)
+    rows = dict(zip(LEADS, recording.signal.copy(), strict=True)) | {
+        "V7": 0.7 * recording.signal[11],
+        "V4R": recording.signal[5].copy(),
+    }
+    for k, values in enumerate(rows.values()):
+        values[slice(half, None) if k < 6 else slice(half)] = np.nan
+    rows["V4R"][half + 100 : half + 900] = np.nan
+    frame = pd.DataFrame({"time_ms": time, **{f"{lead}_mV": x for lead, x in rows.items()}})
+    if long:
+        tall = frame.rename(columns=lambda name: name.removesuffix("_mV")).melt(
+            "time_ms", var_name="lead", value_name="value_mV"
+        )
+        frame = tall[tall["lead"] != "V4R"].dropna()
+    frame.to_csv(tmp_path / "a.csv", index=False)
+    found = read_recording(tmp_path / "a.csv")
+    assert [*found.additional] == ["V7"]
+    target = make_target(found)
+    plain = make_target(read_recording(tmp_path / "a.csv", leads=LEADS))
+    np.testing.assert_array_equal(target.beats[:, :12], plain.beats)
+    np.testing.assert_allclose(target.mean[12], 0.7 * target.mean[11], atol=1e-5)
 
 
 def test_later_ones_do_not_move_the_marks(recording):

@@ -164,18 +164,18 @@ def combine(groups: Sequence[AlignedBeats]) -> AlignedBeats:
     first = groups[0]
     if len(groups) == 1:
         return first
-    there = [np.isfinite(group.beats[0]).all(axis=1) for group in groups]
+    there = [np.isfinite(group.beats[0, : len(LEADS)]).all(axis=1) for group in groups]
     shared = [there[0] & other for other in there]
     shifts = [0]
     for group, both in zip(groups[1:], shared[1:], strict=True):
-        a, b = first.mean, group.mean
+        a, b = first.mean[: len(LEADS)], group.mean[: len(LEADS)]
         x, y = (a[both], b[both]) if both.any() else (magnitude(a)[None], magnitude(b)[None])
         shifts.append(_shift(x, y, first.before, group.before))
     r_peaks = [group.before + shift for group, shift in zip(groups, shifts, strict=True)]
     before = min(r_peaks)
     after = min(group.beats.shape[2] - r for group, r in zip(groups, r_peaks, strict=True))
     count = min(len(group.beats) for group in groups)
-    together = np.full((count, len(LEADS), before + after), np.nan)
+    together = np.full((count, first.beats.shape[1], before + after), np.nan)
     spikes = [0]
     for group, r in zip(groups, r_peaks, strict=True):
         beats = group.beats[:count, :, r - before : r + after]

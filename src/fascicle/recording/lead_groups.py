@@ -149,7 +149,9 @@ def _group(
     signal = resample(native, rate)
     additional = np.empty((0, signal.shape[1]))
     if recording.additional:
-        additional = resample(np.array([*recording.additional.values()])[:, first:stop], rate)
+        more = np.array([*recording.additional.values()])[:, first:stop]
+        more[~np.isfinite(more).all(axis=1)] = np.nan
+        additional = resample(more, rate)
     for one in applied_filters(options.lowpass, options.notch):
         signal, additional = one.apply(signal), one.apply(additional)
     inside = spikes[(spikes[:, 0] >= first) & (spikes[:, 0] < stop)] - first

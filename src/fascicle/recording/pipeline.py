@@ -119,7 +119,8 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
     check_kind(choices, (TargetOptions, NoneType), "choices", "fascicle.TargetOptions")
     options = choices if choices is not None else TargetOptions()
     source, rate = recording.source, recording.sampling_rate
-    findings = check_leads(recording)
+    whole = {lead: x for lead, x in recording.additional.items() if np.isfinite(x).all()}
+    findings = check_leads(replace(recording, additional=whole))
     _refuse(findings, recording)
     spikes = find_spikes(recording.signal, rate)
     clean = recording
@@ -135,7 +136,8 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
         times = np.concatenate([group.times for group in groups])
         r_peaks = np.round(times * rate).astype(np.int64)
         filters = passed_filters(recording, r_peaks, options)
-        findings += check_recording(clean, r_peaks, filters, paced=len(spikes) > 0)
+        checked = replace(clean, additional={lead: clean.additional[lead] for lead in whole})
+        findings += check_recording(checked, r_peaks, filters, paced=len(spikes) > 0)
         _refuse(findings, recording)
         by_group, label = select_beats(groups, options, source)
         aligned = combine(

@@ -54,7 +54,8 @@ class Recording:
     ignored : tuple of str
         Channels of the file that are no leads, or were not wanted.
     additional : dict of str to (n,) array
-        Potential (mV) of additional leads over all of the time, by their names.
+        Potential (mV) of additional leads, by their names, over all of the time or, where the
+        twelve were recorded one group after another, NaN outside a stretch.
     """
 
     signal: Floats
@@ -80,10 +81,19 @@ class Recording:
         check_extent(signal.shape[1], self.sampling_rate, self.source)
         check_array("potential", signal, f"{self.source}: a sample (is its unit right?)")
         for lead, values in self.additional.items():
-            if lead in LEADS or values.shape != signal.shape[1:] or not np.isfinite(values).all():
+            there = np.isfinite(values)
+            first, stop = lead_spans(values[None])[0]
+            whole = there.all() or (not self.simultaneous and there.any())
+            if (
+                lead in LEADS
+                or values.shape != signal.shape[1:]
+                or not whole
+                or not (there[first:stop].all())
+            ):
                 raise InputError(
                     f"{self.source}: lead {lead} has no number for each of the {signal.shape[1]} "
-                    "samples, or the name of another; correct or leave it out"
+                    "samples (or of one stretch, where leads are in groups), or the name of "
+                    "another; correct or leave it out"
                 )
             check_array("potential", values, f"{self.source}: lead {lead} (is its unit right?)")
         if not self.recorded.any():
@@ -109,7 +119,7 @@ class Recording:
     @cached_property
     def spans(self) -> Integers:
         """First sample of each lead and the one after its last, shape (12, 2); zeros if absent."""
-        return _spans(self.signal)
+        return lead_spans(self.signal)
 
     @property
     def simultaneous(self) -> bool:
@@ -182,7 +192,7 @@ def bridge_gaps(
         count = f"{lost} sample{'s' * (lost > 1)}"
         bridged.append(f"{count} of lead {lead} (at {gone[0] / rate:.3f} s)")
     notes = [f"missing samples were interpolated: {', '.join(bridged)}"] if bridged else []
-    spans = _spans(filled)
+    spans = lead_spans(filled)
     present = spans[:, 1] > 0
     first, stop = spans[present, 0].max(initial=0), spans[present, 1].min(initial=signal.shape[1])
     if signal.shape[1] > stop - first >= 0.9 * signal.shape[1]:
@@ -214,7 +224,7 @@ def leave_out_pulses(signal: Floats, rate: float) -> tuple[Floats, list[str]]:
     return signal[:, begin:end], notes
 
 
-def _spans(signal: Floats) -> Integers:
+def lead_spans(signal: Floats) -> Integers:
     """First sample of each lead (12, n) and the one after its last, (12, 2); zeros if absent."""
     finite = np.isfinite(signal)
     first = np.argmax(finite, axis=1)
@@ -223,13 +233,19 @@ def _spans(signal: Floats) -> Integers:
     return np.where(there[:, None], np.stack([first, stop], axis=1), 0)
 
 
+def in_groups(spans: Integers, rate: float) -> bool:
+    """Whether leads of spans (12, 2) were recorded one group after another, not all together."""
+    first, stop = spans[spans[:, 1] > 0].T
+    return bool(stop.min() <= first.max() + rate * 0.1)  # groups may overlap by 0.1 s
+
+
 def _check_gaps(recording: Recording) -> None:
     """Refuse missing samples, unless they come from recording one group of leads after another."""
     source, rate = recording.source, recording.sampling_rate
     present = np.flatnonzero(recording.recorded)
     first, stop = recording.spans[present].T
     missing: Booleans = ~np.isfinite(recording.signal[present])
-    one_by_one = stop.min() <= first.max() + rate * 0.1  # groups may overlap by 0.1 s
+    one_by_one = in_groups(recording.spans, rate)
     if one_by_one:
         sample = np.arange(missing.shape[1])
         missing &= (sample >= first[:, None]) & (sample < stop[:, None])

@@ -35,6 +35,8 @@ from fascicle.recording.recording import (
     bridge_gaps,
     check_extent,
     derive_limb_leads,
+    in_groups,
+    lead_spans,
     leave_out_pulses,
 )
 
@@ -273,9 +275,10 @@ def _assemble(
     signal, pulses = leave_out_pulses(np.array([*signal, *more.values()]), rate)
     signal, repairs = bridge_gaps(signal, rate, names)
     signal, additional = signal[: len(LEADS)], dict(zip(more, signal[len(LEADS) :], strict=True))
-    there = np.isfinite(signal)
-    if not there[there.any(axis=1)].all():  # one group of leads after another
-        left_out, additional = [*left_out, *additional], {}
+    whole = 0 if in_groups(lead_spans(signal), rate) else signal.shape[1]
+    for lead in [lead for lead, values in additional.items() if not _is_span(values, whole)]:
+        left_out.append(lead)
+        del additional[lead]
     if left_out and wanted is not None:
         raise InputError(
             f"{source}: lead {left_out[0]} is constant, was not recorded all of the time that the "
@@ -307,16 +310,19 @@ def _additional(
 ) -> tuple[dict[str, Floats], list[str]]:
     """Potentials (n,), mV, of additional leads, and names of those that cannot be used.
 
-    They are potentials without gaps: X, Y and Z may also be the axes of an accelerometer. Where no
-    electrode was connected, recorders may write a constant.
+    They are potentials: X, Y and Z may also be the axes of an accelerometer. Where no electrode was
+    connected, recorders may write a constant.
     """
     found, left_out = {}, []
     for lead, channel in channels.items():
         if lead in LEADS:
             continue
         values = without_fill(channel, rate)
-        whole = len(values) == length and bool(np.isfinite(values).all() and np.ptp(values) > 0)
-        if whole and millivolts(channel.unit or unit or "") is not None:
+        if (
+            len(values) == length
+            and _moves(channel)
+            and millivolts(channel.unit or unit or "") is not None
+        ):
             found[lead] = _scale(channel, lead, source, unit, channels) * values
         else:
             left_out.append(lead)
@@ -351,6 +357,12 @@ def _name_of(channel: str, wanted: Sequence[str] | None) -> str | None:
         name = re.sub(r"[ _(\[]+[num]?v[)\]]?$", "", channel.strip().casefold())  # its unit
         lead = next((each for each in wanted if each.casefold() == name), None)
     return lead
+
+
+def _is_span(values: Floats, least: int) -> bool:
+    """Whether (n,) values are there without gaps, so many at least."""
+    there = np.flatnonzero(np.isfinite(values))
+    return there.size >= max(least, 1) and there[-1] - there[0] + 1 == there.size
 
 
 def _moves(channel: Channel) -> bool:

@@ -327,7 +327,7 @@ def _read_long(
     rows = {
         str(name): index
         for name, index in leads.groupby(leads.to_numpy()).indices.items()
-        if _lead_or_rhythm(str(name))[0] is not None and len(index) > 1
+        if len(index) > 1 and (_lead_or_rhythm(str(name))[0] or additional_lead_name(str(name)))
     }
     if not rows:
         raise InputError(f"{path}: no lead in the column '{place.name}'; name them I, II, V1 to V6")
@@ -350,7 +350,7 @@ def _read_long(
                 f"{path}: lead '{name}' is not sampled at the {rate:g} Hz of the others; resample "
                 "all leads at one rate"
             )
-        lead = _lead_or_rhythm(name)[0]
+        lead = _lead_or_rhythm(name)[0] or additional_lead_name(name)
         channel = Channel(printable(name), values[index], unit, lead, missing=missing)
         channels.append(channel.placed(starts[name], length))
     rhythm = [_lead_or_rhythm(name)[1] for name in rows]
