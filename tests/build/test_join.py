@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from shapes import read_labelled_surface, volume_of
 
-from fascicle.build.join import join_surfaces
+from fascicle.build.join import Part, join_surfaces
 from fascicle.build.surface_repair import prepared_surface
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label
@@ -46,7 +46,10 @@ def remeshed(vertices, triangles, edge):
 
 
 def joined(parts, base=True):
-    return join_surfaces(parts[LV], parts[RV], parts[EPI], parts[BASE] if base else None, "geo1")
+    given = {LV: "lv", RV: "rv", EPI: "epicardium"} | ({BASE: "base"} if base else {})
+    return join_surfaces(
+        {part: Part(f"{part}.stl", *parts[label]) for label, part in given.items()}
+    )
 
 
 def jittered(parts, size):
@@ -111,7 +114,7 @@ def test_gap_is_named_measured_and_placed(coarse):
     away = coarse[BASE][0] + np.array([0, 0, 4.0]), coarse[BASE][1]
     refused(
         {**coarse, BASE: away},
-        r"loops of epicardium and base are up to [34]\.\d mm apart \(at \(-?\d+\.\d, .* mm",
+        r"base\.stl .* that of epicardium\.stl .* are up to [34]\.\d mm apart \(at \(-?\d.* mm",
     )
 
 
@@ -127,17 +130,15 @@ def test_hole_and_closed_part(coarse, geo1):
     holed = np.delete(triangles, np.flatnonzero(inner)[0], axis=0)
     refused(
         {**coarse, EPI: (vertices, holed)},
-        r"epicardium: the surface has 2 boundary loops .* 3 vertices",
+        r"epicardium\): the surface has 2 boundary loops .* 3 vertices",
     )
     closed = geo1.vertices, geo1.triangles
-    refused({**coarse, EPI: closed}, r"epicardium: the surface has no boundary loop \(it is clos")
+    refused({**coarse, EPI: closed}, r"epicardium\): the surface is closed; cut it open")
 
 
 def test_base_without_holes_and_crowded_edge(coarse):
-    refused(
-        {**coarse, BASE: coarse[EPI]}, "base: the surface has 1 boundary loop.* must have three"
-    )
+    refused({**coarse, BASE: coarse[EPI]}, r"base\): the surface has 1 boundary loops.* 3 needed")
     vertices, triangles = coarse[RV]
     fin = np.array([[*triangles[0, :2], triangles[len(triangles) // 2, 2]]])
     crowded = vertices, np.vstack([triangles, fin])
-    refused({**coarse, RV: crowded}, "RV endocardium: 1 of .* more than two triangles")
+    refused({**coarse, RV: crowded}, r"RV endocardium\): 1 of .* more than two triangles")

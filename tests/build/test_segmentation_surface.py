@@ -295,7 +295,7 @@ def without_apex(labels):
         ),
         (without_apex, r"ends at the apex in an opening of [\d.]+ cm² .*add the missing slices"),
         (drained, r"map: LV blood \(label 1\) has 0 voxels; the map has labels 0 \(\d+ voxels\)"),
-        (cut, r"tissue falls into \d unconnected pieces \([\d., ]+ ml\)"),
+        (cut, r"tissue falls into \d unconnected pieces \([\d.]+ ml about \(.*\) mm"),
     ],
 )
 def test_incomplete_maps_are_refused(change, words):

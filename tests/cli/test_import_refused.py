@@ -7,9 +7,12 @@ import resource
 import subprocess
 import sys
 
+import anatomies
 import numpy as np
 import pytest
 import pyvista as pv
+
+from fascicle.mesh.topology import without_unused_vertices
 
 REMOVED = 40  # a triangle in the middle of a surface
 WHAT = ["mesh", "fibres", "lv-endocardium", "rv-endocardium", "electrodes"]
@@ -243,11 +246,11 @@ SURFACES = {
                        "no triangles", "16 Quad"),
     "some quadrilaterals": (partly_quadrilaterals, "but also other cells", "1 Quad", "; make"),
     "closed": (lambda m: cup(m, closed),
-               "no boundary loop (it is closed)", "; it must be open at the base"),
+               "the surface is closed; cut it open at the base"),
     "a hole": (lambda m: cup(m, lambda p, t: (p, np.delete(t, REMOVED, axis=0))),
-               "2 boundary loops", "; it must be"),
+               "2 boundary loops", "; close all but the one at the base"),
     "a fin": (lambda m: cup(m, with_a_fin),
-              "1 of 626 edges have more than two triangles (first: ", "; remove sheets"),
+              "1 of 626 edges have more than two triangles (first: ", "; remove what meets"),
     "two pieces": (lambda m: cup(m, lambda p, t: (np.vstack([p, p + 0.5]),
                                                   np.vstack([t, t + len(p)]))),
                    "falls into 2 pieces", "; keep the one"),
@@ -257,7 +260,7 @@ SURFACES = {
                                                   np.arange(3 * len(t)).reshape(-1, 3))),
                    "falls into 408 pieces"),
     "a handle": (lambda m: cup(m, with_a_handle), "handles", "Euler", "; repair or remesh"),
-    "a Möbius strip": (lambda m: cup(m, moebius_strip), "boundary loops", "; it must be"),
+    "a Möbius strip": (lambda m: cup(m, moebius_strip), "one-sided", "; remesh or"),
     "far away": (lambda m: cup(m, lambda p, t: (p + 200, t)),
                  "from the tissue's", "; give both in the same frame"),
     "metres": (lambda m: cup(m, lambda p, t: (p / 1000, t)),
@@ -420,3 +423,23 @@ class TestOut:
         assert ended.stderr.count("\n") == 1, ended.stderr
         assert "could not be written" in ended.stderr
         assert list(outside.iterdir()) == []
+
+
+def test_endocardia_exchanged_or_the_epicardium(run, refused, tmp_path, outside):
+    """Each by the name of its file; given as the message says, they are imported."""
+    mesh, files = anatomies.tissue(), {}
+    for label in (anatomies.LV, anatomies.RV, anatomies.EPI):
+        surface = without_unused_vertices(mesh.vertices, mesh.having(label))
+        files[label] = anatomies.write_surface(tmp_path / f"{label.name}.vtp", *surface)
+    tissue = anatomies.write_vtu(tmp_path / "mesh.vtu", labelled=False)
+    electrodes = anatomies.write_electrodes(tmp_path / "electrodes.csv")
+    command = ["heart", "import", "--mesh", tissue, "--fibres", "rule", "--electrodes", electrodes,
+               "--out", outside / "heart"]  # fmt: skip
+    lv, rv, epicardium = files.values()
+    for left, right, words in (
+        (rv, lv, f"{rv}, {lv}: LV and RV endocardium seem to be swapped"),
+        (epicardium, rv, f"{epicardium}: 100% of the tissue lies in the cavity that it lines"),
+        (lv, epicardium, f"{epicardium}: 100% of the tissue"),
+    ):
+        refused([*command, "--lv-endocardium", left, "--rv-endocardium", right], words)
+    assert run(*command, "--lv-endocardium", lv, "--rv-endocardium", rv).well

@@ -16,7 +16,7 @@ from fascicle.heart.endocardium import Endocardium, long_axis
 from fascicle.heart.fibres import placeholder
 from fascicle.heart.heart import Heart, TorsoTissue
 from fascicle.heart.labelled_surface import Label, LabelledMesh, labelled_mesh
-from fascicle.mesh.measures import Quality, enclosed_volume, quality, signed_volumes, unit
+from fascicle.mesh.measures import Quality, closed_by_fan, quality, signed_volumes, unit
 from fascicle.purkinje.chart import Chart
 from fascicle.torso.electrode_sites import electrode_warnings
 from fascicle.torso.lead_fields import is_up_to_date
@@ -94,7 +94,7 @@ def check_heart(heart: Heart, charts: Mapping[str, Chart]) -> HeartCheck:
 
 def cavity_volume(endocardium: Endocardium) -> float:
     """Volume of a cavity closed at its opening by a fan (ml)."""
-    return -enclosed_volume(endocardium.vertices, endocardium.triangles) / 1e3
+    return -closed_by_fan(endocardium.vertices, endocardium.triangles)[0] / 1e3
 
 
 def helix_angles(mesh: LabelledMesh, heart: Heart) -> dict[str, HelixAngles]:

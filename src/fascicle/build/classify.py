@@ -6,14 +6,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fascicle.build.borders import DualGraph, Region, openness, smoothed_regions
-from fascicle.build.surface_checks import OPEN_PIECE, closed_by_fan, leftness
+from fascicle.build.surface_checks import OPEN_PIECE, leftness
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import Label, LabelledSurface
 from fascicle.heart.validate import check_units
 from fascicle.mesh.checks import check_edges, oriented_piece, place
-from fascicle.mesh.measures import turned_outwards, unit
+from fascicle.mesh.measures import closed_by_fan, turned_outwards, unit
 from fascicle.mesh.topology import boundary_loops, without_unused_vertices
 
 # At the upper edge of a cavity the openness of a wall is a half, deeper less; that of the
@@ -75,18 +75,21 @@ def _cavities(graph: DualGraph, exposed: Floats, name: str) -> Integers:
     area = np.bincount(piece[piece >= 0], graph.areas[piece >= 0], minlength=1)
     found = int((area > 0.02 * graph.areas.sum()).sum())  # smaller ones are dents
     if found != 2:
-        sizes = [f"{_millilitres(graph, piece == k):.3g}" for k in range(found)]
-        what = f"{found or 'no'} {'cavity' if found < 2 else 'cavities'}"
+        sizes = [f"{_millilitres(graph, piece == k):.3g} ml" for k in range(found)]
+        remedy = "give a surface of both ventricles, each open at the base"
+        if found > 2:
+            remedy = "cut off what is no ventricle, or label the surface (--label-array)"
+        what, listed = "cavity" if found == 1 else "cavities", ", ".join(sizes)
         raise InputError(
-            f"{name}: {what} found ({', '.join(sizes) or 0} ml); it must have "
-            "two, of the left and the right ventricle, each open at the base"
+            f"{name}: {found} {what} found{f' ({listed})' if sizes else ''}, and two needed; "
+            f"{remedy}"
         )
     return np.where(piece < 2, piece, -1)
 
 
 def _millilitres(graph: DualGraph, chosen: Booleans) -> float:
     """Volume of the cavity that chosen triangles line."""
-    return closed_by_fan(graph.vertices, graph.triangles[chosen])[0] / 1e3
+    return abs(closed_by_fan(graph.vertices, graph.triangles[chosen])[0]) / 1e3
 
 
 def _divided(graph: DualGraph, exposed: Floats, cavity: Integers) -> Integers:

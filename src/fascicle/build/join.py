@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fascicle.build.surface_checks import Surface
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import Label, LabelledSurface
 from fascicle.heart.validate import check_units
-from fascicle.mesh.checks import check_edges, oriented_piece, place, refuse
-from fascicle.mesh.measures import best_plane, edge_lengths, mean_edge_length, turned_outwards
+from fascicle.mesh.checks import check_edges, open_loops, oriented_piece, place, refuse
+from fascicle.mesh.measures import (
+    best_plane,
+    edge_lengths,
+    mean_edge_length,
+    turned_outwards,
+    winding_number,
+)
 from fascicle.mesh.meshing import constrained_delaunay
 from fascicle.mesh.topology import (
-    boundary_loops,
-    fan,
     merged_vertices,
     unique_edges,
     whole_triangles,
@@ -30,10 +34,21 @@ SAME_POINT = 1e-3  # mm; points closer than this are one (STL repeats them)
 CLEAR = 0.7  # of the spacing that inner points of the base keep from the loops
 
 
+class Part(NamedTuple):
+    """A surface that a heart is joined from: its name in messages, vertices and triangles.
+
+    Vertices (n, 3) are in mm; points may be repeated and triangles (m, 3) turned either way.
+    """
+
+    name: str
+    vertices: Floats
+    triangles: Integers
+
+
 class OpenSurface(NamedTuple):
     """An open surface (mm), one oriented manifold piece, its name in messages, boundary loops."""
 
-    what: str
+    name: str
     vertices: Floats
     triangles: Integers
     loops: list[Integers]
@@ -58,12 +73,7 @@ Base = tuple[Floats, Integers]
 
 
 def join_surfaces(
-    lv: Surface,
-    rv: Surface,
-    epicardium: Surface,
-    base: Surface | None,
-    name: str,
-    progress: StageProgress = no_progress,
+    parts: Mapping[str, Part], progress: StageProgress = no_progress
 ) -> LabelledSurface:
     """Join separate surfaces of the ventricles to one that is closed.
 
@@ -72,38 +82,27 @@ def join_surfaces(
 
     Parameters
     ----------
-    lv, rv, epicardium : pair of (n, 3) and (m, 3) arrays
-        Vertices (mm) and triangles; each open at the base, with one boundary loop. Points may be
-        repeated and triangles turned either way.
-    base : pair of (n, 3) and (m, 3) arrays, optional
-        The surface between the loops.
-    name : str
-        Name of the surface in messages.
+    parts : mapping of str to Part
+        ``lv``, ``rv`` and ``epicardium``, each open at the base, with one boundary loop; and
+        perhaps the ``base`` between the loops.
     progress : StageProgress
         Called with the steps done and in all.
     """
-    parts = [
-        _clean_part(*surface, name, what, 1)
-        for surface, what in (
-            (epicardium, "epicardium"),
-            (lv, "LV endocardium"),
-            (rv, "RV endocardium"),
-        )
-    ]
-    given = None if base is None else _clean_part(*base, name, "base", 3)
+    name = ", ".join(part.name for part in parts.values())
+    named = {"epicardium": "epicardium", "lv": "LV endocardium", "rv": "RV endocardium"}
+    clean = [_clean_part(parts[part], what, 1) for part, what in named.items()]
+    given = _clean_part(parts["base"], "base", 3) if "base" in parts else None
     progress(1, 3)
-    _check_places(name, *parts)
+    _check_places(*clean)
     progress(2, 3)
-    outline = _outline_of(parts)
-    inner, between = (
-        _made_base(outline, name) if given is None else _fitted_base(outline, given, name)
-    )
-    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    number = [part.loops[0] + start for part, start in zip(parts, starts, strict=False)]
+    outline = _outline_of(clean)
+    inner, between = _made_base(outline) if given is None else _fitted_base(outline, given)
+    starts = np.cumsum([0, *(len(part.vertices) for part in clean)])
+    number = [part.loops[0] + start for part, start in zip(clean, starts, strict=False)]
     number.append(starts[-1] + np.arange(len(inner)))
-    triangles = [part.triangles + start for part, start in zip(parts, starts, strict=False)]
+    triangles = [part.triangles + start for part, start in zip(clean, starts, strict=False)]
     triangles.append(np.concatenate(number)[between])
-    vertices = np.vstack([*(part.vertices for part in parts), inner])
+    vertices = np.vstack([*(part.vertices for part in clean), inner])
     whole = np.vstack(triangles)
     check_edges(name, vertices, whole, "give no base to have one made")
     whole = turned_outwards(vertices, oriented_piece(name, vertices, whole))
@@ -113,58 +112,31 @@ def join_surfaces(
     return LabelledSurface(vertices, whole, of_triangles, name)
 
 
-def _clean_part(
-    vertices: Floats, triangles: Integers, whole: str, what: str, needed: int
-) -> OpenSurface:
+def _clean_part(part: Part, what: str, needed: int) -> OpenSurface:
     """A part in mm with repeated points merged, one manifold piece with the loops that it needs."""
-    name = f"{whole}: {what}"
-    check_units(name, vertices[np.unique(triangles)])
-    merged = merged_vertices(vertices, SAME_POINT)[triangles]
+    name, vertices = f"{part.name} ({what})", part.vertices
+    check_units(name, vertices[np.unique(part.triangles)])
+    merged = merged_vertices(vertices, SAME_POINT)[part.triangles]
     points, triangles = without_unused_vertices(vertices, merged[whole_triangles(merged)])
     check_edges(name, points, triangles)
     triangles = oriented_piece(name, points, triangles)
-    loops = boundary_loops(triangles)
-    touching = sum(np.unique(loop).size != loop.size for loop in loops)
-    if len(loops) == needed and not touching:
-        return OpenSurface(what, points, triangles, loops)
-    loops.sort(key=len, reverse=True)
-    where = ", ".join(
-        f"{len(loop)} vertices about {place(points[loop].mean(axis=0))}" for loop in loops[:4]
-    )
-    found = f"{len(loops)} boundary loops ({where}{', ...' if len(loops) > 4 else ''})"
-    if not loops:
-        found = "no boundary loop (it is closed)"
-    elif touching:
-        found += f", {touching} of which touch themselves"
-    kind = "it must be open at the base, with one boundary loop"
-    if needed == 3:
-        kind = "it must have three: one towards the epicardium and one around each cavity"
-    raise InputError(f"{name}: the surface has {found}; {kind}")
+    return OpenSurface(name, points, triangles, open_loops(name, points, triangles, needed))
 
 
-def _check_places(name: str, epicardium: OpenSurface, lv: OpenSurface, rv: OpenSurface) -> None:
+def _check_places(epicardium: OpenSurface, lv: OpenSurface, rv: OpenSurface) -> None:
     """Refuse endocardia that leave the epicardium, or reach into one another, below the base.
 
     Openings are closed by fans, which leave the winding number close to 0 or 1 below the base.
     """
-    for part, outer, other in ((lv, epicardium, rv), (rv, epicardium, lv)):
+    remedy = "give parts of one heart, in one frame, that do not cross, each to its own option"
+    for part, other in ((lv, rv), (rv, lv)):
         distance, _ = cKDTree(part.vertices[part.loops[0]]).query(part.vertices)
         deep = distance > 10.0  # mm; nearer to the base the fan's shape matters
-        for bad, where in (
-            (deep & (_winding(outer, part.vertices) < 0.6), "outside the epicardium"),
-            (deep & (_winding(other, part.vertices) > 0.4), f"within the {other.what}"),
-        ):
-            remedy = "give parts of one heart, in one frame, that do not cross"
-            refuse(f"{name}: {part.what}", bad, f"vertices lie {where}", remedy, part.vertices)
-
-
-def _winding(part: OpenSurface, points: Floats) -> Floats:
-    """Winding number of a part, closed by a fan over its opening, about points; 0 outside it."""
-    loop = part.loops[0]
-    vertices = np.vstack([part.vertices, part.vertices[loop].mean(axis=0)])
-    triangles = np.vstack([part.triangles, fan(loop, len(part.vertices))])
-    around = igl.fast_winding_number(vertices, triangles, np.ascontiguousarray(points))
-    return np.asarray(np.abs(around))
+        outside = deep & (winding_number(*epicardium[1:3], part.vertices) < 0.6)
+        within = deep & (winding_number(*other[1:3], part.vertices) > 0.4)
+        fault = f"vertices lie outside {epicardium.name}"
+        refuse(part.name, outside, fault, remedy, part.vertices)
+        refuse(part.name, within, f"vertices lie within {other.name}", remedy, part.vertices)
 
 
 def _outline_of(parts: list[OpenSurface]) -> Outline:
@@ -175,10 +147,10 @@ def _outline_of(parts: list[OpenSurface]) -> Outline:
     numbers = [start + np.arange(len(loop)) for start, loop in zip(starts, loops, strict=False)]
     sides = [np.column_stack([of_loop, np.roll(of_loop, -1)]) for of_loop in numbers]
     owner = np.repeat(np.arange(len(parts)), list(map(len, loops)))
-    return Outline(np.vstack(points), np.vstack(sides), tuple(part.what for part in parts), owner)
+    return Outline(np.vstack(points), np.vstack(sides), tuple(part.name for part in parts), owner)
 
 
-def _made_base(outline: Outline, name: str) -> Base:
+def _made_base(outline: Outline) -> Base:
     """Span a smooth base between boundary loops.
 
     The loops are laid out in the plane that fits them best and triangulated there, with a regular
@@ -192,7 +164,7 @@ def _made_base(outline: Outline, name: str) -> Base:
     x = columns + spacing / 2 * (np.arange(len(rows)) % 2)[:, np.newaxis]
     grid = np.column_stack([x.ravel(), np.repeat(rows, len(columns))])
     grid = grid[cKDTree(flat[:, :2]).query(grid)[0] > CLEAR * spacing]
-    inner, triangles = _triangulated(flat[:, :2], grid, outline, name)
+    inner, triangles = _triangulated(flat[:, :2], grid, outline)
     fixed = np.arange(len(flat))
     plane = np.vstack([flat, np.column_stack([inner, np.zeros(len(inner))])])
     heights = igl.harmonic(plane * [1, 1, 0], triangles, fixed, flat[:, 2:], 1)
@@ -200,7 +172,7 @@ def _made_base(outline: Outline, name: str) -> Base:
     return plane[len(flat) :] @ frame + centre, triangles
 
 
-def _fitted_base(outline: Outline, base: OpenSurface, name: str) -> Base:
+def _fitted_base(outline: Outline, base: OpenSurface) -> Base:
     """Fit a given base to the boundary loops of the parts around it, which stay where they are.
 
     Where all boundary vertices coincide, nothing changes. Otherwise the vertices within the base
@@ -215,7 +187,7 @@ def _fitted_base(outline: Outline, base: OpenSurface, name: str) -> Base:
         number[boundary] = nearest
         number[within] = len(boundary) + np.arange(len(within))
         return base.vertices[within], number[base.triangles]
-    _check_gap(outline, base, boundary, name)
+    _check_gap(outline, base, boundary)
     flat, centre, frame = _flattened(outline)
     own = (base.vertices - centre) @ frame.T
     a, b, c = own[base.triangles, :2].transpose(1, 2, 0)
@@ -223,9 +195,9 @@ def _fitted_base(outline: Outline, base: OpenSurface, name: str) -> Base:
     folded = min(area[area > 0].sum(), -area[area < 0].sum()) / np.abs(area).sum()
     if folded > 0.05:
         raise InputError(
-            f"{name}: the boundary loops of the base do not meet those of the other parts, and it "
-            f"cannot be fitted to them, as {folded:.0%} of it is folded over the rest; make them "
-            "meet, or give no base to have one made"
+            f"{base.name}: its boundary loops do not meet those of the other parts, and it cannot "
+            f"be fitted to them, as {folded:.0%} of it is folded over the rest; make them meet, or "
+            "give no base to have one made"
         )
     distance, nearest = cKDTree(flat[:, :2]).query(own[within, :2])
     clear = distance > CLEAR * mean_edge_length(base.vertices, base.triangles)
@@ -233,7 +205,7 @@ def _fitted_base(outline: Outline, base: OpenSurface, name: str) -> Base:
     opposite = boundary[cKDTree(own[boundary]).query(flat)[1]]
     rise = (flat[:, 2] - own[opposite, 2])[nearest] * np.maximum(1 - distance / 7.5, 0)
     own[within, 2] += rise
-    inner, triangles = _triangulated(flat[:, :2], own[within, :2], outline, name)
+    inner, triangles = _triangulated(flat[:, :2], own[within, :2], outline)
     _, row = cKDTree(own[within, :2]).query(inner)
     return own[within[row]] @ frame + centre, triangles
 
@@ -244,19 +216,16 @@ def _flattened(outline: Outline) -> tuple[Floats, Floats, Floats]:
     return (outline.points - centre) @ frame.T, centre, frame
 
 
-def _triangulated(
-    places: Floats, inner: Floats, outline: Outline, name: str
-) -> tuple[Floats, Integers]:
+def _triangulated(places: Floats, inner: Floats, outline: Outline) -> tuple[Floats, Integers]:
     """Triangles between the loops in a plane, and the inner points that they use."""
     count = len(places)
     loops = [np.flatnonzero(outline.owner == k) for k in range(len(outline.names))]
     triangles, missing = constrained_delaunay(np.vstack([places, inner]), loops)
     if missing.size:
         raise InputError(
-            f"{name}: seen from the base, the boundary loop of "
-            f"{outline.names[outline.owner[missing[0]]]} crosses or almost touches another or "
-            f"itself about {place(outline.points[missing[0]])}, so no base fits between; trim the "
-            "parts there"
+            f"{outline.names[outline.owner[missing[0]]]}: seen from the base, its boundary loop "
+            "crosses or almost touches another or itself about "
+            f"{place(outline.points[missing[0]])}, so no base fits between; trim the parts there"
         )
     inside = triangles >= count
     used, number = np.unique(triangles[inside], return_inverse=True)
@@ -264,7 +233,7 @@ def _triangulated(
     return inner[used - count], triangles
 
 
-def _check_gap(outline: Outline, base: OpenSurface, boundary: Integers, name: str) -> None:
+def _check_gap(outline: Outline, base: OpenSurface, boundary: Integers) -> None:
     """Refuse a base whose boundary loops are more than 2.5 mm from those of the parts."""
     edges, shared = unique_edges(base.triangles)
     rim = base.vertices[boundary]
@@ -277,7 +246,7 @@ def _check_gap(outline: Outline, base: OpenSurface, boundary: Integers, name: st
     worst = int(np.argmax(gap))
     if gap[worst] > 2.5:
         raise InputError(
-            f"{name}: the boundary loops of {outline.names[owner[worst]]} and base are up to "
+            f"{base.name}: its boundary loops and that of {outline.names[owner[worst]]} are up to "
             f"{gap[worst]:.1f} mm apart (at {place(points[worst])}), more than 2.5 mm; bring them "
             "together, or give no base to have one made"
         )

@@ -282,7 +282,9 @@ def _label_boundary(
     missing = missing_parts(labels)
     if missing:
         without = f"{(labels == 0).sum()} of {len(labels)} boundary triangles have none"
-        raise InputError(f"{source}: labels missing: {', '.join(missing)} ({without}); add them")
+        raise InputError(
+            f"{source}: labels missing: {', '.join(missing)} ({without}); add them (all are needed)"
+        )
     fault = "boundary triangles have no label"
     refuse(source, labels == 0, fault, "label every one", mesh.points, boundary, boundary)
     return labels

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates, spline_filter
 
-from fascicle.build.segmentation import Masks
+from fascicle.build.segmentation import Faces, Masks, blood_faces
 from fascicle.core.arrays import Booleans, Floats, Integers
 
 LEVEL = 1.0  # mm, resolution of the search along the axis
@@ -26,20 +26,6 @@ class BasePlane(NamedTuple):
     def height(self, points: Floats) -> Floats:
         """Distance above the plane (mm), negative in the ventricles."""
         return np.asarray((points - self.point) @ self.normal)
-
-
-class Faces(NamedTuple):
-    """Faces between a voxel of a ventricle's blood and one of something else.
-
-    Centres (n, 3) of the voxels of blood and of the faces, vectors with the face's area as length
-    that leave the blood (n, 3), and whether nothing is on the other side: neither tissue nor the
-    other ventricle's blood (n,).
-    """
-
-    voxels: Floats
-    centres: Floats
-    areas: Floats
-    free: Booleans
 
 
 def find_base_plane(masks: Masks) -> BasePlane:
@@ -110,24 +96,6 @@ def _end_of_slices(masks: Masks, faces: Faces, axis: Floats, index: int) -> Base
     top = np.flatnonzero(is_open)[::upwards][-1] + upwards / 2
     point = masks.affine[:3, 3] + top * masks.affine[:3, index]
     return BasePlane(point, axis, "the end of the most basal slice that opens both ventricles")
-
-
-def blood_faces(masks: Masks, blood: Booleans, other: Booleans) -> Faces:
-    """Faces of one ventricle's blood, given that of the other."""
-    axes = masks.affine[:3, :3]
-    found = []
-    for k in range(3):
-        across = np.cross(axes[:, (k + 1) % 3], axes[:, (k + 2) % 3])
-        across *= np.sign(across @ axes[:, k])
-        for step in (-1, 1):
-            index = np.argwhere(blood & ~np.roll(blood, -step, axis=k))
-            neighbour = index.copy()
-            neighbour[:, k] += step
-            voxels = index @ axes.T + masks.affine[:3, 3]
-            centres = (index + neighbour) / 2 @ axes.T + masks.affine[:3, 3]
-            areas = np.tile(step * across, (len(index), 1))
-            found.append((voxels, centres, areas, ~(masks.tissue | other)[tuple(neighbour.T)]))
-    return Faces(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
 def _sections(masks: Masks, along: Floats, axis: Floats) -> tuple[Integers, float]:

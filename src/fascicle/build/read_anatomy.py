@@ -10,7 +10,7 @@ import numpy as np
 
 from fascicle.build.borders import cut_along_borders
 from fascicle.build.classify import classify_surface
-from fascicle.build.join import join_surfaces
+from fascicle.build.join import Part, join_surfaces
 from fascicle.build.labelled_files import (
     Anatomy,
     FibreChoice,
@@ -105,12 +105,10 @@ def read_anatomy(source: Source, edge_length: float, progress: Progress | None =
         )
         meshes = {part: read_mesh(path, part) for part, path in source.parts.items()}
         parts = {
-            part: (mesh.points, mesh.require(TRIANGLE, "triangles"))
+            part: Part(str(mesh.path), mesh.points, mesh.require(TRIANGLE, "triangles"))
             for part, mesh in meshes.items()
         }
-        lv, rv, epicardium = (parts[part] for part in ("lv", "rv", "epicardium"))
-        name, report = str(source.parts["epicardium"]), stage_progress(progress, "surface")
-        joined = join_surfaces(lv, rv, epicardium, parts.get("base"), name, report)
+        joined = join_surfaces(parts, stage_progress(progress, "surface"))
         return _meshed(*_fine_enough(joined, edge_length), joined, edge_length, progress)
     segmentations = (".nii", ".nii.gz", ".nrrd", ".nhdr")
     if source.file.name.lower().endswith(segmentations):

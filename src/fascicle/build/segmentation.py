@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, find_objects, label
+from scipy.ndimage import binary_dilation, center_of_mass, find_objects, label
 from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.validate import check_units
+from fascicle.mesh.checks import place
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,38 @@ class Masks:
         return float(np.abs(normal @ self.affine[:3, :3]).sum())
 
 
+class Faces(NamedTuple):
+    """Faces between a voxel of a ventricle's blood and one of something else.
+
+    Centres (n, 3) of the voxels of blood and of the faces, vectors with the face's area as length
+    that leave the blood (n, 3), and whether nothing is on the other side: neither tissue nor the
+    other ventricle's blood (n,).
+    """
+
+    voxels: Floats
+    centres: Floats
+    areas: Floats
+    free: Booleans
+
+
+def blood_faces(masks: Masks, blood: Booleans, other: Booleans) -> Faces:
+    """Faces of one ventricle's blood, given that of the other."""
+    axes = masks.affine[:3, :3]
+    found = []
+    for k in range(3):
+        across = np.cross(axes[:, (k + 1) % 3], axes[:, (k + 2) % 3])
+        across *= np.sign(across @ axes[:, k])
+        for step in (-1, 1):
+            index = np.argwhere(blood & ~np.roll(blood, -step, axis=k))
+            neighbour = index.copy()
+            neighbour[:, k] += step
+            voxels = index @ axes.T + masks.affine[:3, 3]
+            centres = (index + neighbour) / 2 @ axes.T + masks.affine[:3, 3]
+            areas = np.tile(step * across, (len(index), 1))
+            found.append((voxels, centres, areas, ~(masks.tissue | other)[tuple(neighbour.T)]))
+    return Faces(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+
 def regions_at(segmentation: Segmentation, labels: SegmentationLabels, points: Floats) -> Integers:
     """Whether points (n, 3) in mm lie in scar (1) or not (0), by the nearest voxel of tissue.
 
@@ -144,11 +177,25 @@ def masks_of(segmentation: Segmentation, labels: SegmentationLabels, notes: list
     for part, mask in _parts(segmentation, labels).items():
         parts[mask] = kinds[part]
     parts, affine = _cropped(parts, segmentation.affine)
+    _check_not_exchanged(Masks(parts == 1, parts == 2, parts == 3, affine, name))
     for kind, part in ((3, "tissue"), (1, "LV blood"), (2, "RV blood")):
-        _remove_small_components(parts, kind, part, segmentation, notes)
+        _remove_small_components(parts, kind, part, affine, segmentation, notes)
     parts, affine = _cropped(parts, affine)
     check_units(name, np.array([[0, 0, 0], parts.shape]) * segmentation.spacing)
     return Masks(parts == 1, parts == 2, parts == 3, affine, name)
+
+
+def _check_not_exchanged(masks: Masks) -> None:
+    """Refuse maps in which the LV blood is not mostly surrounded by tissue."""
+    faces = blood_faces(masks, masks.lv, np.zeros_like(masks.rv))
+    size = np.linalg.norm(faces.areas, axis=1)
+    bare = float(size[faces.free].sum() / size.sum())
+    if bare > 0.5:
+        raise InputError(
+            f"{masks.name}: {bare:.0%} of the LV blood's surface borders on no tissue, so the "
+            "labels seem to be exchanged; give those of this map (--labels; ACDC has lv=3,rv=1,"
+            "myocardium=2, UK Biobank lv=1,rv=3,myocardium=2)"
+        )
 
 
 def _cropped(parts: NDArray[np.int8], affine: Floats) -> tuple[NDArray[np.int8], Floats]:
@@ -170,13 +217,19 @@ def _parts(segmentation: Segmentation, labels: SegmentationLabels) -> dict[str, 
             more = f" and {len(there) - 12} more" if len(there) > 12 else ""
             raise InputError(
                 f"{segmentation.name}: {name} (label {', '.join(map(str, numbers))}) has 0 voxels; "
-                f"the map has labels {', '.join(there[:12])}{more}; say which label is {name}"
+                f"the map has labels {', '.join(there[:12])}{more}; give the label "
+                "of every part (--labels; scar alone may be left out)"
             )
     return masks
 
 
 def _remove_small_components(
-    parts: NDArray[np.int8], kind: int, part: str, segmentation: Segmentation, notes: list[str]
+    parts: NDArray[np.int8],
+    kind: int,
+    part: str,
+    affine: Floats,
+    segmentation: Segmentation,
+    notes: list[str],
 ) -> None:
     """Give components below 1 % of a part to what surrounds most of each, in place."""
     touching = np.ones((3, 3, 3), dtype=bool)
@@ -188,10 +241,16 @@ def _remove_small_components(
     ml = sizes * segmentation.voxel_volume / 1000
     large = np.flatnonzero(sizes > 0.01 * sizes.sum())
     if large.size > 1:
-        listed = ", ".join(f"{v:.3g}" for v in sorted(ml[large], reverse=True)[:12])
+        largest_first = large[np.argsort(-ml[large], kind="stable")]
+        middles = center_of_mass(pieces > 0, pieces, largest_first[:3] + 1)
+        places = np.array(middles) @ affine[:3, :3].T + affine[:3, 3]
+        listed = ", ".join(
+            f"{ml[k]:.3g} ml about {place(at)}"
+            for k, at in zip(largest_first, places, strict=False)
+        )
         raise InputError(
-            f"{segmentation.name}: {part} falls into {large.size} unconnected pieces "
-            f"({listed} ml); join them, or keep one"
+            f"{segmentation.name}: {part} falls into {large.size} unconnected pieces ({listed}"
+            f"{', ...' if large.size > 3 else ''}); join them, or keep one"
         )
     for piece, box in enumerate(find_objects(pieces)):
         if piece == largest:

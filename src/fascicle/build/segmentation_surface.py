@@ -13,13 +13,18 @@ from fascicle.build.level_sets import (
     OPEN,
     BasePlane,
     Grid,
-    blood_faces,
     closed_by,
     find_base_plane,
     grid_below,
     level_set,
 )
-from fascicle.build.segmentation import Masks, Segmentation, SegmentationLabels, masks_of
+from fascicle.build.segmentation import (
+    Masks,
+    Segmentation,
+    SegmentationLabels,
+    blood_faces,
+    masks_of,
+)
 from fascicle.build.surface_checks import Volumes
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
@@ -90,7 +95,7 @@ def surface_from_segmentation(
     masks = _coarsened(masks)
     progress(1, 6)
     plane = find_base_plane(masks)
-    _check_lv(masks, plane)
+    _check_apex(masks, plane)
     grid = grid_below(plane, masks, EDGE)
     progress(2, 6)
     lv = level_set(masks.lv, masks, plane, grid)
@@ -119,17 +124,10 @@ def surface_from_segmentation(
     return surface, Volumes(lv_ml, rv_ml, tissue_ml + added)
 
 
-def _check_lv(masks: Masks, plane: BasePlane) -> None:
-    """Refuse maps in which the LV is another part, or its apex is missing."""
+def _check_apex(masks: Masks, plane: BasePlane) -> None:
+    """Refuse maps without the LV's apex."""
     faces = blood_faces(masks, masks.lv, masks.rv)
-    size, up = np.linalg.norm(faces.areas, axis=1), faces.areas @ plane.normal
-    bare = float(size[faces.free].sum() / size.sum())
-    if bare > 0.5:
-        raise InputError(
-            f"{masks.name}: {bare:.0%} of the LV blood's surface borders on no tissue, so the "
-            "labels seem to be exchanged; give those of this map (--labels; ACDC has lv=3,rv=1,"
-            "myocardium=2, UK Biobank lv=1,rv=3,myocardium=2)"
-        )
+    up = faces.areas @ plane.normal
     apical = -float(up[faces.free & (up < 0)].sum())
     if apical > 0.25 * float(np.abs(up).sum()) / 2:  # of the area seen along the axis
         raise InputError(

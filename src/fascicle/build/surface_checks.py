@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface
-from fascicle.mesh.measures import closed_volume, triangle_areas
+from fascicle.mesh.measures import closed_by_fan, closed_volume, triangle_areas
 
 LARGEST_CHANGE = 0.03  # of a volume between its file and the mesh, above which the user is warned
 
@@ -32,7 +32,7 @@ class Volumes(NamedTuple):
 def volumes(tissue: LabelledSurface | LabelledMesh) -> Volumes:
     """Volumes of a closed labelled surface or of a mesh."""
     lv, rv = (
-        closed_by_fan(tissue.vertices, tissue.having(label))[0] / 1e3
+        abs(closed_by_fan(tissue.vertices, tissue.having(label))[0]) / 1e3
         for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
     )
     return Volumes(lv, rv, closed_volume(tissue.vertices, tissue.triangles) / 1e3)
@@ -149,12 +149,4 @@ def _features(endocardium: Surface, epicardium: Surface) -> Floats:
     area = float(triangle_areas(vertices, triangles).sum()) + cap
     # the 40th percentile of the distances to the epicardium lies in the free wall
     wall = np.sqrt(np.percentile(igl.point_mesh_squared_distance(own, *epicardium)[0], 40.0))
-    return np.array([volume / ConvexHull(own).volume, 36 * np.pi * volume**2 / area**3, wall])
-
-
-def closed_by_fan(vertices: Floats, triangles: Integers) -> tuple[float, float]:
-    """Volume of an open surface closed by a fan (mm³), and the fan's area (mm²)."""
-    rim = np.asarray(igl.boundary_facets(triangles)[0], dtype=np.int64)
-    centred = vertices - vertices[np.unique(rim)].mean(axis=0)  # the fan adds no volume there
-    fan = np.cross(centred[rim[:, 0]], centred[rim[:, 1]]) / 2
-    return abs(closed_volume(centred, triangles)), float(np.linalg.norm(fan, axis=1).sum())
+    return np.array([abs(volume) / ConvexHull(own).volume, 36 * np.pi * volume**2 / area**3, wall])

@@ -18,7 +18,6 @@ from fascicle.mesh.measures import closed_volume, loop_length, self_intersection
 from fascicle.mesh.meshing import marching_cubes
 from fascicle.mesh.topology import (
     boundary_loops,
-    directed_edges,
     fan,
     merged_vertices,
     unique_edges,
@@ -44,7 +43,8 @@ def prepared_surface(surface: LabelledSurface) -> LabelledSurface:
         there = ", ".join(str(number) for number in np.unique(surface.labels))
         raise InputError(
             f"{surface.name}: no triangle is labelled {' or '.join(missing)} (labels there: "
-            f"{there}); label base 1, epicardium 2, LV 3, RV 4, or say which number is what"
+            f"{there}); label base 1, epicardium 2, LV 3, RV 4 (all are needed), or say which "
+            "number is what (--labels)"
         )
     closed = closed_surface(surface)
     cuts = self_intersections(closed.vertices, closed.triangles)
@@ -169,11 +169,6 @@ def oriented_outwards(surface: LabelledSurface) -> LabelledSurface:
     """Turn the triangles of a closed surface in one piece so that they face outwards."""
     check_edges(surface.name, surface.vertices, surface.triangles)
     triangles = oriented_piece(surface.name, surface.vertices, surface.triangles)
-    directed = directed_edges(triangles)
-    if len(np.unique(directed, axis=0)) < len(directed):
-        raise InputError(
-            f"{surface.name}: the surface has no inside (it is one-sided); remesh or repair it"
-        )
     bad = ~np.asarray(igl.is_vertex_manifold(triangles)).ravel()
     fault, remedy = "vertices are where the surface touches itself", "separate the parts there"
     refuse(surface.name, bad, fault, remedy, surface.vertices)

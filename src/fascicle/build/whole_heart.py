@@ -9,13 +9,12 @@ import igl
 import numpy as np
 
 from fascicle.build.labelled_files import REGION_NAMES
-from fascicle.build.surface_checks import closed_by_fan
 from fascicle.core.arrays import Booleans, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.fibres import SURFACES
 from fascicle.heart.labelled_surface import Label, LabelledMesh
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
-from fascicle.mesh.measures import signed_volumes, triangle_areas
+from fascicle.mesh.measures import closed_by_fan, signed_volumes, triangle_areas
 from fascicle.mesh.topology import boundary_triangles, places_in
 
 VENTRICLES = ("lv", "rv", "septum")
@@ -147,7 +146,7 @@ def labels_of_ventricles(mesh: LabelledMesh, is_left: Booleans) -> Integers | No
     large = np.flatnonzero(area > 0.02 * area.sum())
     if len(large) != 3:
         return None
-    enclosed = [closed_by_fan(mesh.vertices, triangles[piece == k])[0] for k in large]
+    enclosed = [abs(closed_by_fan(mesh.vertices, triangles[piece == k])[0]) for k in large]
     outer = large[np.argmax(enclosed)]
     rv, lv = sorted(large[large != outer], key=lambda k: float(is_left[owner[piece == k]].mean()))
     labels = np.where(mesh.labels == 0, int(Label.BASE), mesh.labels)

@@ -6,6 +6,7 @@ import math
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -241,13 +242,14 @@ def heart_import(
     the apex. Without **--torso idealised** the volume conductor is unbounded, and the ratios of the
     leads are wrong.
     """
+    from fascicle.build.surface_checks import check_sides
     from fascicle.build.torso import in_torso
     from fascicle.build.whole_heart import ventricles
     from fascicle.core.progress import stage_progress
     from fascicle.heart.assembly import assemble_heart
     from fascicle.heart.coordinates import with_coordinates
     from fascicle.heart.folder import check_heart_folder
-    from fascicle.heart.labelled_surface import labelled_mesh
+    from fascicle.heart.labelled_surface import labelled_mesh, missing_parts
     from fascicle.mesh.formats.read import read_mesh
 
     inputs = [mesh, Path(fibres), lv_endocardium, rv_endocardium, electrodes]
@@ -273,6 +275,8 @@ def heart_import(
     )
     with TerminalProgress() as progress:
         labelled = labelled_mesh(heart)
+        if not missing_parts(labelled.labels):
+            check_sides(replace(labelled, name=f"{lv_endocardium}, {rv_endocardium}"))
         report = stage_progress(progress, "coordinates")
         heart, located = with_coordinates(heart, labelled, report)
         heart, notes = in_torso(heart, labelled, torso, progress)

@@ -77,10 +77,11 @@ def assemble_heart(
     named = {}
     for side, surface in surfaces.items():
         triangles = _endocardium(side, surface)
-        check_endocardium_in_place(str(surface.path), surface.points, vertices)
+        named_surface = str(surface.path), surface.points, triangles
+        check_endocardium_in_place(*named_surface, vertices, tetrahedra)
         valves = surface.cell_array(TRIANGLE, "valve")
         valves = None if valves is None else valves != 0
-        named[side] = str(surface.path), surface.points, triangles, valves
+        named[side] = *named_surface, valves
     apart = cKDTree(surfaces["rv"].points).query(surfaces["lv"].points)[0]
     if float(np.median(apart)) == 0:
         raise InputError(

@@ -12,8 +12,8 @@ from scipy.spatial import cKDTree
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.ranges import short_repr
-from fascicle.mesh.checks import check_edges, oriented_piece
-from fascicle.mesh.measures import enclosed_volume, triangle_areas, unit
+from fascicle.mesh.checks import check_edges, open_loops, oriented_piece
+from fascicle.mesh.measures import closed_by_fan, triangle_areas, unit
 from fascicle.mesh.topology import boundary_loops
 
 # A vertex by its number, a position (mm), or neither: then the anatomy decides
@@ -62,19 +62,14 @@ def oriented_into_cavity(vertices: Floats, triangles: Integers, name: str) -> In
     """
     check_edges(name, vertices, triangles)
     oriented = oriented_piece(name, vertices, triangles, "the one that is the endocardium")
-    loops = boundary_loops(oriented)
-    if len(loops) != 1:
-        found = "no boundary loop (it is closed)" if not loops else f"{len(loops)} boundary loops"
-        raise InputError(
-            f"{name}: the surface has {found}; it must be open at the base, with exactly one"
-        )
+    open_loops(name, vertices, oriented)
     euler = np.unique(oriented).size - len(igl.edges(oriented)) + len(oriented)
-    if euler != 1 or np.unique(loops[0]).size != loops[0].size:
+    if euler != 1:
         raise InputError(
-            f"{name}: the surface has handles or a pinched boundary (Euler characteristic "
-            f"{euler}, a disk has 1); repair or remesh it"
+            f"{name}: the surface has handles (Euler characteristic {euler}, a disk has 1); repair "
+            "or remesh it"
         )
-    if enclosed_volume(vertices, oriented) > 0:  # normals point away from the cavity
+    if closed_by_fan(vertices, oriented)[0] > 0:  # normals point away from the cavity
         oriented = oriented[:, ::-1]
     return np.ascontiguousarray(oriented, dtype=np.int64)
 

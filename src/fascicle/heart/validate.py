@@ -13,7 +13,7 @@ from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.heart import Heart
 from fascicle.mesh.checks import refuse
-from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.measures import signed_volumes, winding_number
 from fascicle.mesh.topology import components_of, faces_in_order
 
 
@@ -91,8 +91,13 @@ def check_fibres(
         refuse(name, bad, f"fibres {what}", remedy, vertices, cells)
 
 
-def check_endocardium_in_place(name: str, surface: Floats, vertices: Floats) -> None:
-    """Refuse an endocardium (k, 3) off the tissue (n, 3), or of another size."""
+def check_endocardium_in_place(
+    name: str, surface: Floats, triangles: Integers, vertices: Floats, tetrahedra: Integers
+) -> None:
+    """Refuse an endocardium off the tissue's tetrahedra, around them, or of another size.
+
+    Its vertices (k, 3) are in mm, its triangles face the cavity.
+    """
     extent, whole = (float(np.ptp(points, axis=0).max()) for points in (surface, vertices))
     if extent < 0.2 * whole:
         raise InputError(
@@ -104,6 +109,12 @@ def check_endocardium_in_place(name: str, surface: Floats, vertices: Floats) -> 
         raise InputError(
             f"{name}: its vertices lie {distance:.1f} mm (median) from the tissue's; "
             "give both in the same frame and in mm"
+        )
+    within = winding_number(surface, triangles, vertices[tetrahedra].mean(axis=1)) > 0.5
+    if within.mean() > 0.5:
+        raise InputError(
+            f"{name}: {within.mean():.0%} of the tissue lies in the cavity that it lines, so it "
+            "seems to be the epicardium; give the endocardium"
         )
 
 

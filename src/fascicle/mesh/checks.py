@@ -1,4 +1,4 @@
-"""Faults of meshes, told with the places of the first: edges shared by many, several pieces."""
+"""Faults of meshes, told with their first places: shared edges, several pieces or openings."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.mesh.topology import unique_edges
+from fascicle.mesh.topology import boundary_loops, directed_edges, unique_edges
 
 
 def place(point: Floats) -> str:
@@ -63,7 +63,7 @@ def check_edges(name: str, vertices: Floats, triangles: Integers, closed: str = 
     `closed` says what to do about open edges, which are no fault without it.
     """
     edges, count = unique_edges(triangles)
-    remedy = "remove sheets inside the tissue or the cavities, or remesh the surface"
+    remedy = "remove what meets there, such as sheets inside the tissue, or remesh"
     for bad, fault, what in (
         (count > 2, "edges have more than two triangles", remedy),
         ((count < 2) & bool(closed), "edges are open", closed),
@@ -74,9 +74,9 @@ def check_edges(name: str, vertices: Floats, triangles: Integers, closed: str = 
 def oriented_piece(
     name: str, vertices: Floats, triangles: Integers, which: str = "one"
 ) -> Integers:
-    """Triangles (m, 3) all turned the same way; a surface in several pieces is refused.
+    """Triangles (m, 3) all turned the same way; several pieces or one side alone are refused.
 
-    `which` says in the message which piece to keep.
+    No edge has more than two triangles. `which` says in the message which piece to keep.
     """
     oriented, piece = igl.bfs_orient(triangles)
     sizes = np.bincount(np.asarray(piece))
@@ -89,4 +89,35 @@ def oriented_piece(
             f"{name}: the surface falls into {len(sizes)} pieces ({listed}"
             f"{', ...' if len(sizes) > 3 else ''}); keep {which}"
         )
+    edges, times = np.unique(directed_edges(oriented), axis=0, return_counts=True)
+    fault = "edges join triangles that cannot face one way: the surface is one-sided"
+    refuse(name, times > 1, fault, "remesh or repair it", vertices, edges, edges)
     return np.ascontiguousarray(oriented, dtype=np.int64)
+
+
+def open_loops(name: str, vertices: Floats, triangles: Integers, needed: int = 1) -> list[Integers]:
+    """Boundary loops of an oriented surface: one at the base, or three of a base itself.
+
+    Another number is refused, and loops that touch themselves are.
+    """
+    loops = sorted(boundary_loops(triangles), key=len, reverse=True)
+    if not loops:
+        raise InputError(f"{name}: the surface is closed; cut it open at the base")
+    where = ", ".join(
+        f"{len(loop)} vertices about {place(vertices[loop].mean(axis=0))}" for loop in loops[:4]
+    )
+    touching = sum(np.unique(loop).size != loop.size for loop in loops)
+    if len(loops) != needed:
+        remedy = "close all but the one at the base"
+        if needed == 3:
+            remedy = "give one towards the epicardium and one around each cavity"
+        raise InputError(
+            f"{name}: the surface has {len(loops)} boundary loops ({where}"
+            f"{', ...' if len(loops) > 4 else ''}), and {needed} needed; {remedy}"
+        )
+    if touching:
+        raise InputError(
+            f"{name}: {touching} of its boundary loops ({where}) touch themselves; trim or remesh "
+            "the surface there"
+        )
+    return loops

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
-from fascicle.mesh.topology import boundary_loops
+from fascicle.mesh.topology import boundary_loops, fan
 
 # Quadrature of degree 2 on a tetrahedron (Hammer and Stroud, 1956): four points of equal weight,
 # each nearer to one corner, in barycentric coordinates
@@ -82,14 +82,27 @@ def closed_volume(vertices: Floats, triangles: Integers) -> float:
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
-def enclosed_volume(vertices: Floats, triangles: Integers) -> float:
-    """Signed volume of an open surface closed by a fan over its opening (mm³).
+def closed_by_fan(vertices: Floats, triangles: Integers) -> tuple[float, float]:
+    """Signed volume (mm³) of an open surface closed by a fan over each opening; the fans' area.
 
-    Negative where the normals point into the cavity, as an `Endocardium`'s do.
+    The volume is negative where the normals point into the cavity, as an `Endocardium`'s do.
     """
-    loop = vertices[boundary_loops(triangles)[0]]
-    # seen from the loop's middle, the fan contributes nothing
-    return closed_volume(vertices - loop.mean(axis=0), triangles)
+    rim = np.asarray(igl.boundary_facets(triangles)[0], dtype=np.int64)
+    centred = vertices - vertices[np.unique(rim)].mean(axis=0)  # the fan adds no volume there
+    area = np.linalg.norm(np.cross(centred[rim[:, 0]], centred[rim[:, 1]]), axis=1).sum() / 2
+    return closed_volume(centred, triangles), float(area)
+
+
+def winding_number(vertices: Floats, triangles: Integers, points: Floats) -> Floats:
+    """How often an open surface, closed by a fan over its opening, goes round points (k, 3).
+
+    About 1 within and 0 outside, whichever way the triangles are turned.
+    """
+    loop = boundary_loops(triangles)[0]
+    closed = np.vstack([vertices, vertices[loop].mean(axis=0)])
+    faces = np.vstack([triangles, fan(loop, len(vertices))])
+    points = np.ascontiguousarray(points)
+    return np.asarray(np.abs(igl.fast_winding_number(closed, faces, points)))
 
 
 def turned_outwards(vertices: Floats, triangles: Integers) -> Integers:

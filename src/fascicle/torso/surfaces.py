@@ -113,6 +113,7 @@ def _read_surface(path: Path, purpose: str, edge: float, most: int = 20_000) -> 
     triangles = number.reshape(-1)[triangles]
     triangles = triangles[(np.diff(np.sort(triangles, axis=1), axis=1) > 0).all(axis=1)]
     vertices, triangles = without_unused_vertices(points, triangles)
+    check_edges(str(path), vertices, triangles)
     oriented = oriented_piece(str(path), vertices, triangles, "the outer one")
     surface = Surface(vertices, turned_outwards(vertices, oriented))
     if len(triangles) > most:
