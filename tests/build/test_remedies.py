@@ -1,5 +1,7 @@
 """Anatomies that are refused: the message names the file and the thing, and its remedy works."""
 
+from dataclasses import replace
+
 import anatomies
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from fascicle.build.read_anatomy import Source, read_anatomy
 from fascicle.build.segmentation import SegmentationLabels
 from fascicle.build.segmentation_files import read_segmentation
 from fascicle.build.segmentation_surface import surface_from_segmentation
+from fascicle.build.surface_checks import mirror_warning
 from fascicle.build.surface_repair import prepared_surface
 from fascicle.core.errors import InputError
 from fascicle.mesh.formats.read import read_mesh
@@ -180,3 +183,19 @@ def test_several_openings_or_cavities_are_labelled(tmp_path, tissue, words):
     anatomies.write_surface(file, vertices, triangles, label=labels)
     found = prepared_surface(labelled_surface(read_mesh(file)))
     assert {LV, RV} <= set(found.labels)
+
+
+@pytest.mark.parametrize("space", ["RAS", "LPS", ""])
+def test_a_mirrored_map_is_noticed_in_a_chest_alone(space):
+    """The apex to the left, front and below, the right ventricle to the right and in front."""
+    down, aside = np.array([-0.5, 0.6, -0.62]), np.array([0.8, 0.6, 0.1])
+    across = np.cross(aside, down)
+    axes = np.array([np.cross(down, across), across, -down])  # of the phantom, as rows
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    assert np.linalg.det(axes) == pytest.approx(1)
+    to_file = np.diag([-1, -1, 1] if space == "LPS" else [1, 1, 1])
+    mirror = np.diag([-1, 1, 1])
+    for turn, warned in ((axes, False), (axes @ mirror, bool(space)), (mirror, False)):
+        mesh = anatomies.tissue()
+        mesh = replace(mesh, vertices=mesh.vertices @ turn @ to_file)
+        assert bool(mirror_warning(mesh, space)) == warned

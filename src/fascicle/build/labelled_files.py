@@ -16,7 +16,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
 from fascicle.heart.assembly import FIBRE_NAMES, average_to_tetrahedra, region_labels
 from fascicle.heart.coordinate_arrays import VentricularCoordinates, read_coordinates
-from fascicle.heart.fibres import lengths_in_words, placeholder
+from fascicle.heart.fibres import is_placeholder
 from fascicle.heart.label_names import (
     LABEL_NAMES,
     Names,
@@ -247,18 +247,11 @@ def _directions(mesh: MeshFile, what: str, choice: FibreChoice, notes: list[str]
     if values.shape[1:] != (3,):
         raise InputError(f"{title} has shape {values.shape}; give three components, or rename it")
     used = values if of_cells else values[np.unique(tetrahedra)]
-    fault = "" if choice == "file" else placeholder(used)
-    if fault:
-        notes.append(
-            f"{what}: array '{found[0]}' of the file is a placeholder, as {fault}; a rule was "
-            "applied instead (--fibres file keeps the array)"
-        )
-        return None
     points = mesh.points if of_cells else mesh.points[np.unique(tetrahedra)]
     remedy = "give every one a direction, or take a rule (--fibres rule)"
+    if is_placeholder(what, f"array '{found[0]}'", used, notes, kept=choice == "file"):
+        return None
     check_fibres(title, used, points, tetrahedra if of_cells else None, remedy)
-    if lengths := lengths_in_words(used):
-        notes.append(f"{what}: array '{found[0]}' has {lengths}; they were made unit vectors")
     return unit(values) if of_cells else average_to_tetrahedra(values, tetrahedra)
 
 

@@ -22,7 +22,7 @@ from fascicle.build.mesh_repair import repaired_edges, repaired_mesh, separated_
 from fascicle.build.segmentation import SegmentationLabels, regions_at
 from fascicle.build.segmentation_files import read_segmentation
 from fascicle.build.segmentation_surface import surface_from_segmentation
-from fascicle.build.surface_checks import Volumes, check_sides, compared, volumes
+from fascicle.build.surface_checks import Volumes, check_sides, compared, mirror_warning, volumes
 from fascicle.build.surface_meshing import is_coarse, subdivided
 from fascicle.build.surface_repair import closed_surface, prepared_surface
 from fascicle.build.volume_meshing import check_memory, mesh_surface, remeshed_anatomy
@@ -192,6 +192,8 @@ def _from_segmentation(
         segmentation, labels, stage_progress(progress, "surface"), notes, edge_length
     )
     anatomy = _meshed(surface, tuple(notes), given, edge_length, progress)
+    mirrored = mirror_warning(anatomy.mesh, segmentation.space)
+    anatomy = replace(anatomy, warnings=(*anatomy.warnings, *mirrored))
     if labels.scar is None:
         return anatomy
     scar = "region_1_conductivity"  # the quantity that says how it conducts

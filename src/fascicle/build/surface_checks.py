@@ -10,8 +10,10 @@ from scipy.spatial import ConvexHull
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
+from fascicle.heart.endocardium import long_axis
 from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface
-from fascicle.mesh.measures import closed_by_fan, closed_volume, triangle_areas
+from fascicle.mesh.measures import closed_by_fan, closed_volume, triangle_areas, unit
+from fascicle.mesh.topology import without_unused_vertices
 
 LARGEST_CHANGE = 0.03  # of a volume between its file and the mesh, above which the user is warned
 
@@ -139,6 +141,33 @@ def check_sides(tissue: LabelledSurface | LabelledMesh) -> None:
             f"fills {left:.0%} of its convex hull behind a wall of {thick:.1f} mm, the "
             f"one labelled RV {right:.0%} behind {thin:.1f} mm; exchange the two"
         )
+
+
+def mirror_warning(mesh: LabelledMesh, space: str) -> tuple[str, ...]:
+    """A warning if the heart lies in the patient as it would in a mirror.
+
+    Its apex then points to the right, its right ventricle lies to the left, and their cross product
+    points up instead of down. That shows only in the patient's coordinates (the space ``"RAS"`` or
+    ``"LPS"``) and where the long axis is as oblique as in a chest: a map along the axes of its
+    image shows nothing.
+    """
+    if space not in ("RAS", "LPS"):
+        return ()
+    left, right = (
+        without_unused_vertices(mesh.vertices, mesh.having(label))
+        for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
+    )
+    base, apex = long_axis(*left)
+    to_right = np.array([1, 1, 1] if space == "RAS" else [-1, -1, 1])
+    axis = unit(to_right * (apex - base))
+    across = unit(to_right * (right[0].mean(axis=0) - left[0].mean(axis=0)))
+    if axis[0] < 0.25 or across[0] > -0.25 or np.cross(axis, across)[2] < 0.25:
+        return ()
+    return (
+        f"{mesh.name}: the apex points to the patient's right and the right ventricle lies to the "
+        "left of the left one, so the map seems to be mirrored; unless the heart lies on the right "
+        "side, check the orientation in the file's header",
+    )
 
 
 def _features(endocardium: Surface, epicardium: Surface) -> Floats:

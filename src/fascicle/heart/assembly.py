@@ -14,7 +14,7 @@ from fascicle.core.ranges import check_array
 from fascicle.heart.coordinate_arrays import read_coordinates
 from fascicle.heart.electrodes import read_electrodes
 from fascicle.heart.endocardium import ChosenSeed, oriented_into_cavity, seeded_endocardia
-from fascicle.heart.fibres import lengths_in_words, placeholder, rule_based_fibres
+from fascicle.heart.fibres import is_placeholder, rule_based_fibres
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import labelled_mesh, missing_parts
 from fascicle.heart.validate import (
@@ -69,7 +69,9 @@ def assemble_heart(
     notes = notes if notes is not None else []
     source, direction = fibres if fibres is not None else mesh, np.zeros((len(tetrahedra), 3))
     if by_rule is None:
-        by_rule = _are_placeholders(source, notes)
+        array, values, _ = _fibre_array(source)
+        array = f"array '{array}' of {source.path}"
+        by_rule = is_placeholder("fibres", array, values, notes, kept=False)
     if not by_rule:
         direction = _fibres_per_tetrahedron(mesh, tetrahedra, source)
     vertices, tetrahedra = without_unused_vertices(mesh.points, tetrahedra)
@@ -134,7 +136,7 @@ def _endocardium(side: str, surface: MeshFile) -> Integers:
 def _fibres_per_tetrahedron(mesh: MeshFile, tetrahedra: Integers, source: MeshFile) -> Floats:
     """Find the unit fibre of each tetrahedron, matched by position if the order differs."""
     name = str(source.path)
-    values, per_cell = _fibre_array(source)
+    _, values, per_cell = _fibre_array(source)
     if per_cell:
         theirs = source.points[source.require(TETRAHEDRON, "tetrahedra")].mean(axis=1)
         ours = mesh.points[tetrahedra].mean(axis=1)
@@ -149,20 +151,6 @@ def _fibres_per_tetrahedron(mesh: MeshFile, tetrahedra: Integers, source: MeshFi
     at_vertex[used] = values[row]
     check_fibres(name, at_vertex[used], mesh.points[used])
     return average_to_tetrahedra(at_vertex, tetrahedra)
-
-
-def _are_placeholders(source: MeshFile, notes: list[str]) -> bool:
-    """Whether the fibres of a file are none; a note says so, or that they have another length."""
-    values, _ = _fibre_array(source)
-    fault, lengths = placeholder(values), lengths_in_words(values)
-    if fault:
-        notes.append(
-            f"fibres: {source.path} holds a placeholder, as {fault}; a rule was applied instead "
-            "(fibres in the mesh's file are kept by --fibres file)"
-        )
-    elif lengths:
-        notes.append(f"fibres: {source.path} has {lengths}; they were made unit vectors")
-    return bool(fault)
 
 
 def _match_by_position(name: str, given: Floats, wanted: Floats, what: str) -> Integers:
@@ -210,8 +198,8 @@ def _sheets(mesh: MeshFile) -> Floats | None:
     return values
 
 
-def _fibre_array(source: MeshFile) -> tuple[Floats, bool]:
-    """Find the array of directions in a file, and whether it is one per tetrahedron."""
+def _fibre_array(source: MeshFile) -> tuple[str, Floats, bool]:
+    """Name and values of the array of directions in a file; whether it is one per tetrahedron."""
     found: dict[str, tuple[Floats, bool]] = {}
     of_cells = source.cell_data.get(TETRAHEDRON, {})
     for arrays, per_cell in ((source.point_data, False), (of_cells, True)):  # of cells: exact
@@ -224,4 +212,4 @@ def _fibre_array(source: MeshFile) -> tuple[Floats, bool]:
             f"{source.path}: need one array of fibre directions (3 components); found "
             f"{', '.join(keys) or 'none'}; keep one, or name it 'fibre'"
         )
-    return found[keys[0]]
+    return keys[0], *found[keys[0]]

@@ -172,12 +172,24 @@ def placeholder(directions: Floats) -> str:
     return ""
 
 
-def lengths_in_words(directions: Floats) -> str:
-    """The range of lengths of vectors (m, 3); empty if all are 1 but for rounding."""
+def is_placeholder(
+    what: str, array: str, directions: Floats, notes: list[str], *, kept: bool
+) -> bool:
+    """Whether directions (m, 3) of an array are a `placeholder`, and not to be kept even so.
+
+    The notes say that a rule takes their place, or that their length was not 1.
+    """
+    if not kept and (fault := placeholder(directions)):
+        notes.append(
+            f"{what}: {array} is a placeholder, as {fault}; a rule was applied instead (--fibres "
+            "file keeps what is in the mesh's file)"
+        )
+        return True
     length = np.linalg.norm(directions, axis=1)
-    if np.abs(length - 1).max() <= 1e-3:
-        return ""
-    return f"vectors of length {length.min():.3g} to {length.max():.3g}"
+    if np.abs(length - 1).max() > 1e-3:
+        lengths = f"vectors of length {length.min():.3g} to {length.max():.3g}"
+        notes.append(f"{what}: {array} has {lengths}; they were made unit vectors")
+    return False
 
 
 def wall_potentials(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, Floats]:
