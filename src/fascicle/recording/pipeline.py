@@ -34,7 +34,7 @@ from fascicle.recording.lead_groups import LeadGroup, lead_groups, stretches
 from fascicle.recording.missing_metadata import MissingMetadataError
 from fascicle.recording.quality.check_result import CheckResult, Severity, listed
 from fascicle.recording.quality.checks import check_leads, check_recording
-from fascicle.recording.recording import CHECKSUMS_AGREE, Recording
+from fascicle.recording.recording import CHECKSUMS_AGREE, Recording, with_remarks
 from fascicle.recording.spikes import find_spikes, remove_spikes
 from fascicle.recording.target import Target
 from fascicle.recording.target_options import TargetOptions, check_window
@@ -132,7 +132,7 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
         clean = replace(recording, signal=remove_spikes(recording.signal, spikes), additional=more)
     try:
         groups = lead_groups(clean, spikes, options)
-        _check_beats_found(recording, groups)
+        recording = _with_beats_checked(recording, groups)
         times = np.concatenate([group.times for group in groups])
         r_peaks = np.round(times * rate).astype(np.int64)
         filters = passed_filters(recording, r_peaks, options)
@@ -177,8 +177,8 @@ def _refuse(findings: Sequence[CheckResult], recording: Recording) -> None:
             raise InputError(f"{recording.source}: {finding.message}{note}")
 
 
-def _check_beats_found(recording: Recording, groups: Sequence[LeadGroup]) -> None:
-    """Refuse recordings without beats, or with beats of another size than a heart's."""
+def _with_beats_checked(recording: Recording, groups: Sequence[LeadGroup]) -> Recording:
+    """Refuse recordings without beats, or of a size that no heart has; remark on unusual ones."""
     source = recording.source
     for group in groups:
         if not len(group.peaks):
@@ -187,31 +187,44 @@ def _check_beats_found(recording: Recording, groups: Sequence[LeadGroup]) -> Non
                 f"{source}: no beats found in {seconds:.1f} s of {group.leads}; give a longer or "
                 "cleaner recording (10 s is usual)"
             )
-    height = max(group.height for group in groups)
-    if not 0.05 <= height <= 20.0:  # mV
-        raise InputError(
-            f"{source}: the largest lead spans {height:.3g} mV in one beat, expected 0.05 to "
-            "20 mV; correct the unit or the gain of the file"
-        )
-    low, high = POSSIBLE_QRS
-    notes = recording.provenance  # of a file, with what the user has said of its amplitude
-    if not low <= height <= high and "source_sha256" in notes and not AMPLITUDE_SAID & set(notes):
-        gains = recording.digits_per_millivolt
-        gain = ""
-        if gains is not None and np.isfinite(gains).any():
-            gain = f" (--shared-gain --digits-per-mv, in place of {np.nanmedian(gains):g})"
-        raise MissingMetadataError(
-            f"{source}: the QRS spans {height:.2g} mV in its largest lead, that of a person "
-            f"{low:g} to {high:g} mV; correct the gain{gain}, or confirm the unit that the file "
-            "states by --unit",
-            "unit",
-        )
+    remark = _check_amplitude(recording, max(group.height for group in groups))
     clearest = min(group.signal_to_noise for group in groups)
     if clearest < 0.5:
         raise InputError(
             f"{source}: no heart beats stand out of the noise (ratio of energies {clearest:.2f}); "
             "give a cleaner recording"
         )
+    return replace(recording, provenance=with_remarks(recording.provenance, remark))
+
+
+def _check_amplitude(recording: Recording, height: float) -> list[str]:
+    """Refuse beats that span so many mV in the largest lead, or ask, or return a warning."""
+    ranges = (0.05, 20.0), POSSIBLE_QRS, USUAL_QRS
+    possible, likely, usual = (low <= height <= high for low, high in ranges)
+    notes = recording.provenance  # of a file, with what the user has said of its amplitude
+    if not possible:
+        raise InputError(
+            f"{recording.source}: the largest lead spans {height:.3g} mV in one beat, expected "
+            "0.05 to 20 mV; correct the unit or the gain of the file"
+        )
+    if usual or "source_sha256" not in notes:
+        return []
+    if not likely and not AMPLITUDE_SAID & set(notes):
+        gains = recording.digits_per_millivolt
+        gain = ""
+        if gains is not None and np.isfinite(gains).any():
+            gain = f" (--shared-gain --digits-per-mv, in place of {np.nanmedian(gains):g})"
+        raise MissingMetadataError(
+            f"{recording.source}: the QRS spans {height:.2g} mV in its largest lead, that of a "
+            f"person {POSSIBLE_QRS[0]:g} to {POSSIBLE_QRS[1]:g} mV; correct the gain{gain}, or "
+            "confirm the unit that the file states by --unit",
+            "unit",
+        )
+    size = "low" if height < USUAL_QRS[0] else "high"
+    return [
+        f"{size} voltage: the QRS spans {height:.2g} mV in its largest lead, usually "
+        f"{USUAL_QRS[0]:g} to {USUAL_QRS[1]:g} mV; are unit and gain right?"
+    ]
 
 
 def _cut(
@@ -388,14 +401,6 @@ def _warnings(
     rate = target.heart_rate
     if rate is not None and not 20.0 <= rate <= 300.0:
         warnings.append(f"{rate:.0f} beats per minute; is the sampling rate right?")
-    largest = float(np.nanmax(np.ptp(target.qrs, axis=1)))
-    low, high = USUAL_QRS
-    if not low <= largest <= high and "source_sha256" in notes:
-        size = "low" if largest < low else "high"
-        warnings.append(
-            f"{size} voltage: the QRS spans {largest:.2g} mV in its largest lead, usually {low:g} "
-            f"to {high:g} mV; are unit and gain right?"
-        )
     if len(target.beats) == 2:
         warnings.append("two beats show little of how beats vary; give a longer recording")
     alike = sum(beat.label == label for beat in beats)

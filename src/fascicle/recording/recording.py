@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -222,6 +222,12 @@ def leave_out_pulses(signal: Floats, rate: float) -> tuple[Floats, list[str]]:
     pulses = [f"{first / rate:.3f} to {stop / rate:.3f} s" for first, stop in cut]
     notes = [f"calibration pulse left out: {', '.join(pulses)}"] if pulses else []
     return signal[:, begin:end], notes
+
+
+def with_remarks(provenance: Mapping[str, str], remarks: Sequence[str]) -> dict[str, str]:
+    """Provenance with further lines that the user sees as warnings."""
+    lines = [*provenance.get("remarks", "").splitlines(), *remarks]
+    return dict(provenance) | ({"remarks": "\n".join(lines)} if lines else {})
 
 
 def lead_spans(signal: Floats) -> Integers:

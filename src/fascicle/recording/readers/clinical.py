@@ -21,13 +21,7 @@ import numpy as np
 
 from fascicle.core.errors import InputError, one_line, printable
 from fascicle.recording.readers.names import lead_name
-from fascicle.recording.readers.read import (
-    Channel,
-    RawRecording,
-    narrowest_passband,
-    sha256_of,
-    with_remarks,
-)
+from fascicle.recording.readers.read import Channel, RawRecording, narrowest_passband, sha256_of
 from fascicle.recording.readers.writer_deviations import (
     NO_RHYTHM,
     UNKNOWN_RATE,
@@ -36,7 +30,7 @@ from fascicle.recording.readers.writer_deviations import (
     scp_samples_are_right,
     wfdb_lines,
 )
-from fascicle.recording.recording import CHECKSUMS_AGREE, Filters
+from fascicle.recording.recording import CHECKSUMS_AGREE, Filters, with_remarks
 
 # what the library says that touches no sample: dates, its own rounding, averaged beats of SCP-ECG
 _TECHNICAL = re.compile(

@@ -17,13 +17,8 @@ import numpy as np
 from fascicle.core.errors import InputError, printable
 from fascicle.core.leads import CHEST_LEADS, limb_leads_from
 from fascicle.recording.readers.names import lead_name, lead_of_code, millivolts
-from fascicle.recording.readers.read import (
-    Channel,
-    RawRecording,
-    narrowest_passband,
-    with_remarks,
-    without_fill,
-)
+from fascicle.recording.readers.read import Channel, RawRecording, narrowest_passband, without_fill
+from fascicle.recording.recording import with_remarks
 
 
 class _Group:

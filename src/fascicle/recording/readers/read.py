@@ -38,6 +38,7 @@ from fascicle.recording.recording import (
     in_groups,
     lead_spans,
     leave_out_pulses,
+    with_remarks,
 )
 
 
@@ -443,12 +444,6 @@ def without_fill(channel: Channel, rate: float) -> Floats:
         for start, length in zip(starts[gone], lengths[gone], strict=True):
             values[start : start + length] = np.nan
     return values
-
-
-def with_remarks(provenance: Mapping[str, str], remarks: Sequence[str]) -> dict[str, str]:
-    """Provenance with further lines that the user sees as warnings."""
-    lines = [*provenance.get("remarks", "").splitlines(), *remarks]
-    return dict(provenance) | ({"remarks": "\n".join(lines)} if lines else {})
 
 
 def sha256_of(paths: Iterable[Path]) -> str:

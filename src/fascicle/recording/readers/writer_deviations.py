@@ -44,6 +44,8 @@ def _point(number: str) -> str:
 def _mended_edf(data: bytes) -> tuple[bytes, list[str]]:
     """EDF with blanks, points and whole numbers where its header must have them."""
     n = int(data[252:256].strip(b" \0"))
+    if len(data) < 256 * (n + 1):
+        return data, []
     head = bytearray(data[: 256 * (n + 1)].replace(b"\0", b" "))
     remarks: list[str] = []
     ends = [(256 + offset * n, 8 * n) for offset in (104, 112, 120, 128, 216)]
