@@ -138,9 +138,10 @@ def _fibres_per_tetrahedron(mesh: MeshFile, tetrahedra: Integers, source: MeshFi
     name = str(source.path)
     _, values, per_cell = _fibre_array(source)
     if per_cell:
-        theirs = source.points[source.require(TETRAHEDRON, "tetrahedra")].mean(axis=1)
-        ours = mesh.points[tetrahedra].mean(axis=1)
-        values = values[_match_by_position(name, theirs, ours, "tetrahedra")]
+        if source is not mesh:
+            theirs = source.points[source.require(TETRAHEDRON, "tetrahedra")].mean(axis=1)
+            ours = mesh.points[tetrahedra].mean(axis=1)
+            values = values[_match_by_position(name, theirs, ours, "tetrahedra")]
         check_fibres(name, values, mesh.points, tetrahedra)
         length = np.linalg.norm(values, axis=1, keepdims=True)
         # those of unit length stay, so that a heart that was written reads back equal

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fascicle.core.arrays import Floats
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.ranges import short_repr
 from fascicle.mesh.checks import refuse
@@ -63,14 +63,17 @@ def read_coordinates(mesh: MeshFile) -> VentricularCoordinates | None:
         If one is not a number a point, or out of range.
     """
     arrays = {name.lower(): values for name, values in mesh.point_data.items()}
+    used = used_points(mesh)
     if {"rtsin", "rtcos"} <= set(arrays) and "rt" not in arrays:
         arrays["rt"] = np.arctan2(arrays["rtsin"], arrays["rtcos"]) / (2 * np.pi) % 1
     if set(NAMES) <= set(arrays):
-        return VentricularCoordinates(*(_checked(mesh, arrays, name, 0, 1) for name in NAMES))
+        return VentricularCoordinates(*(_checked(mesh, arrays, used, name, 0, 1) for name in NAMES))
     if not set(UNIVERSAL) <= set(arrays):
         return None
     limits = {"v": (-1, 1), "phi": (-np.pi, np.pi)}
-    v, *others = (_checked(mesh, arrays, name, *limits.get(name, (0, 1))) for name in UNIVERSAL)
+    v, *others = (
+        _checked(mesh, arrays, used, name, *limits.get(name, (0, 1))) for name in UNIVERSAL
+    )
     if np.ptp(v) == 0:
         raise InputError(
             f"{mesh.path}: the point array 'v' of ventricular coordinates is {v[0]:g} everywhere; "
@@ -79,17 +82,23 @@ def read_coordinates(mesh: MeshFile) -> VentricularCoordinates | None:
     return from_universal(v, *others)
 
 
+def used_points(mesh: MeshFile) -> Integers:
+    """The points of a file (n,) that are vertices of its tetrahedra."""
+    used = np.zeros(len(mesh.points), dtype=bool)
+    used[mesh.cells[TETRAHEDRON]] = True
+    return np.flatnonzero(used)
+
+
 def _checked(
-    mesh: MeshFile, arrays: Mapping[str, Floats], name: str, low: float, high: float
+    mesh: MeshFile, arrays: Mapping[str, Floats], used: Integers, name: str, low: float, high: float
 ) -> Floats:
-    """The values (n,) of an array at the vertices of the tetrahedra, each in range."""
+    """The values of an array at the points used, each in range."""
     values, among = np.asarray(arrays[name], dtype=float), "to"
     if values.shape != (len(mesh.points),):
         raise InputError(
             f"{mesh.path}: the point array '{name}' has shape {values.shape}; ventricular "
             "coordinates are one number a point; correct or remove it"
         )
-    used = np.unique(mesh.cells[TETRAHEDRON])
     values = values[used]
     slack = 1e-3 * (high - low)  # interpolation rounds
     bad = ~((values >= low - slack) & (values <= high + slack))

@@ -29,6 +29,7 @@ from fascicle.core.quantities import SPEED, check_one_speed, checked, region_lab
 from fascicle.heart.action_potential import read_action_potential, write_action_potential
 from fascicle.heart.assembly import assemble_heart
 from fascicle.heart.conduction import SPEEDS, Region
+from fascicle.heart.coordinate_arrays import used_points
 from fascicle.heart.electrodes import write_electrodes
 from fascicle.heart.heart import Heart, LeadFields, Torso, TorsoTissue
 from fascicle.mesh.checks import refuse
@@ -197,7 +198,7 @@ def _patient_values(path: Path, values: dict[str, Any], heart: Heart) -> dict[st
 
 def _read_lead_fields(mesh: MeshFile, heart: Heart) -> Floats:
     """Lead fields (e, n) of the mesh's point arrays, as far as it has those of added electrodes."""
-    used = np.unique(mesh.cells[TETRAHEDRON])
+    used = used_points(mesh)
     rows = []
     for k, electrode in enumerate(heart.electrode_names):
         array = mesh.point_data.get(f"lead_field_{electrode}", np.empty(0))
