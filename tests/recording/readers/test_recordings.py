@@ -6,7 +6,6 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from pydicom.data import get_testdata_file
 from refusals import refused
@@ -83,18 +82,6 @@ def test_paths_that_are_no_files(tmp_path):
     refused(tmp_path / "loop.csv", "no such file")
     os.mkfifo(tmp_path / "pipe.csv")
     refused(tmp_path / "pipe.csv", "is not an ordinary file")
-
-
-def test_same_recording_from_two_formats(data_folder, tmp_path):
-    first = read_recording(data_folder / "ecg" / "ludb" / "119_common.hea")
-    times = np.arange(first.signal.shape[1]) / first.sampling_rate
-    frame = pd.DataFrame(
-        {"time_s": times} | {f"{k}_uV": 1e3 * v for k, v in zip(LEADS, first.signal, strict=True)}
-    )
-    frame.to_csv(tmp_path / "a.csv", index=False)
-    second = read_recording(tmp_path / "a.csv")
-    assert second.signal == pytest.approx(first.signal, abs=1e-9)
-    assert second.sampling_rate == first.sampling_rate
 
 
 def test_the_documentation_names_every_format():

@@ -113,12 +113,6 @@ class TestSignal:
         path.write_bytes(files.ishne(digits, nanovolts=-9))
         refused(path, "unknown amplitude", unit="uV")
 
-    def test_mfer_without_a_rate(self, tmp_path, digits):
-        path = tmp_path / "a.mwf"
-        path.write_bytes(files.mfer(digits, interval=b""))
-        refused(path, "no sampling rate")
-        assert read_recording(path, sampling_rate=250).sampling_rate == 250
-
     def test_origin_shifts(self, tmp_path, digits):
         recording = read_recording(saved(tmp_path, files.aecg(digits, origin="100")))
         assert recording.signal[6] == pytest.approx(digits[2] * 2.5e-3 + 0.1, abs=1e-12)
@@ -287,11 +281,6 @@ class TestDamage:
         start = text.index("<WaveFormData>", text.index("Rhythm")) + 100
         changed = text[:start] + ("A" if text[start] != "A" else "B") + text[start + 1 :]
         refused(saved(tmp_path, changed), "checksum", "lead I (rhythm)")
-
-    def test_unwritten_checksums(self, tmp_path, digits):
-        """Converters write 0 for every checksum."""
-        path = saved(tmp_path, files.muse(digits, checksums=False))
-        assert read_recording(path).signal[6] == pytest.approx(digits[2] * 4.88e-3)
 
     def test_what_a_library_raised_is_kept(self, tmp_path, digits):
         """As a note, for developers; a bug of ours would show there, too."""
@@ -464,18 +453,6 @@ class TestHostileXml:
         text = replaced(files.aecg(digits), "</series>", text)
         assert read_recording(saved(tmp_path, text)).duration == 4
         refused(saved(tmp_path, text.replace("annotationSet", "other")))
-
-    @pytest.mark.parametrize("encoding", ["utf-16", "latin-1", "utf-8-sig"])
-    def test_encodings(self, tmp_path, digits, encoding):
-        text = replaced(
-            files.muse(digits),
-            "<PatientID>",
-            "<PatientLastName>Müller</PatientLastName><PatientID>",
-        )
-        text = replaced(text, "ISO-8859-1", encoding.removesuffix("-sig"))
-        path = tmp_path / "a.xml"
-        path.write_bytes(text.encode(encoding))
-        assert read_recording(path).signal[6] == pytest.approx(digits[2] * 4.88e-3)
 
 
 class TestHostileScp:

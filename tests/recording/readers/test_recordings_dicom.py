@@ -18,7 +18,6 @@ from refusals import refused
 
 from fascicle.core.leads import LEADS
 from fascicle.recording.pipeline import make_target
-from fascicle.recording.readers.names import millivolts
 from fascicle.recording.readers.read import read_recording
 
 # pydicom warns while it writes what these tests want to be wrong
@@ -71,17 +70,6 @@ def test_unsigned_samples_with_a_baseline(tmp_path, dtype, zero):
 def test_unknown_sample_types(tmp_path, bits, kind):
     item = group(digits(), WaveformBitsAllocated=bits, WaveformSampleInterpretation=kind)
     refused(write(tmp_path, item))
-
-
-@pytest.mark.parametrize("unit", ["nV", "uV", "mV"])
-def test_units(tmp_path, unit):
-    item = group(digits())
-    change_leads(item, ChannelSensitivityUnitsSequence=[code(unit, "UCUM", "some volt")])
-    recording = read_recording(write(tmp_path, item))
-    assert recording.signal == pytest.approx(25 * millivolts(unit) * digits())
-    path = write(tmp_path, change_leads(item, ChannelSensitivityUnitsSequence=None))
-    refused(path, "unknown unit of lead I (the file names none)")
-    refused(write(tmp_path, group(digits(), SamplingFrequency=None)), "no sampling rate")
 
 
 def test_sensitivity_correction_baseline_and_gain(tmp_path):
@@ -273,26 +261,12 @@ class TestGroups:
 
 
 class TestCases:
-    def test_padding_of_0(self, data_folder):
-        padded, plain = (
-            read_recording(data_folder / "cases" / f"c10_{name}.dcm") for name in ("pad0", "nopad")
-        )
-        assert np.array_equal(padded.signal, plain.signal)
-
     def test_a_rhythm_strip_aligns_the_groups(self, data_folder):
         recording = read_recording(data_folder / "cases" / "c12_4x3_rhythm.dcm")
         target = make_target(recording)
         assert target.qrs_onset == pytest.approx(-49, abs=4)
         assert target.qrs_offset == pytest.approx(50, abs=4)
         assert "aligned by lead II" in target.provenance["warnings"]
-
-    def test_zeros_where_not_recorded(self, data_folder):
-        recording = read_recording(data_folder / "cases" / "c13_4x12_zero.dcm")
-        other = read_recording(data_folder / "cases" / "c12_4x3_rhythm.dcm")
-        assert (recording.spans[:, 1] - recording.spans[:, 0] == 1250).all()
-        there = np.isfinite(recording.signal)
-        there[1] = False
-        assert recording.signal[there] == pytest.approx(other.signal[there], abs=1e-12)
 
 
 def test_padding_is_a_gap(tmp_path):

@@ -84,20 +84,6 @@ class TestRead:
         assert recording.signal == pytest.approx(signal, abs=DIGIT)
         assert recording.ignored == ("Resp",)
 
-    @pytest.mark.parametrize(("unit", "scale"), [("mV", 1.0), ("nV", 1e6), ("V", 1e-3)])
-    def test_units(self, tmp_path, signal, unit, scale):
-        options = {"physical_dimension": unit, "physical_range": (-5 * scale, 5 * scale)}
-        path = write(tmp_path / "a.edf", signals(signal, scale=scale, **options))
-        recording = read_recording(path)
-        assert recording.signal == pytest.approx(signal, abs=DIGIT)
-        assert recording.digits_per_millivolt == pytest.approx(np.full(12, 1 / DIGIT))
-
-    def test_micro_sign_of_latin_1(self, tmp_path, signal):
-        path = write(tmp_path / "a.edf", signals(signal))
-        for number in range(12):
-            patch(path, field(UNIT, number, 12), "µV")
-        assert read_recording(path).signal == pytest.approx(signal, abs=DIGIT)
-
     @pytest.mark.parametrize(
         ("text", "filters"),
         [

@@ -177,13 +177,6 @@ def test_microvolts_of_old_encodings(tmp_path):
     refused(path, "lead I is in 'µV', unit= says 'mV'", unit="mV")
 
 
-@pytest.mark.parametrize("gain", ["0", "0.0/mV", "0(5)/mV", "/mV", "x"])
-def test_uncalibrated(tmp_path, gain):
-    gains = [f"{GAIN}/mV"] * 12
-    gains[2] = gain
-    refused(write(tmp_path, digits(), gain=gains))
-
-
 def test_samples_marked_invalid_are_gaps(tmp_path):
     samples = digits()
     samples[8, 700:706] = -(2**15)
@@ -201,20 +194,6 @@ def test_wrong_checksums_are_told(tmp_path):
         line[6] = "0"
     path.write_text("\n".join(" ".join(line) for line in lines))
     assert "checksums" not in read_recording(path).provenance
-
-
-def test_header_without_a_rate(tmp_path):
-    path = write(tmp_path, digits(), first="rec 12")
-    refused(path, "no sampling rate in the file", "sampling_rate=")
-    assert read_recording(path, sampling_rate=1000).sampling_rate == 1000
-
-
-@pytest.mark.parametrize("kind", ["16", "212", "311"])
-def test_header_without_a_length(tmp_path, kind):
-    path = write(tmp_path, digits(), kind, first="rec 12 500/1.0(0)")
-    assert read_recording(path).signal == pytest.approx(digits() / GAIN, abs=1e-12)
-    path.with_suffix(".dat").write_bytes(b"")
-    refused(path)
 
 
 @pytest.mark.parametrize(
