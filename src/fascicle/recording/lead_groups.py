@@ -144,14 +144,11 @@ def _group(
 ) -> LeadGroup:
     """Cut out the leads that are there over all of a stretch, and find their beats."""
     rate = recording.sampling_rate
-    native = recording.signal[:, first:stop].copy()
-    native[~np.isfinite(native).all(axis=1)] = np.nan
-    signal = resample(native, rate)
+    signal = resample(complete_in(recording.signal, first, stop), rate)
     additional = np.empty((0, signal.shape[1]))
     if recording.additional:
-        more = np.array([*recording.additional.values()])[:, first:stop]
-        more[~np.isfinite(more).all(axis=1)] = np.nan
-        additional = resample(more, rate)
+        more = np.array([*recording.additional.values()])
+        additional = resample(complete_in(more, first, stop), rate)
     for one in applied_filters(options.lowpass, options.notch):
         signal, additional = one.apply(signal), one.apply(additional)
     inside = spikes[(spikes[:, 0] >= first) & (spikes[:, 0] < stop)] - first
@@ -172,6 +169,13 @@ def _group(
         labels=labels,
         additional=additional,
     )
+
+
+def complete_in(signal: Floats, first: int, stop: int) -> Floats:
+    """Leads (k, n) from one sample to another; those that are not there all along are NaN."""
+    part = signal[:, first:stop].copy()
+    part[~np.isfinite(part).all(axis=1)] = np.nan
+    return part
 
 
 def _independent(signal: Floats) -> Integers:

@@ -30,7 +30,7 @@ from fascicle.recording.beats import (
 from fascicle.recording.detection import magnitude
 from fascicle.recording.filter_estimate import passed_filters
 from fascicle.recording.filters import SAMPLING_STEP, TARGET_RATE, Filter, resample
-from fascicle.recording.lead_groups import LeadGroup, lead_groups, stretches
+from fascicle.recording.lead_groups import LeadGroup, complete_in, lead_groups, stretches
 from fascicle.recording.missing_metadata import MissingMetadataError
 from fascicle.recording.quality.check_result import CheckResult, Severity, listed
 from fascicle.recording.quality.checks import check_leads, check_recording
@@ -73,16 +73,8 @@ def make_target(
     ----------
     recording : Recording
         Twelve leads.
-    onset, offset : float, optional
-        QRS window (ms from the R peak, onset negative); they replace what is found.
-    beat_class : str, optional
-        Label of the class whose beats make the target; by default that with the most beats.
-    beats, exclude : tuple of int
-        Numbers of the beats to use, whatever their class, and to leave out.
-    noise : float, optional
-        Standard deviation (mV) of a single beat.
-    lowpass, notch, recorder_lowpass : float, optional
-        Filters (Hz) to apply, and the recorder's own; see `TargetOptions`.
+    onset, offset, beat_class, beats, exclude, noise, lowpass, notch, recorder_lowpass : optional
+        Decisions, as of `TargetOptions`.
 
     Returns
     -------
@@ -247,8 +239,7 @@ def _recorded_signal(recording: Recording) -> Floats:
     ratio = TARGET_RATE / recording.sampling_rate
     signal = np.full((len(LEADS), round(recording.signal.shape[1] * ratio)), np.nan)
     for first, stop in stretches(recording):
-        native = recording.signal[:, first:stop].copy()
-        native[~np.isfinite(native).all(axis=1)] = np.nan
+        native = complete_in(recording.signal, first, stop)
         recorded = resample(native, recording.sampling_rate)
         start = round(first * ratio)
         place = signal[:, start : start + recorded.shape[1]]

@@ -276,7 +276,7 @@ def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
     remarks: list[str] = []
     contents: dict[str, bytes] = {}
     if _has_segments(path):
-        files = _wfdb_files(path)
+        files = _segment_files(path)
     else:
         text, named, remarks = mended_wfdb(path)
         files = sorted(set(named))
@@ -338,19 +338,16 @@ def _has_segments(header: Path) -> bool:
     return "/" in first[0] and all(len(line) == 2 for line in lines)
 
 
-def _wfdb_files(header: Path, is_segment: bool = False) -> list[Path]:
-    """Files that the header of segments, or of one, names, sorted; all must be in its folder."""
-    lines, has_segments = wfdb_lines(header), _has_segments(header)
-    names = {line[0] for line in lines[1:]} - {"~"}
-    for name in names:
-        if Path(name).name != name or "\\" in name or (has_segments and is_segment):
+def _segment_files(header: Path) -> list[Path]:
+    """Files of a record of segments, sorted; all must be in its folder."""
+    files: set[Path] = set()
+    for name in {line[0] for line in wfdb_lines(header)[1:]} - {"~"}:
+        if re.search(r"[\\/]", name):
             raise InputError(
-                f"{header}: names '{printable(name[:40])}', which is no file in its folder; put "
-                "all files of the record in one folder"
+                f"{header}: names the segment '{printable(name[:40])}', which is not in its "
+                "folder; put all files of the record in one folder"
             )
-    if not has_segments:
-        return sorted(header.with_name(name) for name in names)
-    parts = [header.with_name(f"{name}.hea") for name in names]
-    inner = [(part, _wfdb_files(part, is_segment=True)) for part in parts]
-    # the layout, which a record may begin with, has no signals
-    return sorted({file for part, found in inner if found for file in [part, *found]})
+        part = header.with_name(f"{name}.hea")
+        if not all(line[0] == "~" for line in wfdb_lines(part)[1:]):  # as in a layout
+            files |= {part, *mended_wfdb(part)[1]}
+    return sorted(files)

@@ -127,8 +127,7 @@ def _waves(root: ET.Element) -> tuple[list[ET.Element], list[ET.Element]]:
 def _make_rhythm(beat: ET.Element, parents: dict[ET.Element, ET.Element]) -> None:
     """Call an averaged beat the rhythm; where a file has it elsewhere, make one of no meaning."""
     if beat.tag == "Waveform":
-        ET.SubElement(beat, "WaveformType").text = "Rhythm"
-        beat.remove(beat.find("WaveformType"))  # type: ignore[arg-type]
+        beat.find("WaveformType").text = "Rhythm"  # type: ignore[union-attr]
     elif beat.tag == "series":
         beat.find("code").set("code", "RHYTHM")  # type: ignore[union-attr]
     elif beat.tag == "repbeats":
