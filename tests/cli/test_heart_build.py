@@ -40,7 +40,6 @@ SURFACE_KINDS = {
         *("--labels-file", write_numbers(folder / "labels.txt", anatomies.ventricles().labels)),
     ],
     "unlabelled STL": lambda folder: [anatomies.write_surface(folder / "heart.stl")],
-    "unlabelled OBJ": lambda folder: [anatomies.write_surface(folder / "heart.obj")],
     "parts": lambda folder: anatomies.options_of(anatomies.write_parts(folder)),
     "parts 1 mm apart": lambda folder: anatomies.options_of(anatomies.write_parts(folder, 1.0)),
     "parts without base": lambda folder: anatomies.options_of(

@@ -37,8 +37,9 @@ class TestFiles:
         path.mkdir()
         import_refused(path, "not a file", "; check the path", **{what: path})
 
-    @pytest.mark.parametrize("what", WHAT)
-    @pytest.mark.parametrize("suffix", [".stp", "", ".pkl", ".npy"])
+    @pytest.mark.parametrize(
+        ("what", "suffix"), [("mesh", ".stp"), ("fibres", ""), ("electrodes", ".pkl")]
+    )
     def test_other_suffixes_are_not_opened(self, materials, import_refused, what, suffix, tmp_path):
         path = materials.folder / f"thing{suffix}"
         path.write_bytes(pickle.dumps(Trap(tmp_path / "sprung")))
@@ -48,12 +49,9 @@ class TestFiles:
     @pytest.mark.parametrize(
         "name", ["a.vtk", "a.vtu", "a.vtp", "a.obj", "a.stl", "a.ply", "a.msh", "a.csv", "a.json"]
     )
-    @pytest.mark.parametrize("protocol", [0, 4])
-    def test_renamed_pickles_are_not_opened(
-        self, materials, import_refused, name, protocol, tmp_path
-    ):
+    def test_renamed_pickles_are_not_opened(self, materials, import_refused, name, tmp_path):
         path = materials.folder / name
-        path.write_bytes(pickle.dumps(Trap(tmp_path / "sprung"), protocol=protocol))
+        path.write_bytes(pickle.dumps(Trap(tmp_path / "sprung")))
         what = "electrodes" if name.endswith(("csv", "json")) else "mesh"
         import_refused(path, "; ", **{what: path})
         assert not (tmp_path / "sprung").exists()
@@ -111,8 +109,6 @@ TISSUES = {
     "others among them": (mixed, "3072 tetrahedra, but also other cells", "1 Pyramid", "; make"),
     "no volume": (lambda m: tissue(m, None, edited(m.tetrahedra, [812, 900], 5)),
                   "2 of 3072 tetrahedra have zero volume (first: 812 at ("),
-    "flat": (lambda m: tissue(m, m.points * [1, 1, 0]),
-             "3072 of 3072 tetrahedra have zero volume"),
     "inverted": (lambda m: tissue(m, None, edited(m.tetrahedra, [7, 8, 9], swap)),
                  "3 of 3072 tetrahedra are inverted (first: 7 at (", ") mm, 8 at (",
                  ") mm, 9 at (", ") mm); remove them or remesh"),
@@ -120,9 +116,7 @@ TISSUES = {
                      "3072 of 3072", "inverted", "; swap two vertices"),
     "nan": (lambda m: tissue(m, edited(m.points, [5, 70], np.nan)),
             "2 of 729 points have", "not finite (first: 5 at (nan, nan, nan) mm, 70 at ("),
-    "inf": (lambda m: tissue(m, edited(m.points, [5], -np.inf)), "1 of 729 points"),
     "metres": (lambda m: tissue(m, m.points * 1e-3), "metres", "multiply the coordinates by 1000"),
-    "micrometres": (lambda m: tissue(m, m.points * 1e3), "micro", "by 0.001"),
     "no unit": (lambda m: tissue(m, m.points * 1e12), "largest extent is 6e+13", "; check the"),
     "there twice": (lambda m: tissue(m, None, np.vstack([m.tetrahedra, m.tetrahedra[100:110]])),
                     "tetrahedra overlap others", "; remove what is there twice"),
@@ -159,11 +153,8 @@ def part_of_the_points(m):
 
 FIBRES = {
     "none": (lambda m: m.files["mesh"], "need one array of fibre", "found none", "; keep one"),
-    "scalars": (lambda m: fibres(m, m.points[:, 0].copy()), "found none"),
     "several": (lambda m: fibres(m, f=m.fibres, s=m.fibres), "found f, s", "name it 'fibre'"),
-    "several names": (lambda m: fibres(m, m.fibres, fiber=m.fibres), "fibre", "fiber", "; keep"),
     "nan": (lambda m: fibres(m, edited(m.fibres, [11, 12, 13], np.nan)), "3 of 729 fibres are not"),
-    "inf": (lambda m: fibres(m, edited(m.fibres, [11], np.inf)), "1 of 729 fibres are not finite"),
     "zero": (lambda m: fibres(m, edited(m.fibres, [20], 0)),
              "1 of 729 fibres have zero length (first: 20 at ("),
     "zero of cells": (lambda m: of_cells(m, np.zeros((3072, 3))),
@@ -235,16 +226,10 @@ def moebius_strip(*_):
     return np.vstack(points), np.vstack(triangles)
 
 
-def partly_quadrilaterals(m):
-    faces = [[3, *t] for t in m.lv_surface[1][2:].tolist()] + [[4, 0, 1, 2, 3]]
-    return m.save("some.vtp", pv.PolyData(m.lv_surface[0], np.concatenate(faces)))
-
-
 SURFACES = {
     "tetrahedra": (lambda m: m.files["mesh"], "no triangles", "; give a mesh that has"),
     "quadrilaterals": (lambda m: m.save("quads.vtp", pv.Plane(i_resolution=4, j_resolution=4)),
                        "no triangles", "16 Quad"),
-    "some quadrilaterals": (partly_quadrilaterals, "but also other cells", "1 Quad", "; make"),
     "closed": (lambda m: cup(m, closed),
                "the surface is closed; cut it open at the base"),
     "a hole": (lambda m: cup(m, lambda p, t: (p, np.delete(t, REMOVED, axis=0))),
@@ -256,9 +241,6 @@ SURFACES = {
                    "falls into 2 pieces", "; keep the one"),
     "unused points": (lambda m: cup(m, lambda p, t: (np.vstack([p, p[:3]]), t)),
                       "3 of 220 points belong to no triangle (first: 217 at (", "; remove them"),
-    "not merged": (lambda m: cup(m, lambda p, t: (p[t].reshape(-1, 3),
-                                                  np.arange(3 * len(t)).reshape(-1, 3))),
-                   "falls into 408 pieces"),
     "a handle": (lambda m: cup(m, with_a_handle), "handles", "Euler", "; repair or remesh"),
     "a Möbius strip": (lambda m: cup(m, moebius_strip), "one-sided", "; remesh or"),
     "far away": (lambda m: cup(m, lambda p, t: (p + 200, t)),
@@ -278,8 +260,7 @@ def test_endocardia(materials, import_refused, case):
     import_refused(file, *words, lv_endocardium=file)
 
 
-@pytest.mark.parametrize("seed", [217, -1, 10**6])
-@pytest.mark.parametrize("which", ["lv-root", "lv-direction", "rv-root", "rv-direction"])
+@pytest.mark.parametrize(("which", "seed"), [("lv-root", 217), ("rv-direction", -1)])
 def test_seeds_that_are_no_points(import_refused, which, seed):
     side, what = which.split("-")
     words = f"{side}.vtp", f"{side.upper()} {what} {seed}", "from 0 to 216"
@@ -316,7 +297,7 @@ class TestElectrodes:
         rows[3][0] = "VI"
         refuse(rows, "electrodes missing: ")
 
-    @pytest.mark.parametrize("place", ["1,nan,2", "1,1e999,2", "1,,2", "12,x5,3", "1,left,2", "1"])
+    @pytest.mark.parametrize("place", ["1,1e999,2", "1,,2", "1,left,2", "1"])
     def test_what_is_no_place(self, refuse, rows, place):
         rows[4] = ["V1", place]
         refuse(rows, "electrode V1 is at", "; give three finite numbers (mm)")
@@ -326,10 +307,7 @@ class TestElectrodes:
         semicolons = "\n".join(map(";".join, rows))
         refuse(semicolons, "the first line is 'name;x;y;z'; it must be")
 
-    @pytest.mark.parametrize(
-        "content",
-        [b"", b"\n\n", b"\xff\xfe\x00\x80" * 9, bytes(range(256)), b'name,x,y,z\n"RA,1,2'],
-    )
+    @pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00\x80" * 9, b'name,x,y,z\n"RA,1,2'])
     def test_rubbish(self, refuse, content):
         refuse(content, "; ")
 
@@ -359,8 +337,7 @@ class TestElectrodes:
         far = [*rows[:2], ["LA", 9e3, 30, 40], *rows[3:]]
         refuse(far, "electrode LA is", "mm from the heart; check")
 
-    @pytest.mark.parametrize("factor", [1e-3, 0.1])
-    @pytest.mark.parametrize("shift", [0, 100])
+    @pytest.mark.parametrize(("factor", "shift"), [(1e-3, 0), (0.1, 100)])
     def test_in_metres_or_centimetres(self, refuse, rows, factor, shift):
         for row in rows[1:]:
             row[1:] = [float(x) * factor + shift for x in row[1:]]

@@ -178,7 +178,7 @@ def test_a_written_heart_imports_to_an_equal_one(materials, outside, run):
     assert load_heart(outside / "second").digest == first.digest
 
 
-@pytest.mark.parametrize("name", ["my heart", "Herz Größe ♥ 心臓", "🫀", 'a"quote', "odd\x7f"])
+@pytest.mark.parametrize("name", ["Herz Größe ♥ 心臓", 'a"quote', "odd\x7f"])
 def test_odd_names_and_paths(materials, outside, run, name):
     moved = outside / name
     moved.mkdir()

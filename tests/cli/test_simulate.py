@@ -4,16 +4,19 @@ import csv
 import json
 import math
 import shutil
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 import pyvista as pv
 
+from fascicle.cli import main
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.heart.folder import load_heart
 from fascicle.recording.window import qrs_window, qrs_windows
+from tests.cli.conftest import SMALL_PARAMETERS
 
 FILES = [
     "activation.png", "activation.vtu", "ecg.csv", "ecg.png", "junctions.vtu", "lv_tree.vtu",
@@ -27,13 +30,24 @@ def read_ecg(folder):
     return header, np.array(rows, dtype=float)
 
 
-@pytest.fixture
-def simulated(small_heart, parameters, outside, run):
+@pytest.fixture(scope="module")
+def written(small_heart, tmp_path_factory):
     """Outputs of a simulation from parameters."""
-    out = outside / "from parameters"
-    ended = run("simulate", small_heart, "--params", parameters(), "--out", out)
-    assert (ended.status, ended.err) == (0, "")
-    return out
+    folder = tmp_path_factory.mktemp("simulated")
+    values = "".join(f"{name} = {value}\n" for name, value in SMALL_PARAMETERS.items())
+    (folder / "parameters.toml").write_text(values)
+    asked = ["--params", folder / "parameters.toml", "--out", folder / "out"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", ["fascicle", *map(str, ["simulate", small_heart, *asked])])
+        with suppress(SystemExit):
+            main()
+    return folder / "out"
+
+
+@pytest.fixture
+def simulated(written, outside):
+    """A copy of these outputs."""
+    return shutil.copytree(written, outside / "from parameters")
 
 
 @pytest.fixture
@@ -117,11 +131,6 @@ class TestOutputs:
             inputs = json.loads((folder / "summary.json").read_text())["inputs"]
             assert inputs["action_potential"].startswith(name)
 
-    def test_another_table_than_an_action_potential(self, simulate_refused, tmp_path):
-        table = tmp_path / "u.csv"
-        table.write_text("time_ms,potential_mV\n0,-85\n1,20\n")
-        simulate_refused(["--action-potential", table], table, "2 samples; give 10 or more")
-
     def test_nothing_but_a_heart_is_needed(self, tmp_path, monkeypatch, run):
         monkeypatch.chdir(tmp_path)
         ended = run("simulate", "default")
@@ -136,8 +145,8 @@ class TestOutputs:
         assert v6.max() > -v6.min()
 
 
-def as_polyline(path, out, precision):
-    """Write a tree as VTP, each branch one polyline with ends of its own."""
+def as_polyline(path, out):
+    """Write a tree as VTP in single precision, each branch one polyline with ends of its own."""
     tree = pv.read(path)
     lines = tree.cells.reshape(-1, 3)[:, 1:]
     degree = np.bincount(lines.ravel())
@@ -153,7 +162,7 @@ def as_polyline(path, out, precision):
                 branch.append(following[branch[-1]][0])
             cells += [len(branch), *range(len(points), len(points) + len(branch))]
             points += tree.points[branch].tolist()
-    poly = pv.PolyData(np.array(points, dtype=precision), lines=cells)
+    poly = pv.PolyData(np.array(points, dtype=np.float32), lines=cells)
     poly.cell_data["length"] = np.full(poly.n_lines, 1.0)  # of nothing that is meant here
     poly.save(out)
     return out
@@ -166,8 +175,6 @@ def changed(values, row, value):
 
 
 SPOILT = {  # what a tree is saved with, from its points, lines and lengths; and the refusal
-    "a loop": (lambda p, t, n: {"lines": np.vstack([t, [t[3, 0], t[-1, 1]]])},
-               "make a loop or repeat themselves; a tree has"),
     "two pieces": (lambda p, t, n: {"lines": np.delete(t, 5, axis=0)},
                    "2 unconnected pieces; give one tree"),
     "far away": (lambda p, t, n: {"points": p + 300},
@@ -177,7 +184,6 @@ SPOILT = {  # what a tree is saved with, from its points, lines and lengths; and
     "nan": (lambda p, t, n: {"points": changed(p, 4, np.nan)}, "not finite (first: 4 at ("),
     "too short": (lambda p, t, n: {"length": changed(n, 6, 0.1)},
                   "segment 6 has length", "; correct or remove the array 'length'"),
-    "inf": (lambda p, t, n: {"length": changed(n, 6, np.inf)}, "segment 6 has length"),
 }  # fmt: skip
 
 
@@ -198,10 +204,9 @@ class TestTrees:
             first, second = (np.sort(pv.read(f / name)["activation"]) for f in (simulated, out))
             np.testing.assert_allclose(second, first, rtol=0, atol=1e-9)
 
-    @pytest.mark.parametrize("precision", [np.float64, np.float32])
-    def test_polylines(self, simulated, small_heart, outside, run, precision):
+    def test_polylines(self, simulated, small_heart, outside, run):
         lv, rv = (
-            as_polyline(simulated / f"{side}_tree.vtu", outside / f"{side}.vtp", precision)
+            as_polyline(simulated / f"{side}_tree.vtu", outside / f"{side}.vtp")
             for side in ("lv", "rv")
         )
         out = outside / "polylines"
@@ -237,26 +242,6 @@ class TestTrees:
         file = self.spoilt(simulated, outside, **arrays)
         simulate_refused(self.arguments(simulated, lv=file), file, *words)
 
-    def test_a_repeated_point_changes_no_time(self, simulated, small_heart, outside, run):
-        """It makes a node more, since the lines are a tree as they stand, and no detour."""
-        tree = pv.read(simulated / "lv_tree.vtu")
-        lines = tree.cells.reshape(-1, 3)[:, 1:].copy()
-        twin = tree.n_points
-        points = np.vstack([tree.points, tree.points[lines[4, 0]]])
-        extra = [[lines[4, 0], twin], [twin, lines[4, 1]]]
-        repeated = {"points": points, "lines": np.vstack([np.delete(lines, 4, 0), extra])}
-        summaries, activations = [], []
-        for name, arrays in (("plain", {}), ("repeated", repeated)):
-            file = self.spoilt(simulated, outside, **arrays)
-            arguments = self.arguments(simulated, lv=file)
-            assert run("simulate", small_heart, *arguments, "--out", outside / name).status == 0
-            content = json.loads((outside / name / "summary.json").read_text())
-            summaries.append(content["trees"]["lv"])
-            activations.append(pv.read(outside / name / "activation.vtu")["activation"])
-        assert [summary["nodes"] for summary in summaries] == [twin, twin + 1]
-        assert summaries[0]["junctions"] == summaries[1]["junctions"]
-        np.testing.assert_allclose(activations[1], activations[0], rtol=0, atol=1e-9)
-
     def test_no_lines(self, simulated, simulate_refused):
         file = simulated / "activation.vtu"
         simulate_refused(self.arguments(simulated, lv=file), file, "no lines", "; give a mesh")
@@ -284,8 +269,7 @@ class TestTrees:
         (outside / name).write_text("hello\n")
         simulate_refused(arguments, name, "use one of .vtu, .vtp")
 
-    @pytest.mark.parametrize("option", ["--cv", "--root-time"])
-    @pytest.mark.parametrize("value", ["nan", "-1e9"])
+    @pytest.mark.parametrize(("option", "value"), [("--cv", "nan"), ("--root-time", "-1e9")])
     def test_options(self, simulated, simulate_refused, option, value):
         arguments = self.arguments(simulated)
         arguments[arguments.index(option) + 1] = value
@@ -306,23 +290,15 @@ class TestParameters:
         [
             ({"lv_initial_lenght": 3.0}, "unknown parameter 'lv_initial_lenght'; did you mean '"),
             ({"root_time": None, "cv": None}, "missing parameters root_time, cv; add them"),
-            ({"cv": "nan"}, "parameter 'cv' is nan"),
             ({"cv": '"3"'}, "parameter 'cv' is '3'; give a number"),
             ({"cv": 0}, "parameter 'cv' is 0 mm/ms; give 0.1 to 20 mm/ms"),
-            (
-                {"lv_fascicle_angle_1": 45},
-                "'lv_fascicle_angle_1' is 45 rad; give -6.283 to 6.283 rad",
-            ),
-            ({"cv": "1" + "0" * 400}, "parameter 'cv' is a whole number of 401 digits"),
             ({"cv": "1" + "0" * 5000}, "; write lines like"),
         ],
     )
     def test_that_cannot_be(self, refuse, changed, words):
         refuse(words, **changed)
 
-    @pytest.mark.parametrize(
-        "content", [b"cv: 3\n", b"cv = 3\ncv = 4\n", b"[", b"\xff\xfe", b"a = " + b"[" * 10_000]
-    )
+    @pytest.mark.parametrize("content", [b"cv = 3\ncv = 4\n", b"\xff\xfe", b"a = " + b"[" * 10_000])
     def test_no_toml(self, tmp_path, simulate_refused, content):
         file = tmp_path / "spoilt.toml"
         file.write_bytes(content)

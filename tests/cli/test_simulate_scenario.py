@@ -8,11 +8,7 @@ import pytest
 import pyvista as pv
 
 from fascicle.heart.folder import load_heart
-
-FILES = [
-    "activation.png", "activation.vtu", "ecg.csv", "ecg.png", "junctions.vtu", "lv_tree.vtu",
-    "rv_tree.vtu", "sites.csv", "summary.json",
-]  # fmt: skip
+from tests.cli.test_simulate import FILES
 
 
 @pytest.fixture
@@ -128,19 +124,8 @@ class TestRefusals:
         ("text", "words"),
         [
             ("hello", ["not valid TOML"]),
-            ("stimuli = 1", ["unknown key 'stimuli'", "known: stimulus"]),
             ('[[inactive_root]]\ntree = "septum"', ["no tree 'septum'; known: lv, rv"]),
-            (INACTIVE, ["nothing activates the myocardium", "add a stimulus"]),
-            ("[delay]\nanterograde = inf", ["nothing activates the myocardium"]),
-            (
-                "[[stimulus]]\nposition = [0, 0, 900]\ntime = 0",
-                ["stimulus at (0, 0, 900)", "mm from the tissue"],
-            ),
             ("[[region]]\nconductivity = 0\nlabel = 1", ["region 1: the heart has no labels"]),
-            (
-                "[[region]]\nconductivity = 0\ncentre = [0, 0, 900]\nradius = 9",
-                ["region at (0.0, 0.0, 900.0) holds no element; the nearest is 8"],
-            ),
             (
                 '[[tree]]\nname = "band"\nfile = "a.vtu"\ntime = 0\nroot = [0, 0, 0]',
                 ["a.vtu: no such file"],

@@ -107,10 +107,9 @@ def test_files_that_are_no_recordings(tmp_path, target_refused):
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".hea", ".dcm", ".xml", ".scp", ".h5", ".mat", ""])
-@pytest.mark.parametrize("content", [b"", bytes(range(256)) * 9, pickle.dumps({"a": 1})])
-def test_rubbish(tmp_path, target_refused, suffix, content):
+def test_rubbish(tmp_path, target_refused, suffix):
     path = tmp_path / f"rubbish{suffix}"
-    path.write_bytes(content)
+    path.write_bytes(pickle.dumps({"a": 1}))
     target_refused(path, path)
 
 
@@ -217,20 +216,14 @@ def hum(signal):
         (("--class", "B"), "there is no class B; the beats are of class A"),
         (("--beats", "77"), "there is no beat 77"),
         (("--beats", "4-x"), "give numbers such as 3 or 1-4,7"),
-        (("--exclude-beat", "0"), "there is no beat 0"),
         (("--beats", "3"), "state its noise by --noise"),
         (("--noise", "0.04"), "--noise is for a single beat"),
-        (("--noise", "-1", "--beats", "3"), "noise is -1 mV"),
         (("--leads", "I,II,V9"), "V9"),
         (("--leads", "V6-V1"), "V6-V1"),
-        (("--invert", "V7"), "V7"),
-        (("--swap", "RA"), "give two names"),
         (("--swap", "RA-V1"), "cannot swap RA-V1"),
         (("--shared-gain",), "leave out --shared-gain"),
-        (("--lowpass", "5"), "low-pass is 5 Hz"),
         (("--notch", "55"), "notch filter at 55 Hz"),
         (("--recorder-lowpass", "5"), "recorder's low-pass is 5 Hz; give 20 to 1000 Hz"),
-        (("--exclude-beat", "1-30"), "there is no beat 11; 10 beats"),
     ],
 )
 def test_choices_that_cannot_be(tmp_path, target_refused, options, words):

@@ -83,11 +83,8 @@ def test_threads(default_model, scenario, expected):
         assert_same(default_model.simulate_many(SEVERAL, executor, scenario), expected)
 
 
-@pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_processes(default_model, scenario, expected, method):
-    if method not in multiprocessing.get_all_start_methods():
-        pytest.skip(f"no {method} on this machine")
-    context = multiprocessing.get_context(method)
+def test_processes(default_model, scenario, expected):
+    context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(2, mp_context=context) as executor:
         assert_same(default_model.simulate_many(iter(SEVERAL), executor, scenario), expected)
 

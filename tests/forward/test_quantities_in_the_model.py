@@ -5,14 +5,11 @@ from dataclasses import replace
 import igl
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import fascicle
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.core.quantities import QUANTITIES, Changes, fascicle_names
-from fascicle.forward.compile_kernels import _smallest_heart
 from fascicle.heart.conduction import Conduction, Region, share_below
 
 CV = EXAMPLE_PARAMETERS["cv"]
@@ -156,8 +153,7 @@ def test_share_of_a_tetrahedron_below_a_level():
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"cv": -2.8}, "cv"), ({"cv": 1e-9}, "cv"), ({"cv": float("nan")}, "cv"),
-        ({"root_time": float("nan")}, "root_time"), ({"alpha": 0.0}, "alpha"),
+        ({"cv": -2.8}, "cv"), ({"alpha": 0.0}, "alpha"),
         ({"root_time": [0.0, float("nan")]}, "root_time"), ({"rooot": 1.0}, "rooot"),
     ],
 )  # fmt: skip
@@ -165,35 +161,3 @@ def test_activate_refuses_what_is_impossible(default_model, plain, wrong, messag
     given = {"root_time": 0.0, "cv": 3.0} | wrong
     with pytest.raises(InputError, match=message):
         default_model.activate(plain.trees, **given)
-
-
-@pytest.fixture(scope="module")
-def small_model():
-    return fascicle.ForwardModel(_smallest_heart())
-
-
-NUMBERS = st.one_of(st.floats(), st.integers(), st.floats(width=32).map(np.float32), st.none())
-
-
-@given(st.dictionaries(st.sampled_from(sorted(QUANTITIES)), NUMBERS, max_size=3))
-@settings(max_examples=60, deadline=None)
-def test_any_numbers_are_simulated_or_refused_in_one_line(small_model, values):
-    found = outcome(small_model, small_parameters() | values)
-    if isinstance(found, InputError):
-        assert "\n" not in str(found)
-    else:
-        assert isinstance(found, (fascicle.Simulation, fascicle.InvalidTree))
-
-
-def outcome(model, parameters):
-    try:
-        return model.simulate(parameters)
-    except InputError as error:
-        return error
-
-
-def small_parameters():
-    return {
-        n: (6.0 if "initial" in n else 2.0) if "length" in n else v
-        for n, v in EXAMPLE_PARAMETERS.items()
-    }

@@ -177,43 +177,26 @@ class TestRefusals:
         [
             # the key, what is there instead, what is needed
             ("x = 1", ["unknown key 'x'", "known: stimulus, slow_conduction, inactive_root"]),
-            ("[[stimuli]]\ntime = 0", ["unknown key 'stimuli'"]),
             ("[[stimulus]]\npos = [1, 2, 3]\ntime = 1", ["stimulus 1: unknown key 'pos'"]),
             (SLOW + "speed = 0\nfascicle = 1", ["slow_conduction 1: unknown key 'fascicle'"]),
             ("[delay]\nboth = 1", ["delay: unknown key 'both'; known: anterograde, retrograde"]),
             ("[stimulus]\ntime = 0", ["'stimulus' must be in double brackets: [[stimulus]]"]),
-            ("[[delay]]\nanterograde = 1", ["'delay' is [", "must be a table: [delay]"]),
             ("his = []", ["'his' is []", "must be a table: [his]"]),
-            ("stimulus = 3", ["[[stimulus]]"]),
-            ("stimulus = [3]", ["'stimulus' is 3", "[[stimulus]]"]),
-            ("[[inactive_root]]\ntree = 1", ["inactive_root 1: 'tree' is 1"]),
             (AT + "time = 0\n" + AT, ["stimulus 2: 'time' is missing"]),
             (AT + 'time = "0"', ["stimulus 1: 'time' is '0'", "a number"]),
-            (AT + "time = true", ["stimulus 1: 'time' is True", "a number"]),
-            (AT + "time = nan", ["stimulus 1: 'time' is nan ms"]),
             (AT + "time = 1e9", ["'time' is 1e+09", "-10000 to 10000 ms"]),
-            (AT + f"time = 1{'0' * 400}", ["'time' is a whole number of 401 digits"]),
             ("[[stimulus]]\nposition = [1, 2]\ntime = 0", ["'position' is [1, 2]", "three"]),
-            ("[[stimulus]]\nposition = [1, 2, nan]\ntime = 0", ["'position': a coordinate is nan"]),
-            (SLOW, ["slow_conduction 1: 'speed' is missing"]),
             (SLOW + "speed = -0.5", ["slow_conduction 1: 'speed' is -0.5", "0.01 to 100, or 0"]),
-            (SLOW + "speed = 0\nradius = 0", ["'radius' is 0", "0.01 to 1000 mm"]),
             (SLOW + "speed = 0\nradius = 3", ["slow_conduction 1: a sphere needs centre and"]),
-            ("[[region]]\nconductivity = -1", ["region 1: 'conductivity' is -1", "or 0"]),
             ("[[region]]\nconductivity = 0\nlabel = 1.5", ["'label' is 1.5", "whole number"]),
             ("[delay]\nanterograde = -1", ["delay: 'anterograde' is -1", "or inf"]),
-            ("[delay]\nretrograde = 1e8", ["delay: 'retrograde' is 1e+08", "10000 ms, or inf"]),
             (TREE.replace("band", "../../x", 1), ["tree 1: 'name' is '../../x'", "letters"]),
-            (TREE.replace("band", "a,b", 1), ["tree 1: 'name' is 'a,b'"]),
-            (TREE.replace('"trees/band.vtu"', "3"), ["tree 1: 'file' is 3"]),
             (TREE.replace("trees", "wood"), ["wood/band.vtu: no such file"]),
-            (TREE.replace(".vtu", ".pkl"), ["band.pkl"]),
             (
                 TREE.replace("[0, 0, 0]", "[0, 0, -30]"),
                 ["nearest to the root given", "is 30.0 mm away", "band.vtu"],
             ),
             ("hello\n", ["not valid TOML", "line 1"]),
-            ("region = []\nregion = []\n", ["not valid TOML", "line 2"]),
         ],
     )
     def test_in_one_line_that_names_the_file(self, file, text, words):
@@ -226,14 +209,6 @@ class TestRefusals:
         assert len(message) < 400
         for word in words:
             assert word in message, message
-
-    def test_missing_file(self, tmp_path):
-        with pytest.raises(InputError, match=r"none\.toml: no such file \(scenario\)"):
-            read_scenario(tmp_path / "none.toml")
-
-    def test_folder(self, tmp_path):
-        with pytest.raises(InputError, match="not a file"):
-            read_scenario(tmp_path)
 
     def test_bytes_that_are_no_text(self, tmp_path):
         path = tmp_path / "case.toml"

@@ -88,13 +88,10 @@ def test_half_the_amplitude_is_half_the_ecg(tmp_path, ecg):
         (RISE[:9], "time_ms,potential_mV", "9 samples; give 10 or more"),
         ([*RISE, (9, 20)], "time_ms,potential_mV", "from 9 to 9 ms in row 16 of samples; give inc"),
         ([*RISE, (10, "nan")], "time_ms,potential_mV", "potential_mV is 'nan' in row 16"),
-        ([*RISE, (10, "")], "time_ms,potential_mV", "potential_mV is '' in row 16"),
         ([*RISE, (10, "1,2")], "time_ms,potential_mV", "not a readable table"),
         ([*RISE, (1e9, 20)], "time_ms,potential_mV", "time_ms reaches 1e+09; give -2000 to 2000"),
-        ([(t, u * 1e3) for t, u in RISE], "time_ms,potential_mV", "potential_mV reaches -85000"),
         ([(t, u / 1e3) for t, u in RISE], "time_ms,potential_mV", "changes by 0.105 mV in all"),
         ([(t + 40, u) for t, u in RISE], "time_ms,potential_mV", "steepest rise is at 39.5 ms"),
-        ([], "", "not a readable table"),
     ],
 )
 def test_another_table_is_refused(tmp_path, rows, header, words):

@@ -27,9 +27,6 @@ def test_values_come_back_and_count(folder, default_heart):
     ("line", "words"),
     [
         ("gain = 2.0", "'gain' is not a property of the tissue"),
-        ("anterograde_delay = 2.0", "not a property of the tissue"),
-        ("cv = 3.0", "not a property of the tissue"),
-        ("branch_length = 8.0", "not a property of the tissue"),
         ("fibre_speed = 0.6", "say the same"),
         ("region_1_conductivity = 0.0", "no labels"),
         ("anisotropy_ratio = 0.5", "give 1 to 10"),

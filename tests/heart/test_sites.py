@@ -110,16 +110,6 @@ def test_more_stimuli_than_anybody_has():
 
 
 class TestInScenarios:
-    def test_a_name_is_the_same_as_its_position(self, default_model):
-        place = default_model.sites.position("rv apex")
-        named, placed = (
-            default_model.simulate(
-                EXAMPLE_PARAMETERS, case((Stimulus(0.0, **where),), inactive=("lv", "rv"))
-            )
-            for where in ({"site": "rv apex"}, {"position": place})
-        )
-        np.testing.assert_array_equal(named.activation, placed.activation)
-
     def test_a_radius_fires_all_that_is_near(self, default_model, default_heart):
         stimulus = Stimulus(3.0, site="mid inferior epicardium", radius=8.0)
         paced = default_model.simulate(EXAMPLE_PARAMETERS, case((stimulus,), inactive=("lv", "rv")))

@@ -69,6 +69,14 @@ def test_polylines_that_repeat_the_points_they_share_are_joined_there(tmp_path):
     assert (tree.lengths > 0).sum() == 5
 
 
+def test_a_point_repeated_by_its_number_makes_a_node_more_and_no_detour(tmp_path):
+    lines = np.array([[0, 1], [1, 2], [2, 3]])
+    points = np.array([[0.0, 0, 0], [0, 0, 4], [0, 0, 4], [0, 0, 10]])
+    pv.UnstructuredGrid({pv.CellType.LINE: lines}, points).save(tmp_path / "tree.vtu")
+    tree = read_tree(tmp_path / "tree.vtu", "lv", np.zeros(3))
+    assert tree.lengths.tolist() == [0.0, 4.0, 0.0, 6.0]
+
+
 def test_polylines_that_close_a_loop_are_refused(tmp_path):
     file = save_polylines(tmp_path / "tree.vtp", BUNDLE, LEFT, RIGHT, [LEFT[-1], RIGHT[-1]])
     with pytest.raises(InputError, match="6 segments between 6 nodes make a loop"):

@@ -306,7 +306,7 @@ def test_the_head_tells_measures_what_was_said_of_the_file_and_warnings():
 
 
 @pytest.mark.filterwarnings("error", "ignore:Glyph")
-@pytest.mark.parametrize("name", ["b$x_1^{2$.hea", "心电图 Müller.dcm", "a\nb\tc.csv", "W" * 200])
+@pytest.mark.parametrize("name", ["b$x_1^{2$ 心\nb\tc.hea", "W" * 200])
 def test_no_name_is_read_as_a_formula_leaves_the_page_or_overlaps(name, tmp_path):
     warnings = [f"{name[:30]} $\\alpha$ ".replace("\n", " ") * 12] * 4
     analysis = synthetic(labels="AABAC", source=name, warnings=warnings, unused=(5,))
@@ -327,15 +327,3 @@ def test_no_name_is_read_as_a_formula_leaves_the_page_or_overlaps(name, tmp_path
     for box in boxes:
         assert box.x0 >= 0
         assert box.x1 <= figure.bbox.width
-
-
-@pytest.mark.parametrize("name", ["ludb/24_common.hea", "ptb-s0010/s0010_re.hea"])
-def test_real_recordings_fit_at_the_standard_scale(data_folder, name):
-    from fascicle import read_recording
-    from fascicle.recording.filters import resample
-
-    recording = read_recording(data_folder / "ecg" / name)
-    signal = resample(recording.signal, recording.sampling_rate)
-    figure = recording_figure(replace(synthetic(), recording=recording, signal=signal))
-    assert np.ptp(figure.axes[0].get_ylim()) == pytest.approx(16.0)
-    assert name.split("/")[1] in texts(figure)

@@ -79,7 +79,7 @@ def test_stages_and_result(tmp_path):
     assert [news[1] for news in seen if news[0] == "optimisation"] == [1, 2, 3, 4, 5]
 
 
-@pytest.mark.parametrize("calls", [5, 14, 18])
+@pytest.mark.parametrize("calls", [5, 14])
 def test_interrupted_study_resumes_to_the_same_bits(tmp_path, uninterrupted, calls):
     done = 0
 
@@ -162,7 +162,6 @@ def test_batches_are_repeatable(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"heart": "c" * 64}, r"\(heart: there aa, now c{12}\)"),
         ({"free_gain": True, "seed": 9}, r"\(seed: there 3, now 9; free_gain: there False, now"),
         (
             {"space": SPACE.parameters[1:], "fixed": {"cv": 2.5}},
@@ -172,10 +171,6 @@ def test_batches_are_repeatable(tmp_path):
             {"conduction": {"alpha": 0.07, "anisotropy_ratio": 3.0}},
             r"\(conduction alpha: there 0.05, now 0.07; "
             r"conduction anisotropy_ratio: there none, now 3\)",
-        ),
-        (
-            {"space": (Parameter("cv", "mm/ms", 1, 4), SPACE.parameters[1])},
-            r"\(cv: there learnt \(uniform 2 to 4\), now learnt \(uniform 1 to 4\)\)",
         ),
         ({"space": SPACE.parameters[::-1]}, r"\(the order of the parameters\)"),
         (
@@ -205,10 +200,7 @@ def outcome(population):
     return {name: values.tobytes() for name, values in population.values.items()}, population.best
 
 
-@pytest.mark.parametrize(
-    "change",
-    [{"steps": 8}, {"samples": 6}, {"steps": 8, "samples": 6}, {"steps": 3}, {"samples": 2}],
-)
+@pytest.mark.parametrize("change", [{"steps": 8, "samples": 6}, {"steps": 3}, {"samples": 2}])
 def test_other_numbers_give_what_they_give_at_once(tmp_path, change):
     Study.create_or_resume(tmp_path / "s", make_config()).run(objective)
     (tmp_path / "s" / "population.nc").write_text("says that the study is finished")
@@ -270,18 +262,17 @@ def test_foreign_folders_are_refused(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
-@pytest.mark.parametrize("version", [1, 99])
-def test_study_of_another_format_is_refused(tmp_path, version):
+def test_study_of_another_format_is_refused(tmp_path):
     """Losses of earlier formats are not those of this one."""
     Study.create_or_resume(tmp_path / "s", make_config())
     path = tmp_path / "s" / "study.json"
-    path.write_text(path.read_text().replace(f'"version": {FORMAT}', f'"version": {version}'))
-    with pytest.raises(InputError, match=rf"study\.json: a study of format {version}, ") as caught:
+    path.write_text(path.read_text().replace(f'"version": {FORMAT}', '"version": 1'))
+    with pytest.raises(InputError, match=r"study\.json: a study of format 1, ") as caught:
         Study.open(tmp_path / "s")
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["{", "[]", '{"heart": "a", "colour": 1}', "\udcff"])
+@pytest.mark.parametrize("text", ["{", '{"heart": "a", "colour": 1}', "\udcff"])
 def test_damaged_configuration_is_refused(tmp_path, text):
     (tmp_path / "study.json").write_bytes(text.encode("utf-8", "surrogateescape"))
     with pytest.raises(InputError, match=r"study\.json") as caught:

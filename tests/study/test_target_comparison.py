@@ -212,12 +212,3 @@ def test_ringing_is_explained_by_the_filter_and_not_without(default_model, truth
     assert np.abs(recorded).max() > 0.02  # mV
     np.testing.assert_allclose(predicted(knowing, leads)[:, before], recorded, atol=1e-3)
     assert np.abs(predicted(unaware, leads)[:, before]).max() < 1e-6
-
-
-def test_ringing_has_the_period_of_the_cut_off(ringing):
-    """As in the averaged beat of a subject, where it is 30 ms at 35 Hz."""
-    target, before = ringing
-    waves = target.mean[:, before]
-    spectrum = (np.abs(np.fft.rfft(waves * np.hanning(waves.shape[1]), 4000)) ** 2).sum(axis=0)
-    frequency = np.fft.rfftfreq(4000, 1e-3)
-    assert frequency[np.argmax(spectrum * (frequency > 15))] == pytest.approx(34.0, abs=3.0)

@@ -126,34 +126,6 @@ def test_template_is_simulated_once(folder, template):
     assert len(list(cache.iterdir())) == 2
 
 
-@pytest.mark.parametrize("damage", ["empty", "truncated", "other", "flipped"])
-def test_damaged_file_is_made_anew(folder, template, damage):
-    cache, made = folder
-    stored_template("endocardial")
-    (path,) = cache.iterdir()
-    whole = path.read_bytes()
-    middle = len(whole) // 2
-    flipped = whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :]
-    path.write_bytes(
-        {"empty": b"", "truncated": whole[:middle], "other": b"text", "flipped": flipped}[damage]
-    )
-    assert stored_template("endocardial") == template
-    assert made == ["endocardial"] * 2
-    assert path.read_bytes() != b""
-    assert stored_template("endocardial") == template
-    assert made == ["endocardial"] * 2
-
-
-def test_unwritable_cache_is_done_without(folder, template, monkeypatch, tmp_path):
-    _, made = folder
-    blocked = tmp_path / "a file"
-    blocked.write_text("")
-    monkeypatch.setenv(CACHE_VARIABLE, str(blocked))
-    assert stored_template("endocardial") == template
-    assert stored_template("endocardial") == template
-    assert made == ["endocardial"] * 2
-
-
 def test_key_changes_with_version_and_code(folder, template, monkeypatch, tmp_path):
     cache, made = folder
     stored_template("endocardial")

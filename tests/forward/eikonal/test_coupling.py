@@ -14,19 +14,6 @@ SIDE = VERTICES[VERTICES[:, 0] < 1e-9]
 EXACT = 1e-9  # ms
 
 
-def test_front_from_inside_the_slab_enters_the_nearest_junction():
-    """The junction lies between vertices; the stimulus leads to it straight, not by them."""
-    nodes = np.array([[7.3, 5.1, DEPTH], [20.0, 6.0, 9.0], [44.9, 6.7, DEPTH]])
-    tree = line_tree(nodes, root=1)
-    start = np.array([4.2, 6.1, 0.3])
-    activation = activate(MYOCARDIUM, [tree], [np.inf], CV, stimuli=start, times=[0.0])
-    read = activation.trees[0][0]
-    assert read == pytest.approx(np.linalg.norm((nodes[0] - start) / [ALONG, ACROSS, ACROSS]))
-    assert activation.trees[0][2] == pytest.approx(read + tree.lengths.sum() / CV)
-    assert activation.retrograde[0].tolist() == [True, False]
-    assert activation.entered_by[0].tolist() == [2, -1]  # the stimulus comes after two junctions
-
-
 def test_a_planar_front_is_exact_and_so_is_a_junction_in_it():
     """All vertices of one side are stimulated: τ = x / v."""
     nodes = np.array([[17.37, 5.13, DEPTH], [20.0, 6.0, 9.0], [30.9, 2.71, DEPTH]])
@@ -54,13 +41,6 @@ def test_a_stimulus_outside_fires_the_nearest_tissue():
     activation = activate(MYOCARDIUM, [], [], CV, stimuli=[10.3, 6.2, DEPTH + 1.5], times=[2.0])
     exact = straight_times(MYOCARDIUM, [10.3, 6.2, DEPTH], [2.0])
     np.testing.assert_allclose(activation.myocardium, exact, atol=EXACT)
-
-
-def test_no_tree_at_all():
-    """ "Any number of trees" includes none: paced myocardium after a complete block."""
-    activation = activate(MYOCARDIUM, [], [], CV, stimuli=SIDE, times=np.zeros(len(SIDE)))
-    np.testing.assert_allclose(activation.myocardium, VERTICES[:, 0] / ALONG, atol=EXACT)
-    assert activation.trees == ()
 
 
 def test_nothing_fires():

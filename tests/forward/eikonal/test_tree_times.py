@@ -60,13 +60,12 @@ def test_cv_is_the_speed_and_not_its_square():
 
 
 @pytest.mark.parametrize("entry", ["root", "leaf", "both"])
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_branched_trees_agree_with_scipy(entry, seed):
+def test_branched_trees_agree_with_scipy(entry):
     """Root fires at 0 or never; the tissue at a leaf is stimulated; trees fire no tissue.
 
     What the junctions read is the same with a tree that lets nothing in.
     """
-    tree, cv = random_tree(seed), 2.0
+    tree, cv = random_tree(0), 2.0
     stimuli = {} if entry == "root" else {"stimuli": tree.nodes[tree.junctions[3]], "times": [-5.0]}
     root_time = np.inf if entry == "leaf" else 3.0
     activation = activate(MYOCARDIUM, [tree], [root_time], cv, anterograde_delay=np.inf, **stimuli)
@@ -115,30 +114,6 @@ def test_slow_and_blocked_segments_and_stimuli_in_the_tree(seed, moments):
     expected = dijkstra_times(tree, 2.0, entered, speed)
     np.testing.assert_allclose(activation.trees[0], expected, atol=1e-9, rtol=0)
     assert np.isinf(expected).any() or (speed > 0).all() or len(moments) > 1
-
-
-def test_a_blocked_segment_is_passed_neither_way():
-    """Cut between nodes 2 and 3 of six: what is fired on one side stays there."""
-    tree = line_tree(np.column_stack([np.linspace(0, 30, 6), np.full(6, 8.0), np.full(6, 9.0)]))
-    speed = np.where(np.arange(6) == 3, 0.0, 1.0)
-    from_root = activate(MYOCARDIUM, [tree], [0.0], 2.0, speed=speed, **CUT_OFF).trees[0]
-    np.testing.assert_allclose(from_root, [0, 3, 6, np.inf, np.inf, np.inf])
-    beyond = activate(
-        MYOCARDIUM, [tree], [np.inf], 2.0, speed=speed, node_times=[(0, 4, 1.0)], **CUT_OFF
-    ).trees[0]
-    np.testing.assert_allclose(beyond, [np.inf, np.inf, np.inf, 4, 1, 4])
-
-
-def test_a_slow_segment_is_slow_both_ways():
-    """6 mm at a quarter of 2 mm/ms take 12 ms instead of 3."""
-    tree = line_tree(np.column_stack([np.linspace(0, 30, 6), np.full(6, 8.0), np.full(6, 9.0)]))
-    speed = np.where(np.arange(6) == 3, 0.25, 1.0)
-    forwards = activate(MYOCARDIUM, [tree], [0.0], 2.0, speed=speed, **CUT_OFF).trees[0]
-    np.testing.assert_allclose(forwards, [0, 3, 6, 18, 21, 24])
-    backwards = activate(
-        MYOCARDIUM, [tree], [np.inf], 2.0, speed=speed, node_times=[(0, 5, 0.0)], **CUT_OFF
-    ).trees[0]
-    np.testing.assert_allclose(backwards, [24, 21, 18, 6, 3, 0])
 
 
 def test_a_block_is_bypassed_through_the_myocardium():
