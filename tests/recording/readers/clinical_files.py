@@ -106,17 +106,6 @@ def muse(
     )
 
 
-def crc_ccitt(data: bytes) -> int:
-    """Checksum of EN 1064, 5.2.7: polynomial x^16 + x^12 + x^5 + 1, from all ones."""
-    register = 0xFFFF
-    for byte in data:
-        register ^= byte << 8
-        for _ in range(8):
-            register = (register << 1) ^ (0x1021 if register & 0x8000 else 0)
-            register &= 0xFFFF
-    return register
-
-
 def default_code(value: int) -> str:
     """Bits of one value in the default Huffman table of EN 1064, 5.5."""
     size = abs(value)
@@ -154,7 +143,7 @@ def section(number: int, content: bytes) -> bytes:
     content += b"\0" * (len(content) % 2)
     reserved = b"SCPECG" if number == 0 else bytes(6)
     body = struct.pack("<HIBB", number, 16 + len(content), 20, 20) + reserved + content
-    return struct.pack("<H", crc_ccitt(body)) + body
+    return struct.pack("<H", binascii.crc_hqx(body, 0xFFFF)) + body
 
 
 def scp_record(sections: Mapping[int, bytes]) -> bytes:
@@ -169,7 +158,7 @@ def scp_record(sections: Mapping[int, bytes]) -> bytes:
         place += size
     body = section(0, pointers) + b"".join(contents[number] for number in sorted(contents))
     body = struct.pack("<I", 6 + len(body)) + body
-    return struct.pack("<H", crc_ccitt(body)) + body
+    return struct.pack("<H", binascii.crc_hqx(body, 0xFFFF)) + body
 
 
 def scp_sections(

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import ExplicitVRLittleEndian, TwelveLeadECGWaveformStorage, generate_uid
+from refusals import waves
 
-from fascicle.core.leads import LEADS, lead_matrix
+from fascicle.core.leads import LEADS
 
 RATE, N = 500, 1000
 MDC = dict(zip(LEADS, (1, 2, 61, 62, 63, 64, *range(3, 9)), strict=True))
@@ -14,9 +15,7 @@ MDC = dict(zip(LEADS, (1, 2, 61, 62, 63, 64, *range(3, 9)), strict=True))
 
 def digits(n=N, amplitude=40):
     """(12, n) integers within 8 bits, every lead different."""
-    t = np.arange(n) / RATE
-    waves = np.array([np.sin(2 * np.pi * (1 + k) * t + k) for k in range(9)])
-    return np.round(amplitude * (lead_matrix() @ waves)).astype(np.int64)
+    return np.round(amplitude * waves(n)).astype(np.int64)
 
 
 def code(value, scheme, meaning=""):

@@ -1,9 +1,17 @@
-"""What every reader must do with files that it cannot use."""
+"""Signals to write, and what every reader must do with files that it cannot use."""
 
+import numpy as np
 import pytest
 
 from fascicle.core.errors import InputError
+from fascicle.core.leads import lead_matrix
 from fascicle.recording.readers.read import read_recording
+
+
+def waves(n, rate=500):
+    """(12, n) mV, every lead different, limb leads consistent."""
+    t = np.arange(n) / rate
+    return lead_matrix() @ np.array([np.sin(2 * np.pi * (1 + k) * t + k) for k in range(9)])
 
 
 def refused(path, *words, **options):

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse
-from refusals import refused
+from refusals import refused, waves
 
 from fascicle.core import isolated
-from fascicle.core.leads import LEADS, lead_matrix
+from fascicle.core.leads import LEADS
 from fascicle.recording.readers.read import read_recording
 
 RATE, N = 500, 1000
@@ -18,10 +18,7 @@ RATE, N = 500, 1000
 
 @pytest.fixture
 def signal():
-    """(12, n) mV, every lead different, limb leads consistent."""
-    t = np.arange(N) / RATE
-    waves = np.array([np.sin(2 * np.pi * (1 + k) * t + k) for k in range(9)])
-    return lead_matrix() @ waves
+    return waves(N)
 
 
 def by_lead(signal, names=LEADS):

@@ -72,37 +72,33 @@ class TestSignal:
     @pytest.mark.parametrize("order", [0, 1, 2])
     @pytest.mark.parametrize("huffman", [False, True])
     def test_scp(self, tmp_path, digits, order, huffman):
-        path = saved(tmp_path, files.scp(digits, order=order, huffman=huffman))
-        recording = read_recording(path)
-        assert recording.signal[ROWS] == pytest.approx(digits * 4.88e-3, abs=1e-12)
-        assert recording.sampling_rate == 500
-        assert recording.digits_per_millivolt[ROWS] == pytest.approx(np.full(8, 1 / 4.88e-3))
-        assert recording.filters == Filters(highpass=0.05, lowpass=150, notch=50)
-
-    def test_muse(self, tmp_path, digits):
-        recording = read_recording(saved(tmp_path, files.muse(digits)))
-        assert recording.signal[ROWS] == pytest.approx(digits * 4.88e-3, abs=1e-12)
-        assert recording.sampling_rate == 500
-        assert recording.filters == Filters(highpass=0.16, lowpass=150, notch=60)
-        assert recording.digits_per_millivolt[6] == pytest.approx(1 / 4.88e-3)
-
-    @pytest.mark.parametrize("scale", [("2500", "nV"), ("0.0025", "mV")])
-    def test_aecg(self, tmp_path, digits, scale):
-        recording = read_recording(saved(tmp_path, files.aecg(digits, scale=scale)))
-        assert recording.signal[ROWS] == pytest.approx(digits * 2.5e-3, abs=1e-12)
+        content = files.scp(digits, order=order, huffman=huffman)
+        self.check(tmp_path / "a.scp", content, digits, 4.88e-3, Filters(0.05, 150, 50))
 
     @pytest.mark.parametrize(
-        ("name", "write"), [("a.xml", files.mortara), ("a.ecg", files.ishne), ("a.mwf", files.mfer)]
-    )
-    def test_other_makers(self, tmp_path, digits, name, write):
-        path = tmp_path / name
-        path.write_bytes(write(digits))
+        ("name", "write", "scale", "filters"),
+        [
+            ("a.xml", files.muse, 4.88e-3, Filters(0.16, 150, 60)),
+            ("a.xml", files.aecg, 2.5e-3, None),
+            ("a.xml", lambda d: files.aecg(d, scale=("2500", "nV")), 2.5e-3, None),
+            ("a.xml", files.mortara, 5e-3, None), ("a.ecg", files.ishne, 5e-3, None),
+            ("a.mwf", files.mfer, 5e-3, None),
+        ],
+    )  # fmt: skip
+    def test_others(self, tmp_path, digits, name, write, scale, filters):
+        content = write(digits)
+        content = content.encode() if isinstance(content, str) else content
+        self.check(tmp_path / name, content, digits, scale, filters or Filters())
+        (tmp_path / name).write_bytes(content[:-15])
+        refused(tmp_path / name)
+
+    def check(self, path, content, digits, scale, filters):
+        path.write_bytes(content)
         recording = read_recording(path)
-        assert recording.signal[ROWS] == pytest.approx(digits * 5e-3, abs=1e-12)
+        assert recording.signal[ROWS] == pytest.approx(digits * scale, abs=1e-12)
         assert recording.sampling_rate == 500
-        assert recording.digits_per_millivolt[ROWS] == pytest.approx(np.full(8, 200))
-        path.write_bytes(write(digits)[:-9])
-        refused(path)
+        assert recording.digits_per_millivolt[ROWS] == pytest.approx(np.full(8, 1 / scale))
+        assert recording.filters == filters
 
     def test_faults_of_ishne(self, tmp_path, digits):
         faulty = np.array(digits)
@@ -146,29 +142,25 @@ class TestSignal:
 
 
 class TestRate:
-    def test_interval_in_microseconds(self, tmp_path, digits):
-        recording = read_recording(saved(tmp_path, files.scp(digits, interval=1024)))
-        assert recording.sampling_rate == 976.5625
-
     @pytest.mark.parametrize(
-        ("step", "rate"),
-        [(("1.024", "ms"), 976.5625), (("0.001953125", "s"), 512), (("2000", "us"), 500)],
-    )
-    def test_increment(self, tmp_path, digits, step, rate):
-        recording = read_recording(saved(tmp_path, files.aecg(digits, step=step)))
-        assert recording.sampling_rate == pytest.approx(rate, rel=1e-12)
-        assert "remarks" not in recording.provenance  # the library rounds the rate, this does not
-
-    @pytest.mark.parametrize(
-        ("base", "exponent", "rate"),
+        ("write", "options", "rate"),
         [
-            ("5", "2", 500), ("1000", "", 1000), ("488.2", "0", 488.2), ("4882.5", "-1", 488.25),
-            ("4883", "-1", 488.3),
+            (files.scp, {"interval": 1024}, 976.5625),
+            (files.aecg, {"step": ("1.024", "ms")}, 976.5625),
+            (files.aecg, {"step": ("0.001953125", "s")}, 512),
+            (files.aecg, {"step": ("2000", "us")}, 500),
+            (files.muse, {"base": "5", "exponent": "2"}, 500),
+            (files.muse, {"base": "1000", "exponent": ""}, 1000),
+            (files.muse, {"base": "488.2"}, 488.2),
+            (files.muse, {"base": "4882.5", "exponent": "-1"}, 488.25),
+            (files.muse, {"base": "4883", "exponent": "-1"}, 488.3),
         ],
     )  # fmt: skip
-    def test_base_and_exponent(self, tmp_path, digits, base, exponent, rate):
-        content = files.muse(digits, base=base, exponent=exponent)
-        assert read_recording(saved(tmp_path, content)).sampling_rate == rate
+    def test_exact(self, tmp_path, digits, write, options, rate):
+        """The library rounds it, this does not."""
+        recording = read_recording(saved(tmp_path, write(digits, **options)))
+        assert recording.sampling_rate == pytest.approx(rate, rel=1e-12)
+        assert "remarks" not in recording.provenance
 
     @pytest.mark.parametrize(
         ("write", "options"),
@@ -388,20 +380,16 @@ class TestAveragedBeatOnly:
         target = make_target(recording, noise=0.03)
         assert target.qrs_duration == pytest.approx(98, abs=5)
 
-    def test_muse_of_a_test(self, tmp_path, beat):
+    def test_muse_and_aecg(self, tmp_path, beat):
         text = files.muse(beat)
         start = text.index("<Waveform>", text.index("Median"))
         text = text[: text.index("<Waveform>")] + text[start:].replace("Rhythm", "Median")
-        recording = read_recording(saved(tmp_path, text))
-        assert recording.signal[ROWS] == pytest.approx(beat * 4.88e-3, abs=1e-12)
-        assert recording.sampling_rate == 500
-        assert recording.filters.lowpass == 150
-
-    def test_aecg(self, tmp_path, beat):
-        text = replaced(files.aecg(beat), 'code="RHYTHM"', 'code="REPRESENTATIVE_BEAT"')
-        recording = read_recording(saved(tmp_path, text))
-        assert recording.signal[ROWS] == pytest.approx(beat * 2.5e-3, abs=1e-12)
-        assert "averaged beat" in recording.provenance["remarks"]
+        aecg = replaced(files.aecg(beat), 'code="RHYTHM"', 'code="REPRESENTATIVE_BEAT"')
+        for content, scale in ((text, 4.88e-3), (aecg, 2.5e-3)):
+            recording = read_recording(saved(tmp_path, content))
+            assert recording.signal[ROWS] == pytest.approx(beat * scale, abs=1e-12)
+            assert recording.sampling_rate == 500
+            assert "averaged beat" in recording.provenance["remarks"]
 
     @pytest.mark.parametrize("rate", ["", 'samplespersec="1000"'])
     def test_philips(self, tmp_path, beat, rate):

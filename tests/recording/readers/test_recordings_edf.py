@@ -3,9 +3,9 @@
 import edfio
 import numpy as np
 import pytest
-from refusals import refused
+from refusals import refused, waves
 
-from fascicle.core.leads import LEADS, lead_matrix
+from fascicle.core.leads import LEADS
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Filters
 
@@ -19,10 +19,7 @@ LABEL, UNIT, PHYSICAL_MIN, PHYSICAL_MAX, DIGITAL_MIN, DIGITAL_MAX = 0, 96, 104, 
 
 @pytest.fixture
 def signal():
-    """(12, n) mV, every lead different, limb leads consistent."""
-    t = np.arange(N) / RATE
-    waves = np.array([np.sin(2 * np.pi * (1 + k) * t + k) for k in range(9)])
-    return lead_matrix() @ waves
+    return waves(N)
 
 
 def signals(signal, labels=LEADS, scale=1000.0, rate=RATE, **options):

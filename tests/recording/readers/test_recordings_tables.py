@@ -8,25 +8,18 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from refusals import refused
+from refusals import refused, waves
 
-from fascicle.core.leads import LEADS, lead_matrix
+from fascicle.core.leads import LEADS
 from fascicle.recording.readers.read import read_recording
 
 RATE, N = 500, 2000
 IN_MV = [f"{lead}_mV" for lead in LEADS]
 
 
-def waves(n=N, rate=RATE):
-    """(12, n) mV, every lead different, limb leads consistent."""
-    t = np.arange(n) / rate
-    potentials = np.array([np.sin(2 * np.pi * (1 + k) * t + k) for k in range(9)])
-    return lead_matrix() @ potentials
-
-
 @pytest.fixture(scope="module")
 def signal():
-    return waves()
+    return waves(N)
 
 
 def table(signal, names=LEADS, time="time_ms", rate=RATE):
@@ -218,7 +211,7 @@ class TestTimes:
          (1000 / 3, 0, "time_ms")],
     )  # fmt: skip
     def test_rounded(self, tmp_path, rate, digits, name):
-        frame = table(waves(rate=rate), IN_MV, name, rate)
+        frame = table(waves(N, rate), IN_MV, name, rate)
         frame[name] = frame[name].round(digits)
         recording = read_recording(save(frame, tmp_path / "a.csv"))
         assert recording.sampling_rate == pytest.approx(rate, rel=1e-4)

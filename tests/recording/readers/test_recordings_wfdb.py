@@ -8,10 +8,10 @@ import hashlib
 import numpy as np
 import pytest
 import wfdb
-from refusals import refused
+from refusals import refused, waves
 
 from fascicle.core.errors import InputError
-from fascicle.core.leads import LEADS, lead_matrix
+from fascicle.core.leads import LEADS
 from fascicle.recording.readers.read import read_recording
 
 RATE, N, GAIN = 500, 1500, 40
@@ -20,9 +20,7 @@ EIGHT = ("I", "II", "V1", "V2", "V3", "V4", "V5", "V6")
 
 def digits(n=N, gain=GAIN):
     """(12, n) integers, every lead different, limb leads consistent but for rounding."""
-    t = np.arange(n) / RATE
-    waves = np.array([np.sin(2 * np.pi * (1 + k) * t + k) for k in range(9)])
-    return np.round(gain * (lead_matrix() @ waves)).astype(np.int64)
+    return np.round(gain * waves(n)).astype(np.int64)
 
 
 def pack(samples, kind):
