@@ -126,52 +126,42 @@ def separated_vertices(anatomy: Anatomy) -> Anatomy:
     the way into its tetrahedra where these stay positive. Fibres, sheets, regions and labels stay.
     The anatomy is returned as it is if that would take the tissue apart.
     """
-    mesh, count = anatomy.mesh, len(anatomy.mesh.vertices)
-    pairs = _neighbours(mesh.tetrahedra)
-    if components_of(pairs, len(mesh.tetrahedra)).any():
+    mesh, tetrahedra = anatomy.mesh, anatomy.mesh.tetrahedra.copy()
+    if components_of(_neighbours(tetrahedra), len(tetrahedra)).any():
         return anatomy
-    # corners of neighbours in one vertex are one
-    same = mesh.tetrahedra[pairs[:, 0], :, None] == mesh.tetrahedra[pairs[:, 1], None, :]
-    pair, one, other = np.nonzero(same)
-    linked = 4 * pairs[pair] + np.column_stack([one, other])
-    part = components_of(linked, mesh.tetrahedra.size)
-    _, first, corner = np.unique(part, return_index=True, return_inverse=True)
-    parent = mesh.tetrahedra.ravel()[first]
-    _, originals = np.unique(parent, return_index=True)
-    order = np.concatenate([originals, np.setdiff1d(np.arange(len(parent)), originals)])
-    parent = parent[order]  # a vertex, then copies
-    tetrahedra = np.argsort(order)[corner].reshape(-1, 4)
-    triangles, _ = boundary_triangles(tetrahedra)
-    labels = mesh.labels[places_in(parent[triangles], mesh.triangles)]
-    lined = np.unique(triangles[np.isin(labels, (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM))])
-    twice = np.bincount(parent[lined], minlength=count) > 1
-    if not twice.any():
+    boundary, owner = boundary_triangles(tetrahedra)
+    labels = mesh.labels[places_in(boundary, mesh.triangles)]
+    lined = np.isin(labels, (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM))
+    several = np.flatnonzero(np.bincount(igl.split_nonmanifold(boundary)[1]) > 1)
+    doubled, parent = [], list(range(len(mesh.vertices)))
+    for vertex in np.intersect1d(several, boundary[lined]):
+        fans = _fans(mesh.tetrahedra, vertex)
+        owners = owner[lined & (boundary == vertex).any(axis=1)]
+        if sum(np.isin(fan, owners).any() for fan in fans) < 2:
+            continue
+        doubled.append(vertex)
+        for fan in fans[1:]:
+            tetrahedra[fan] = np.where(mesh.tetrahedra[fan] == vertex, len(parent), tetrahedra[fan])
+            parent.append(vertex)
+    if not doubled:
         return anatomy
-    kept = np.concatenate([np.arange(count), count + np.flatnonzero(twice[parent[count:]])])
-    number = parent.copy()  # copies that no endocardium needs become one again
-    number[kept] = np.arange(len(kept))
-    vertices, tetrahedra = mesh.vertices[parent[kept]], number[tetrahedra]
-    for vertex in np.flatnonzero(twice[parent[kept]]):
+    vertices = mesh.vertices[parent]
+    for vertex in np.flatnonzero(np.isin(parent, doubled)):
         around = tetrahedra[(tetrahedra == vertex).any(axis=1)]
         moved = vertices.copy()
         moved[vertex] += 0.1 * (vertices[around].mean(axis=(0, 1)) - vertices[vertex])
         if (signed_volumes(moved, around) > 0).all():
             vertices = moved
     triangles, _ = boundary_triangles(tetrahedra)
-    at = np.flatnonzero(twice)
+    labels = mesh.labels[places_in(np.array(parent)[triangles], mesh.triangles)]
     note = (
-        f"mesh: vertices in which an endocardium touched itself were doubled: {len(at)} (first: "
-        f"{first_places(at, mesh.vertices[at])})"
+        f"mesh: vertices in which an endocardium touched itself were doubled: {len(doubled)} "
+        f"(first: {first_places(np.array(doubled), mesh.vertices[doubled])})"
     )
-    back = parent[kept][triangles]
     return replace(
         anatomy,
         mesh=replace(
-            mesh,
-            vertices=vertices,
-            tetrahedra=tetrahedra,
-            triangles=triangles,
-            labels=mesh.labels[places_in(back, mesh.triangles)],
+            mesh, vertices=vertices, tetrahedra=tetrahedra, triangles=triangles, labels=labels
         ),
         coordinates=None,
         notes=(*anatomy.notes, note),
@@ -235,13 +225,10 @@ def repaired_edges(anatomy: Anatomy) -> Anatomy:
     )
 
 
-def _fans(tetrahedra: Integers, edge: Integers) -> list[Integers]:
-    """Groups of the tetrahedra that have an edge, linked by the faces that have it."""
-    around = np.flatnonzero(np.isin(tetrahedra, edge).sum(axis=1) == 2)
-    opposite = tetrahedra[around][~np.isin(tetrahedra[around], edge)].reshape(-1, 2)
-    _, ring = np.unique(opposite, return_inverse=True)
-    ring = ring.reshape(-1, 2)
-    group = components_of(ring, int(ring.max()) + 1)[ring[:, 0]]
+def _fans(tetrahedra: Integers, corners: Integers) -> list[Integers]:
+    """Groups of the tetrahedra that have a vertex, or an edge (2,), linked by their faces."""
+    around = np.flatnonzero(np.isin(tetrahedra, corners).sum(axis=1) == np.size(corners))
+    group = components_of(_neighbours(tetrahedra[around]), len(around))
     return [around[group == k] for k in np.unique(group)]
 
 
