@@ -139,7 +139,7 @@ def test_a_mesh_that_is_no_pair_of_ventricles_tells_its_regions(tmp_path):
     arrays = {"tag": np.where(np.arange(len(block.tetrahedra)) < 100, 3, 8).astype(float)}
     path = tmp_path / "block.vtu"
     write_grid(path, block.vertices, block.tetrahedra, TETRAHEDRON, {}, arrays)
-    words = r"no cavity found.*'tag' has the regions 3 \(100 elements, 56.2 ml\), 8 .*regions="
+    words = r"0 cavities found.*'tag' has the regions 3 \(100 elements, 56.2 ml\), 8 .*regions="
     with pytest.raises(InputError, match=words):
         read_anatomy(Source(path), 2.0)
 
