@@ -101,8 +101,9 @@ def _samples_are_right(source_format: str, data: bytes, root: ET.Element | None)
 
 def _parsed(parser: Any, path: Path, copy: Path | None = None) -> tuple[Any, list[str], list[str]]:
     """Run one parser; return its record, its warnings, and those that a checksum is wrong."""
-    copy = path if copy is None else copy
     from ecgdatakit.exceptions import ChecksumWarning, ECGDataKitError, UnsupportedFormatError
+
+    copy = path if copy is None else copy
 
     def reason(error: object) -> str:
         """One short line; the file is named elsewhere."""

@@ -137,10 +137,8 @@ def _make_rhythm(beat: ET.Element, parents: dict[ET.Element, ET.Element]) -> Non
 
 def _mend_aecg(sequences: ET.Element) -> list[str]:
     """Name leads and units as HL7 aECG does, and state a rate, unknown where none is."""
-    remarks = []
-    for number in (
-        each for tag in ("increment", "scale", "origin") for each in sequences.iter(tag)
-    ):
+    remarks, steps = [], list(sequences.iter("increment"))
+    for number in [*steps, *sequences.iter("scale"), *sequences.iter("origin")]:
         text = number.get("value", "")
         if (new := _point(text)) != text:
             number.set("value", new)
@@ -150,7 +148,6 @@ def _mend_aecg(sequences: ET.Element) -> list[str]:
     for code in sequences.iterfind("component/sequence/code"):
         if lead := lead_name(code.get("code", "")):
             code.set("code", f"MDC_ECG_LEAD_{lead.upper()}")
-    steps = list(sequences.iter("increment"))
     for step in steps:
         per_second = PER_SECOND.get(plain_unit(step.get("unit", "")), 0.0)
         step.set("unit", {1.0: "s", 1e3: "ms", 1e6: "us"}.get(per_second, ""))
@@ -228,17 +225,16 @@ def mended_wfdb(header: Path) -> tuple[str, list[Path], list[str]]:
 def _signal_file(header: Path, name: str, alone: bool) -> Path:
     """The file that a header means by a name."""
     wanted = re.split(r"[\\/]", name)[-1]
-    alike = [file for file in header.parent.iterdir() if file.name.casefold() == wanted.casefold()]
-    exact = [file for file in alike if file.name == wanted] or alike
-    if alone:
-        exact.append(header.with_suffix(Path(wanted).suffix))
-    for file in exact:
-        if file.is_file() and file != header:
-            return file
-    raise InputError(
-        f"{header}: names '{printable(name[:40])}', which is no file in its folder; put all files "
-        "of the record in one folder"
-    )
+    files = sorted(header.parent.iterdir(), key=lambda file: file.name != wanted)
+    alike = [file for file in files if file.name.casefold() == wanted.casefold()]
+    alike += [header.with_suffix(Path(wanted).suffix)] * alone
+    found = next((file for file in alike if file.is_file() and file != header), None)
+    if found is None:
+        raise InputError(
+            f"{header}: names '{printable(name[:40])}', which is no file in its folder; put all "
+            "files of the record in one folder"
+        )
+    return found
 
 
 def _mended_scp(data: bytes) -> tuple[bytes, list[str]]:
