@@ -79,46 +79,6 @@ def test_a_large_hole_is_refused_with_its_place():
         prepared_surface(without(surface, around_apex(surface, 15)))
 
 
-def relabelled(numbers):
-    return replace(ventricles(), labels=np.array(numbers)[ventricles().labels])
-
-
-def twice():
-    surface = ventricles()
-    return LabelledSurface(
-        np.concatenate([surface.vertices, 0.2 * surface.vertices]),
-        np.concatenate([surface.triangles, surface.triangles + len(surface.vertices)]),
-        np.tile(surface.labels, 2),
-    )
-
-
-@pytest.mark.parametrize(
-    ("made", "words"),
-    [
-        (lambda: replace(ventricles(), vertices=ventricles().vertices / 1000), "metres"),
-        (lambda: relabelled([0, 1, 2, 3, 2]), "no triangle is labelled rv endocardium"),
-        (lambda: relabelled([0, 1, 2, 4, 3]), "swapped"),
-        (twice, "falls into 2 pieces"),
-    ],
-)
-def test_surfaces_that_are_not_hearts_are_refused(made, words):
-    with pytest.raises(InputError, match=words):
-        prepared_surface(made())
-
-
-def test_a_sheet_across_the_base_is_refused():
-    surface = ventricles()
-    a, b = surface.having(Label.BASE)[0][:2]
-    sheet = np.array([[a, b, len(surface.vertices)]])
-    extended = LabelledSurface(
-        np.concatenate([surface.vertices, [[0, 0, 5.0]]]),
-        np.concatenate([surface.triangles, sheet]),
-        np.append(surface.labels, Label.BASE),
-    )
-    with pytest.raises(InputError, match=r"1 of \d+ edges have more than two triangles \(first: "):
-        prepared_surface(extended)
-
-
 def moved(surface: LabelledSurface, step: float, along: int) -> LabelledSurface:
     """With one vertex of the epicardium, at the left, moved by so much (mm) along an axis."""
     outer = np.unique(surface.having(Label.EPICARDIUM))

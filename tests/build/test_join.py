@@ -6,7 +6,6 @@ import pytest
 from shapes import read_labelled_surface, volume_of
 
 from fascicle.build.join import Part, join_surfaces
-from fascicle.build.surface_repair import prepared_surface
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label
 from fascicle.mesh.measures import triangle_areas
@@ -116,29 +115,3 @@ def test_gap_is_named_measured_and_placed(coarse):
         {**coarse, BASE: away},
         r"base\.stl .* that of epicardium\.stl .* are up to [34]\.\d mm apart \(at \(-?\d.* mm",
     )
-
-
-def test_swapped_sides(coarse):
-    swapped = joined({**coarse, LV: coarse[RV], RV: coarse[LV]})
-    with pytest.raises(InputError, match="LV and RV endocardium seem to be swapped"):
-        prepared_surface(swapped)
-
-
-def test_hole_and_closed_part(coarse, geo1):
-    vertices, triangles = coarse[EPI]
-    inner = ~np.isin(triangles, np.concatenate(igl.boundary_loop_all(triangles))).any(axis=1)
-    holed = np.delete(triangles, np.flatnonzero(inner)[0], axis=0)
-    refused(
-        {**coarse, EPI: (vertices, holed)},
-        r"epicardium\): the surface has 2 boundary loops .* 3 vertices",
-    )
-    closed = geo1.vertices, geo1.triangles
-    refused({**coarse, EPI: closed}, r"epicardium\): the surface is closed; cut it open")
-
-
-def test_base_without_holes_and_crowded_edge(coarse):
-    refused({**coarse, BASE: coarse[EPI]}, r"base\): the surface has 1 boundary loops.* 3 needed")
-    vertices, triangles = coarse[RV]
-    fin = np.array([[*triangles[0, :2], triangles[len(triangles) // 2, 2]]])
-    crowded = vertices, np.vstack([triangles, fin])
-    refused({**coarse, RV: crowded}, r"RV endocardium\): 1 of .* more than two triangles")

@@ -256,28 +256,15 @@ def test_tetrahedra_all_inverted_are_turned(tmp_path, block):
     np.testing.assert_array_equal(read.mesh.labels[order[0]], block.labels[order[1]])
 
 
-def less(block, rows):
-    block.triangles, block.labels = block.triangles[rows], block.labels[rows]
-
-
-def more(block, triangles, labels):
-    block.triangles = np.vstack([block.triangles, triangles])
-    block.labels = np.append(block.labels, labels)
-
-
-def swap(block):
-    block.tetrahedra[7] = block.tetrahedra[7][[1, 0, 2, 3]]
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (swap, r"1 of 384 tetrahedra are inverted \(first: 7 at \("),
-        (lambda b: less(b, b.labels < 4), r"missing: rv endocardium \(32 of 192 boundary"),
-        (lambda b: less(b, slice(1, None)), r"1 of 192 boundary triangles have no label"),
-        (lambda b: more(b, [[0, 31, 62]], 2), "1 of 193 labelled triangles are not on the bound"),
-        (lambda b: more(b, b.triangles[:1], b.labels[0] % 4 + 1), "triangles have two labels"),
-        (lambda b: b.axes.__setitem__(3, 0), r"'fibre': 1 of 384 fibres have zero length"),
+        (
+            lambda b: vars(b).update(
+                triangles=b.triangles[b.labels < 4], labels=b.labels[b.labels < 4]
+            ),
+            r"missing: rv endocardium \(32 of 192 boundary triangles have none\); add them",
+        ),
         (lambda b: setattr(b, "regions", b.regions + 0.5), "'region' must hold one whole number"),
         (lambda b: setattr(b, "labels", b.labels + 40), "unknown labels: 41 .*known are 1 base"),
     ],

@@ -257,16 +257,6 @@ def relabelled(change):
     return Segmentation(labels, segmentation.affine, "map")
 
 
-def drained(labels):
-    labels[labels == 1] = 0
-
-
-def cut(labels):
-    labels[18:20][labels[18:20] >= 3] = 0
-    labels[:, :, :12] = 0
-    labels[0:6, 0:6, 0:6] = 3
-
-
 def exchanged(labels):
     labels[:] = np.array([0, 2, 1, 3, 4])[labels]
 
@@ -289,13 +279,8 @@ def without_apex(labels):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (
-            without_rv_wall(exchanged),
-            r"% of the LV blood's surface borders on no tissue, .*labels=",
-        ),
+        (without_rv_wall(exchanged), r"% of the LV blood's surface borders on no tissue, .*labels"),
         (without_apex, r"ends at the apex in an opening of [\d.]+ cm² .*add the missing slices"),
-        (drained, r"map: LV blood \(label 1\) has 0 voxels; the map has labels 0 \(\d+ voxels\)"),
-        (cut, r"tissue falls into \d unconnected pieces \([\d.]+ ml about \(.*\) mm"),
     ],
 )
 def test_incomplete_maps_are_refused(change, words):
@@ -344,9 +329,3 @@ def test_outside_the_map_and_without_scar_there_is_none():
     assert regions_at(phantom.segmentation, LABELS, points).tolist() == [1, 0, 0]
     without = SegmentationLabels(1, 2, (3, 4))
     assert regions_at(phantom.segmentation, without, points).tolist() == [0, 0, 0]
-
-
-@pytest.mark.parametrize("labels", [(1, 1, 3, None), (1, 2, (3, 2), None), (0, 2, 3, None)])
-def test_labels_that_mean_two_things_are_refused(labels):
-    with pytest.raises(InputError, match="give each part its own numbers"):
-        SegmentationLabels(*labels)
