@@ -146,12 +146,8 @@ def separated_vertices(anatomy: Anatomy) -> Anatomy:
     if not doubled:
         return anatomy
     vertices = mesh.vertices[parent]
-    for vertex in np.flatnonzero(np.isin(parent, doubled)):
-        around = tetrahedra[(tetrahedra == vertex).any(axis=1)]
-        moved = vertices.copy()
-        moved[vertex] += 0.1 * (vertices[around].mean(axis=(0, 1)) - vertices[vertex])
-        if (signed_volumes(moved, around) > 0).all():
-            vertices = moved
+    for vertex in np.flatnonzero(np.isin(parent, doubled)).tolist():
+        _move_inwards(vertices, tetrahedra, vertex)
     triangles, _ = boundary_triangles(tetrahedra)
     labels = mesh.labels[places_in(np.array(parent)[triangles], mesh.triangles)]
     note = (
@@ -182,20 +178,17 @@ def repaired_edges(anatomy: Anatomy) -> Anatomy:
     bad = edges[count > 2]
     if not len(bad) or len(bad) > max(2.0, 1e-3 * len(edges)):
         return anatomy
-    vertices, tetrahedra = mesh.vertices, mesh.tetrahedra
+    vertices, tetrahedra = mesh.vertices, mesh.tetrahedra.copy()
     parent, ends = np.arange(len(tetrahedra)), np.empty((0, 2), dtype=np.int64)
     for edge in bad:
-        fans = _fans(tetrahedra, edge)
-        around = np.concatenate(fans)
-        kept, halves = np.delete(tetrahedra, around, axis=0), []
-        for fan in fans:
-            new, middle = len(vertices), _middle(vertices, tetrahedra[fan], edge)
-            vertices = np.concatenate([vertices, middle[None]])
+        for fan in _fans(tetrahedra, edge):
+            new, whole = len(vertices), tetrahedra[fan]
+            vertices = np.concatenate([vertices, vertices[edge].mean(axis=0)[None]])
             ends = np.concatenate([ends, edge[None]])
-            halves += [np.where(tetrahedra[fan] == end, new, tetrahedra[fan]) for end in edge]
-        order = np.concatenate([each for fan in fans for each in (fan, fan)])
-        tetrahedra = np.concatenate([kept, *halves])
-        parent = np.concatenate([np.delete(parent, around), parent[order]])
+            tetrahedra[fan], others = (np.where(whole == end, new, whole) for end in edge)
+            tetrahedra = np.concatenate([tetrahedra, others])
+            parent = np.concatenate([parent, parent[fan]])
+            _move_inwards(vertices, tetrahedra, new)
     triangles, _ = boundary_triangles(tetrahedra)
     whole = triangles.copy()  # the triangles that these are parts of
     for k in range(len(ends) - 1, -1, -1):  # the last ones may lie between earlier ones
@@ -232,12 +225,10 @@ def _fans(tetrahedra: Integers, corners: Integers) -> list[Integers]:
     return [around[group == k] for k in np.unique(group)]
 
 
-def _middle(vertices: Floats, fan: Integers, edge: Integers) -> Floats:
-    """The middle of an edge, a tenth of the way into its tetrahedra where these stay positive."""
-    middle = vertices[edge].mean(axis=0)
-    inwards = vertices[fan[~np.isin(fan, edge)]].mean(axis=0) - middle
-    trial = np.concatenate([vertices, (middle + 0.1 * inwards)[None]])
-    halves = [np.where(fan == end, len(vertices), fan) for end in edge]
-    if all((signed_volumes(trial, half) > 0).all() for half in halves):
-        return np.asarray(trial[-1])
-    return np.asarray(middle)
+def _move_inwards(vertices: Floats, tetrahedra: Integers, vertex: int) -> None:
+    """Move a vertex, in place, a tenth of the way into its tetrahedra if these stay positive."""
+    around = tetrahedra[(tetrahedra == vertex).any(axis=1)]
+    before = vertices[vertex].copy()
+    vertices[vertex] += 0.1 * (vertices[around].mean(axis=(0, 1)) - before)
+    if (signed_volumes(vertices, around) <= 0).any():
+        vertices[vertex] = before
