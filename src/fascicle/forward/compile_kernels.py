@@ -26,12 +26,8 @@ _compiled = False  # in this process
 def compile_kernels(progress: Progress) -> None:
     """Compute the action potential, and run every kernel on the smallest heart there is.
 
-    Once in a process; what was compiled on this machine before is read from disk.
-
-    Parameters
-    ----------
-    progress : Progress
-        Called with the steps done, once it is clear that something is being done.
+    Once in a process; what was compiled on this machine before is read from disk. `progress` is
+    called with the steps done, once it is clear that something is being done.
     """
     global _compiled
     if _compiled:

@@ -59,20 +59,7 @@ class Alignment:
 
 
 def mismatch(recorded: Floats, alignment: Alignment) -> Floats:
-    """Loss y of recorded QRS at an alignment that was found before, in mV².
-
-    Parameters
-    ----------
-    recorded : (..., n_leads, n_qrs) array
-        V̂ (mV): of one beat or of several.
-    alignment : Alignment
-        Of the simulation.
-
-    Returns
-    -------
-    (...) array
-        One value (mV²) a beat.
-    """
+    """Loss y (mV²) of recorded QRS (..., n_leads, n_qrs), at an alignment found before."""
     return _mean_square(recorded - alignment.under) + alignment.outside
 
 
@@ -122,23 +109,11 @@ def align(
 def placed(
     simulated: Floats, shift: float, length: int, response: Response | None = None
 ) -> Floats:
-    """Cut out the simulated ECG that lies under a recording.
+    """Cut out the simulated ECG (n_leads, n) (mV) that lies under a recording, (n_leads, length).
 
-    Parameters
-    ----------
-    simulated : (n_leads, n) array
-        Simulated ECG (mV); zero before its first and after its last sample.
-    shift : float
-        Sample of the simulation at which the recording begins.
-    length : int
-        Samples of the recording.
-    response : callable, optional
-        Gain of the filters that the recording has passed.
-
-    Returns
-    -------
-    (n_leads, length) array
-        In mV.
+    The recording begins at the simulation's sample `shift`; before its first and after its last
+    sample the simulation is zero. `response` is the gain of the filters that the recording has
+    passed.
     """
     return _shifted(_spectrum(simulated, length, response), shift)[:, :length]
 

@@ -69,13 +69,6 @@ def prepare(
 
     A heart that was read from a folder has its cache there, if the folder can be written to. The
     key is the content of heart and conduction and the version of this package.
-
-    Parameters
-    ----------
-    heart, conduction, action_potential : Heart, Conduction, ActionPotential
-        What the forward model is made of.
-    progress : Progress, optional
-        Progress callback for what takes a while.
     """
     return cached(
         heart,

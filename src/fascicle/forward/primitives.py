@@ -203,12 +203,8 @@ class His(Primitive, table="his", once=True):
     def conducted(self, roots: Sequence[float], nearest: float) -> tuple[list[float], HisBundle]:
         """When it activates the left and the right root (ms), and what joins them.
 
-        Parameters
-        ----------
-        roots : sequence of float
-            When the left and the right root fire without it (ms).
-        nearest : float
-            From it to the root that fires first (ms).
+        `roots` is when they fire without it (ms), `nearest` the time from it to the root that fires
+        first.
         """
         fires = min(roots) - nearest if self.time is None else self.time
         down, branches = [], []

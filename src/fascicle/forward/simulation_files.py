@@ -46,25 +46,9 @@ def simulate_inputs(
 ) -> tuple[Simulation, dict[str, object]]:
     """Run the forward model on what the user gave: a parameter file, or two trees.
 
-    Parameters
-    ----------
-    make_model : callable
-        Makes the model; called once the parameters are known to be good, as a large heart takes a
-        while.
-    params : Path, optional
-        Parameter file; without it and without trees, the example network, scaled to the heart.
-    lv_tree, rv_tree : Path, optional
-        Files of trees, both or none.
-    overrides : mapping of name to float, optional
-        Quantities in place of the file's.
-    scenario : Scenario, optional
-        Extra stimuli, blocked or slow segments, junction delays, trees of your own.
-
-    Returns
-    -------
-    simulation : Simulation
-    inputs : dict
-        What was simulated, for the summary.
+    Without either, on the example network, scaled to the heart. `overrides` are quantities in place
+    of the file's. The model is made once the parameters are known to be good, as a large heart
+    takes a while. Gives the simulation, and what was simulated, for the summary.
 
     Raises
     ------
@@ -146,17 +130,7 @@ def _check_side(path: Path, heart: Heart, tree: PurkinjeTree) -> None:
 
 
 def summary(heart: Heart, simulation: Simulation, inputs: dict[str, object]) -> dict[str, Any]:
-    """Give a few numbers about a simulation, as written to `summary.json`.
-
-    Parameters
-    ----------
-    heart : Heart
-        The heart.
-    simulation : Simulation
-        What was simulated.
-    inputs : dict
-        What it was simulated from, as `simulate_inputs` gives it.
-    """
+    """A few numbers about a simulation of `simulate_inputs`, as written to `summary.json`."""
     sides: dict[str, object] = {}
     for tree, times, retrograde, distance in zip(
         simulation.trees,
@@ -203,15 +177,7 @@ def unreached_volume(heart: Heart, simulation: Simulation) -> float:
 def write_simulation(
     heart: Heart, simulation: Simulation, folder: Path, inputs: dict[str, object]
 ) -> dict[str, Any]:
-    """Write a simulation's folder, whole or not at all; returns the summary.
-
-    Parameters
-    ----------
-    heart, simulation, inputs
-        See `summary`.
-    folder : Path
-        The folder.
-    """
+    """Write a simulation's folder, whole or not at all; returns its `summary`."""
     content = summary(heart, simulation, inputs)
     with atomic_folder(folder, disposable=PICTURES) as temporary:
         write_beat(temporary, heart, simulation)

@@ -50,15 +50,9 @@ class TorsoModel:
     def lead_coefficients(self, values: Mapping[str, float]) -> Floats | InvalidTorso:
         """Coefficients (8 + a, k) of the modes for the independent leads, then additional ones.
 
-        Parameters
-        ----------
-        values : mapping of name to float
-            Quantities of the torso; those that are missing are neutral.
-
-        Notes
-        -----
-        The factor on the myocardium's conductivity divides these and multiplies its sources: only
-        its ratio to the other tissues counts.
+        Quantities of the torso that are missing are neutral. The factor on the myocardium's
+        conductivity divides these and multiplies its sources: only its ratio to the other tissues
+        counts.
         """
         coefficients = self.response.coefficients(values)
         if isinstance(coefficients, InvalidTorso):
@@ -71,17 +65,10 @@ class TorsoModel:
     def electrocardiograph(
         self, standard: Electrocardiograph, coefficients: Floats
     ) -> Electrocardiograph:
-        """The ECG integral in another torso.
+        """The ECG integral in another torso, by its `lead_coefficients` and the standard torso's.
 
         The part of the standard torso's lead fields that the modes do not span is scaled with the
         rest, so a torso that hardly differs loses nothing.
-
-        Parameters
-        ----------
-        standard : Electrocardiograph
-            Of the torso in the heart's folder.
-        coefficients : (8 + a, k) array
-            See `lead_coefficients`.
         """
         neutral = self.lead_coefficients({})
         if isinstance(neutral, InvalidTorso):

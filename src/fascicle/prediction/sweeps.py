@@ -77,12 +77,8 @@ def simulate_sweep(
 def delays(scenario: Scenario, given: str) -> Sweep:
     """The scenario with a varied delay (ms) of its last stimulus after its first.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        With two stimuli at least.
-    given : str
-        ``"first:last:step"`` in ascending order, both ends included; negative: before the first.
+    `given` is ``"first:last:step"`` in ascending order, both ends included; negative: before the
+    first.
     """
     stimuli = scenario.of(Stimulus)
     if len(stimuli) < 2:

@@ -43,18 +43,10 @@ SAME_POINT = 1e-4  # mm; ends of polylines closer than this are one node (single
 
 
 def write_tree(path: Path, tree: PurkinjeTree, activation: Floats) -> None:
-    """Write a tree as VTU lines.
+    """Write a tree as VTU lines, with the activation time of each node (n,) (ms).
 
-    Parameters
-    ----------
-    path : Path
-        VTU file.
-    tree : PurkinjeTree
-        The tree; the cell array ``length`` holds its segments' lengths (mm), and the point array
-        ``root`` is 1 at its root.
-    activation : (n,) array
-        Activation time of each node (ms), the point array ``activation``; the cell array
-        ``direction`` follows from it, see `directions`.
+    Cell arrays are ``length``, of the segments (mm), and ``direction``, see `directions`; point
+    arrays ``activation`` and ``root``, which is 1 at the root.
     """
     child = np.flatnonzero(tree.parents >= 0)
     write_grid(

@@ -134,12 +134,7 @@ class Simulator:
     def run(self, plans: NDArray[np.void], beats: NDArray[np.void]) -> Results:
         """Simulate networks, as many as there is room for at most.
 
-        Parameters
-        ----------
-        plans : (2b,) array of PLAN
-            What the trees of each network grow by, left first.
-        beats : (b,) array of BEAT
-            The times of each.
+        Two `PLAN` each, what the trees grow by, left first, (2b,), and a `BEAT`, their times, (b,).
         """
         count, given = len(beats), {"plans": plans, "beats": beats}
         self._launch("grow", 2 * count, 0, given)

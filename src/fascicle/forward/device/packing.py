@@ -26,12 +26,7 @@ OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 def packed_heart(prepared: Prepared, electrocardiograph: Electrocardiograph) -> dict[str, Any]:
     """Numbers and arrays of `fascicle.forward.device.source.HEART`.
 
-    Parameters
-    ----------
-    prepared : Prepared
-        The heart.
-    electrocardiograph : Electrocardiograph
-        Its ECG integral, without what does not conduct.
+    The ECG integral is without what does not conduct.
     """
     return (
         _mesh(prepared.myocardium)

@@ -183,23 +183,11 @@ def bin_response(action_potential: ActionPotential, width: float) -> tuple[int, 
 def channel_weights(
     barycentric: Floats, volumes: Floats, intracellular: Floats, gradients: Floats
 ) -> Floats:
-    """Weights of `Electrocardiograph` for up to eight lead fields; the other channels stay 0.
+    """Weights (m, 3, 8) of `Electrocardiograph` for up to eight lead fields; other channels stay 0.
 
-    Parameters
-    ----------
-    barycentric : (m, 4, 3) array
-        Gradients of the barycentric coordinates of each tetrahedron (1/mm).
-    volumes : (m,) array
-        Volume of each (mm³).
-    intracellular : (m, 3, 3) array
-        Gᵢ (mS/cm).
-    gradients : (c, m, 3) array
-        Mean ∇Z in each (kΩ/mm), c ≤ 8.
-
-    Returns
-    -------
-    (m, 3, 8) array
-        For times in ms and U′ in mV/ms, these make mV.
+    For times in ms and U′ in mV/ms, these make mV. Of each tetrahedron: the gradients of its
+    barycentric coordinates (m, 4, 3) (1/mm), its volume (m,) (mm³), Gᵢ (m, 3, 3) (mS/cm), and the
+    mean ∇Z (c, m, 3) (kΩ/mm), c ≤ 8.
     """
     # mS/cm · mm³ · (1/mm) · (kΩ/mm) = 1/10
     current = np.einsum("m,mij,cmj->mci", volumes / MM_PER_CM, intracellular, gradients)
@@ -217,21 +205,12 @@ def build_electrocardiograph(
     action_potential: ActionPotential,
     additional: Sequence[str] = (),
 ) -> Electrocardiograph:
-    """Precompute the ECG integral of a heart.
+    """Precompute the ECG integral of a heart of tetrahedra (m, 4).
 
-    Parameters
-    ----------
-    corners : (m, 4) array
-        Vertices of each tetrahedron.
-    barycentric, volumes, intracellular
-        See `channel_weights`.
-    gradients : (9 + a, m, 3) array
-        Mean ∇Z of each electrode in each tetrahedron (kΩ/mm): `lead_field.unbounded_gradients`, or
-        `lead_field.nodal_gradients` of lead fields known at the vertices.
-    action_potential : ActionPotential
-        The template U.
-    additional : sequence of str
-        Names of the electrodes besides the nine.
+    `gradients` (9 + a, m, 3) are the mean ∇Z of each electrode in each tetrahedron (kΩ/mm), by
+    `lead_field.unbounded_gradients`, or `lead_field.nodal_gradients` of lead fields known at the
+    vertices; `additional` names the electrodes besides the nine; the others are those of
+    `channel_weights`.
     """
 
     def weights(rows: Sequence[int]) -> NDArray[np.float32]:

@@ -15,22 +15,8 @@ def unbounded_gradients(
 ) -> Floats:
     """Mean over each element of ∇Z = −r/(4πσ|r|³), r from the electrode, by quadrature.
 
-    Far closer than the gradient of the interpolated Z, which in a flat element can be wrong by
-    half.
-
-    Parameters
-    ----------
-    vertices, corners : (n, 3) and (m, 4) arrays
-        The mesh (mm).
-    electrodes : (e, 3) array
-        Positions (mm).
-    conductivity : float
-        σ (mS/cm).
-
-    Returns
-    -------
-    (e, m, 3) array
-        Gradients (kΩ/mm).
+    (e, m, 3) (kΩ/mm), for electrodes (e, 3) (mm) and a conductivity σ (mS/cm). Far closer than the
+    gradient of the interpolated Z, which in a flat element can be wrong by half.
     """
     points = HAMMER_STROUD_POINTS @ vertices[corners]
     gradients = np.empty((len(electrodes), len(corners), 3))
@@ -42,20 +28,9 @@ def unbounded_gradients(
 
 
 def nodal_gradients(lead_fields: Floats, corners: Integers, gradients: Floats) -> Floats:
-    """∇Z of lead fields given at the vertices and linear in each element.
+    """∇Z (e, m, 3) (kΩ/mm) of lead fields (e, n) (kΩ) at the vertices, linear in each element.
 
-    Parameters
-    ----------
-    lead_fields : (e, n) array
-        Z at the vertices (kΩ).
-    corners : (m, 4) array
-        Vertices of each tetrahedron.
-    gradients : (m, 4, 3) array
-        Gradients of its barycentric coordinates (1/mm).
-
-    Returns
-    -------
-    (e, m, 3) array
-        Gradients (kΩ/mm).
+    `corners` (m, 4) are the vertices of each tetrahedron, `gradients` (m, 4, 3) those of its
+    barycentric coordinates (1/mm).
     """
     return np.asarray(np.einsum("emk,mki->emi", lead_fields[:, corners], gradients))

@@ -150,19 +150,9 @@ def build_myocardium(
     """Precompute metric, squared travel times, adjacency and ray travel times of a heart.
 
     Vertices and elements are renumbered along the mesh, so that what is near in space is near in
-    memory; `Myocardium.order` leads back.
-
-    Parameters
-    ----------
-    heart : Heart
-        The heart.
-    conduction : Conduction
-        Conductivities and speeds of its myocardium, and regions where they differ.
-    progress : callable
-        Called with the triangles from which rays are traced and their number, if that takes a
-        while.
-    gradients : (m, 4, 3) array, optional
-        Gradients of the barycentric coordinates in the heart's tetrahedra (1/mm), if at hand.
+    memory; `Myocardium.order` leads back. `progress` counts the triangles from which rays are
+    traced, if that takes a while. `gradients` (m, 4, 3) are those of the barycentric coordinates in
+    the heart's tetrahedra (1/mm), if at hand.
     """
     if gradients is None:
         gradients = barycentric_gradients(heart.vertices, heart.tetrahedra)
