@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import igl
@@ -37,21 +37,14 @@ CLEAR = 0.7  # of the spacing that inner points of the base keep from the loops
 class Part(NamedTuple):
     """A surface that a heart is joined from: its name in messages, vertices and triangles.
 
-    Vertices (n, 3) are in mm; points may be repeated and triangles (m, 3) turned either way.
+    Vertices (n, 3) are in mm; points may be repeated and triangles (m, 3) turned either way, until
+    it is one oriented manifold piece whose boundary loops are known.
     """
 
     name: str
     vertices: Floats
     triangles: Integers
-
-
-class OpenSurface(NamedTuple):
-    """An open surface (mm), one oriented manifold piece, its name in messages, boundary loops."""
-
-    name: str
-    vertices: Floats
-    triangles: Integers
-    loops: list[Integers]
+    loops: Sequence[Integers] = ()
 
 
 class Outline(NamedTuple):
@@ -112,7 +105,7 @@ def join_surfaces(
     return LabelledSurface(vertices, whole, of_triangles, name)
 
 
-def _clean_part(part: Part, what: str, needed: int) -> OpenSurface:
+def _clean_part(part: Part, what: str, needed: int) -> Part:
     """A part in mm with repeated points merged, one manifold piece with the loops that it needs."""
     name, vertices = f"{part.name} ({what})", part.vertices
     check_units(name, vertices[np.unique(part.triangles)])
@@ -120,10 +113,10 @@ def _clean_part(part: Part, what: str, needed: int) -> OpenSurface:
     points, triangles = without_unused_vertices(vertices, merged[whole_triangles(merged)])
     check_edges(name, points, triangles)
     triangles = oriented_piece(name, points, triangles)
-    return OpenSurface(name, points, triangles, open_loops(name, points, triangles, needed))
+    return Part(name, points, triangles, open_loops(name, points, triangles, needed))
 
 
-def _check_places(epicardium: OpenSurface, lv: OpenSurface, rv: OpenSurface) -> None:
+def _check_places(epicardium: Part, lv: Part, rv: Part) -> None:
     """Refuse endocardia that leave the epicardium, or reach into one another, below the base.
 
     Openings are closed by fans, which leave the winding number close to 0 or 1 below the base.
@@ -139,7 +132,7 @@ def _check_places(epicardium: OpenSurface, lv: OpenSurface, rv: OpenSurface) -> 
         refuse(part.name, within, f"vertices lie within {other.name}", remedy, part.vertices)
 
 
-def _outline_of(parts: list[OpenSurface]) -> Outline:
+def _outline_of(parts: list[Part]) -> Outline:
     """Outline of a base between parts with one boundary loop each."""
     loops = [part.loops[0] for part in parts]
     points = [part.vertices[loop] for part, loop in zip(parts, loops, strict=True)]
@@ -172,7 +165,7 @@ def _made_base(outline: Outline) -> Base:
     return plane[len(flat) :] @ frame + centre, triangles
 
 
-def _fitted_base(outline: Outline, base: OpenSurface) -> Base:
+def _fitted_base(outline: Outline, base: Part) -> Base:
     """Fit a given base to the boundary loops of the parts around it, which stay where they are.
 
     Where all boundary vertices coincide, nothing changes. Otherwise the vertices within the base
@@ -233,7 +226,7 @@ def _triangulated(places: Floats, inner: Floats, outline: Outline) -> tuple[Floa
     return inner[used - count], triangles
 
 
-def _check_gap(outline: Outline, base: OpenSurface, boundary: Integers) -> None:
+def _check_gap(outline: Outline, base: Part, boundary: Integers) -> None:
     """Refuse a base whose boundary loops are more than 2.5 mm from those of the parts."""
     edges, shared = unique_edges(base.triangles)
     rim = base.vertices[boundary]
