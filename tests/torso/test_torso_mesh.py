@@ -107,7 +107,7 @@ def one_turned() -> Surface:
         (one_turned(), [], "wound against each other"),
         (shifted(skin(), [500, 0, 0]), [], "block: lies outside the torso, 31. mm from its skin"),
         (shifted(skin(), [0, 95, 0]), [], r"block: pokes \d+\.\d mm through the torso's skin at"),
-        (dented(), [], "torso: the surface crosses itself at"),
+        (dented(), [], r"torso: the surface crosses itself in \d+ pairs .*first: "),
         (skin(), [shifted(lung(), [-20, 0, 0])], r"lung 1: overlaps block by \d\.\d mm at"),
         (skin(), [shifted(lung(), [40, 0, 0])], r"lung 1: pokes \d+\.\d mm through the torso"),
         (skin(), [lung(), shifted(lung(), [5, 0, 9])], r"lung 2: overlaps lung 1 by \d\.\d mm"),
@@ -137,7 +137,6 @@ def test_a_fill_that_fails_is_one_line_and_nothing_is_printed(heart, capfd):
 def test_finds_no_crossing_of_nested_surfaces():
     outer, inner = ellipsoid((0, 0, 0), (10, 10, 10)), ellipsoid((0, 0, 0), (9, 9, 9))
     assert crossing(outer, inner) is None
-    assert crossing(outer, outer) is None
     # an edge through one triangle is enough, and lies where the two meet
     where = crossing(outer, shifted(inner, [1.5, 0, 0]))
     assert where is not None

@@ -10,7 +10,7 @@ from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import oriented_into_cavity
 from fascicle.heart.labelled_surface import BASAL, Label, LabelledMesh
-from fascicle.mesh.checks import place
+from fascicle.mesh.checks import first_places
 from fascicle.mesh.measures import (
     best_plane,
     edge_lengths,
@@ -76,8 +76,8 @@ def _cap(vertices: Floats, loop: Integers, name: str) -> Integers:
     )
     if missing.size:
         raise InputError(
-            f"{name}: the edge of an opening crosses itself, seen along its normal, about "
-            f"{place(points[missing[0]])}; smooth it"
+            f"{name}: the edge of an opening crosses itself, seen along its normal (first: "
+            f"{first_places(loop[missing], points[missing])}); smooth it"
         )
     return loop[triangles]
 

@@ -215,10 +215,11 @@ def _triangulated(places: Floats, inner: Floats, outline: Outline) -> tuple[Floa
     loops = [np.flatnonzero(outline.owner == k) for k in range(len(outline.names))]
     triangles, missing = constrained_delaunay(np.vstack([places, inner]), loops)
     if missing.size:
+        where = ", ".join(map(place, outline.points[missing[:3]]))
         raise InputError(
             f"{outline.names[outline.owner[missing[0]]]}: seen from the base, its boundary loop "
-            "crosses or almost touches another or itself about "
-            f"{place(outline.points[missing[0]])}, so no base fits between; trim the parts there"
+            f"crosses or almost touches another or itself about {where}, so no base fits between; "
+            "trim the parts there"
         )
     inside = triangles >= count
     used, number = np.unique(triangles[inside], return_inverse=True)

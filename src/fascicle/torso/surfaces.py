@@ -14,7 +14,7 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import LabelledMesh
 from fascicle.heart.validate import check_units
-from fascicle.mesh.checks import check_edges, oriented_piece, place, refuse
+from fascicle.mesh.checks import check_edges, first_places, oriented_piece, place, refuse
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.measures import closed_volume, intersections, self_intersections, turned_outwards
@@ -133,11 +133,12 @@ def check_within(
     names = names or ["torso", *(f"lung {number}" for number in range(1, len(lungs) + 1))]
     for name, surface in zip(names, (skin, *lungs), strict=True):
         check_closed(name, surface, "torso" if surface is skin else "lung")
-        where = crossing(surface, surface)
-        if where is not None:
+        pairs = self_intersections(*surface)
+        if len(pairs):
+            where = first_places(pairs, surface.corners[pairs])
             raise InputError(
-                f"{name}: the surface crosses itself at {place(where)}; repair it or smooth it "
-                "there"
+                f"{name}: the surface crosses itself in {len(pairs)} pairs of triangles (first: "
+                f"{where}); repair it or smooth it there"
             )
     heart = Surface(mesh.vertices, mesh.triangles)
     check_closed(mesh.name, heart)
@@ -197,6 +198,6 @@ def _check_apart(name: str, one: Surface, other_name: str, other: Surface) -> No
 
 
 def crossing(one: Surface, other: Surface) -> Floats | None:
-    """A place (3,) where two surfaces, or one given twice, pass through each other, if any."""
-    pairs = self_intersections(*one) if one is other else intersections(one, other)
+    """A place (3,) where two surfaces pass through each other, if any."""
+    pairs = intersections(one, other)
     return np.asarray(one.corners[pairs[0, 0]].mean(axis=0)) if len(pairs) else None
