@@ -17,17 +17,11 @@ CODE = {
 }
 
 
-@pytest.fixture
-def run(tmp_path, monkeypatch):
-    """The names that an example leaves."""
-    monkeypatch.chdir(tmp_path)
-
-    def execute(section: str) -> dict[str, object]:
-        names: dict[str, object] = {"__name__": "example"}
-        exec(compile(CODE[section], f"{PAGE}, {section}", "exec", dont_inherit=True), names)
-        return names
-
-    return execute
+def example(section: str) -> dict[str, object]:
+    """The names that the example of a section leaves."""
+    names: dict[str, object] = {"__name__": "example"}
+    exec(compile(CODE[section], f"{PAGE}, {section}", "exec", dont_inherit=True), names)
+    return names
 
 
 @pytest.mark.parametrize("section", CODE)
@@ -35,7 +29,8 @@ def test_under_forty_lines(section):
     assert 5 < CODE[section].count("\n") < 40
 
 
-def test_scenario_primitive(run):
-    duration = run("Scenario primitive")["duration"]
+def test_scenario_primitive(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    duration = example("Scenario primitive")["duration"]
     del PRIMITIVES["distal_disease"]
     assert duration["intrinsic"] + 5 < duration["distal"] < 300

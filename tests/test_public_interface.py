@@ -18,7 +18,7 @@ from fascicle.core.errors import InputError
 from fascicle.heart.conduction import CONDUCTIVITIES
 from tests.builders import box
 
-NUMBER = 500
+NUMBER = 250
 
 
 @pytest.mark.parametrize("name", CALLS)

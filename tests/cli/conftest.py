@@ -174,6 +174,18 @@ def refused(run):
 
 
 @pytest.fixture
+def blank_pictures(monkeypatch):
+    """Draw nothing into pictures, which takes seconds each; tests/reporting looks at them."""
+    from matplotlib.figure import Figure
+
+    for name in (
+        "recording.recording_figure", "heart.check_figure", "heart.labels_figure",
+        "prediction.ecg_figure", "prediction.activation_figure",
+    ):  # fmt: skip
+        monkeypatch.setattr(f"fascicle.reporting.{name}", lambda *_, **__: Figure(figsize=(1, 1)))
+
+
+@pytest.fixture
 def materials(tmp_path):
     folder = tmp_path / "in"
     folder.mkdir()

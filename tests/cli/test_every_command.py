@@ -20,6 +20,7 @@ from fascicle.core.errors import ValueRefusedError
 from fascicle.core.progress import ProgressLines, shown_progress, time_left, write_with_time
 from fascicle.prediction.index_names import COMPARED, INDICES
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
 COMMANDS = {  # with something of their help
     "simulate": "--root-time", "target": "--out", "parameters": "--free", "fit": "--effective",
     "predict": "--scenario", "compare": "--threshold", "sweep": "--delay", "scenarios": "copy",

@@ -7,7 +7,7 @@ from fascicle.forward.model import ForwardModel
 from fascicle.heart.folder import load_heart
 
 
-def test_refined_heart(run, small_heart, parameters, outside):
+def test_refined_heart(blank_pictures, run, small_heart, parameters, outside):
     ended = run("heart", "refine", small_heart, "--out", outside / "fine")
     assert ended.well, ended.err
     coarse, fine = load_heart(small_heart), load_heart(outside / "fine")

@@ -9,6 +9,8 @@ import pyvista as pv
 
 from fascicle.heart.folder import load_heart
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
+
 
 def test_import(materials, outside, run):
     ended = run(*materials.command(outside / "heart"))

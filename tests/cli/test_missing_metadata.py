@@ -11,6 +11,8 @@ from fascicle.core.leads import LEADS
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.recording.missing_metadata import missing_rate, missing_time_unit, missing_unit
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
+
 
 @pytest.fixture
 def table(tmp_path, default_model):

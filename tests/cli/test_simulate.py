@@ -107,7 +107,7 @@ class TestOutputs:
         assert summary["trees"]["lv"]["nodes"] == pv.read(simulated / "lv_tree.vtu").n_points
         assert summary["trees"]["rv"]["junctions"] > 1
 
-    def test_options_override_the_file(self, small_heart, parameters, outside, run):
+    def test_options_override_the_file(self, blank_pictures, small_heart, parameters, outside, run):
         out = outside / "sim"
         arguments = ["--params", parameters(), "--cv", 3.5, "--root-time", 0]
         assert run("simulate", small_heart, *arguments, "--out", out).status == 0
@@ -115,7 +115,9 @@ class TestOutputs:
         assert (inputs["cv"], inputs["root_time"]) == (3.5, 0.0)
         assert pv.read(out / "lv_tree.vtu")["activation"].min() == 0
 
-    def test_action_potential_of_ones_own(self, small_heart, parameters, simulated, outside, run):
+    def test_action_potential_of_ones_own(
+        self, blank_pictures, small_heart, parameters, simulated, outside, run
+    ):
         """Half the built-in one: half the ECG, and the summary says which it was."""
         from fascicle.forward.cable.template import default_template
 
@@ -187,6 +189,7 @@ SPOILT = {  # what a tree is saved with, from its points, lines and lengths; and
 }  # fmt: skip
 
 
+@pytest.mark.usefixtures("blank_pictures")
 class TestTrees:
     def arguments(self, simulated, lv=None, rv=None):
         lv = lv if lv is not None else simulated / "lv_tree.vtu"
@@ -326,6 +329,7 @@ class TestParameters:
         assert 0 < fits < 60 * math.sqrt(3)
 
 
+@pytest.mark.usefixtures("blank_pictures")
 class TestOut:
     def test_bad_input_leaves_good_output(self, simulated, small_heart, parameters, refused):
         before = {p.name: p.read_bytes() for p in simulated.iterdir()}
@@ -355,7 +359,7 @@ class TestOut:
 
 
 def test_leads_of_additional_electrodes_follow_the_twelve(
-    small_heart, parameters, simulated, outside, run
+    blank_pictures, small_heart, parameters, simulated, outside, run
 ):
     heart = outside / "with a vest"
     shutil.copytree(small_heart, heart, ignore=shutil.ignore_patterns(".fascicle-cache"))

@@ -10,6 +10,8 @@ import pyvista as pv
 from fascicle.heart.folder import load_heart
 from tests.cli.test_simulate import FILES
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
+
 
 @pytest.fixture
 def case(tmp_path):

@@ -13,6 +13,7 @@ from fascicle.core.leads import LEADS
 from fascicle.recording.filters import FilterOrigin
 from fascicle.recording.target_files import read_target
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
 RATE, SECONDS = 500, 8
 
 

@@ -29,6 +29,7 @@ from fascicle.forward.scenario_files import tables
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.sites import CoordinateSite
 from fascicle.purkinje.growth import GrowthRules
+from tests.test_extending import example
 
 DOCS = Path(__file__).parents[2] / "docs"
 ANY = st.one_of(
@@ -164,13 +165,9 @@ def test_the_example_of_the_documentation(monkeypatch, default_model, default_he
     from fascicle.cli.options import fixed_values
     from fascicle.study.space import study_space
 
-    page = (DOCS / "extending.md").read_text(encoding="utf-8").split("## Quantity")[1]
-    example = re.search(r"```python\n(.*?)```", page, re.DOTALL)[1]
-    assert example.count("\n") < 40
     monkeypatch.setattr("fascicle.ForwardModel", lambda heart: default_model)
-    found = {}
     try:
-        exec(example, found)
+        found = example("Quantity")
         space, _ = study_space("paper", {"sodium_block": "free"}, default_heart)
         assert space.parameters[-1].name == "sodium_block"
         assert fixed_values(["sodium_block=0.3"]) == {"sodium_block": 0.3}

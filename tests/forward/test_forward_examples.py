@@ -1,40 +1,26 @@
 """The examples of docs/extending.md that concern the forward model."""
 
 import pickle
-import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import fascicle
 from fascicle.core.quantities import QUANTITIES
+from tests.test_extending import example
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "extending.md"
 
-
-@pytest.fixture
-def example(tmp_path, monkeypatch):
-    """Run the example of a section; its names."""
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
-    def run(section):
-        text = PAGE.read_text(encoding="utf-8").split(f"\n## {section}\n")[1].split("\n## ")[0]
-        (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-        assert code.count("\n") < 40
-        names = {"__name__": "example"}
-        exec(compile(code, PAGE, "exec"), names)
-        return names
 
-    return run
-
-
-def test_an_action_potential_from_a_table(example):
+def test_an_action_potential_from_a_table():
     peaks = example("Action potential")["peaks"]
     assert 0.5 < peaks[2.0] < peaks[1.0] < 5.0
 
 
-def test_a_cell_model(example):
+def test_a_cell_model():
     """Its upstroke is slower than the built-in one's, and so is its front."""
     names = example("Cell model")
     potential = names["potential"]
@@ -43,7 +29,7 @@ def test_a_cell_model(example):
     assert 0.2 < float(abs(names["beat"].ecg).max()) < 5.0
 
 
-def test_a_growth_rule(example, default_model, monkeypatch, emulated):
+def test_a_growth_rule(default_model, monkeypatch, emulated):
     """Without its own term it is the built-in one; a card leaves it to the processor."""
     from fascicle.forward.device.backend import GpuBackend
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+from matplotlib.figure import Figure
 
 from fascicle import cli
 from fascicle.cli.demo import demo_recording
@@ -107,8 +108,9 @@ def test_recordings_by_name(made):
     }  # fmt: skip
 
 
-def test_the_target_s_command_makes_it_again(command, tmp_path):
+def test_the_target_s_command_makes_it_again(command, tmp_path, monkeypatch):
     """Every choice that its provenance records."""
+    monkeypatch.setattr("fascicle.reporting.recording.recording_figure", lambda _: Figure((1, 1)))
     first, second = tmp_path / "first.nc", tmp_path / "second.nc"
     asked = [
         "--leads", "I,II,V1-V6", "--swap", "RA-LA", "--swap", "V1-V2", "--invert", "V3,V4",

@@ -1,7 +1,6 @@
 """A likelihood and a growth rule of one's own: those of the documentation."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,21 +11,12 @@ from fascicle.core.errors import InputError
 from fascicle.core.quantities import QUANTITIES
 from fascicle.forward.simulation import Signals
 from fascicle.recording.target_files import write_target
-
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "extending.md"
+from tests.test_extending import example
 
 
 @pytest.fixture(scope="module")
 def target():
     return fascicle.make_target(fascicle.read_recording(demo_recording()))
-
-
-def example(section):
-    """Names that the example of a section of the page leaves."""
-    code = PAGE.read_text().split(f"## {section}\n")[1].split("```python")[1].split("```")[0]
-    names = {"__name__": "example"}
-    exec(compile(code, str(PAGE), "exec"), names)
-    return names
 
 
 def test_the_example_of_the_documentation(target, tmp_path, monkeypatch):
