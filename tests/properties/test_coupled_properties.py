@@ -2,6 +2,7 @@
 
 import numpy as np
 from builders import activate, box_tissue, heart_vertices, ray_times, star_tree
+from clinical import SHORT_BUNDLES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -123,3 +124,22 @@ def test_retrograde_flags_say_who_came_first(seed, roots):
         assert (retrograde == (entered_by >= 0)).all()
         own = np.flatnonzero(sites == k)
         assert (entered_by[retrograde] != own[retrograde]).all()
+
+
+def test_monotone_on_a_heart(crtdemo_model):
+    """A fourth stimulus beside three makes no vertex and no node of a tree later."""
+    vertices, myocardium = crtdemo_model.heart.vertices, crtdemo_model.myocardium
+    trees = crtdemo_model.grow(SHORT_BUNDLES)
+    captured = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        chosen = vertices[rng.choice(len(vertices), 4, replace=False)] + rng.normal(0, 0.3, (4, 3))
+        moments = rng.uniform(0, 60, 4)
+        roots = [(np.inf, 0.0), (np.inf, np.inf), (20.0, 0.0)][seed % 3]
+        three, four = (
+            activate(myocardium, trees, roots, 3.0, stimuli=chosen[:k], times=moments[:k])
+            for k in (3, 4)
+        )
+        assert_none_later(four, three)
+        captured.append((four.myocardium < three.myocardium - 1.0).any())
+    assert np.mean(captured) > 0.5, "most stimuli should capture something"
