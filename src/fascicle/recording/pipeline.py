@@ -34,6 +34,7 @@ from fascicle.recording.lead_groups import LeadGroup, complete_in, lead_groups, 
 from fascicle.recording.missing_metadata import MissingMetadataError
 from fascicle.recording.quality.check_result import CheckResult, Severity, listed
 from fascicle.recording.quality.checks import check_leads, check_recording
+from fascicle.recording.quality.mean_beat import check_mean_beat
 from fascicle.recording.recording import CHECKSUMS_AGREE, Recording, with_remarks
 from fascicle.recording.spikes import find_spikes, remove_spikes
 from fascicle.recording.target import Target
@@ -139,11 +140,16 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
             ]
         )
         beats = tuple(beat for own in by_group for beat in own)
-        target = _target(recording, aligned, beats, options, label, findings, filters)
+        target = _target(recording, aligned, beats, options, label, filters)
     except NoQrsError as error:
         raise InputError(
             f"{source}: {error}; leave bad leads out by --leads, or give a cleaner recording"
         ) from error
+    findings += check_mean_beat(target.qrs[: len(LEADS)], recording.simultaneous)
+    warnings = _warnings(recording, target, beats, label, options, findings)
+    if warnings:
+        notes = target.provenance | {"warnings": "\n".join(warnings)}
+        target = replace(target, provenance=notes)
     return Analysis(
         recording=recording,
         signal=_recorded_signal(recording),
@@ -264,7 +270,6 @@ def _target(
     beats: Sequence[Beat],
     options: TargetOptions,
     label: str,
-    findings: Sequence[CheckResult],
     filters: tuple[Filter, ...],
 ) -> Target:
     """Make the target of aligned beats: their window, and everything that decided them."""
@@ -284,7 +289,7 @@ def _target(
     onset, offset = _window(aligned, smoothing, options, source)
     onset_sd, offset_sd = _end_deviations(aligned, smoothing, options, source)
     intervals = [beat.interval for beat in beats if math.isfinite(beat.interval)]
-    target = Target(
+    return Target(
         beats=aligned.beats,
         time=aligned.time,
         qrs_onset=onset,
@@ -299,9 +304,6 @@ def _target(
         earliest_onset=float(aligned.time[aligned.not_before]) if aligned.not_before else None,
         leads=(*LEADS, *recording.additional),
     )
-    warnings = _warnings(recording, target, beats, label, options, findings)
-    notes = {"warnings": "\n".join(warnings)} if warnings else {}
-    return replace(target, provenance=target.provenance | notes)
 
 
 def _window(
