@@ -1,5 +1,7 @@
 """Priors: the map from the unit cube against SciPy's distributions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.stats
@@ -7,7 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fascicle.core.errors import ValueRefusedError
-from fascicle.core.parameters import NETWORK_SPACE, Parameter, free
+from fascicle.core.parameters import (
+    NETWORK_SPACE,
+    Parameter,
+    ParameterSpace,
+    free,
+    network_space,
+    ordered_fascicles,
+)
 
 SHARES = np.linspace(0.0, 1.0, 41)
 
@@ -49,6 +58,42 @@ def test_quantiles_and_density(parameter, distribution):
 def test_a_point_of_the_cube_and_back(point):
     values = NETWORK_SPACE.from_unit(np.array(point))
     np.testing.assert_allclose(NETWORK_SPACE.to_unit(values), point, atol=1e-12)
+
+
+THREE = ordered_fascicles(network_space(lv=3))
+
+
+@given(st.lists(st.floats(0.01, 0.99), min_size=14, max_size=14))
+def test_fascicles_in_order(point):
+    values = THREE.from_unit(np.array(point))
+    angles = [values[f"lv_fascicle_angle_{k}"] for k in (1, 2, 3)]
+    assert angles == sorted(angles)
+    np.testing.assert_allclose(THREE.to_unit(values), point, atol=1e-9)
+
+
+def test_order_statistics_of_the_prior():
+    drawn = [THREE.from_unit(p) for p in np.random.default_rng(0).random((4000, len(THREE)))]
+    plain = network_space(lv=3).parameters
+    for parameter, unordered in zip(THREE.parameters, plain, strict=True):
+        values = np.array([each[parameter.name] for each in drawn])
+        assert scipy.stats.kstest(parameter.to_unit(values), "uniform").pvalue > 0.001
+        np.testing.assert_allclose(parameter.to_unit(parameter.from_unit(SHARES)), SHARES)
+        if parameter.order:
+            k, n = parameter.order
+            share = unordered.to_unit(values).mean()
+            assert share == pytest.approx(k / (n + 1), abs=0.02)
+
+
+def test_fascicles_that_differ_have_no_order():
+    space = network_space()
+    for name in ("lv_fascicle_length_2", "lv_fascicle_angle_1"):
+        changed = ParameterSpace(
+            tuple(replace(p, lower=p.lower + 1) if p.name == name else p for p in space.parameters)
+        )
+        fixed = ParameterSpace(tuple(p for p in space.parameters if p.name != name))
+        for one in (changed, fixed):
+            ordered = {p.name for p in ordered_fascicles(one).parameters if p.order}
+            assert ordered == {"rv_fascicle_angle_1", "rv_fascicle_angle_2"}
 
 
 @pytest.mark.parametrize(

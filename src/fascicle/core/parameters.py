@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -42,6 +43,8 @@ class Parameter:
         `median`, and `sd` that of the natural logarithm. All are cut off at the ends of the range.
     median, sd : float, optional
         In its unit; of a normal prior.
+    order : (int, int), optional
+        ``(k, n)``: the k-th smallest of n with this prior, drawn independently of one another.
     """
 
     name: str
@@ -51,6 +54,7 @@ class Parameter:
     prior: Prior = "uniform"
     median: float | None = None
     sd: float | None = None
+    order: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         ends = f"{self.lower:g} to {self.upper:g}"
@@ -69,6 +73,13 @@ class Parameter:
             raise ValueRefusedError(f"parameter '{self.name}': {problem}")
 
     @property
+    def _beta(self) -> tuple[int, int]:
+        """Parameters of the beta distribution of an order statistic of uniform shares."""
+        assert self.order is not None
+        k, n = self.order
+        return k, n + 1 - k
+
+    @property
     def _logarithmic(self) -> bool:
         return self.prior.startswith("log")
 
@@ -78,6 +89,12 @@ class Parameter:
 
     def from_unit(self, share: Floats) -> Floats:
         """Quantiles: values (its unit) below which the prior has these shares, from 0 to 1."""
+        from scipy.special import betaincinv
+
+        return self._quantile(share if self.order is None else betaincinv(*self._beta, share))
+
+    def _quantile(self, share: Floats) -> Floats:
+        """Quantiles of the prior without its place among others."""
         from scipy.special import ndtr, ndtri
 
         low, high = self._scaled(np.array([self.lower, self.upper]))
@@ -91,6 +108,13 @@ class Parameter:
 
     def to_unit(self, value: Floats) -> Floats:
         """Shares of the prior below values in its unit: the inverse of `from_unit`."""
+        from scipy.special import betainc
+
+        share = self._share(value)
+        return share if self.order is None else np.asarray(betainc(*self._beta, share))
+
+    def _share(self, value: Floats) -> Floats:
+        """Inverse of `_quantile`."""
         from scipy.special import ndtr
 
         low, high = self._scaled(np.array([self.lower, self.upper]))
@@ -121,7 +145,8 @@ class ParameterSpace:
     """An ordered set of free parameters; points in it are dictionaries or unit-cube vectors.
 
     The unit cube holds the shares of the priors: a point drawn uniformly there is one drawn from
-    the prior.
+    the prior. Of n parameters in order, the largest is the largest of n, and each other one the
+    largest of those below the next.
     """
 
     parameters: tuple[Parameter, ...]
@@ -136,14 +161,54 @@ class ParameterSpace:
 
     def from_unit(self, point: Floats) -> dict[str, float]:
         """Point of the unit cube, shape (d,), to named values."""
+        shares = np.array(point, dtype=float)
+        for alike in self._in_order:
+            below = 1.0
+            for k in reversed(range(len(alike))):
+                below *= shares[alike[k]] ** (1 / (k + 1))
+                shares[alike[k]] = below
         return {
-            parameter.name: float(parameter.from_unit(share))
-            for parameter, share in zip(self.parameters, np.asarray(point), strict=True)
+            parameter.name: float(parameter._quantile(share))
+            for parameter, share in zip(self.parameters, shares, strict=True)
         }
 
     def to_unit(self, values: Mapping[str, float]) -> Floats:
         """Named values to the point of the unit cube, shape (d,)."""
-        return np.array([float(p.to_unit(np.array(values[p.name]))) for p in self.parameters])
+        shares = np.array([float(p._share(np.array(values[p.name]))) for p in self.parameters])
+        for alike in self._in_order:
+            for k, place in enumerate(alike):
+                below = 1.0 if k + 1 == len(alike) else shares[alike[k + 1]]
+                shares[place] = (shares[place] / below) ** (k + 1) if below else 1.0
+        return shares
+
+    @cached_property
+    def _in_order(self) -> list[list[int]]:
+        """Places of parameters that are in order, of each ventricle the smallest first."""
+        places: dict[str, list[int]] = {}
+        for place, parameter in enumerate(self.parameters):
+            if parameter.order is not None:
+                places.setdefault(parameter.name.rpartition("_")[0], []).append(place)
+        return list(places.values())
+
+
+def ordered_fascicles(space: ParameterSpace) -> ParameterSpace:
+    """The same, with the angles of the fascicles of a ventricle in order, where their priors agree.
+
+    To exchange the fascicles of a ventricle hardly changes the ECG, so each network has copies.
+    """
+    named = {parameter.name: parameter for parameter in space.parameters}
+    for side in SIDES:
+        angles = [name for name in named if name.startswith(f"{side}_fascicle_angle_")]
+        lengths = [name.replace("angle", "length") for name in angles]
+        if len(angles) > 1 and all(_alike(named, names) for names in (angles, lengths)):
+            for k, name in enumerate(angles):
+                named[name] = replace(named[name], order=(k + 1, len(angles)))
+    return ParameterSpace(tuple(named.values()))
+
+
+def _alike(named: Mapping[str, Parameter], names: Sequence[str]) -> bool:
+    """Whether all these are learnt, with one prior."""
+    return set(names) <= set(named) and len({replace(named[n], name="") for n in names}) == 1
 
 
 def free(name: str, **prior: Any) -> Parameter:

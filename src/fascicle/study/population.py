@@ -179,11 +179,8 @@ def write_population(
         for group, variables in groups.items()
     }
     if isinstance(population, Posterior):  # draws of the prior, for comparison
-        shares = np.random.default_rng(0).random((1000, len(space)))
-        split["prior"] = {
-            p.name: p.from_unit(share)[None]
-            for p, share in zip(space.parameters, shares.T, strict=True)
-        }
+        drawn = [space.from_unit(p) for p in np.random.default_rng(0).random((1000, len(space)))]
+        split["prior"] = {n: np.array([[values[n] for values in drawn]]) for n in space.names}
     with warnings.catch_warnings():  # ArviZ takes an empty population for transposed arrays
         warnings.filterwarnings("ignore", "More chains")
         data = az.from_dict(
@@ -210,7 +207,7 @@ def write_population(
             "prior": parameter.prior,
             **{
                 f"prior_{name}": value
-                for name in ("median", "sd")
+                for name in ("median", "sd", "order")
                 if (value := getattr(parameter, name)) is not None
             },
             "best": population.best[parameter.name],

@@ -9,7 +9,14 @@ from typing import Any, get_args
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file, read_toml
-from fascicle.core.parameters import Parameter, ParameterSpace, Prior, free, network_space
+from fascicle.core.parameters import (
+    Parameter,
+    ParameterSpace,
+    Prior,
+    free,
+    network_space,
+    ordered_fascicles,
+)
 from fascicle.core.quantities import (
     GROUPS,
     SIDES,
@@ -37,9 +44,9 @@ def study_space(
 
     The method ``"paper"`` learns the paper's parameters of bundles and fascicles, root time and
     Purkinje conduction velocity; ``"posterior"`` also the speed constant of the myocardium, where
-    the heart does not say it. `wanted` says what differs, as `parameters` of `fascicle.fit`; a
-    group of `GROUPS` that is ``"free"`` frees all of its quantities but those that are given
-    separately.
+    the heart does not say it, and has the angles of each ventricle's fascicles in order. `wanted`
+    says what differs, as `parameters` of `fascicle.fit`; a group of `GROUPS` that is ``"free"``
+    frees all of its quantities but those that are given separately.
     """
     chosen = {name: _chosen(name, value) for name, value in without_groups(wanted).items()}
     numbers = {
@@ -58,7 +65,8 @@ def study_space(
     _check_fascicles(learnt.keys() | fixed.keys(), counts)
     if not learnt:
         raise InputError("every parameter is fixed, so nothing is left to learn; free one")
-    return ParameterSpace(tuple(learnt.values())), fixed
+    space = ParameterSpace(tuple(learnt.values()))
+    return ordered_fascicles(space) if method == "posterior" else space, fixed
 
 
 def without_groups(wanted: Mapping[str, Any]) -> dict[str, Any]:

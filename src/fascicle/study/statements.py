@@ -461,11 +461,9 @@ def _at_end_of_range(result: Result) -> str:
         for end, inside in (("lowest", shares < 0.1), ("highest", shares > 0.9)):
             if len(shares) and inside.mean() >= 0.4:
                 crowded[parameter.name] = f"{inside.mean():.0%} in the {end} tenth"
-    best = space.to_unit(population.best)
+    best = {p.name: float(p.to_unit(np.array(population.best[p.name]))) for p in space.parameters}
     stopped = [
-        name
-        for name, share in zip(space.names, best, strict=True)
-        if min(share, 1 - share) < 0.01 and name not in crowded
+        name for name, share in best.items() if min(share, 1 - share) < 0.01 and name not in crowded
     ]
     reasons = []
     if stopped:

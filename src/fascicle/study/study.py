@@ -294,7 +294,8 @@ def _identity(config: StudyConfig) -> dict[str, str]:
 
 def _prior(parameter: Parameter) -> str:
     middle = f", median {parameter.median:.15g}, sd {parameter.sd:.15g}" if parameter.median else ""
-    return f"{parameter.prior} {parameter.lower:.15g} to {parameter.upper:.15g}{middle}"
+    place = "" if parameter.order is None else ", number {} of {} in order".format(*parameter.order)
+    return f"{parameter.prior} {parameter.lower:.15g} to {parameter.upper:.15g}{middle}{place}"
 
 
 def _number(value: float | None) -> str:
