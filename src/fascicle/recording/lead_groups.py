@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from string import ascii_uppercase
 
@@ -67,7 +68,7 @@ class LeadGroup:
         independent = self.signal[_independent(self.signal)]
         beats = cut(independent, self.peaks[self.of_class("A")], HALF_WIDTH, HALF_WIDTH)
         median = np.median(detrended(beats), axis=0)
-        return float((median**2).sum() / max(self.noise, np.finfo(float).tiny))
+        return float((median**2).sum()) / self.noise if self.noise else math.inf
 
     def of_class(self, label: str) -> Integers:
         """Which beats have a label, increasing."""

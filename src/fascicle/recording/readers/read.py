@@ -69,9 +69,9 @@ class Channel:
     gain: float | None = None
     missing: tuple[float, ...] = ()
 
-    def placed(self, start: int, length: int) -> Channel:
-        """The same on a time axis of `length` samples, from `start` on; NaN where it has none."""
-        values = np.full(length, np.nan)
+    def placed(self, start: int, length: int, beyond: float = np.nan) -> Channel:
+        """The same on a time axis of `length` samples, from `start` on; `beyond` elsewhere."""
+        values = np.full(length, beyond)
         values[start : start + len(self.values)] = self.values
         return replace(self, values=values)
 

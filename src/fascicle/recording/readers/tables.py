@@ -32,6 +32,7 @@ from fascicle.recording.readers.names import (
     same_unit,
 )
 from fascicle.recording.readers.read import Channel, RawRecording, without_fill
+from fascicle.recording.recording import SHORTEST, with_remarks
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -143,7 +144,25 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
         for c in others
         if c.name not in not_numbers
     ]
-    return replace(table, channels=[*table.channels, *more])
+    return _with_rest_around(replace(table, channels=[*table.channels, *more]))
+
+
+def _with_rest_around(table: RawRecording) -> RawRecording:
+    """A single beat that begins and ends at 0 in all leads, as one simulated, between rest."""
+    rate = table.sampling_rate or 0.0
+    for values in [channel.values for channel in table.channels]:
+        if len(values) >= SHORTEST * rate or values[[0, -1]].any():
+            return table
+    before = round(0.5 * rate)  # s
+    channels = [c.placed(before, 2 * before + len(c.values), 0.0) for c in table.channels]
+    return replace(
+        table,
+        channels=channels,
+        provenance=with_remarks(
+            table.provenance,
+            ["holds one beat that begins and ends at 0 mV; isoelectric before and after it"],
+        ),
+    )
 
 
 def _parsed(path: Path) -> tuple[list[_Column], list[Entry]]:
