@@ -189,6 +189,8 @@ def said_of(posterior, checks=None):
             Caution.POOR_FIT,
         ),
         (Checks(0.6, {}), "poor fit: 64% of the QRS explained, less than 88%", Caution.POOR_FIT),
+        (Checks(0.348, {}), "poor fit: 87% of the QRS explained, less than 88%", Caution.POOR_FIT),
+        (Checks(0.346, {}), "fit acceptable: 88% of the QRS explained", None),
     ],
 )
 def test_verdict_and_caution(done, checks, words, caution):

@@ -96,7 +96,7 @@ def test_what_the_model_does_not_explain(loss, share):
 def test_what_no_network_of_a_posterior_explains():
     """The best network may explain half: that many others do not is what counts."""
     (warning,) = fitted(method="posterior", share=0.6).warnings
-    assert warning.startswith("no network of this heart and torso gives this recording")
+    assert warning.startswith("none of the sampled networks reproduces the recorded QRS")
     assert fitted(method="posterior", share=0.3).warnings == []
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from enum import Enum, StrEnum
@@ -24,8 +25,8 @@ from fascicle.study.settings import FitSettings
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.target_comparison import Network, TargetComparison
 
-MOST_LEFT = 0.35  # unexplained, root mean square over the signal's: an eighth of its variance
-LEAST_EXPLAINED = 1 - MOST_LEFT**2  # share of the variance
+LEAST_EXPLAINED = 0.88  # share of the variance of the QRS
+MOST_LEFT = (1 - LEAST_EXPLAINED) ** 0.5  # unexplained, root mean square over the signal's
 INTERVAL = (5, 95)  # percentiles of a 90 % credible interval
 
 
@@ -235,6 +236,11 @@ def explained_share(checks: Checks) -> float:
     return 1 - checks.share**2
 
 
+def whole_percent(share: float) -> str:
+    """A share in per cent, rounded down: what is less than a limit looks it."""
+    return f"{math.floor(100 * share + 1e-9)}%"
+
+
 def _convergence(posterior: Posterior) -> str:
     if posterior.converged:
         return "converged"
@@ -249,7 +255,7 @@ def _convergence(posterior: Posterior) -> str:
 
 
 def _fit(checks: Checks) -> str:
-    each = f"{explained_share(checks):.0%} of the QRS explained"
+    each = f"{whole_percent(explained_share(checks))} of the QRS explained"
     if fit_acceptable(checks):
         return f"fit acceptable: {each}"
     little = f", less than {LEAST_EXPLAINED:.0%}" if checks.share > MOST_LEFT else ""
@@ -351,7 +357,7 @@ def _poor_fit(result: Result) -> str:
     if result.checks is None or fit_acceptable(result.checks):
         return ""
     return (
-        "no network of this heart and torso gives this recording, however long the fit goes on: "
+        "none of the sampled networks reproduces the recorded QRS, and a longer fit would not: "
         "check that they are of one person, the electrodes, and the leads; docs/posterior.md, "
         "'When a fit fails', says what to try"
     )

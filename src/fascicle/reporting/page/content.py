@@ -22,7 +22,13 @@ from fascicle.study.fit import HEART
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.recordings import recording_paths
 from fascicle.study.settings import OF_THE_PAPER, OF_THE_POSTERIOR
-from fascicle.study.statements import LEAST_EXPLAINED, Caution, explained_share, fit_acceptable
+from fascicle.study.statements import (
+    LEAST_EXPLAINED,
+    Caution,
+    explained_share,
+    fit_acceptable,
+    whole_percent,
+)
 from fascicle.study.study import StudyConfig
 
 CONDUCTIVITIES = {  # mS/cm; `fascicle.heart.conduction.Conduction` explains them
@@ -72,7 +78,7 @@ def meaning(fitted: FittedStudy) -> list[str]:
     )
     if checks is None:
         return [agree]
-    each = f"{explained_share(checks):.0%}"
+    each = whole_percent(explained_share(checks))
     if fit_acceptable(checks):
         return [
             agree,
