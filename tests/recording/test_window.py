@@ -143,6 +143,14 @@ def test_a_p_wave_that_runs_into_a_low_qrs_is_none_of_it(height, length):
     assert qrs_window(signal, 1.0) == pytest.approx((250, 350), abs=12)
 
 
+@pytest.mark.parametrize("height", [0.2, 0.5])  # mV
+def test_a_t_wave_that_begins_at_the_j_point_is_no_qrs(height):
+    signal = 1.5 * depolarisation(250, 330, 1.0, 800)
+    t_wave = height * hump(np.arange(800.0), 332, 540, 1.7, 2.0)
+    signal += lead_matrix() @ np.linspace(-1.0, 0.6, 9)[:, None] * t_wave
+    assert qrs_window(signal, 1.0) == pytest.approx((250, 330), abs=16)
+
+
 def test_slurred_upstroke_and_fragmented_qrs():
     """A delta wave of 40 ms and 0.25 mV; a steep start, a slow middle with notches, a steep end."""
     t = np.arange(700)
