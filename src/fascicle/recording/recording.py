@@ -81,15 +81,8 @@ class Recording:
         check_extent(signal.shape[1], self.sampling_rate, self.source)
         check_array("potential", signal, f"{self.source}: a sample (is its unit right?)")
         for lead, values in self.additional.items():
-            there = np.isfinite(values)
-            first, stop = lead_spans(values[None])[0]
-            whole = there.all() or (not self.simultaneous and there.any())
-            if (
-                lead in LEADS
-                or values.shape != signal.shape[1:]
-                or not whole
-                or not (there[first:stop].all())
-            ):
+            stretch = is_span(values, values.size) or (not self.simultaneous and is_span(values, 1))
+            if lead in LEADS or values.shape != signal.shape[1:] or not stretch:
                 raise InputError(
                     f"{self.source}: lead {lead} has no number for each of the {signal.shape[1]} "
                     "samples (or of one stretch, where leads are in groups), or the name of "
@@ -237,6 +230,12 @@ def lead_spans(signal: Floats) -> Integers:
     stop = finite.shape[1] - np.argmax(finite[:, ::-1], axis=1)
     there = np.asarray(finite.any(axis=1))
     return np.where(there[:, None], np.stack([first, stop], axis=1), 0)
+
+
+def is_span(values: Floats, least: int) -> bool:
+    """Whether (n,) values are there without gaps, `least` of them or more."""
+    there = np.flatnonzero(np.isfinite(values))
+    return there.size >= max(least, 1) and there[-1] - there[0] + 1 == there.size
 
 
 def in_groups(spans: Integers, rate: float) -> bool:

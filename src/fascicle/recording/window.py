@@ -126,7 +126,8 @@ def qrs_windows(
     :math:`\sqrt{(\dot V - \dot V_0)^2 + (\tau \ddot V)^2}`, with derivatives by a Gaussian,
     :math:`\tau` a time and :math:`\dot V_0` the slope of the PR or ST segment. From rest back
     inward, a lead is in the QRS from where it is `VISIBLE` from the line through the segment.
-    Power-line interference is subtracted.
+    Power-line interference is subtracted. A P wave that runs into the QRS is none of it, nor a T
+    wave that begins at the J point.
 
     Two must confirm each other: the limb leads, which share electrodes, are one, and each chest
     lead is one. `FIRST_ACTIVATION` (ms) further out than the second of them are the ends of the
@@ -196,15 +197,11 @@ def _marks(signal: Floats, step: float, not_before: int, smoothing: float) -> _M
     beat = _at_rest_before(signal[: len(LEADS)], not_before, step)
     there = np.isfinite(beat).all(axis=1)
     electrodes = np.maximum(np.flatnonzero(there) - len(LIMB_LEADS) + 1, 0)
-    core, velocity = _core_and_velocity(beat, step, smoothing, not_before > 0)
-    leads = _without_interference(beat[there], core, step)
-    first = _with_slow_start(leads, velocity, core, step)
+    core, velocity, leads, first = _core_and_leads(beat, step, smoothing, not_before > 0)
     p_end = 0 if not_before else _end_of_p_wave(leads, velocity, first, core, step)
     if p_end:
         beat[:, :p_end] = beat[:, p_end, None]
-        core, velocity = _core_and_velocity(beat, step, smoothing, False)
-        leads = _without_interference(beat[there], core, step)
-        first = _with_slow_start(leads, velocity, core, step)
+        core, velocity, leads, first = _core_and_leads(beat, step, smoothing, False)
     # A share of the height in ECGs of another size than a person's, such as uncalibrated ones
     height = float(np.ptp(leads[:, first : core[1] + 1], axis=1).max())
     visible = float(np.clip(VISIBLE, 0.005 * height, 0.04 * height))
@@ -226,6 +223,15 @@ def _marks(signal: Floats, step: float, not_before: int, smoothing: float) -> _M
     smeared = round(1.2 * (smoothing - SMOOTHING) / step)  # by more smoothing, outward
     onsets = np.sort(last - np.array(ends[0])) + smeared
     return _Marks(np.maximum(onsets, not_before), -np.sort(-np.array(ends[1])) - smeared)
+
+
+def _core_and_leads(
+    beat: Floats, step: float, smoothing: float, paced: bool
+) -> tuple[tuple[int, int], _Velocity, Floats, int]:
+    """Core of the QRS, velocity, leads without interference, and first sample with a slow start."""
+    core, velocity = _core_and_velocity(beat, step, smoothing, paced)
+    leads = _without_interference(beat[np.isfinite(beat).all(axis=1)], core, step)
+    return core, velocity, leads, _with_slow_start(leads, velocity, core, step)
 
 
 def _at_rest_before(signal: Floats, not_before: int, step: float) -> Floats:

@@ -36,6 +36,7 @@ from fascicle.recording.recording import (
     check_extent,
     derive_limb_leads,
     in_groups,
+    is_span,
     lead_spans,
     leave_out_pulses,
     with_remarks,
@@ -270,14 +271,14 @@ def _assemble(
             gains[row] = abs(channel.gain) / scale
     more, left_out = _additional(every, lengths[many], rate, source, unit)
     names = (*LEADS, *more)
-    lost = [f"not recorded, constant or empty from start to end: {', '.join(silent)}"][
-        : len(silent)
-    ]
+    lost = []
+    if silent:
+        lost = [f"not recorded, constant or empty from start to end: {', '.join(silent)}"]
     signal, pulses = leave_out_pulses(np.array([*signal, *more.values()]), rate)
     signal, repairs = bridge_gaps(signal, rate, names)
     signal, additional = signal[: len(LEADS)], dict(zip(more, signal[len(LEADS) :], strict=True))
-    whole = 0 if in_groups(lead_spans(signal), rate) else signal.shape[1]
-    for lead in [lead for lead, values in additional.items() if not _is_span(values, whole)]:
+    whole = 1 if in_groups(lead_spans(signal), rate) else signal.shape[1]
+    for lead in [lead for lead, values in additional.items() if not is_span(values, whole)]:
         left_out.append(lead)
         del additional[lead]
     if left_out and wanted is not None:
@@ -358,12 +359,6 @@ def _name_of(channel: str, wanted: Sequence[str] | None) -> str | None:
         name = re.sub(r"[ _(\[]+[num]?v[)\]]?$", "", channel.strip().casefold())  # its unit
         lead = next((each for each in wanted if each.casefold() == name), None)
     return lead
-
-
-def _is_span(values: Floats, least: int) -> bool:
-    """Whether (n,) values are there without gaps, so many at least."""
-    there = np.flatnonzero(np.isfinite(values))
-    return there.size >= max(least, 1) and there[-1] - there[0] + 1 == there.size
 
 
 def _moves(channel: Channel) -> bool:

@@ -150,9 +150,9 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
 def _with_rest_around(table: RawRecording) -> RawRecording:
     """A single beat that begins and ends at 0 in all leads, as one simulated, between rest."""
     rate = table.sampling_rate or 0.0
-    for values in [channel.values for channel in table.channels]:
-        if len(values) >= SHORTEST * rate or values[[0, -1]].any():
-            return table
+    every = [channel.values for channel in table.channels]
+    if any(len(values) >= SHORTEST * rate or values[[0, -1]].any() for values in every):
+        return table
     before = round(0.5 * rate)  # s
     channels = [c.placed(before, 2 * before + len(c.values), 0.0) for c in table.channels]
     return replace(
