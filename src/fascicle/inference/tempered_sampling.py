@@ -1,0 +1,300 @@
+"""Tempered sequential Monte Carlo: equally weighted draws from the posterior, and the evidence.
+
+Particles drawn from the prior are taken to the posterior through likelihood^T, the temperature T
+rising from 0 to 1 (Del Moral et al.). A stage raises T as far as the weights leave half of the
+particles effective (Jasra et al.), resamples, and moves every particle by Metropolis steps until
+it has forgotten where it stood. The mean weights of the stages multiply to the evidence.
+
+Particles live in normal scores: the prior is a standard normal. Steps are of two kinds. Crank and
+Nicolson's leaves Student's t distribution about the particles as it is (Neal's proposal, which
+Cotter et al. name; with a t by Grumitt et al.), so that it takes broad and narrow directions alike
+and may be long. Differential evolution (ter Braak) adds the difference of two other particles,
+and so knows bends and modes that no covariance shows.
+
+References
+----------
+P. Del Moral, A. Doucet and A. Jasra, "Sequential Monte Carlo samplers", J. R. Stat. Soc. B 68(3),
+2006; A. Jasra, D. A. Stephens, A. Doucet and T. Tsagaris, "Inference for Lévy-driven stochastic
+volatility models via adaptive sequential Monte Carlo", Scand. J. Stat. 38(1), 2011; R. M. Neal,
+"Regression and classification using Gaussian process priors", Bayesian Statistics 6, 1999; S. L.
+Cotter, G. O. Roberts, A. M. Stuart and D. White, "MCMC methods for functions", Stat. Sci. 28(3),
+2013; C. J. F. ter Braak, "A Markov chain Monte Carlo version of the genetic algorithm differential
+evolution", Stat. Comput. 16, 2006; R. D. P. Grumitt, M. Karamanis and U. Seljak, "Flow annealed
+Kalman inversion for gradient-free inference in Bayesian inverse problems", Inverse Problems, 2024.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.optimize import brentq
+from scipy.special import logsumexp, ndtr
+
+from fascicle.core.arrays import Floats, Integers
+from fascicle.core.threads import one_thread
+
+ACCEPTED = 0.3  # share of the proposals to which the length of a step is fitted
+
+# Log-likelihoods (m,) of points (m, d) of the unit cube; -inf where there is none.
+LogLikelihoods = Callable[[Floats], Floats]
+
+
+@dataclass(frozen=True)
+class State:
+    """Where a run stands: at the end, the temperature is 1."""
+
+    temperature: float
+    log_evidence: float
+    evaluations: int
+
+
+@dataclass(frozen=True)
+class SamplingRun:
+    """The outcome of a run.
+
+    Attributes
+    ----------
+    points : (n, d) array
+        In the unit cube, equally weighted.
+    log_likelihoods : (n,) array
+        Of the points.
+    log_evidence : float
+        Of the whole prior, the part without a likelihood included.
+    evaluations : int
+        Of the likelihood.
+    effective : float
+        Independent draws that would give means as exact as those of the points (see `_kinship`).
+    """
+
+    points: Floats
+    log_likelihoods: Floats
+    log_evidence: float
+    evaluations: int
+    effective: float
+
+
+@dataclass
+class _Particles:
+    """Normal scores (n, d), log-likelihoods (n,) and how far Crank-Nicolson steps go, up to 1."""
+
+    scores: Floats
+    values: Floats
+    length: float = 0.9
+
+
+@one_thread
+def temper(
+    log_likelihoods: LogLikelihoods,
+    dimension: int,
+    rng: np.random.Generator,
+    particles: int = 1000,
+    progress: Callable[[State], None] = lambda state: None,
+) -> SamplingRun:
+    """Sample the posterior under a uniform prior on the unit cube.
+
+    Parameters
+    ----------
+    log_likelihoods : callable
+        Log-likelihoods (m,) of points (m, d); -inf where there is none.
+    progress : callable
+        Called after every stage.
+
+    Raises
+    ------
+    ValueError
+        If hardly a point of the prior has a likelihood.
+    """
+    evaluations = 0
+
+    def of_scores(scores: Floats) -> Floats:
+        nonlocal evaluations
+        evaluations += len(scores)
+        return log_likelihoods(_points(scores))
+
+    now, log_evidence = _from_prior(of_scores, dimension, rng, particles)
+    temperature, kinship = 0.0, np.eye(particles)
+    while temperature < 1:
+        rise = _rise(now.values, 1 - temperature)
+        temperature = 1.0 if rise == 1 - temperature else temperature + rise
+        weights = rise * now.values
+        log_evidence += float(logsumexp(weights) - np.log(particles))
+        chosen = _resampled(np.exp(weights - weights.max()), rng)
+        now.scores, now.values = now.scores[chosen], now.values[chosen]
+        remembered = _move(now, of_scores, temperature, rng)
+        kinship = _kinship(kinship, chosen, remembered)
+        progress(State(temperature, log_evidence, evaluations))
+    effective = float(particles**2 / kinship.sum())
+    return SamplingRun(_points(now.scores), now.values, log_evidence, evaluations, effective)
+
+
+def _points(scores: Floats) -> Floats:
+    """Points of the open unit cube, on whose edge quantiles of a prior may be infinite."""
+    edge = 1e-9
+    return np.asarray(np.clip(ndtr(scores), edge, 1 - edge))
+
+
+def _from_prior(
+    of_scores: LogLikelihoods, dimension: int, rng: np.random.Generator, particles: int
+) -> tuple[_Particles, float]:
+    """Particles with a likelihood, and the logarithm of the share of the prior that has one."""
+    scores, values = np.empty((0, dimension)), np.empty(0)
+    for batch in range(1, 101):
+        drawn = rng.standard_normal((particles, dimension))
+        found = of_scores(drawn)
+        possible = np.isfinite(found)
+        scores, values = np.vstack([scores, drawn[possible]]), np.append(values, found[possible])
+        if len(values) >= particles:
+            share = len(values) / (batch * particles)
+            return _Particles(scores[:particles], values[:particles]), float(np.log(share))
+    raise ValueError(
+        f"only {len(values)} of {batch * particles} draws from the prior have a likelihood: "
+        "check the ranges of the parameters"
+    )
+
+
+def _rise(values: Floats, most: float) -> float:
+    """How far the temperature may rise, at most `most`, with half of the particles effective."""
+
+    def beyond(rise: float) -> float:
+        weights = np.exp(rise * (values - values.max()))
+        return float(weights.sum() ** 2 / (weights**2).sum() - len(values) / 2)
+
+    return most if beyond(most) >= 0 else float(brentq(beyond, 0.0, most, xtol=1e-15))
+
+
+def _resampled(weights: Floats, rng: np.random.Generator) -> Integers:
+    """Numbers (n,) of particles, each as often as its weight says (systematic resampling)."""
+    ends = np.cumsum(weights)
+    positions = (np.arange(len(weights)) + rng.random()) / len(weights) * ends[-1]
+    return np.asarray(np.minimum(np.searchsorted(ends, positions), len(weights) - 1))
+
+
+def _kinship(kinship: Floats, chosen: Integers, remembered: float) -> Floats:
+    """Correlations (n, n) between the particles after a stage.
+
+    Copies of a particle are the same at first; after moves whose end correlates by ρ with their
+    beginning, they correlate by ρ², and so do the particles that were kin before. The variance of
+    a mean of n particles is the sum of all correlations over n², in variances of the posterior.
+    """
+    kin = remembered**2 * kinship[np.ix_(chosen, chosen)]
+    np.fill_diagonal(kin, 1.0)
+    return kin
+
+
+def _move(
+    now: _Particles, of_scores: LogLikelihoods, temperature: float, rng: np.random.Generator
+) -> float:
+    """Move the particles until they have forgotten where they stood, or a ceiling is met.
+
+    Each half moves by what the other half shows at the beginning: proposals that are fitted to the
+    particles they move draw these together, and the evidence is too low. Resampling keeps the
+    order, so that copies of a particle, and its kin, are in the same half.
+
+    Gives the correlation, the largest of any score, between the beginning and the end.
+    """
+    forgotten, fewest, ceiling = (0.1, 20, 100) if temperature == 1 else (0.3, 5, 25)
+    start = now.scores.copy()
+    middle = len(start) // 2
+    halves = slice(middle), slice(middle, None)
+    seen = [_Half.of(start[other]) for other in reversed(halves)]
+    remembered = 1.0
+    for step in range(ceiling):
+        crank_nicolson = step % 2 == 0
+        proposals = [
+            half.crank_nicolson(now.scores[part], now.length, rng)
+            if crank_nicolson
+            else half.difference(now.scores[part], rng)
+            for part, half in zip(halves, seen, strict=True)
+        ]
+        proposed, log_ratio = (np.concatenate(each) for each in zip(*proposals, strict=True))
+        values = of_scores(proposed)
+        log_ratio += temperature * (values - now.values)
+        log_ratio += 0.5 * ((now.scores**2).sum(axis=1) - (proposed**2).sum(axis=1))
+        accepted = np.log(rng.random(len(values))) < log_ratio
+        now.scores[accepted], now.values[accepted] = proposed[accepted], values[accepted]
+        if crank_nicolson:
+            now.length = float(min(1.0, now.length * np.exp(accepted.mean() - ACCEPTED)))
+        remembered = _remembered(start, now.scores)
+        if step + 1 >= fewest and remembered < forgotten:
+            break
+    return remembered
+
+
+def _remembered(start: Floats, end: Floats) -> float:
+    """The largest correlation of any score with its beginning."""
+    a, b = ((x - x.mean(axis=0)) / x.std(axis=0) for x in (start, end))
+    return float(np.clip((a * b).mean(axis=0).max(), 0, 1))
+
+
+@dataclass(frozen=True)
+class _Half:
+    """Particles (m, d), their mean and the Cholesky factor of their covariance: proposals."""
+
+    scores: Floats
+    mean: Floats
+    factor: Floats
+
+    @classmethod
+    def of(cls, scores: Floats) -> _Half:
+        """Fit to particles."""
+        covariance = np.atleast_2d(np.cov(scores, rowvar=False)) + 1e-9 * np.eye(scores.shape[1])
+        return cls(scores, scores.mean(axis=0), np.asarray(np.linalg.cholesky(covariance)))
+
+    def crank_nicolson(
+        self, scores: Floats, length: float, rng: np.random.Generator
+    ) -> tuple[Floats, Floats]:
+        """Proposals, and log q(x)/q(x') for the t density q, which these alone would keep.
+
+        x' = m + √(1 - l²)(x - m) + l√z Lξ with ξ standard normal and z inverse gamma given x: of
+        a t, the scale of the normal that x comes from.
+        """
+        freedom = 8  # tails that are heavier than the posterior's
+        size, dimension = scores.shape
+
+        def distance(x: Floats) -> Floats:
+            whitened = solve_triangular(self.factor, (x - self.mean).T, lower=True)
+            return np.asarray((whitened**2).sum(axis=0))
+
+        before = distance(scores)
+        z = 0.5 * (freedom + before) / rng.gamma(0.5 * (freedom + dimension), size=size)
+        noise = np.sqrt(z)[:, None] * (rng.standard_normal((size, dimension)) @ self.factor.T)
+        proposed = self.mean + np.sqrt(1 - length**2) * (scores - self.mean) + length * noise
+        farther = np.log((freedom + distance(proposed)) / (freedom + before))
+        return proposed, 0.5 * (freedom + dimension) * farther
+
+    def difference(self, scores: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        """Proposals as far from each particle as two of these from each other; symmetric."""
+        size, dimension = scores.shape
+        first, second = rng.integers(len(self.scores), size=(2, size))
+        scale = 2.38 / np.sqrt(2 * dimension) * rng.uniform(0.2, 1.2, size)  # ter Braak's, and less
+        scale[rng.random(size) < 0.2] = 1.0  # from mode to mode
+        return scores + scale[:, None] * (self.scores[first] - self.scores[second]), np.zeros(size)
+
+
+EVIDENCE_APART = 1.0  # of the log-evidences; more, and one run has missed a mode
+MEANS_APART = 0.5  # standard deviations between the means of a parameter
+
+
+@dataclass(frozen=True)
+class RunAgreement:
+    """Differences of two runs; those of the means (d,) in standard deviations of both together."""
+
+    log_evidence: float
+    means: Floats
+
+    @property
+    def converged(self) -> bool:
+        """Whether the runs agree."""
+        return self.log_evidence <= EVIDENCE_APART and bool((self.means <= MEANS_APART).all())
+
+
+def agreement(first: SamplingRun, second: SamplingRun) -> RunAgreement:
+    """Compare two runs of different seeds on the same likelihood."""
+    means = [run.points.mean(axis=0) for run in (first, second)]
+    variances = [run.points.var(axis=0) for run in (first, second)]
+    apart = np.abs(means[0] - means[1])
+    together = np.sqrt(np.mean(variances, axis=0) + apart**2 / 4)
+    return RunAgreement(abs(first.log_evidence - second.log_evidence), apart / together)
