@@ -94,11 +94,13 @@ def test_a_likelihood_that_is_hardly_anywhere_is_refused():
 
 
 def test_a_constant_likelihood_leaves_the_prior():
-    run = sample(2, lambda points: np.full(len(points), -3.0), 4, 2000)
+    """Even in the tails, where the proposals' are heavier."""
+    run = sample(2, lambda points: np.full(len(points), -3.0), 2, 4000)
     assert run.log_evidence == pytest.approx(-3.0, abs=1e-9)
-    assert run.points.mean(axis=0) == pytest.approx(np.full(4, 0.5), abs=0.03)
-    assert run.points.var(axis=0) == pytest.approx(np.full(4, 1 / 12), rel=0.08)
-    assert run.effective > 1800
+    assert run.points.mean(axis=0) == pytest.approx(np.full(2, 0.5), abs=0.015)
+    assert run.points.var(axis=0) == pytest.approx(np.full(2, 1 / 12), rel=0.05)
+    assert (ndtri(run.points) ** 4).mean() == pytest.approx(3, abs=0.25)
+    assert run.effective > 3600
 
 
 def test_the_same_seed_gives_the_same_bits_and_progress_is_reported(runs):
