@@ -82,7 +82,6 @@ from fascicle.study.prior_simulations import PriorSimulations, simulate_prior
 from fascicle.study.settings import FitSettings, Method
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import study_space
-from fascicle.study.statements import fit_acceptable
 from fascicle.study.target_comparison import Network, TargetComparison, evaluate
 from fascicle.study.target_comparison import networks as simulated
 from fascicle.torso.variation.conductor import InvalidTorso
@@ -303,8 +302,8 @@ def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, A
         checks = predict_recording(target, likelihood, networks, rng).checks
         result |= {
             "converged": population.converged,
-            "explained": fit_acceptable(checks),
-            "left": checks.share,
+            "explained": checks.acceptable,
+            "left": 1 - checks.explained,
             "disagreeing": checks.disagreeing,
             "evaluations": population.evaluations.tolist(),
             "effective": population.effective.tolist(),
@@ -407,7 +406,11 @@ def summarise(results: list[dict[str, Any]], folder: Path) -> None:
             print(f"{what}: {np.mean([r[what] for r in results]):.0%}")
     if "left" in results[0]:
         left = np.quantile([r["left"] for r in results], (0.1, 0.5, 0.9))
-        print("the networks leave {:.0%}, {:.0%}, {:.0%} (tenth, half, nine tenths)".format(*left))
+        print(
+            "the best networks leave {:.0%}, {:.0%}, {:.0%} (tenth, half, nine tenths)".format(
+                *left
+            )
+        )
         rung = Counter(name for r in results for name in r["disagreeing"])
         print("disagree: " + (", ".join(f"{name} {n}" for name, n in rung.most_common()) or "none"))
     for what in ("evaluations", "effective"):

@@ -51,6 +51,9 @@ def test_study_folder_holds_what_is_promised(study):
     assert np.isfinite(posterior.log_likelihood["ecg"]).all()
     assert posterior.attrs["verdict"].startswith("NOT CONVERGED")
     assert posterior.posterior_predictive["ecg"].dims == ("chain", "draw", "lead", "time")
+    (panel,) = np.ravel(az.plot_ppc(posterior, num_pp_samples=5))  # of what was recorded, one
+    pyplot.close("all")
+    assert {"Observed", "Posterior predictive"} <= {line.get_label() for line in panel.lines}
     for name in ("best", "00", "01", "02"):
         for side in ("lv", "rv"):
             tree = pv.read(folder / "networks" / name / f"{side}_tree.vtu")
@@ -59,6 +62,7 @@ def test_study_folder_holds_what_is_promised(study):
     assert {"activation", "activation_mean", "activation_sd"} <= set(activation.point_data)
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["verdict"] == study.verdict
+    assert load_study(folder).verdict == study.verdict
     target = study.recordings[0].target
     for name, recorded in (
         ("qrs_duration_ms", target.qrs_duration),
@@ -74,8 +78,10 @@ def test_study_folder_holds_what_is_promised(study):
     agreeing = replace(study, population=replace(study.population, converged=True))
     said = agreeing.statements.parameters
     assert {each.name for each in said} == set(posterior.posterior.data_vars)
-    assert -8 < summary["explained_by_a_network"] < 1
-    assert {"V1", "window QRS duration", "axis"} <= set(summary["probabilities_under_the_model"])
+    assert -8 < summary["explained_by_the_best"] < 1
+    assert {"QRS duration", "frontal axis", "V1", "all leads together"} <= set(
+        summary["probabilities_under_the_model"]
+    )
 
 
 def test_best_network_is_what_the_summary_says(study, target):

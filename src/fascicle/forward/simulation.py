@@ -15,7 +15,7 @@ from fascicle.core.ranges import short_repr
 from fascicle.forward.ecg.electrocardiogram import STEP
 from fascicle.forward.eikonal.activation import Activation
 from fascicle.purkinje.tree import PurkinjeTree
-from fascicle.recording.window import qrs_window, qrs_windows
+from fascicle.recording.window import QrsWindows, qrs_windows
 
 LONGEST = 100_000.0  # ms that an activation may take; more is a mistake, and much memory
 
@@ -87,14 +87,18 @@ class SimulatedBeat:
 
         That of the window that all leads together decide; clinics measure `global_qrs_duration`.
         """
-        onset, offset = qrs_window(self.leads, STEP)
+        onset, offset = self._qrs_windows.window
         return (offset - onset) * STEP
 
     @property
     def global_qrs_duration(self) -> float:
         """Global QRS duration (ms), that of the outermost leads, by the rule for recordings."""
-        onset, offset = qrs_windows(self.leads, STEP).global_window
+        onset, offset = self._qrs_windows.global_window
         return (offset - onset) * STEP
+
+    @cached_property
+    def _qrs_windows(self) -> QrsWindows:
+        return qrs_windows(self.leads, STEP)
 
 
 @dataclass(frozen=True)

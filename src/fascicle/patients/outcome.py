@@ -43,8 +43,8 @@ class Outcome(BaseModel):
 
     `converged` and `explained` are None without a posterior; `explained_power` is the share of the
     recorded QRS that the mean of the networks explains, over all leads, and
-    `explained_by_a_network` the median share that one network explains. `parameters` is empty if
-    the fit has not converged; `error_file` holds the traceback of a bug.
+    `explained_by_the_best` the share that each of the best networks explains. `parameters` is empty
+    if the fit has not converged; `error_file` holds the traceback of a bug.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -58,7 +58,7 @@ class Outcome(BaseModel):
     converged: bool | None = None
     explained: bool | None = None
     explained_power: float | None = None
-    explained_by_a_network: float | None = None
+    explained_by_the_best: float | None = None
     best_loss_mV2: float | None = None  # noqa: N815 - as in the summary of a study
     qrs_duration_ms: float | None = None
     predicted_qrs_duration_ms: float | None = None
@@ -84,7 +84,7 @@ class Outcome(BaseModel):
             converged=summary.get("converged"),
             explained=fitted.statements.acceptable,
             explained_power=summary["explained_power"]["all"],
-            explained_by_a_network=summary.get("explained_by_a_network"),
+            explained_by_the_best=summary.get("explained_by_the_best"),
             best_loss_mV2=fitted.population.best_loss,
             qrs_duration_ms=qrs["recorded"],
             predicted_qrs_duration_ms=qrs["networks"]["median"],

@@ -6,7 +6,7 @@ import json
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -185,11 +185,8 @@ def write_population(
         warnings.filterwarnings("ignore", "More chains")
         data = az.from_dict(
             **split,
-            observed_data={
-                f"{name}{end}": values
-                for end, target in _numbered(targets)
-                for name, values in (("ecg", target.mean), ("beats", target.beats))
-            },
+            observed_data={f"ecg{end}": target.mean for end, target in _numbered(targets)},
+            constant_data={f"beats{end}": target.beats for end, target in _numbered(targets)},
             coords={"lead": list(targets[0].leads)}
             | {f"time{e}": t.time for e, t in _numbered(targets)},
             dims={
@@ -218,9 +215,7 @@ def write_population(
     _describe(data, population)
     if not isinstance(predicted, np.ndarray):
         checks = Checks.joined([each.checks for each in predicted])
-        data.sample_stats.attrs["discrepancy_over_signal"] = checks.share
-        probabilities = json.dumps(dict(checks.probabilities))
-        data.sample_stats.attrs["probabilities_under_the_model"] = probabilities
+        data.sample_stats.attrs["checks"] = json.dumps(asdict(checks))
     if isinstance(population, Posterior) and population.first_alone is not None:
         alone = {name: ("draw", values) for name, values in population.first_alone.items()}
         data.sample_stats.attrs[FIRST_ALONE] = 1
@@ -278,7 +273,7 @@ def _describe(data: Any, population: Population) -> None:
         stats.attrs["converged"] = int(population.converged)
         for name in ("log_evidences", "effective", "evaluations"):
             stats.attrs[name] = getattr(population, name)
-    for group in (data.posterior_predictive, data.observed_data):
+    for group in (data.posterior_predictive, data.observed_data, data.constant_data):
         for name in group.data_vars:
             group[name].attrs["units"] = "mV"
         for name in group.coords:
@@ -330,7 +325,7 @@ def read_checks(path: Path) -> tuple[Checks | None, Floats | None]:
     """How a posterior compares with its recordings, and its gains (n,); None of the paper's."""
     stats = load_netcdf(path, "sample_stats")
     gains = stats["gain"].to_numpy().ravel() if "gain" in stats else None
-    if "discrepancy_over_signal" not in stats.attrs:
-        return None, gains
-    probabilities = json.loads(stats.attrs["probabilities_under_the_model"])
-    return Checks(float(stats.attrs["discrepancy_over_signal"]), probabilities), gains
+    checks = stats.attrs.get("checks")
+    if checks is None and gains is not None:
+        raise InputError(f"{path}: of an earlier version; fit again, into another folder")
+    return None if checks is None else Checks(**json.loads(checks)), gains

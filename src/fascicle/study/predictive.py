@@ -8,20 +8,30 @@ realized discrepancies", Statistica Sinica 6 (1996).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.core.leads import LIMB_LEADS, independent_rows
+from fascicle.core.leads import independent_rows
 from fascicle.core.ranges import short_repr
-from fascicle.forward.likelihood import Likelihood
+from fascicle.forward.likelihood import Likelihood, Replicate
 from fascicle.forward.simulation import Signals
 from fascicle.recording.target import Target
+from fascicle.study.agreement import agreement, frontal_axis
 from fascicle.study.target_comparison import Network
 
-RARE = 0.01  # probability under the model below which the recording disagrees with it
+# What makes a fit poor: a recording that would be rare among those that the model gives, or a QRS
+# that not even the best networks explain. What a posterior's other networks explain shows how wide
+# it is, not how well the model fits.
+LEVEL = 0.05  # chance that a recording that the model gives is called rare, by all checks together
+BEST = 0.05  # share of the networks that are the best
+LEAST_EXPLAINED = 0.88  # share of the variance of the QRS that the best networks explain
+DURATION, AXIS, ALL_LEADS = "QRS duration", "frontal axis", "all leads together"
+# Name in `fascicle.study.agreement.Agreement`, and unit
+MEASURED = {DURATION: ("global_qrs_duration_ms", " ms"), AXIS: ("axis_degrees", "°")}
 
 
 @dataclass(frozen=True)
@@ -30,34 +40,73 @@ class Checks:
 
     Attributes
     ----------
-    share : float
-        Root mean square of a network's residual over that of the recorded QRS, median of the
-        networks.
+    explained : float
+        Share of the variance of the recorded QRS that each of the best networks explains; of a flat
+        line 0.
     probabilities : mapping of str to float
-        Probability of a recording at least as far from the networks, for each lead, the window QRS
-        duration and the axis; for a lead with the smallest discrepancy of the likelihood, since a
-        larger one would hide a misfit.
+        For the QRS duration, the frontal axis, each independent lead and all of them together:
+        probability of a recording at least as far from the networks, times how many are looked at
+        (Bonferroni). For leads with the smallest discrepancy of the likelihood, since a larger one
+        would hide a misfit.
+    measured : mapping of str to list of float
+        Global QRS duration (ms) and frontal axis (degrees): recorded, then 5th percentile, median
+        and 95th of the networks.
     """
 
-    share: float
+    explained: float
     probabilities: Mapping[str, float]
+    measured: Mapping[str, list[float]] = field(default_factory=dict)
 
     @classmethod
     def joined(cls, each: Sequence[Checks]) -> Checks:
-        """Those of several recordings in one, with the largest of the discrepancies."""
+        """Those of several recordings in one; the least explained counts."""
         if len(each) == 1:
             return each[0]
-        named = {
-            f"{name} of recording {number}": probability
-            for number, checks in enumerate(each, 1)
-            for name, probability in checks.probabilities.items()
-        }
-        return cls(max(checks.share for checks in each), named)
+        numbered = [(f" of recording {number}", checks) for number, checks in enumerate(each, 1)]
+        return cls(
+            min(checks.explained for checks in each),
+            {
+                f"{name}{of}": min(1.0, p * len(each))
+                for of, checks in numbered
+                for name, p in checks.probabilities.items()
+            },
+            {f"{name}{of}": m for of, checks in numbered for name, m in checks.measured.items()},
+        )
 
     @property
     def disagreeing(self) -> list[str]:
         """Leads and quantities in which the recording would be rare under the model."""
-        return [name for name, p in self.probabilities.items() if p < RARE]
+        return [name for name, p in self.probabilities.items() if p < LEVEL]
+
+    @property
+    def acceptable(self) -> bool:
+        """Whether the recording looks like what the networks predict."""
+        return self.explained >= LEAST_EXPLAINED and not self.disagreeing
+
+    @property
+    def said(self) -> str:
+        """What the best networks explain."""
+        share = math.floor(100 * self.explained + 1e-9)  # what is less than a limit looks it
+        return f"{share}% of the QRS explained by the best {BEST:.0%} of networks"
+
+    @property
+    def failures(self) -> list[str]:
+        """What is wrong, in the order in which a cardiologist looks at it."""
+        rare = self.disagreeing
+        found = [
+            f"{name} {_compared(name, m)}" for name, m in self.measured.items() if name in rare
+        ]
+        if leads := [name for name in rare if name not in self.measured]:
+            found.append(f"{', '.join(leads)} not reproduced")
+        if self.explained < LEAST_EXPLAINED:
+            found.append(f"{self.said}, less than {LEAST_EXPLAINED:.0%}")
+        return found
+
+
+def _compared(name: str, measured: Sequence[float]) -> str:
+    recorded, low, middle, high = measured
+    unit = next(unit for of, (_, unit) in MEASURED.items() if name.startswith(of))
+    return f"{recorded:.0f}{unit} recorded, {middle:.0f} ({low:.0f}–{high:.0f}) simulated"
 
 
 @dataclass(frozen=True)
@@ -78,56 +127,66 @@ def predict_recording(
     target: Target, likelihood: Likelihood, networks: Sequence[Network], rng: np.random.Generator
 ) -> Prediction:
     """Draw what n networks of a posterior predict for a recording, and compare it with that."""
-    rows, window = independent_rows(target.used), target.qrs_samples
     drawn = [likelihood.predictive(Signals.of(each.simulation), rng) for each in networks]
-    rarer, unexplained = np.empty((len(drawn), len(rows))), np.empty(len(drawn))
-    for k, each in enumerate(drawn):
-        left, error = each.left, each.error
-        if left is None or error is None:
-            left = ((target.mean - each.ecg)[rows, window] ** 2).sum(axis=1)
-            error = ((each.noisy - each.ecg)[rows, window] ** 2).sum(axis=1)
-        rarer[k] = error >= left
-        unexplained[k] = left.sum() if each.unexplained is None else each.unexplained
-    noisy = np.array([each.noisy for each in drawn])
-    probabilities = {
-        target.leads[row]: float(p) for row, p in zip(rows, rarer.mean(0), strict=True)
-    }
-    probabilities["window QRS duration"] = _duration(target, networks)
-    probabilities["axis"] = _axis(target, noisy)
+    ecg, noisy = (np.array([getattr(each, name) for each in drawn]) for name in ("ecg", "noisy"))
     return Prediction(
-        np.array([each.ecg for each in drawn]),
+        ecg,
         noisy,
         np.array([each.gain for each in drawn]),
         np.array([each.shift for each in drawn]),
         np.array([each.discrepancy for each in drawn]),
-        Checks(
-            float(np.sqrt(np.median(unexplained) / (target.qrs[rows] ** 2).sum())), probabilities
-        ),
+        _checks(target, networks, drawn),
     )
 
 
-def _duration(target: Target, networks: Sequence[Network]) -> float:
-    """How probable a recorded QRS duration as far from those of the networks is, both ways."""
-    durations = np.array([network.simulation.qrs_duration for network in networks])
-    spread = np.hypot(target.onset_sd, target.offset_sd)
-    return _two_sided(durations, target.qrs_duration, float(spread))
+def _checks(target: Target, networks: Sequence[Network], drawn: Sequence[Replicate]) -> Checks:
+    rows, window = independent_rows(target.used), target.qrs_samples
+    left, error = np.empty((2, len(drawn), len(rows)))
+    unexplained = np.empty(len(drawn))
+    for k, each in enumerate(drawn):
+        apart = [(target.mean - each.ecg)[rows, window], (each.noisy - each.ecg)[rows, window]]
+        energies = [(one**2).sum(axis=1) for one in apart]
+        left[k] = energies[0] if each.left is None else each.left
+        error[k] = energies[1] if each.error is None else each.error
+        unexplained[k] = left[k].sum() if each.unexplained is None else each.unexplained
+    leads = {target.leads[row]: _rarer(left[:, k], error[:, k]) for k, row in enumerate(rows)}
+    leads[ALL_LEADS] = _rarer(left.sum(axis=1), error.sum(axis=1))
+    found, spread = agreement(target, networks), float(np.hypot(*target.global_qrs_sd))
+    measured = {
+        name: [found.recorded[key], *found.percentiles(key)]
+        for name, (key, _) in MEASURED.items()
+        if key in found.recorded
+    }
+    others = {
+        DURATION: _two_sided(found.predicted[MEASURED[DURATION][0]], measured[DURATION][0], spread)
+    }
+    if AXIS in measured:
+        axes = np.array([frontal_axis(each.noisy[:, window]) for each in drawn])
+        others[AXIS] = _rare_axis(axes, measured[AXIS][0])
+    # the leads together weigh as much as the duration or the axis
+    parts = len(others) + 1
+    weighted = {n: p * parts for n, p in others.items()}
+    weighted |= {name: p * parts * len(leads) for name, p in leads.items()}
+    return Checks(
+        1 - float(np.quantile(unexplained, BEST)) / float((target.qrs[rows] ** 2).sum()),
+        {name: min(1.0, p) for name, p in weighted.items()},
+        measured,
+    )
 
 
-def _axis(target: Target, noisy: Floats) -> float:
-    """How probable a frontal axis as far from those of the networks is, both ways."""
-    if not target.used[: len(LIMB_LEADS)].any():
-        return 1.0
-    window = target.qrs_samples
-    recorded = frontal_axis(target.mean[:, window])
-    away = np.array([frontal_axis(ecg[:, window]) - recorded for ecg in noisy])
-    return _two_sided((away + 180) % 360 - 180, 0.0, 0.0)
+def _rarer(left: Floats, error: Floats) -> float:
+    """How probable an error (n,) as large as what a network leaves (n,) is.
+
+    Every network with the errors of all, whose distribution is the same.
+    """
+    return float(1 - np.searchsorted(np.sort(error), left).mean() / len(error))
 
 
-def frontal_axis(ecg: Floats) -> float:
-    """Angle (degrees) of a QRS (12, n) in the frontal plane, from the areas in leads I and aVF."""
-    area = ecg.sum(axis=1)
-    # aVF is shorter than I by the factor √3/2 of augmented leads
-    return float(np.degrees(np.arctan2(2 / np.sqrt(3) * area[5], area[0])))
+def _rare_axis(axes: Floats, recorded: float) -> float:
+    """How probable an axis (degrees) as far from those of networks (n,) is, both ways."""
+    mean = float(np.degrees(np.angle(np.exp(1j * np.radians(axes)).mean())))
+    turns = (np.append(axes, recorded) - mean + 180) % 360 - 180
+    return _two_sided(turns[:-1], float(turns[-1]), 0.0)
 
 
 def _two_sided(predicted: Floats, recorded: float, sd: float) -> float:

@@ -20,7 +20,7 @@ from fascicle.study.evaluations import Stage
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import RESULT, Posterior, write_population
 from fascicle.study.predictive import Prediction
-from fascicle.study.statements import explained_share, has_few_junctions
+from fascicle.study.statements import has_few_junctions
 from fascicle.study.target_comparison import Network
 
 TREES_WRITTEN = 30  # networks whose trees are written; the parameters of all are
@@ -147,6 +147,6 @@ def _posterior_summary(fitted: FittedStudy, posterior: Posterior) -> dict[str, o
         "log_evidences": posterior.log_evidences.tolist(),
         "effective_sample_sizes": posterior.effective.tolist(),
         "standard_deviations_between_runs": dict(posterior.means_apart),
-        "explained_by_a_network": explained_share(fitted.checks) if fitted.checks else None,
+        "explained_by_the_best": fitted.checks.explained if fitted.checks else None,
         "probabilities_under_the_model": dict(fitted.checks.probabilities) if fitted.checks else {},
     }

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import Enum, StrEnum
 from functools import cached_property
 from itertools import combinations
@@ -25,8 +24,6 @@ from fascicle.study.settings import FitSettings
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.target_comparison import Network, TargetComparison
 
-LEAST_EXPLAINED = 0.88  # share of the variance of the QRS
-MOST_LEFT = (1 - LEAST_EXPLAINED) ** 0.5  # unexplained, root mean square over the signal's
 INTERVAL = (5, 95)  # percentiles of a 90 % credible interval
 
 
@@ -97,7 +94,8 @@ class ParameterStatement:
 
     `lower` and `upper` bound the posterior's 90 % credible interval; `contraction` is 1 − posterior
     variance / prior variance, in quantiles of the prior, 0 to 1; `first_alone` is half of the 90 %
-    interval given the first of several recordings alone.
+    interval given the first of several recordings alone; `along_fibre` is, for α, the speed along
+    the fibre (m/s): median and the same bounds.
     """
 
     name: str
@@ -107,6 +105,7 @@ class ParameterStatement:
     upper: float
     contraction: float
     first_alone: float | None = None
+    along_fibre: tuple[float, float, float] | None = None
 
     @property
     def constrained(self) -> bool:
@@ -118,10 +117,13 @@ class ParameterStatement:
         alone = ""
         if self.first_alone is not None:
             alone = f"; first recording alone ±{self.first_alone:.2g}{unit}"
+        speed = ""
+        if self.along_fibre is not None:
+            speed = "{:.2f} m/s ({:.2f}–{:.2f}) along the fibre, ".format(*self.along_fibre)
         how = "constrained by" if self.constrained else "not identifiable from"
         return (
             f"{self.median:.3g}{unit} (90 % CrI {self.lower:.3g}–{self.upper:.3g}{alone}), "
-            f"{how} the ECG"
+            f"{speed}{how} the ECG"
         )
 
 
@@ -151,7 +153,15 @@ class Statements:
         """What the networks are, and whether to trust them, in one line."""
         population, checks = self._result.population, self._result.checks
         if isinstance(population, Posterior) and checks is not None:
-            return f"{_convergence(population)}; {_fit(checks)}"
+            fit = f"fit acceptable: {checks.said}"
+            if not checks.acceptable:
+                ends = ", ".join(map(parameter_name, _crowded(self._result)))
+                failures = [
+                    *checks.failures,
+                    *([f"at the end of its range: {ends}"] if ends else []),
+                ]
+                fit = f"poor fit: {'; '.join(failures)}"
+            return f"{_convergence(population)}; {fit}"
         return self.networks_called
 
     @property
@@ -170,7 +180,7 @@ class Statements:
     @property
     def acceptable(self) -> bool | None:
         """Whether the recordings look like what the networks predict; None without checks."""
-        return None if self._result.checks is None else fit_acceptable(self._result.checks)
+        return None if self._result.checks is None else self._result.checks.acceptable
 
     @property
     def caution(self) -> Caution | None:
@@ -197,9 +207,19 @@ class Statements:
             return ()
         alone = posterior.first_alone or {}
         return tuple(
-            _statement(p, posterior.values[p.name], alone.get(p.name))
+            replace(
+                _statement(p, posterior.values[p.name], alone.get(p.name)),
+                along_fibre=self._along_fibre(posterior) if p.name == "alpha" else None,
+            )
             for p in self._result.simulator.space.parameters
         )
+
+    def _along_fibre(self, posterior: Posterior) -> tuple[float, float, float]:
+        """Speed along the fibre (m/s), which is proportional to α."""
+        conduction = self._result.simulator.model.conduction
+        speeds = posterior.values["alpha"] * conduction.speeds[0] / conduction.alpha
+        median, low, high = np.percentile(speeds, (50, *INTERVAL))
+        return float(median), float(low), float(high)
 
     @cached_property
     def correlated(self) -> tuple[Correlated, ...]:
@@ -226,21 +246,6 @@ class Statements:
         }
 
 
-def fit_acceptable(checks: Checks) -> bool:
-    """Whether recordings look like what networks predict."""
-    return checks.share <= MOST_LEFT and not checks.disagreeing
-
-
-def explained_share(checks: Checks) -> float:
-    """Share of the variance of the QRS that a network explains (median); of a flat line 0."""
-    return 1 - checks.share**2
-
-
-def whole_percent(share: float) -> str:
-    """A share in per cent, rounded down: what is less than a limit looks it."""
-    return f"{math.floor(100 * share + 1e-9)}%"
-
-
 def _convergence(posterior: Posterior) -> str:
     if posterior.converged:
         return "converged"
@@ -252,15 +257,6 @@ def _convergence(posterior: Posterior) -> str:
     if apart > MEANS_APART:
         why.append(f"means of {parameter_name(name)} {apart:.1f} SD apart")
     return f"NOT CONVERGED ({', '.join(why)})"
-
-
-def _fit(checks: Checks) -> str:
-    each = f"{whole_percent(explained_share(checks))} of the QRS explained"
-    if fit_acceptable(checks):
-        return f"fit acceptable: {each}"
-    little = f", less than {LEAST_EXPLAINED:.0%}" if checks.share > MOST_LEFT else ""
-    rare = f", {', '.join(checks.disagreeing)} disagree" if checks.disagreeing else ""
-    return f"poor fit: {each}{little}{rare}"
 
 
 def _statement(
@@ -354,7 +350,7 @@ def _poor_fit(result: Result) -> str:
             "heart, torso or ECG do not fit together; look at its size (--free-gain) and speed "
             "(--free alpha) before you believe anything below"
         )
-    if result.checks is None or fit_acceptable(result.checks):
+    if result.checks is None or result.checks.acceptable:
         return ""
     return (
         "none of the sampled networks reproduces the recorded QRS, and a longer fit would not: "
@@ -458,15 +454,20 @@ def _regions_taken_as_healthy(result: Result) -> str:
     )
 
 
-def _at_end_of_range(result: Result) -> str:
-    """Warn of parameters that are limited by their ranges, not by the ECG."""
-    space, population = result.simulator.space, result.population
-    crowded = {}  # 40 % of the networks in an outer tenth of the prior
-    for parameter in space.parameters:
-        shares = parameter.to_unit(population.values.get(parameter.name, np.empty(0)))
+def _crowded(result: Result) -> dict[str, str]:
+    """Parameters with 40 % of the networks in an outer tenth of the prior, and in which."""
+    crowded = {}
+    for parameter in result.simulator.space.parameters:
+        shares = parameter.to_unit(result.population.values.get(parameter.name, np.empty(0)))
         for end, inside in (("lowest", shares < 0.1), ("highest", shares > 0.9)):
             if len(shares) and inside.mean() >= 0.4:
                 crowded[parameter.name] = f"{inside.mean():.0%} in the {end} tenth"
+    return crowded
+
+
+def _at_end_of_range(result: Result) -> str:
+    """Warn of parameters that are limited by their ranges, not by the ECG."""
+    space, population, crowded = result.simulator.space, result.population, _crowded(result)
     best = {p.name: float(p.to_unit(np.array(population.best[p.name]))) for p in space.parameters}
     stopped = [
         name for name, share in best.items() if min(share, 1 - share) < 0.01 and name not in crowded

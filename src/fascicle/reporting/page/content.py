@@ -22,13 +22,7 @@ from fascicle.study.fit import HEART
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.recordings import recording_paths
 from fascicle.study.settings import OF_THE_PAPER, OF_THE_POSTERIOR
-from fascicle.study.statements import (
-    LEAST_EXPLAINED,
-    Caution,
-    explained_share,
-    fit_acceptable,
-    whole_percent,
-)
+from fascicle.study.statements import Caution
 from fascicle.study.study import StudyConfig
 
 CONDUCTIVITIES = {  # mS/cm; `fascicle.heart.conduction.Conduction` explains them
@@ -78,23 +72,17 @@ def meaning(fitted: FittedStudy) -> list[str]:
     )
     if checks is None:
         return [agree]
-    each = whole_percent(explained_share(checks))
-    if fit_acceptable(checks):
+    if checks.acceptable:
         return [
             agree,
-            f"A network explains {each} of the variance of the QRS (median). The independent "
-            "leads, the window QRS duration and the axis are within the range that the networks "
-            "predict.",
+            f"{checks.said}. The QRS duration, the frontal axis and the independent "
+            "leads are within the range that the networks predict.",
         ]
-    outside = ""
-    if checks.disagreeing:
-        outside = f" Outside their predicted range: {', '.join(checks.disagreeing)}."
     return [
         agree,
-        f"They do not explain the ECG: a network explains {each} of the variance of the QRS "
-        f"(median), and {LEAST_EXPLAINED:.0%} is required.{outside} The heart, the torso or the "
-        "model does not match the patient: the intervals below come from a model that does not "
-        "fit.",
+        f"They do not reproduce the recorded QRS: {'; '.join(checks.failures)}. The heart, the "
+        "torso or the model does not match the patient: the intervals below come from a model that "
+        "does not fit.",
     ]
 
 
