@@ -17,8 +17,9 @@ P. Del Moral, A. Doucet and A. Jasra, "Sequential Monte Carlo samplers", J. R. S
 volatility models via adaptive sequential Monte Carlo", Scand. J. Stat. 38(1), 2011; R. M. Neal,
 "Regression and classification using Gaussian process priors", Bayesian Statistics 6, 1999; S. L.
 Cotter, G. O. Roberts, A. M. Stuart and D. White, "MCMC methods for functions", Stat. Sci. 28(3),
-2013; R. D. P. Grumitt, M. Karamanis and U. Seljak, "Flow annealed Kalman inversion for
-gradient-free inference in Bayesian inverse problems", Phys. Sci. Forum 9(1), 2023.
+2013; R. D. P. Grumitt, M. Karamanis and U. Seljak, "Flow annealed Kalman inversion for gradient-
+free inference in Bayesian inverse problems", Phys. Sci. Forum 9(1), 2023; A. Lee and N. Whiteley,
+"Variance estimation in the particle filter", Biometrika 105(3), 2018.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from scipy.special import logsumexp, ndtr
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.threads import one_thread
 
+FORGOTTEN = 0.3  # correlation of a score with its beginning, at most, after the moves of a stage
 ACCEPTED = 0.3  # share of the proposals that the length of a step is adapted to
 
 # Log-likelihoods (m,) of points (m, d) of the unit cube; -inf where there is none.
@@ -64,7 +66,7 @@ class SamplingRun:
     evaluations : int
         Of the likelihood.
     effective : float
-        Independent draws that would give means as exact as those of the points (see `_kinship`).
+        Independent draws that would give means as exact as those of the points (see `_effective`).
     """
 
     points: Floats
@@ -113,7 +115,7 @@ def temper(
         return log_likelihoods(_points(scores))
 
     now, log_evidence = _from_prior(of_scores, dimension, rng, particles)
-    temperature, kinship = 0.0, np.eye(particles)
+    temperature, remembered, families = 0.0, 0.0, np.arange(particles)
     while temperature < 1:
         rise = _rise(now.values, 1 - temperature)
         temperature = 1.0 if rise == 1 - temperature else temperature + rise
@@ -121,11 +123,13 @@ def temper(
         log_evidence += float(logsumexp(weights) - np.log(particles))
         chosen = _resampled(np.exp(weights - weights.max()), rng)
         now.scores, now.values = now.scores[chosen], now.values[chosen]
+        if remembered < FORGOTTEN:  # what were kin no longer are
+            families = np.arange(particles)
+        families = families[chosen]
         remembered = _move(now, of_scores, temperature, rng)
-        kinship = _kinship(kinship, chosen, remembered)
         progress(State(temperature, log_evidence, evaluations))
-    effective = float(particles**2 / kinship.sum())
-    return SamplingRun(_points(now.scores), now.values, log_evidence, evaluations, effective)
+    points = _points(now.scores)
+    return SamplingRun(points, now.values, log_evidence, evaluations, _effective(points, families))
 
 
 def _points(scores: Floats) -> Floats:
@@ -170,16 +174,20 @@ def _resampled(weights: Floats, rng: np.random.Generator) -> Integers:
     return np.asarray(np.minimum(np.searchsorted(ends, positions), len(weights) - 1))
 
 
-def _kinship(kinship: Floats, chosen: Integers, remembered: float) -> Floats:
-    """Correlations (n, n) between the particles after a stage.
+def _effective(points: Floats, families: Integers) -> float:
+    """Effective sample size of the parameter with the smallest, at most n.
 
-    Copies of a particle are the same at first; after moves whose end correlates by ρ with their
-    beginning, they correlate by ρ², and so do the particles that were kin before. The variance of
-    a mean of n particles is the sum of all correlations over n², in variances of the posterior.
+    Resampled copies move on their own, but remain alike. So the variance of a mean is estimated
+    from the sums over families (n,), the descendants of a particle (Lee and Whiteley).
     """
-    kin = remembered**2 * kinship[np.ix_(chosen, chosen)]
-    np.fill_diagonal(kin, 1.0)
-    return kin
+    sizes = np.bincount(families)
+    if sizes.max() == len(points):
+        return 1.0
+    apart = points - points.mean(axis=0)
+    sums = np.array([np.bincount(families, column) for column in apart.T])
+    unbiased = 1 - ((sizes / len(points)) ** 2).sum()  # the mean is taken from the same families
+    each = len(points) ** 2 * unbiased * apart.var(axis=0) / (sums**2).sum(axis=1)
+    return float(min(each.min(), len(points)))
 
 
 def _move(
@@ -193,7 +201,7 @@ def _move(
 
     Gives the correlation, the largest of any score, between the beginning and the end.
     """
-    forgotten, fewest, ceiling = (0.1, 20, 100) if temperature == 1 else (0.3, 5, 25)
+    forgotten, fewest, ceiling = (0.1, 20, 100) if temperature == 1 else (FORGOTTEN, 5, 25)
     start = now.scores.copy()
     middle = len(start) // 2
     halves = slice(middle), slice(middle, None)
