@@ -2,7 +2,7 @@
 
     python -m benchmarks.calibration --heart HEART --out FOLDER [--truths 100] [--processes 2]
                                      [--physics same|other] [--method posterior|paper]
-                                     [--noise TARGET]
+                                     [--noise TARGET] [--wrong [--other-heart HEART]]
 
 Truths are drawn from the prior. Each gives a recording as the likelihood believes recordings to be:
 the simulated ECG times a gain, with a discrepancy (its size is log-uniform from half to all of
@@ -23,6 +23,11 @@ from their mean as those of a recorded target do.
 With `--method paper` the truths have its parameters (α is fixed), no gain, no discrepancy, and 300
 beats that vary as recorded ones do (`examples.recover_known_network`): what the method takes for
 granted.
+
+With `--wrong` each truth is fitted again with wrong inputs (`wrong_inputs`): gain 3, a chest lead
+inverted, two electrodes exchanged, α beyond its range by half of that end, half of the beats
+ectopic, and a truth of `--other-heart`, another person's. How many of each are called a poor
+fit is printed, and how many of the right ones, which are false alarms.
 
 Of the parameters and of four predictions: the total activation time; that with both roots fired
 together, which no ECG of the fit has shown; where along the heart's longest axis the activation
@@ -62,11 +67,20 @@ from examples.recover_known_network import synthetic_target
 from fascicle.build.refinement import refined
 from fascicle.cli.output import TerminalProgress
 from fascicle.core.files import write_text
-from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, LIMB_LEADS, limb_leads_from
+from fascicle.core.leads import (
+    ELECTRODES,
+    INDEPENDENT_LEADS,
+    INDEPENDENT_ROWS,
+    LIMB_LEADS,
+    lead_matrix,
+    limb_leads_from,
+)
 from fascicle.core.quantities import torso_values
 from fascicle.forward.ecg.electrocardiogram import first_sample
 from fascicle.forward.likelihood import SHARES, discrepancy_in_time
 from fascicle.forward.model import ForwardModel
+from fascicle.forward.scenario import Scenario
+from fascicle.forward.scenario_files import read_scenarios
 from fascicle.forward.simulation import Simulation
 from fascicle.heart.heart import Heart
 from fascicle.recording.residuals import smooth_noise
@@ -77,7 +91,7 @@ from fascicle.study import paper, posterior
 from fascicle.study.evaluations import Database, Journal
 from fascicle.study.likelihood import PriorKnowledge, likelihood_of, prior_knowledge
 from fascicle.study.population import Population, Posterior
-from fascicle.study.predictive import predict_recording
+from fascicle.study.predictive import AXIS, DURATION, Checks, predict_recording
 from fascicle.study.prior_simulations import PriorSimulations, simulate_prior
 from fascicle.study.settings import FitSettings, Method
 from fascicle.study.simulator import PointSimulator
@@ -195,6 +209,7 @@ def recorded(
     )
     size *= discrepancy
     error = size * leads @ rng.standard_normal(clean.shape) @ within.T
+    error *= np.clip(np.minimum(times - first, last - times) / 10.0, 0, 1)  # ms; a QRS has ends
     if noise is None:
         own = smooth_noise(rng, (BEATS, *clean.shape), NOISE)
     else:
@@ -267,6 +282,40 @@ def fitted(
         return run(settings, simulator.space, journal).run()
 
 
+def wrong_inputs(
+    target: Target, rng: np.random.Generator, others: dict[str, Target]
+) -> dict[str, Target]:
+    """Recordings that no network of the heart gives, made of a right one and of `others`."""
+
+    def of(beats: np.ndarray, **more: Any) -> Target:
+        return replace(target, beats=beats, **more)
+
+    inverted = np.ones((12, 1))
+    inverted[rng.integers(6, 12)] = -1
+    ectopic, half = others.pop("half ectopic"), len(target.beats) // 2
+    time = target.time + ectopic.qrs_onset - target.qrs_onset
+    moved = [[np.interp(time, ectopic.time, lead) for lead in beat] for beat in ectopic.beats]
+    end = target.qrs_onset + max(target.qrs_duration, ectopic.qrs_duration)
+    return {
+        "gain 3": of(3 * target.beats),
+        "lead inverted": of(inverted * target.beats),
+        "electrodes exchanged": of(exchanged(rng) @ target.beats),
+        "half ectopic": of(
+            np.concatenate([target.beats[:half], moved[half:]]),
+            qrs_offset=min(end, target.time[-1]),
+        ),
+        **others,
+    }
+
+
+def exchanged(rng: np.random.Generator) -> np.ndarray:
+    """Matrix (12, 12) of what the leads are with two electrodes exchanged."""
+    matrix, order = lead_matrix(), np.arange(len(ELECTRODES))
+    one, other = rng.choice(len(ELECTRODES), 2, replace=False)
+    order[[one, other]] = other, one
+    return np.asarray(matrix[:, order] @ np.linalg.pinv(matrix))
+
+
 def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, Any]:
     """Make a truth, fit it, and say where it lies among the draws."""
     begun = time.perf_counter()
@@ -279,36 +328,91 @@ def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, A
     point, simulation = truth_of(true[0], true[1], true[2], rng)
     if given.physics == "other" and model.heart.lead_fields is not None:
         simulation = another_torso(model, simulation, len(axis), rng)
+    simulator = PointSimulator(model, space, fixed, prior=None if of_paper else stored)
+    truth = true[1].from_unit(point)
+
+    def record(simulation: Simulation) -> Target:
+        noise = None if given.noise is None else residuals(read_target(given.noise))
+        return recorded(simulation, known, gain_sd, rng, given.physics == "same", noise)
+
     if of_paper:
         target = synthetic_target(simulation.leads, rng, BEATS_OF_THE_PAPER)
-        simulator, recording = PointSimulator(model, space, fixed), TargetComparison(target)
+        population, networks, _ = fit(simulator, TargetComparison(target), settings, number, rng)
     else:
-        noise = None if given.noise is None else residuals(read_target(given.noise))
-        target = recorded(simulation, known, gain_sd, rng, given.physics == "same", noise)
-        likelihood = likelihood_of(target, known, gain_sd)
-        simulator = PointSimulator(model, space, fixed, prior=stored)
-        recording = TargetComparison(target, likelihood=likelihood, free_gain=True)
-    population = fitted(simulator, recording, settings, number)
-    result: dict[str, Any] = {"networks": len(population)}
-    if len(population):
-        chosen = rng.choice(len(population), min(MAPPED, len(population)), replace=False)
-        networks = list(
-            simulated(simulator, recording, [population.parameters(int(k)) for k in chosen])
+        target = record(simulation)
+        population, networks, checks = fit(
+            simulator, compared(target, known, gain_sd), settings, number, rng
         )
-        truth = true[1].from_unit(point)
+    result: dict[str, Any] = {"networks": len(population)}
+    if networks:
         paced = true[0].simulate({**true[2], **truth, **TOGETHER})
-        result |= places(simulator, population, networks, (truth, simulation, paced), axis, rng)
+        some = [networks[k] for k in rng.permutation(len(networks))[:MAPPED]]
+        result |= places(simulator, population, some, (truth, simulation, paced), axis, rng)
     if isinstance(population, Posterior):
-        checks = predict_recording(target, likelihood, networks, rng).checks
         result |= {
             "converged": population.converged,
-            "explained": checks.acceptable,
-            "left": 1 - checks.explained,
-            "disagreeing": checks.disagreeing,
+            "acceptable": checks.acceptable,
+            "failures": checks.failures,
+            "explained": checks.explained,
+            "probabilities": dict(checks.probabilities),
             "evaluations": population.evaluations.tolist(),
             "effective": population.effective.tolist(),
         }
+    if given.wrong and not of_paper:
+        alpha = space.parameters[space.names.index("alpha")]
+        far = rng.choice([alpha.lower / 1.5, alpha.upper * 1.5])
+        beyond = {**truth, "alpha": float(far)}
+        others = {
+            "alpha out of range": record(true[0].simulate({**true[2], **beyond})),
+            "half ectopic": record(true[0].simulate({**true[2], **truth}, ectopic())),
+        }
+        if given.other_heart is not None:
+            other = other_person(given.other_heart)
+            others["another heart"] = record(truth_of(*other, rng)[1])
+        result["wrong"] = {}
+        for name, wrong in wrong_inputs(target, rng, others).items():
+            its = fit(simulator, compared(wrong, known, gain_sd), settings, number, rng)[2]
+            result["wrong"][name] = {"acceptable": its.acceptable, "failures": its.failures}
     return result | {"seconds": time.perf_counter() - begun}
+
+
+@lru_cache(1)
+def other_person(heart: str) -> tuple[ForwardModel, Any, Any]:
+    """Model and prior of another heart."""
+    loaded = fascicle.load_heart(heart)
+    space, fixed = study_space("posterior", {}, loaded)
+    return ForwardModel(loaded), space, fixed
+
+
+@lru_cache(1)
+def ectopic() -> Scenario:
+    (scenario,) = read_scenarios("pvc-rv-outflow").values()
+    return scenario
+
+
+def compared(target: Target, known: PriorKnowledge, gain_sd: float) -> TargetComparison:
+    likelihood = likelihood_of(target, known, gain_sd)
+    return TargetComparison(target, likelihood=likelihood, free_gain=True)
+
+
+def fit(
+    simulator: PointSimulator,
+    recording: TargetComparison,
+    settings: FitSettings,
+    number: int,
+    rng: np.random.Generator,
+) -> tuple[Population, list[Network], Checks | None]:
+    """Population, its networks, and of a posterior how they agree with the recording."""
+    population = fitted(simulator, recording, settings, number)
+    learnt = [population.parameters(k) for k in range(len(population))]
+    networks, likelihood = list(simulated(simulator, recording, learnt)), recording.likelihood
+    if likelihood is None:
+        return population, networks, None
+    return (
+        population,
+        networks,
+        predict_recording(recording.target, likelihood, networks, rng).checks,
+    )
 
 
 def places(
@@ -401,18 +505,18 @@ def summarise(results: list[dict[str, Any]], folder: Path) -> None:
         print(f"{name:<26} " + " ".join(f"{coverage(values, level):6.0%}" for level in LEVELS))
     maps = np.mean([r["map"] for r in results], axis=0)
     print(f"{'activation map, vertices':<26} " + " ".join(f"{share:6.0%}" for share in maps))
-    for what in ("converged", "explained"):
-        if what in results[0]:
-            print(f"{what}: {np.mean([r[what] for r in results]):.0%}")
-    if "left" in results[0]:
-        left = np.quantile([r["left"] for r in results], (0.1, 0.5, 0.9))
+    if "acceptable" in results[0]:
+        print(f"converged: {np.mean([r['converged'] for r in results]):.0%}")
+        best = np.quantile([r["explained"] for r in results], (0.05, 0.5))
         print(
-            "the best networks leave {:.0%}, {:.0%}, {:.0%} (tenth, half, nine tenths)".format(
-                *left
-            )
+            "explained by the best networks: {:.0%} (a 20th below), {:.0%} (median)".format(*best)
         )
-        rung = Counter(name for r in results for name in r["disagreeing"])
-        print("disagree: " + (", ".join(f"{name} {n}" for name, n in rung.most_common()) or "none"))
+        for name in results[0]["probabilities"]:
+            least = np.sort([r["probabilities"][name] for r in results])[:3]
+            print(f"  {name}: least probable {', '.join(f'{p:.3g}' for p in least)}")
+        called_poor("right inputs", results)
+        for name in results[0].get("wrong", ()):
+            called_poor(name, [r["wrong"][name] for r in results])
     for what in ("evaluations", "effective"):
         if what in results[0]:
             print(f"{what}: {np.median([sum(r[what]) for r in results]):.0f} (median)")
@@ -421,6 +525,15 @@ def summarise(results: list[dict[str, Any]], folder: Path) -> None:
         f"{np.median([r['seconds'] for r in results]):.0f} s on one core"
     )
     _draw(ranks, band, folder / "calibration.png")
+
+
+def called_poor(name: str, judged: list[dict[str, Any]]) -> None:
+    """Print how many fits are called poor, and how often which failure comes first."""
+    poor = [each["failures"][0] for each in judged if not each["acceptable"]]
+    words = {DURATION: DURATION, AXIS: AXIS, "reproduced": "leads", "%": "share"}
+    first = Counter(next(kind for word, kind in words.items() if word in text) for text in poor)
+    kinds = ", ".join(f"{kind} {count}" for kind, count in first.most_common())
+    print(f"called poor, {name}: {len(poor)} of {len(judged)} ({kinds or 'none'})")
 
 
 def _draw(ranks: dict[str, np.ndarray], band: float, path: Path) -> None:
@@ -444,7 +557,7 @@ def _draw(ranks: dict[str, np.ndarray], band: float, path: Path) -> None:
 
 def identify(given: argparse.Namespace, path: Path) -> None:
     """Write what the truths are made with, or refuse to mix them with others."""
-    names = ("heart", "prior_simulations", "physics", "method", "noise")
+    names = ("heart", "prior_simulations", "physics", "method", "noise", "wrong", "other_heart")
     made_with = {name: str(getattr(given, name)) for name in names}
     if not path.exists():
         write_text(path, json.dumps(made_with, indent=1) + "\n")
@@ -471,6 +584,8 @@ def main() -> None:
     parser.add_argument("--physics", choices=("same", "other"), default="same")
     parser.add_argument("--method", choices=("posterior", "paper"), default="posterior")
     parser.add_argument("--noise", type=Path, help="target whose beats differ as recorded ones do")
+    parser.add_argument("--wrong", action="store_true", help="fit wrong inputs, too")
+    parser.add_argument("--other-heart", help="heart of another person, for --wrong")
     parser.add_argument("--processes", type=int, default=2)
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
