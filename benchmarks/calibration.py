@@ -530,7 +530,7 @@ def summarise(results: list[dict[str, Any]], folder: Path) -> None:
 def called_poor(name: str, judged: list[dict[str, Any]]) -> None:
     """Print how many fits are called poor, and how often which failure comes first."""
     poor = [each["failures"][0] for each in judged if not each["acceptable"]]
-    words = {DURATION: DURATION, AXIS: AXIS, "reproduced": "leads", "%": "share"}
+    words = {DURATION: DURATION, AXIS: AXIS, "reproduced": "leads", "%": "share", "scaled": "gain"}
     first = Counter(next(kind for word, kind in words.items() if word in text) for text in poor)
     kinds = ", ".join(f"{kind} {count}" for kind, count in first.most_common())
     print(f"called poor, {name}: {len(poor)} of {len(judged)} ({kinds or 'none'})")

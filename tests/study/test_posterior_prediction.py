@@ -148,6 +148,13 @@ def test_another_duration_and_another_axis_are_named(recorded):
     )
 
 
+def test_a_gain_of_three_is_named(recorded):
+    checks = predict(replace(recorded, beats=3 * recorded.beats)).checks
+    assert 2 < checks.gain[0] < 3  # less than 3, since its prior is about 1
+    assert checks.failures == [f"ECG scaled by {checks.gain[0]:.2g}, 0.25 to 1.8 expected"]
+    assert predict(recorded).checks.gain == pytest.approx([1, 0.25, 1.75], abs=0.05)
+
+
 def test_several_recordings_share_the_level():
     one = Checks(0.95, {"V1": 0.04}, {})
     assert one.disagreeing == ["V1"]

@@ -29,6 +29,7 @@ from fascicle.study.target_comparison import Network
 LEVEL = 0.05  # chance that a recording that the model gives is called rare, by all checks together
 BEST = 0.05  # share of the networks that are the best
 LEAST_EXPLAINED = 0.88  # share of the variance of the QRS that the best networks explain
+MOST_SCALED = 2.5  # standard deviations of the gain's prior, by which the median gain is off 1
 DURATION, AXIS, ALL_LEADS = "QRS duration", "frontal axis", "all leads together"
 # Name in `fascicle.study.agreement.Agreement`, and unit
 MEASURED = {DURATION: ("global_qrs_duration_ms", " ms"), AXIS: ("axis_degrees", "°")}
@@ -51,15 +52,18 @@ class Checks:
     measured : mapping of str to list of float
         Global QRS duration (ms) and frontal axis (degrees): recorded, then 5th percentile, median
         and 95th of the networks.
+    gain : list of float
+        By which simulated ECGs are scaled, median of the networks; least and greatest expected.
     """
 
     explained: float
     probabilities: Mapping[str, float]
     measured: Mapping[str, list[float]] = field(default_factory=dict)
+    gain: list[float] = field(default_factory=lambda: [1.0, 1.0, 1.0])
 
     @classmethod
     def joined(cls, each: Sequence[Checks]) -> Checks:
-        """Those of several recordings in one; the least explained counts."""
+        """Those of several recordings in one; the least explained, and the gain farthest from 1."""
         if len(each) == 1:
             return each[0]
         numbered = [(f" of recording {number}", checks) for number, checks in enumerate(each, 1)]
@@ -71,6 +75,7 @@ class Checks:
                 for name, p in checks.probabilities.items()
             },
             {f"{name}{of}": m for of, checks in numbered for name, m in checks.measured.items()},
+            max((checks.gain for checks in each), key=lambda gain: abs(gain[0] - 1)),
         )
 
     @property
@@ -81,7 +86,7 @@ class Checks:
     @property
     def acceptable(self) -> bool:
         """Whether the recording looks like what the networks predict."""
-        return self.explained >= LEAST_EXPLAINED and not self.disagreeing
+        return not self.failures
 
     @property
     def said(self) -> str:
@@ -100,6 +105,9 @@ class Checks:
             found.append(f"{', '.join(leads)} not reproduced")
         if self.explained < LEAST_EXPLAINED:
             found.append(f"{self.said}, less than {LEAST_EXPLAINED:.0%}")
+        gain, low, high = self.gain
+        if not low <= gain <= high:
+            found.append(f"ECG scaled by {gain:.2g}, {low:.2g} to {high:.2g} expected")
         return found
 
 
@@ -135,11 +143,13 @@ def predict_recording(
         np.array([each.gain for each in drawn]),
         np.array([each.shift for each in drawn]),
         np.array([each.discrepancy for each in drawn]),
-        _checks(target, networks, drawn),
+        _checks(target, networks, drawn, getattr(likelihood, "gain_sd", 0.3)),
     )
 
 
-def _checks(target: Target, networks: Sequence[Network], drawn: Sequence[Replicate]) -> Checks:
+def _checks(
+    target: Target, networks: Sequence[Network], drawn: Sequence[Replicate], gain_sd: float
+) -> Checks:
     rows, window = independent_rows(target.used), target.qrs_samples
     left, error = np.empty((2, len(drawn), len(rows)))
     unexplained = np.empty(len(drawn))
@@ -164,13 +174,14 @@ def _checks(target: Target, networks: Sequence[Network], drawn: Sequence[Replica
         axes = np.array([frontal_axis(each.noisy[:, window]) for each in drawn])
         others[AXIS] = _rare_axis(axes, measured[AXIS][0])
     # the leads together weigh as much as the duration or the axis
-    parts = len(others) + 1
+    parts, off = len(others) + 1, MOST_SCALED * gain_sd + 1e-9
     weighted = {n: p * parts for n, p in others.items()}
     weighted |= {name: p * parts * len(leads) for name, p in leads.items()}
     return Checks(
         1 - float(np.quantile(unexplained, BEST)) / float((target.qrs[rows] ** 2).sum()),
         {name: min(1.0, p) for name, p in weighted.items()},
         measured,
+        [float(np.median([each.gain for each in drawn])), max(1 - off, 0.0), 1 + off],
     )
 
 
