@@ -209,7 +209,8 @@ def recorded(
     )
     size *= discrepancy
     error = size * leads @ rng.standard_normal(clean.shape) @ within.T
-    error *= np.clip(np.minimum(times - first, last - times) / 10.0, 0, 1)  # ms; a QRS has ends
+    # it grows over 30 ms at either end, as a QRS does, so that it hardly makes it longer
+    error *= np.clip(np.minimum(times - first, last - times) / 30.0, 0, 1)
     if noise is None:
         own = smooth_noise(rng, (BEATS, *clean.shape), NOISE)
     else:
