@@ -1,10 +1,13 @@
-"""How many cores there are, and how many threads the linear algebra uses."""
+"""Cores, threads of the linear algebra, and what several threads need once."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from threading import Lock
+from typing import Any
 
 import numpy as np  # noqa: F401 - NumPy and SciPy each bring a BLAS, both are found below
 import scipy.linalg  # noqa: F401
@@ -44,6 +47,28 @@ def in_chunks(work: Callable[[slice], None], count: int, size: int) -> None:
             return
         with ThreadPoolExecutor(workers) as pool:
             list(pool.map(work, slices))
+
+
+def made_once(make: Callable[[Any], Any], most: int) -> Callable[[Any], Any]:
+    """`make`, with its results for the last `most` arguments kept, each made by one thread.
+
+    Threads that want the same one wait for it; another one is made meanwhile.
+    """
+    one_at_a_time = Lock()
+
+    @lru_cache(most)
+    def places(_: Any) -> tuple[Lock, list[Any]]:
+        return Lock(), []
+
+    def get(argument: Any) -> Any:
+        with one_at_a_time:  # two threads could otherwise get two places
+            lock, made = places(argument)
+        with lock:
+            if not made:
+                made.append(make(argument))
+            return made[0]
+
+    return get
 
 
 def cores() -> int:

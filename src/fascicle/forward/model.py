@@ -26,6 +26,7 @@ from fascicle.core.progress import Progress, check_progress
 from fascicle.core.quantities import Changes, checked, quantity, torso_values
 from fascicle.core.ranges import check_items, check_kind
 from fascicle.core.shared_files import SharedFile, read_shared, write_shared
+from fascicle.core.threads import made_once
 from fascicle.forward.cable.template import default_template
 from fascicle.forward.ecg.electrocardiogram import ActionPotential, Electrocardiograph, first_sample
 from fascicle.forward.eikonal.activation import Coupling, attach, solve
@@ -45,7 +46,7 @@ from fascicle.torso.variation.conductor import InvalidTorso
 from fascicle.torso.variation.response import TorsoResponse
 
 REMEMBERED = 8  # grown networks that are kept, in case only speeds and times change next
-TISSUES = 2  # tissues that are kept; each takes the memory of a heart
+TISSUES = 6  # tissues that are kept; each takes the memory of a heart
 
 SCENARIO = "a fascicle.Scenario; fascicle.read_scenarios reads them"  # what to give
 
@@ -145,7 +146,7 @@ class ForwardModel:
         self.prepared = prepared
         self.myocardium = prepared.myocardium
         self._grow = lru_cache(REMEMBERED)(partial(_grow_trees, prepared))
-        self._tissue = lru_cache(TISSUES)(partial(_tissue, heart, prepared, self.conduction))
+        self._tissue = made_once(partial(_tissue, heart, prepared, self.conduction), TISSUES)
         self.sites = Sites(heart)
         self._progress = progress
         self._torso: TorsoModel | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.spatial import KDTree
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.progress import StageProgress, no_progress
+from fascicle.core.threads import blas_threads
 from fascicle.kernels.arrays import (
     CORNERS,
     FACES,
@@ -51,15 +53,19 @@ def build_travel_time_table(
     reach = _how_far(centres, vertices)
     sizes, found = [np.zeros(1, np.int64)], [np.empty(0, np.int32)]
     squares = [np.empty((0, len(POINTS)), np.float32)]
-    begin = time.monotonic()
-    for first in range(0, len(triangles), 1024):  # at a time, which bounds the memory
-        chunk = triangles[first : first + 1024]
-        size, vertex, square = _rows(mesh, owner[chunk], opposite[chunk], vertices, reach)
-        sizes.append(size)
-        found.append(vertex)
-        squares.append(square)
-        if time.monotonic() - begin > 1.0:  # s
-            progress(first + len(chunk), len(triangles))
+    begin, done = time.monotonic(), 0
+    # at a time, which bounds the memory
+    chunks = [triangles[first : first + 256] for first in range(0, len(triangles), 256)]
+    with ThreadPoolExecutor(blas_threads()) as pool:
+        for size, vertex, square in pool.map(
+            lambda chunk: _rows(mesh, owner[chunk], opposite[chunk], vertices, reach), chunks
+        ):
+            sizes.append(size)
+            found.append(vertex)
+            squares.append(square)
+            done += len(size)
+            if time.monotonic() - begin > 1.0:  # s
+                progress(done, len(triangles))
     row = np.full(len(surface), -1, dtype=np.int32)
     row[triangles] = np.arange(len(triangles))
     start = np.cumsum(np.concatenate(sizes))
