@@ -14,6 +14,7 @@ from fascicle.core.array_cache import ArrayCache
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.core.quantities import QUANTITIES, TORSO_QUANTITIES
+from fascicle.forward.bodies import random_bodies
 from fascicle.torso.lead_fields import is_up_to_date, key_of, lead_fields
 from fascicle.torso.mesh import torso_of
 from fascicle.torso.variation.conductor import InvalidTorso
@@ -103,6 +104,15 @@ class TestModel:
         for body in bodies:
             found = model.leads_in_torso(plain.activation, body)
             np.testing.assert_allclose(found, model.simulate(with_torso(**body)).leads, atol=1e-9)
+
+    def test_random_bodies(self, model):
+        plain = model.simulate(EXAMPLE_PARAMETERS)
+        one, again = (random_bodies(model, np.random.default_rng(0), 3) for _ in range(2))
+        for body, same in zip(one, again, strict=True):
+            found = body.leads(plain.activation)
+            np.testing.assert_array_equal(same.leads(plain.activation), found)
+            change = np.sqrt(((found - plain.leads) ** 2).mean() / (plain.leads**2).mean())
+            assert 0.1 < change < 1.5
 
     def test_other_processes(self, model):
         networks = [with_torso(heart_up=5.0), EXAMPLE_PARAMETERS]

@@ -309,13 +309,22 @@ class ForwardModel:
         self, activation: Floats, values: Mapping[str, float]
     ) -> Floats | InvalidTorso:
         """All leads (mV) of an activation (ms), given checked quantities of the torso."""
+        ecg = self.electrocardiograph_in_torso(values)
+        if isinstance(ecg, InvalidTorso):
+            return ecg
+        return np.asarray(values.get("gain", 1.0) * ecg.leads(activation))
+
+    def electrocardiograph_in_torso(
+        self, values: Mapping[str, float]
+    ) -> Electrocardiograph | InvalidTorso:
+        """The ECG integral, given checked quantities of the torso."""
         torso = self.torso([*values])
         coefficients = torso.lead_coefficients(values)
         if isinstance(coefficients, InvalidTorso):
             return coefficients
-        ecg = torso.electrocardiograph(self.prepared.electrocardiograph, coefficients)
-        scale = self.conduction.with_values(values).scale(self.heart)
-        return np.asarray(values.get("gain", 1.0) * ecg.scaled(scale).leads(activation))
+        standard = self.prepared.electrocardiograph
+        ecg: Electrocardiograph = torso.electrocardiograph(standard, coefficients)
+        return ecg.scaled(self.conduction.with_values(values).scale(self.heart))
 
     @overload
     def simulate_many(
