@@ -18,12 +18,13 @@ def unbounded_gradients(
     (e, m, 3) (kΩ/mm), for electrodes (e, 3) (mm) and a conductivity σ (mS/cm). Far closer than the
     gradient of the interpolated Z, which in a flat element can be wrong by half.
     """
-    points = HAMMER_STROUD_POINTS @ vertices[corners]
+    # (q, 3, m), so that sums run along whole rows
+    points = np.ascontiguousarray(np.moveaxis(HAMMER_STROUD_POINTS @ vertices[corners], 0, 2))
     gradients = np.empty((len(electrodes), len(corners), 3))
     for electrode, gradient in zip(electrodes, gradients, strict=True):
-        towards = electrode - points
-        towards /= np.linalg.norm(towards, axis=2, keepdims=True) ** 3
-        gradient[:] = towards.mean(axis=1)
+        towards = electrode[:, None] - points
+        towards /= np.sqrt((towards * towards).sum(axis=1, keepdims=True)) ** 3
+        gradient[:] = towards.mean(axis=0).T
     return gradients * MM_PER_CM / (4 * np.pi * conductivity)
 
 
