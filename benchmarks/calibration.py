@@ -76,8 +76,8 @@ from fascicle.core.leads import (
     limb_leads_from,
 )
 from fascicle.core.quantities import torso_values
+from fascicle.forward.bodies import random_bodies
 from fascicle.forward.ecg.electrocardiogram import first_sample
-from fascicle.forward.likelihood import SHARES, discrepancy_in_time
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenarios
@@ -88,19 +88,23 @@ from fascicle.recording.target import Target
 from fascicle.recording.target_files import read_target
 from fascicle.reporting.style import new_figure, save
 from fascicle.study import paper, posterior
+from fascicle.study.ecg_emulator import EcgEmulator
 from fascicle.study.evaluations import Database, Journal
-from fascicle.study.likelihood import PriorKnowledge, likelihood_of, prior_knowledge
+from fascicle.study.heart_emulator import made_emulator, prior_of, simulate_prior
+from fascicle.study.likelihood import EmulatedLikelihood, likelihood_of
+from fascicle.study.pool import Threads
 from fascicle.study.population import Population, Posterior
 from fascicle.study.predictive import AXIS, DURATION, Checks, predict_recording
-from fascicle.study.prior_simulations import PriorSimulations, simulate_prior
+from fascicle.study.prior_simulations import PriorSimulations
 from fascicle.study.settings import FitSettings, Method
 from fascicle.study.simulator import PointSimulator
-from fascicle.study.space import study_space
+from fascicle.study.space import AveragedOver, study_space
 from fascicle.study.target_comparison import Network, TargetComparison, evaluate
 from fascicle.study.target_comparison import networks as simulated
 from fascicle.torso.variation.conductor import InvalidTorso
 
 LEVELS = (0.5, 0.8, 0.9)
+TUNING, HELD_OUT = 2, 3  # seeds of truths: for choosing constants, and for the documentation
 BEATS, NOISE = 10, 0.03  # mV
 BEATS_OF_THE_PAPER = 300  # five minutes
 TURNED, OFF_ANGLE, OFF = 10.0, 8.0, 10.0  # degrees, degrees, mm; standard deviations
@@ -182,15 +186,23 @@ def another_torso(
             return replace(simulation, leads=leads, onset=first_sample(times))
 
 
+def truth_of_prior(prior: PriorSimulations, number: int, rng: np.random.Generator) -> Any:
+    """Quantities of a network that no emulator has seen, and its simulation in a random body."""
+    for values in prior.parameters(number):
+        outcome = prior.model.simulate(values)
+        if isinstance(outcome, Simulation):
+            (body,) = random_bodies(prior.model, rng, 1)
+            return values, replace(outcome, leads=body.leads(outcome.activation))
+    raise ValueError("no network of the prior fits the heart")
+
+
 def recorded(
     simulation: Simulation,
-    known: PriorKnowledge,
     gain_sd: float,
     rng: np.random.Generator,
-    discrepancy: bool = True,
     noise: np.ndarray | None = None,
 ) -> Target:
-    """A recording of a simulation, as the likelihood believes it to be.
+    """A recording of a simulation.
 
     `noise` (n_leads, n) is another recording's, of which each beat has a part.
     """
@@ -200,23 +212,12 @@ def recorded(
     times = np.arange(clean.shape[1]) - PAD + simulation.onset
     activated = simulation.activation[np.isfinite(simulation.activation)]
     first, last = float(activated.min()), float(activated.max())
-    qrs = (times >= first) & (times <= last)
-    share = np.exp(rng.uniform(np.log(SHARES[0]), np.log(SHARES[-1])))
-    size = share * np.sqrt((clean[:, qrs] ** 2).mean())
-    leads, within = (
-        np.linalg.cholesky(known.pattern),
-        np.linalg.cholesky(discrepancy_in_time(len(times)) + 1e-9 * np.eye(len(times))),
-    )
-    size *= discrepancy
-    error = size * leads @ rng.standard_normal(clean.shape) @ within.T
-    # it grows over 30 ms at either end, as a QRS does, so that it hardly makes it longer
-    error *= np.clip(np.minimum(times - first, last - times) / 30.0, 0, 1)
     if noise is None:
         own = smooth_noise(rng, (BEATS, *clean.shape), NOISE)
     else:
         starts = rng.integers(0, noise.shape[1] - clean.shape[1], BEATS)
         own = np.stack([noise[:, start : start + clean.shape[1]] for start in starts])
-    potentials = clean + error + own
+    potentials = clean + own
     onset = first + rng.normal(0, np.hypot(ONSET_SD, FIRST_ACTIVATION_SD))
     end = max(last + rng.normal(0, OFFSET_SD), onset + 40)
     twelve = np.concatenate([_limb(potentials[:, :2]), potentials[:, 2:]], axis=1)
@@ -252,35 +253,41 @@ def predictions(simulation: Simulation, together: Simulation, axis: np.ndarray) 
 
 
 @lru_cache(1)
-def prepared(heart_path: str, gain_sd: float, method: Method) -> tuple[Any, ...]:
-    """Heart, model, prior, its simulations, and what networks of the prior tell, once a process."""
+def prepared(heart_path: str, method: Method, count: int) -> tuple[Any, ...]:
+    """Simulator, prior and emulator of a heart, and its longest axis, once a process."""
     threadpool_limits(1)
     heart = fascicle.load_heart(heart_path)
     model = ForwardModel(heart)
     space, fixed = study_space(method, {}, heart)
-    stored = PriorSimulations.of(heart, space, fixed)
-    # any target serves: what the prior tells depends on its leads, and on the length of its QRS
-    rng = np.random.default_rng(0)
-    _, some = truth_of(model, space, fixed, rng)
-    flat = PriorKnowledge(np.eye(8), np.eye(8))
-    target = recorded(some, flat, 0.0, rng)
-    known = prior_knowledge(PointSimulator(model, space, fixed), target, None, rng)
+    averaged, prior, emulator = AveragedOver(), None, None
+    if method == "posterior":
+        averaged = AveragedOver.of(space, fixed, heart)
+        prior = prior_of(PointSimulator(model, space, fixed, averaged=averaged), heart.folder)
+        emulator = made_emulator(prior, count, Threads(1))
     centred = heart.vertices - heart.vertices.mean(axis=0)
     axis = centred @ np.linalg.svd(centred[::50], full_matrices=False)[2][0]
-    return model, space, fixed, stored, known, axis
+    return PointSimulator(model, space, fixed, averaged=averaged), prior, emulator, axis
 
 
 def fitted(
-    simulator: PointSimulator, recording: TargetComparison, settings: FitSettings, number: int
+    simulator: PointSimulator,
+    recording: TargetComparison,
+    settings: FitSettings,
+    number: int,
+    emulator: EcgEmulator | None,
 ) -> Population:
     """Fit a recording whole, in a folder that is not kept."""
-    run = posterior.PosteriorFit if settings.method == "posterior" else paper.PaperFit
     with tempfile.TemporaryDirectory() as folder:
         database = Database(Path(folder) / "evaluations.sqlite")
         database.prepare()
         objective = partial(evaluate, simulator, [recording])
-        journal = Journal(database, objective, len(simulator.space), number, 1)
-        return run(settings, simulator.space, journal).run()
+        journal = Journal(database, objective, simulator.dimension, number, 1)
+        if emulator is None:
+            return paper.PaperFit(settings, simulator.space, journal).run()
+        emulated = [EmulatedLikelihood(simulator, emulator, recording.likelihood)]
+        return posterior.PosteriorFit(
+            settings, simulator.space, simulator.averaged, journal, emulated
+        ).run()
 
 
 def wrong_inputs(
@@ -319,34 +326,42 @@ def exchanged(rng: np.random.Generator) -> np.ndarray:
 
 def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, Any]:
     """Make a truth, fit it, and say where it lies among the draws."""
-    begun = time.perf_counter()
     settings = FitSettings(prior_simulations=given.prior_simulations, method=given.method)
     of_paper = settings.method == "paper"
     gain_sd = 0.0 if of_paper else settings.gain_sd
-    model, space, fixed, stored, known, axis = prepared(heart, gain_sd, settings.method)
-    rng = np.random.default_rng([1, number])
-    true = (model, space, fixed) if given.physics == "same" else other_physics(heart, rng)
-    point, simulation = truth_of(true[0], true[1], true[2], rng)
-    if given.physics == "other" and model.heart.lead_fields is not None:
-        simulation = another_torso(model, simulation, len(axis), rng)
-    simulator = PointSimulator(model, space, fixed, prior=None if of_paper else stored)
-    truth = true[1].from_unit(point)
+    simulator, prior, emulator, axis = prepared(heart, settings.method, given.prior_simulations)
+    model, space = simulator.model, simulator.space
+    seed = TUNING if given.tuning else HELD_OUT
+    rng, true = np.random.default_rng([seed, number]), model
+    if given.physics == "other":
+        true, its_space, its_fixed = other_physics(heart, rng)
+        point, simulation = truth_of(true, its_space, its_fixed, rng)
+        values = {**its_fixed, **its_space.from_unit(point)}
+        if model.heart.lead_fields is not None:
+            simulation = another_torso(model, simulation, len(axis), rng)
+    elif of_paper:
+        point, simulation = truth_of(model, space, simulator.fixed, rng)
+        values = {**simulator.fixed, **space.from_unit(point)}
+    else:
+        values, simulation = truth_of_prior(prior, seed * 100_000 + number, rng)
+    truth = {name: values[name] for name in space.names}
 
     def record(simulation: Simulation) -> Target:
         noise = None if given.noise is None else residuals(read_target(given.noise))
-        return recorded(simulation, known, gain_sd, rng, given.physics == "same", noise)
+        return recorded(simulation, gain_sd, rng, noise)
 
+    begun = time.perf_counter()
     if of_paper:
         target = synthetic_target(simulation.leads, rng, BEATS_OF_THE_PAPER)
-        population, networks, _ = fit(simulator, TargetComparison(target), settings, number, rng)
+        comparison = TargetComparison(target)
     else:
         target = record(simulation)
-        population, networks, checks = fit(
-            simulator, compared(target, known, gain_sd), settings, number, rng
-        )
+        comparison = compared(target, emulator, gain_sd)
+    population, networks, checks = fit(simulator, comparison, settings, number, rng, emulator)
+    seconds = time.perf_counter() - begun
     result: dict[str, Any] = {"networks": len(population)}
     if networks:
-        paced = true[0].simulate({**true[2], **truth, **TOGETHER})
+        paced = true.simulate({**values, **TOGETHER})
         some = [networks[k] for k in rng.permutation(len(networks))[:MAPPED]]
         result |= places(simulator, population, some, (truth, simulation, paced), axis, rng)
     if isinstance(population, Posterior):
@@ -362,19 +377,19 @@ def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, A
     if given.wrong and not of_paper:
         alpha = space.parameters[space.names.index("alpha")]
         far = rng.choice([alpha.lower / 1.5, alpha.upper * 1.5])
-        beyond = {**truth, "alpha": float(far)}
         others = {
-            "alpha out of range": record(true[0].simulate({**true[2], **beyond})),
-            "half ectopic": record(true[0].simulate({**true[2], **truth}, ectopic())),
+            "alpha out of range": record(true.simulate({**values, "alpha": float(far)})),
+            "half ectopic": record(true.simulate(values, ectopic())),
         }
         if given.other_heart is not None:
             other = other_person(given.other_heart)
             others["another heart"] = record(truth_of(*other, rng)[1])
         result["wrong"] = {}
         for name, wrong in wrong_inputs(target, rng, others).items():
-            its = fit(simulator, compared(wrong, known, gain_sd), settings, number, rng)[2]
+            comparison = compared(wrong, emulator, gain_sd)
+            its = fit(simulator, comparison, settings, number, rng, emulator)[2]
             result["wrong"][name] = {"acceptable": its.acceptable, "failures": its.failures}
-    return result | {"seconds": time.perf_counter() - begun}
+    return result | {"seconds": seconds}
 
 
 @lru_cache(1)
@@ -391,8 +406,8 @@ def ectopic() -> Scenario:
     return scenario
 
 
-def compared(target: Target, known: PriorKnowledge, gain_sd: float) -> TargetComparison:
-    likelihood = likelihood_of(target, known, gain_sd)
+def compared(target: Target, emulator: EcgEmulator, gain_sd: float) -> TargetComparison:
+    likelihood = likelihood_of(target, emulator, gain_sd)
     return TargetComparison(target, likelihood=likelihood, free_gain=True)
 
 
@@ -402,9 +417,10 @@ def fit(
     settings: FitSettings,
     number: int,
     rng: np.random.Generator,
+    emulator: EcgEmulator | None,
 ) -> tuple[Population, list[Network], Checks | None]:
     """Population, its networks, and of a posterior how they agree with the recording."""
-    population = fitted(simulator, recording, settings, number)
+    population = fitted(simulator, recording, settings, number, emulator)
     learnt = [population.parameters(k) for k in range(len(population))]
     networks, likelihood = list(simulated(simulator, recording, learnt)), recording.likelihood
     if likelihood is None:
@@ -437,13 +453,16 @@ def places(
     true_map = simulation.activation[:count] - simulation.activation.min()
     draws = {name: population.values[name] for name in space.names}
     units = {p.name: p.to_unit(draws[p.name]) for p in space.parameters}
+    at = {p.name: float(p.to_unit(np.array(truth[p.name]))) for p in space.parameters}
     return {
         "ranks": {
             **{name: _rank(draws[name], truth[name], rng) for name in space.names},
             **{name: _rank(found[:, k], expected[k], rng) for k, name in enumerate(PREDICTED)},
         },
         "map": [float(_within(maps, true_map, level)) for level in LEVELS],
-        "tarp": _tarp(np.column_stack(list(units.values())), space.to_unit(truth), rng),
+        "tarp": _tarp(np.column_stack([*units.values()]), np.array([*at.values()]), rng),
+        "crps": {name: _crps(units[name], at[name]) for name in units}
+        | {name: _crps(found[:, k], expected[k]) for k, name in enumerate(PREDICTED)},
         "contraction": {n: float(1 - 12 * np.var(u)) for n, u in units.items()},
     }
 
@@ -452,6 +471,12 @@ def _rank(draws: np.ndarray, truth: float, rng: np.random.Generator) -> float:
     """Share of draws below the truth, with half an even chance for one more draw and for ties."""
     below, equal = (draws < truth).sum(), (draws == truth).sum()
     return float((below + rng.random() * (equal + 1)) / (len(draws) + 1))
+
+
+def _crps(draws: np.ndarray, truth: float) -> float:
+    """Continuous ranked probability score, in the unit of the draws."""
+    apart = np.abs(np.subtract.outer(draws, draws)).mean() / 2
+    return float(np.abs(draws - truth).mean() - apart)
 
 
 def _within(maps: np.ndarray, truth: np.ndarray, level: float) -> float:
@@ -494,12 +519,24 @@ def summarise(results: list[dict[str, Any]], folder: Path) -> None:
     ranks["TARP"] = np.array([r["tarp"] for r in results])
     band = simultaneous(len(results), len(ranks), np.random.default_rng(0))
     print(f"{len(results)} truths; distance below {band:.3f} in all of {len(ranks)} quantities")
-    print(f"{'':<26} {'50 %':>6} {'80 %':>6} {'90 %':>6} {'distance':>9} {'contraction':>12}")
+    print(
+        f"{'':<26} {'50 %':>6} {'80 %':>6} {'90 %':>6} {'distance':>9} {'contraction':>12} "
+        f"{'CRPS':>7}"
+    )
     for name, values in ranks.items():
         shares = " ".join(f"{coverage(values, level):6.0%}" for level in LEVELS)
         narrowed = [r["contraction"][name] for r in results if name in r["contraction"]]
         mean = f"{np.mean(narrowed):12.2f}" if narrowed else f"{'':>12}"
-        print(f"{name:<26} {shares} {distance(values):9.3f} {mean}")
+        scores = [r["crps"][name] for r in results if name in r["crps"]]
+        score = f"{np.mean(scores):7.3f}" if scores else ""
+        print(f"{name:<26} {shares} {distance(values):9.3f} {mean} {score}")
+    own = [np.mean([r["crps"][n] for n in r["contraction"]]) for r in results]
+    error = np.std(own) / np.sqrt(len(own))
+    narrowed = np.mean([[*r["contraction"].values()] for r in results])
+    print(
+        f"CRPS of parameters {np.mean(own):.4f} +- {error:.4f} of the prior, "
+        f"contraction {narrowed:.2f}"
+    )
     parameters = np.concatenate([ranks[name] for name in results[0]["contraction"]])
     predicted = np.concatenate([ranks[name] for name in PREDICTED])
     for name, values in (("all parameters", parameters), ("all predictions", predicted)):
@@ -558,7 +595,16 @@ def _draw(ranks: dict[str, np.ndarray], band: float, path: Path) -> None:
 
 def identify(given: argparse.Namespace, path: Path) -> None:
     """Write what the truths are made with, or refuse to mix them with others."""
-    names = ("heart", "prior_simulations", "physics", "method", "noise", "wrong", "other_heart")
+    names = (
+        "heart",
+        "prior_simulations",
+        "physics",
+        "method",
+        "noise",
+        "wrong",
+        "other_heart",
+        "tuning",
+    )
     made_with = {name: str(getattr(given, name)) for name in names}
     if not path.exists():
         write_text(path, json.dumps(made_with, indent=1) + "\n")
@@ -586,6 +632,7 @@ def main() -> None:
     parser.add_argument("--method", choices=("posterior", "paper"), default="posterior")
     parser.add_argument("--noise", type=Path, help="target whose beats differ as recorded ones do")
     parser.add_argument("--wrong", action="store_true", help="fit wrong inputs, too")
+    parser.add_argument("--tuning", action="store_true", help="truths to choose constants by")
     parser.add_argument("--other-heart", help="heart of another person, for --wrong")
     parser.add_argument("--processes", type=int, default=2)
     given = parser.parse_args()

@@ -50,8 +50,8 @@ from .study.cluster import Cluster as Cluster
 from .study.fit import fit as fit
 from .study.fit import load_study as load_study
 from .study.fitted import FittedStudy as FittedStudy
+from .study.heart_emulator import simulate_prior as simulate_prior
 from .study.pool import ExecutorPool as ExecutorPool
-from .study.prior_simulations import simulate_prior as simulate_prior
 from .study.settings import FitSettings as FitSettings
 
 __version__: str

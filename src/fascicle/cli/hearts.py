@@ -389,7 +389,7 @@ def heart_simulate_prior(
     parameters with their default ranges. The command may be interrupted at any time: run again, it
     continues where it stopped; a larger number adds to what is stored.
     """
-    from fascicle.study.prior_simulations import simulate_prior
+    from fascicle.study.heart_emulator import simulate_prior
 
     with TerminalProgress() as progress:
         pool = pool_at(scheduler, progress)

@@ -105,7 +105,7 @@ def with_options(command: Command, options: Sequence[inspect.Parameter]) -> Comm
 def fit_options(command: Command) -> Command:
     """Give a command an option for every field of `FitSettings`, with its text and limits."""
     first = (
-        "method", "effective", "evaluations", "prior_simulations", "gain_sd", "seed", "workers",
+        "method", "effective", "prior_simulations", "gain_sd", "seed", "workers",
         "fewest_junctions",
     )  # fmt: skip
     rest = [name for name in FitSettings.model_fields if name not in first]

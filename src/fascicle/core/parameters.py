@@ -161,16 +161,17 @@ class ParameterSpace:
 
     def from_unit(self, point: Floats) -> dict[str, float]:
         """Point of the unit cube, shape (d,), to named values."""
-        shares = np.array(point, dtype=float)
+        return {name: float(value[0]) for name, value in self.columns(point[None]).items()}
+
+    def columns(self, points: Floats) -> dict[str, Floats]:
+        """Points of the unit cube (n, d) to named values, (n,) each."""
+        shares = np.array(points, dtype=float)
         for alike in self._in_order:
-            below = 1.0
+            below = np.ones(len(shares))
             for k in reversed(range(len(alike))):
-                below *= shares[alike[k]] ** (1 / (k + 1))
-                shares[alike[k]] = below
-        return {
-            parameter.name: float(parameter._quantile(share))
-            for parameter, share in zip(self.parameters, shares, strict=True)
-        }
+                below = below * shares[:, alike[k]] ** (1 / (k + 1))
+                shares[:, alike[k]] = below
+        return {p.name: p._quantile(shares[:, k]) for k, p in enumerate(self.parameters)}
 
     def to_unit(self, values: Mapping[str, float]) -> Floats:
         """Named values to the point of the unit cube, shape (d,)."""

@@ -45,7 +45,8 @@ from fascicle.recording.residuals import residual_covariance
 from fascicle.recording.target import Target
 
 MARGIN = 40  # samples (ms) of silence on either side of the QRS
-SHARES = np.geomspace(0.5, 1.0, 8)  # of the recorded QRS (root mean square): the discrepancy's
+STEP = 2  # ms between shifts
+SHARES = np.geomspace(0.1, 0.4, 4)  # of the recorded QRS (root mean square): the discrepancy's
 
 
 @runtime_checkable
@@ -103,7 +104,7 @@ class Fit:
     log_likelihood : float
         Of V̂, in coefficients (1/mV each).
     shifts : (n_shifts,) array
-        Samples of the simulation at which the window of the cosines may begin, 1 ms apart: the
+        Samples of the simulation at which the window of the cosines may begin, `STEP` apart: the
         cosines are so slow that the sum over them is as good as the integral.
     weights : (n_scales, n_shifts) array
         Posterior probability of each pair of discrepancy and shift; they add up to 1.
@@ -170,39 +171,67 @@ class QrsLikelihood:
 
     def fit(self, ecg: Signals) -> Fit:
         """Compare a simulated ECG, zero before its first and after its last sample."""
-        # ms; 3 of the recorded onset after the first activation, besides the onset's own
-        sd = float(np.hypot(self.target.onset_sd, 3.0))
-        reach = math.ceil(3.0 * sd)
-        steps = np.arange(-reach, reach + 1.0)
-        shifts = ecg.first_activation - MARGIN + steps
-        joint, gains, gain_sds = self._joint(self._whitened(ecg.leads[self._rows], shifts))
-        joint += -0.5 * (steps / sd) ** 2 - math.log(sd * math.sqrt(2 * math.pi))
+        joint, gains, gain_sds = self._joint(self.whitened(ecg.leads, ecg.first_activation))
+        joint += self._log_priors
         total = float(logsumexp(joint))
         weights = np.exp(joint - total)
+        shifts = ecg.first_activation - MARGIN + self._steps
         return Fit(total - math.log(len(SHARES)), shifts, weights, gains, gain_sds)
 
-    def _whitened(self, simulated: Floats, shifts: Floats) -> Floats:
-        """Coefficients in the diagonal basis, (n, n_shifts), at shifts that are 1 apart."""
-        length = self.length
-        samples = placed(
-            simulated, float(shifts[0]), length + len(shifts) - 1, self.target.response
-        )
-        windows = sliding_window_view(samples, length, axis=1)  # (n_leads, n_shifts, length)
+    def of_sums(self, mean: Floats, parts: Floats, scores: Floats, gains: Floats) -> Floats:
+        """Log-likelihoods (m,) of ECGs that are sums, multiplied by gains (m,).
+
+        Of a mean (n, n_shifts) and parts (q, n, n_shifts), as `whitened` gives them, these weighted
+        by scores (m, q).
+        """
+        logs = np.empty((len(scores), len(SHARES), len(self._steps)))
+        for k, prior in enumerate(self._log_priors):
+            model = gains[:, None] * (scores @ parts[:, :, k] + mean[:, k])
+            found = self._joint(np.asarray(model.T, dtype=scores.dtype))
+            logs[:, :, k] = found[0].T + prior
+        return np.asarray(logsumexp(logs, axis=(1, 2)) - math.log(len(SHARES)))
+
+    def whitened(self, leads: Floats, first_activation: float) -> Floats:
+        """Coefficients of all leads (12 + k, n) in the diagonal basis, at every shift.
+
+        Shape (n, n_shifts).
+        """
+        begin, end = first_activation - MARGIN + self._steps[[0, -1]]
+        length, response = self.length, self.target.response
+        samples = placed(leads[self._rows], begin, length + round(end - begin), response)
+        windows = sliding_window_view(samples, length, axis=1)[:, ::STEP]
         basis = self._diagonal[0]
         found = np.ascontiguousarray(windows) @ self.modes
         return np.asarray(basis.T @ found.transpose(0, 2, 1).reshape(len(basis), -1))
 
     def _joint(self, model: Floats) -> tuple[Floats, Floats, Floats]:
-        """Log-likelihood, mean gain and its standard deviation, (n_scales, n_shifts) each."""
+        """Log-likelihood, mean gain and its standard deviation, of models (n, m): (n_scales, m)."""
         _, weights, log_determinants, data = self._diagonal
-        size = weights @ model**2
-        overlap = weights @ (model * data)
+        size = weights.astype(model.dtype) @ model**2
+        overlap = (weights * data.T).astype(model.dtype) @ model
         variance = self.gain_sd**2
         along = overlap - size
         precision = 1 + variance * size
         square = weights @ data**2 - 2 * overlap + size - variance * along**2 / precision
         logs = -0.5 * (square + np.log(precision) + log_determinants[:, None])
         return logs, 1 + variance * along / precision, self.gain_sd / np.sqrt(precision)
+
+    @cached_property
+    def _steps(self) -> Floats:
+        """Shifts (ms) about the first activation at the recorded onset."""
+        reach = math.ceil(3.0 * self._onset_sd / STEP) * STEP
+        return np.arange(-reach, reach + 1.0, STEP)
+
+    @cached_property
+    def _log_priors(self) -> Floats:
+        """Of the shifts, by their probability."""
+        logs = -0.5 * (self._steps / self._onset_sd) ** 2
+        return np.asarray(logs - logsumexp(logs))
+
+    @property
+    def _onset_sd(self) -> float:
+        # ms; 3 of the recorded onset after the first activation, besides the onset's own
+        return float(np.hypot(self.target.onset_sd, 3.0))
 
     def noise(self, rng: np.random.Generator, scale: int) -> Floats:
         """Draw ε for the discrepancy `scales[scale]`, in coefficients (n_leads, n_modes)."""

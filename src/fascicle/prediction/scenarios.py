@@ -26,7 +26,6 @@ from fascicle.prediction.predicted import RINGING, Predicted, PredictedBeat
 from fascicle.recording.window import qrs_window
 from fascicle.study.fit import GivenStudy, as_study
 from fascicle.study.fitted import FittedStudy
-from fascicle.study.prior_simulations import prior_points
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.target_comparison import Network, TargetComparison
 
@@ -186,7 +185,7 @@ def _simulate(
 
 def prior_networks(simulator: PointSimulator, progress: Progress | None = None) -> list[Network]:
     """Networks drawn from the prior, independent of the recording."""
-    points = prior_points(len(simulator.space), PRIOR_NETWORKS)
+    points = np.random.default_rng(0).random((PRIOR_NETWORKS, simulator.dimension))
     report, networks = stage_progress(progress, "networks of the prior"), []
     for done, point in enumerate(points, 1):
         (found,) = simulator.simulate([point])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,13 +26,14 @@ from fascicle.heart.folder import as_heart, load_heart, write_heart
 from fascicle.heart.heart import Heart
 from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.agreement import agreement
+from fascicle.study.ecg_emulator import EcgEmulator
 from fascicle.study.fitted import FittedStudy
-from fascicle.study.likelihood import likelihood_of, prior_knowledge
+from fascicle.study.heart_emulator import emulator_of
+from fascicle.study.likelihood import EmulatedLikelihood, likelihood_of
 from fascicle.study.lock import refuse_held, study_lock
 from fascicle.study.pool import Pool, Threads, check_pool
 from fascicle.study.population import RESULT, read_checks, read_population
 from fascicle.study.predictive import Checks, predict_recording
-from fascicle.study.prior_simulations import PriorSimulations, prior_points
 from fascicle.study.recordings import (
     Given,
     Recorded,
@@ -43,14 +45,14 @@ from fascicle.study.recordings import (
 from fascicle.study.results import write_results
 from fascicle.study.settings import FitSettings, checked_settings
 from fascicle.study.simulator import PointSimulator
-from fascicle.study.space import growth_and_conduction, study_space
+from fascicle.study.space import AveragedOver, growth_and_conduction, study_space
 from fascicle.study.study import Study, StudyConfig, check_same, check_study_folder
 from fascicle.study.target_comparison import TargetComparison, evaluate
 
 GivenStudy = FittedStudy | Path | str  # a study, or its folder
 
 HEART = "heart"  # in the study's folder
-PRIOR, PREDICTION = 1, 2  # number the random generators of a posterior
+PREDICTION = 2  # numbers the random generator of predictions
 
 
 def fit(
@@ -103,9 +105,9 @@ def fit(
         same.
     **settings
         The fields of `fascicle.FitSettings`, where they are described. `method`, `seed`, `workers`,
-        `fewest_junctions`; of the posterior `effective`, `evaluations`, `prior_simulations`,
-        `gain_sd`; of the paper's method `initial`, `steps`, `refit_every`, `samples`, `leads`,
-        `free_gain`, `tolerance`, `draws`, `refit_after`, `rounds`.
+        `fewest_junctions`; of the posterior `effective`, `prior_simulations`, `gain_sd`; of the
+        paper's method `initial`, `steps`, `refit_every`, `samples`, `leads`, `free_gain`,
+        `tolerance`, `draws`, `refit_after`, `rounds`.
 
     Returns
     -------
@@ -220,16 +222,11 @@ def fit_inputs(
             write_heart(heart, folder / HEART)
         share_prepared(heart, folder / HEART)
         write_recordings(folder, inputs.recordings)
+        emulated: list[EmulatedLikelihood] = []
         if config.method == "posterior":
-            simulator = replace(simulator, prior=_prior(simulator))
-            likelihoods = inputs.likelihoods or _likelihoods(
-                simulator, recordings, config, progress
-            )
-            recordings = tuple(
-                replace(each, likelihood=its)
-                for each, its in zip(recordings, likelihoods, strict=True)
-            )
-        population = study.run(partial(evaluate, simulator, recordings), progress)
+            recordings, emulated = _emulated(simulator, recordings, inputs, folder, progress)
+        objective = partial(evaluate, simulator, recordings)
+        population = study.run(objective, progress, simulator.averaged, emulated)
         return _completed(FittedStudy(study, simulator, recordings, population), progress)
 
 
@@ -254,7 +251,7 @@ def _check_scenarios(simulator: PointSimulator, recordings: Sequence[TargetCompa
     for each in recordings:
         if each.scenario is None:
             continue
-        for point in prior_points(len(simulator.space), 10):
+        for point in np.random.default_rng(0).random((10, simulator.dimension)):
             if isinstance(next(simulator.simulate([point], each.scenario)), Simulation):
                 break
 
@@ -273,29 +270,31 @@ def _hashes(recordings: Sequence[Recorded]) -> dict[str, Any]:
     return {"target": targets[0], "other_targets": targets[1:], "scenarios": scenarios}
 
 
-def _likelihoods(
+def _emulated(
     simulator: PointSimulator,
     recordings: Sequence[TargetComparison],
-    config: StudyConfig,
+    inputs: Inputs,
+    folder: Path,
     progress: Progress | None,
-) -> list[Likelihood]:
-    """The built-in likelihood of each recording."""
-    rng = np.random.default_rng([config.seed, PRIOR])
-    likelihoods: list[Likelihood] = []
-    for each in recordings:
-        known = prior_knowledge(simulator, each.target, each.scenario, rng, progress)
-        likelihoods.append(likelihood_of(each.target, known, _gain_sd(config)))
-    return likelihoods
-
-
-def _prior(simulator: PointSimulator) -> PriorSimulations | None:
-    """The heart's prior simulations, if there are any and they are of this forward model."""
-    model, space, fixed = simulator.model, simulator.space, simulator.fixed
-    prior = PriorSimulations.of(model.heart, space, fixed)
-    if prior is None or not len(prior) or model.rules != GrowthRules():  # by which it is made
-        return None
-    prior.check(model, space, fixed)
-    return prior
+) -> tuple[tuple[TargetComparison, ...], list[EmulatedLikelihood]]:
+    """The recordings with their likelihoods, and these by emulators of the heart."""
+    config, given = inputs.config, inputs.heart.folder
+    kept = given if given is not None and os.access(given, os.W_OK) else folder / HEART
+    emulators: dict[str, EcgEmulator] = {}
+    found, emulated = [], []
+    for number, (each, digest) in enumerate(zip(recordings, config.scenarios, strict=True)):
+        if digest not in emulators:
+            scenario = None if each.scenario is None else (each.scenario, digest)
+            count = config.prior_simulations
+            emulators[digest] = emulator_of(simulator, count, kept, progress, scenario)
+        emulator = emulators[digest]
+        if inputs.likelihoods is None:
+            likelihood: Likelihood = likelihood_of(each.target, emulator, _gain_sd(config))
+        else:
+            likelihood = inputs.likelihoods[number]
+        found.append(replace(each, likelihood=likelihood))
+        emulated.append(EmulatedLikelihood(simulator, emulator, likelihood))
+    return tuple(found), emulated
 
 
 def _gain_sd(config: StudyConfig) -> float:
@@ -393,4 +392,7 @@ def _simulated_and_compared(
         for target, scenario in recordings
     )
     pool = pool or Threads(config.workers)
-    return PointSimulator(model, space, fixed, pool, backend=backend), compared
+    averaged = AveragedOver()
+    if config.method == "posterior":
+        averaged = AveragedOver.of(space, fixed, heart)
+    return PointSimulator(model, space, fixed, pool, averaged, backend), compared

@@ -1,95 +1,95 @@
-"""The likelihood of a study's target: its noise, and what networks of the prior tell beforehand.
-
-Two things are learnt from a few networks of the prior, before any is compared with the recording.
-How differences between networks are spread over the leads is how a discrepancy is expected to be:
-large where all signals are large, and alike in neighbouring leads. And the same networks with all
-parameters changed by next to nothing show how rough the forward model is: where branches just
-collide or just do not, the ECG jumps.
-"""
+"""The likelihood of a study's target, with what an emulator of the heart does not say."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from fascicle.core.arrays import Floats, Integers
-from fascicle.core.errors import InputError
+from fascicle.core.arrays import Floats
 from fascicle.core.leads import independent_rows
-from fascicle.core.progress import Progress, stage_progress
+from fascicle.core.ranges import short_repr
 from fascicle.forward.likelihood import (
+    MARGIN,
+    Likelihood,
     QrsLikelihood,
     beat_noise,
     cosines,
     discrepancy_in_time,
     lead_pattern,
-    matern,
     separable,
 )
-from fascicle.forward.loss import placed
-from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Signals
 from fascicle.recording.target import Target
+from fascicle.study.ecg_emulator import EcgEmulator, tissue_inputs
+from fascicle.study.prior_simulations import BEFORE
 from fascicle.study.simulator import PointSimulator
 
 
-@dataclass(frozen=True)
-class PriorKnowledge:
-    """What networks of the prior tell: covariances of the leads, of shape (n_leads, n_leads)."""
+def likelihood_of(target: Target, emulator: EcgEmulator, gain_sd: float) -> QrsLikelihood:
+    """Make the likelihood of a target; `gain_sd` is the standard deviation of the gain about 1.
 
-    pattern: Floats  # of the discrepancy, of unit mean variance
-    roughness: Floats  # of what changes by next to nothing change, over the QRS (mV²)
-
-
-def likelihood_of(target: Target, known: PriorKnowledge, gain_sd: float) -> QrsLikelihood:
-    """Make the likelihood of a target; `gain_sd` is the standard deviation of the gain about 1."""
-    modes = cosines(target.qrs.shape[1])
-    smooth, discrepancy = matern(len(modes)), discrepancy_in_time(len(modes))
-    known_covariance = beat_noise(target) + separable(known.roughness, smooth, modes)
-    return QrsLikelihood(
-        target, known_covariance, separable(known.pattern, discrepancy, modes), gain_sd
-    )
-
-
-def prior_knowledge(
-    simulator: PointSimulator,
-    target: Target,
-    scenario: Scenario | None,
-    rng: np.random.Generator,
-    progress: Progress | None = None,
-) -> PriorKnowledge:
-    """Simulate 100 networks of the prior, and each once more with next to nothing changed.
-
-    The independent leads of the target, which was recorded in the scenario, are compared.
+    What the emulator does not say is in proportion to the recorded QRS, whatever the gain.
     """
-    count, rows = 100, independent_rows(target.used)
-    points = rng.random((count, len(simulator.space)))
-    # by a thousandth of the range of every parameter, reflected at its ends
-    changed = np.abs(points + 0.001 * rng.standard_normal(points.shape))
-    changed = np.where(changed > 1, 2 - changed, changed)
-    report = stage_progress(progress, "prior")
-    found: list[tuple[Floats, Floats]] = []
-    for start in range(0, count, 10):
-        part = slice(start, start + 10)
-        both = [*simulator.signals([*points[part], *changed[part]], scenario)]
-        for one, other in zip(both[:10], both[10:], strict=True):
-            if isinstance(one, Signals) and isinstance(other, Signals):
-                found.append((_from_activation(one, rows), _from_activation(other, rows)))
-        report(part.stop, count)
-    if len(found) < 10:
-        raise InputError(
-            f"only {len(found)} of {count} networks of the prior fit this heart; check the "
-            "heart, or narrow the ranges of the lengths"
-        )
-    differences = [first - second for (first, _), (second, _) in pairwise(found)]
-    rough = [(one - other) / np.sqrt(2) for one, other in found]
-    # The median: a few networks lose a whole branch, which the discrepancy's size must cover.
-    energy = float(np.median([(each**2).sum() for each in rough]))
-    variance = energy / (len(rows) * target.qrs.shape[1])
-    return PriorKnowledge(lead_pattern(differences), variance * lead_pattern(rough))
+    rows, modes = independent_rows(target.used), cosines(target.qrs.shape[1])
+    size = np.sqrt((target.qrs[rows] ** 2).sum())
+    left = size * emulator.left_leads[:, rows, BEFORE - MARGIN :][:, :, : len(modes)]
+    seen = (left @ modes[: left.shape[2]]).reshape(len(left), -1)
+    known = beat_noise(target) + seen.T @ seen / max(len(seen), 1)
+    outside = separable(lead_pattern(left), discrepancy_in_time(len(modes)), modes)
+    return QrsLikelihood(target, known, outside, gain_sd)
 
 
-def _from_activation(ecg: Signals, rows: Integers) -> Floats:
-    """Some leads (mV) from 20 ms before the first activation on, for 320 ms."""
-    return placed(ecg.leads[rows], ecg.first_activation - 20, 320)
+@dataclass(frozen=True)
+class EmulatedLikelihood:
+    """Log-likelihoods of one recording at points of the unit cube, by an emulator."""
+
+    simulator: PointSimulator
+    emulator: EcgEmulator
+    likelihood: Likelihood
+
+    __repr__ = short_repr
+
+    def __call__(self, points: Floats) -> Floats:
+        """Log-likelihoods (n,) of points (n, d)."""
+        simulator, emulator = self.simulator, self.emulator
+        learnt, rest = np.split(points, [len(simulator.space)], axis=1)
+        values: dict[str, Floats] = {n: np.full(len(points), v) for n, v in simulator.fixed.items()}
+        values |= simulator.space.columns(learnt)
+        values |= simulator.averaged.space.columns(rest[:, : len(simulator.averaged.space)])
+        inputs = emulator.inputs(values, self._tissues[simulator.averaged.tissue(rest)])
+        gain = values.get("gain", np.ones(len(points)))
+        scores: Any = emulator.scores(inputs)
+        if isinstance(self.likelihood, QrsLikelihood):
+            found = self.likelihood.of_sums(*self._parts, scores, gain)
+        else:
+            found = self._one_by_one(scores, gain)
+        return np.asarray(found + emulator.log_validity(inputs))
+
+    def _one_by_one(self, scores: Floats, gains: Floats) -> Floats:
+        """By a likelihood that takes one simulation at a time."""
+        emulator, most = self.emulator, 10_000  # junctions, of which there are enough
+        found = np.empty(len(scores))
+        for k, (each, gain) in enumerate(zip(scores, gains, strict=True)):
+            leads = emulator.mean_leads + np.tensordot(each, emulator.series, 1)
+            signals = Signals(gain * leads, float(BEFORE), (most, most))
+            found[k] = self.likelihood.log_likelihood(signals)
+        return found
+
+    @cached_property
+    def _parts(self) -> tuple[Floats, Floats]:
+        """Mean and components of the emulator as the likelihood sees them, at every shift."""
+        assert isinstance(self.likelihood, QrsLikelihood)
+        both = [self.emulator.mean_leads, *self.emulator.series]
+        seen = np.array([self.likelihood.whitened(leads, float(BEFORE)) for leads in both])
+        return seen[0].astype(np.float32), seen[1:].astype(np.float32)
+
+    @cached_property
+    def _tissues(self) -> Floats:
+        conduction = self.simulator.model.conduction
+        ratio = float(np.divide(*conduction.speeds))
+        tissues = self.simulator.averaged.tissues
+        table = np.array([tissue_inputs(tissue, ratio) for tissue in tissues])
+        return table if len(self.emulator.centre) > len(self.emulator.names) else table[:, :0]

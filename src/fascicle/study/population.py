@@ -6,7 +6,7 @@ import json
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -19,10 +19,11 @@ from fascicle.core.netcdf import load_netcdf
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.ranges import short_repr
 from fascicle.inference.evaluation import Evaluation
-from fascicle.inference.importance_sampling import RunAgreement, State
+from fascicle.inference.tempered_sampling import RunAgreement, SamplingRun
 from fascicle.recording.target import Target
 from fascicle.study.predictive import Checks, Prediction
 from fascicle.study.settings import Method
+from fascicle.study.space import AveragedOver
 
 if TYPE_CHECKING:  # it brings the surrogate, which takes long to load
     from fascicle.inference.abc import Accepted
@@ -31,7 +32,8 @@ Item = TypeVar("Item")
 
 # File of the networks, by method
 RESULT: dict[Method, str] = {"paper": "population.nc", "posterior": "posterior.nc"}
-FIRST_ALONE = "posterior_first_alone"  # group of that file
+# Groups of that file
+FIRST_ALONE, AVERAGED = "posterior_first_alone", "averaged_over"
 
 
 @dataclass(frozen=True)
@@ -94,11 +96,14 @@ class Posterior(Population):
     ----------
     log_likelihoods : (n, n_recordings) array
     log_evidences, effective, evaluations : (2,) arrays
-        Of each run: log-evidence, effective sample size, evaluations.
+        Of each run: log-evidence, effective sample size, evaluations of the emulator.
     means_apart : mapping of name to float
         Between the runs, in standard deviations.
     converged : bool
-        Whether both runs ended by themselves, and agree.
+        Whether the runs agree, and are worth as many independent draws as are wanted.
+    averaged : mapping of name to (n,) array
+        What else the networks have in common with no other: quantities that are not known, and not
+        reported either.
     first_alone : mapping of name to (m,) array, optional
         Of several recordings, draws from the posterior of the first, if that has converged.
     """
@@ -109,9 +114,15 @@ class Posterior(Population):
     evaluations: Floats
     means_apart: Mapping[str, float]
     converged: bool
+    averaged: Mapping[str, Floats] = field(default_factory=dict)
     first_alone: Mapping[str, Floats] | None = None
 
     __repr__ = short_repr
+
+    def parameters(self, k: int) -> dict[str, float]:
+        """Named parameters of network `k`, with what is averaged over."""
+        rest = {name: float(values[k]) for name, values in self.averaged.items()}
+        return super().parameters(k) | {n: value for n, value in rest.items() if np.isfinite(value)}
 
     @property
     def effective_size(self) -> float:
@@ -123,23 +134,28 @@ class Posterior(Population):
     def of(
         cls,
         space: ParameterSpace,
+        averaged: AveragedOver,
         draws: Sequence[Evaluation],
         best: Evaluation,
-        ends: Sequence[State],
+        runs: Sequence[SamplingRun],
         agreed: RunAgreement,
+        converged: bool,
     ) -> Posterior:
         """Name the parameters of draws, as many of each run, and of the best of all evaluations."""
+        rest = [averaged.values(draw.point[len(space) :]) for draw in draws]
+        names = sorted({name for values in rest for name in values})
         return cls(
             _named(space, draws),
             np.array([draw.loss for draw in draws]),
-            space.from_unit(best.point),
+            space.from_unit(best.point[: len(space)]),
             best.loss,
             np.array([draw.log_likelihoods for draw in draws]),
-            np.array([end.log_evidence for end in ends]),
-            np.array([end.effective for end in ends]),
-            np.array([float(end.evaluations) for end in ends]),
+            np.array([run.log_evidence for run in runs]),
+            np.array([run.effective for run in runs]),
+            np.array([float(run.evaluations) for run in runs]),
             dict(zip(space.names, map(float, agreed.means), strict=True)),
-            agreed.converged,
+            converged,
+            {n: np.array([values.get(n, np.nan) for values in rest]) for n in names},
         )
 
 
@@ -149,8 +165,8 @@ def evenly_spread(every: int, count: int) -> list[int]:
 
 
 def _named(space: ParameterSpace, evaluations: Sequence[Evaluation]) -> dict[str, Floats]:
-    named = [space.from_unit(evaluation.point) for evaluation in evaluations]
-    return {name: np.array([values[name] for values in named]) for name in space.names}
+    points = np.array([each.point[: len(space)] for each in evaluations]).reshape(-1, len(space))
+    return space.columns(points)
 
 
 def write_population(
@@ -179,8 +195,8 @@ def write_population(
         for group, variables in groups.items()
     }
     if isinstance(population, Posterior):  # draws of the prior, for comparison
-        drawn = [space.from_unit(p) for p in np.random.default_rng(0).random((1000, len(space)))]
-        split["prior"] = {n: np.array([[values[n] for values in drawn]]) for n in space.names}
+        drawn = space.columns(np.random.default_rng(0).random((1000, len(space))))
+        split["prior"] = {name: values[None] for name, values in drawn.items()}
     with warnings.catch_warnings():  # ArviZ takes an empty population for transposed arrays
         warnings.filterwarnings("ignore", "More chains")
         data = az.from_dict(
@@ -216,10 +232,12 @@ def write_population(
     if not isinstance(predicted, np.ndarray):
         checks = Checks.joined([each.checks for each in predicted])
         data.sample_stats.attrs["checks"] = json.dumps(asdict(checks))
-    if isinstance(population, Posterior) and population.first_alone is not None:
-        alone = {name: ("draw", values) for name, values in population.first_alone.items()}
-        data.sample_stats.attrs[FIRST_ALONE] = 1
-        data.add_groups({FIRST_ALONE: xr.Dataset(alone)}, warn_on_custom_groups=False)
+    if isinstance(population, Posterior):
+        for group, its in ((FIRST_ALONE, population.first_alone), (AVERAGED, population.averaged)):
+            if its:
+                held = xr.Dataset({name: ("draw", values) for name, values in its.items()})
+                data.sample_stats.attrs[group] = 1
+                data.add_groups({group: held}, warn_on_custom_groups=False)
     with atomic_path(path) as temporary:
         data.to_netcdf(str(temporary), engine="h5netcdf")
 
@@ -297,10 +315,11 @@ def read_population(path: Path) -> Population:
             return PaperPopulation(values, losses, best, best_loss, distances)
         logs = load_netcdf(path, "log_likelihood")
         numbered = _numbered(list(logs.data_vars))
-        alone = None
-        if FIRST_ALONE in stats.attrs:
-            stored = load_netcdf(path, FIRST_ALONE)
-            alone = {str(name): each.to_numpy() for name, each in stored.data_vars.items()}
+        groups = {
+            group: {str(n): v.to_numpy() for n, v in load_netcdf(path, group).data_vars.items()}
+            for group in (FIRST_ALONE, AVERAGED)
+            if group in stats.attrs
+        }
         return Posterior(
             values,
             losses,
@@ -312,7 +331,8 @@ def read_population(path: Path) -> Population:
             evaluations=np.asarray(stats.attrs["evaluations"]),
             means_apart={name: float(posterior[name].attrs["means_apart"]) for name in names},
             converged=bool(stats.attrs["converged"]),
-            first_alone=alone,
+            averaged=groups.get(AVERAGED, {}),
+            first_alone=groups.get(FIRST_ALONE),
         )
     except (OSError, KeyError, ValueError, IndexError, TypeError) as error:
         first = (str(error).splitlines() or [type(error).__name__])[0]

@@ -1,146 +1,151 @@
-"""A posterior: two independent runs of importance sampling on the likelihood of the recording."""
+"""A posterior: two independent runs of tempered sampling on an emulator, and real networks of it.
+
+The emulator is fast and not exact: it says where the networks are, and the forward model what they
+do. All that is reported of a posterior comes from networks that were simulated.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress
-from fascicle.inference.evaluation import best_of
-from fascicle.inference.importance_sampling import (
-    SamplingRun,
-    State,
-    agreement,
-    importance_sample,
-    sampling,
-)
+from fascicle.core.threads import one_thread
+from fascicle.inference.evaluation import Evaluation, best_of
+from fascicle.inference.tempered_sampling import SamplingRun, State, agreement, temper
 from fascicle.study.evaluations import Journal, Stage
 from fascicle.study.population import Posterior
-from fascicle.study.prior_simulations import prior_points
 from fascicle.study.settings import FitSettings
+from fascicle.study.space import AveragedOver
 
 RUNS = 2
+PARTICLES, MOST_PARTICLES = 1000, 8000  # of a run, at first and where runs do not agree
+
+Emulated = Callable[[Floats], Floats]  # log-likelihoods (n,) of points (n, d), of one recording
 
 
 @dataclass(frozen=True)
 class PosteriorFit:
     """One pass through the runs of the sampler.
 
-    Of several recordings the posterior of the first alone is sampled first, from which that of all
-    goes on: what the others add is seen, too.
+    Of several recordings the posterior of the first alone is sampled, too: what the others add is
+    seen.
     """
 
     settings: FitSettings
     space: ParameterSpace
+    averaged: AveragedOver
     journal: Journal
-    recordings: int = 1
+    emulated: Sequence[Emulated]  # of each recording
     progress: Progress | None = None
 
     def run(self) -> Posterior:
         """Do all that is left, and give the result."""
-        runs = self._sample(1)
-        posterior = self._posterior(runs, 1)
-        if self.recordings == 1:
-            return posterior
-        joint = self._sample(self.recordings, runs)
-        alone = posterior.values if posterior.converged else None
-        return replace(self._posterior(joint, self.recordings), first_alone=alone)
+        if len(self.emulated) == 1:
+            return self._posterior(1)
+        alone = self._sample(1)
+        joint = self._posterior(len(self.emulated))
+        if not self._agree(alone):
+            return joint
+        points = np.concatenate([run.points for run in alone])[:, : len(self.space)]
+        return replace(joint, first_alone=self.space.columns(points))
 
-    def _posterior(self, runs: list[SamplingRun], recordings: int) -> Posterior:
-        """Draw from both runs."""
-        count = -(-self.settings.effective // RUNS)
-        chosen = [
-            run.draw(self._rng(RUNS + number, recordings), count) for number, run in enumerate(runs)
+    def _posterior(self, recordings: int) -> Posterior:
+        """Sample, and simulate draws of both runs."""
+        runs = self._sample(recordings)
+        each = -(-self.settings.effective // RUNS)
+        draws = [
+            found
+            for number, run in enumerate(runs)
+            for found in self._simulated(run, each, number, recordings)
         ]
-        points = np.concatenate([run.points[k] for run, k in zip(runs, chosen, strict=True)])
+        agreed = agreement(*runs)
         return Posterior.of(
             self.space,
-            self.journal.evaluate(Stage.SAMPLING, list(points)),
+            self.averaged,
+            draws,
             best_of(self.journal.evaluations),
-            [run.state for run in runs],
-            agreement(*runs),
+            runs,
+            replace(agreed, means=agreed.means[: len(self.space)]),
+            self._agree(runs),
         )
+
+    def _simulated(
+        self, run: SamplingRun, count: int, number: int, recordings: int
+    ) -> list[Evaluation]:
+        """Networks of a run, in random order; points that give none are passed over."""
+        left = [*self._rng(RUNS + number, recordings).permutation(run.points)]
+        found: list[Evaluation] = []
+        total = RUNS * count
+
+        def report(done: int) -> None:
+            if self.progress is not None:
+                self.progress("networks", number * count + len(found) + done, total, "")
+
+        while len(found) < count and left:
+            asked, left = left[: count - len(found)], left[count - len(found) :]
+            new = self.journal.evaluate(Stage.SAMPLING, asked, 50, report)
+            found += [each for each in new if each.feasible]
+        if len(found) < count:
+            raise InputError(
+                f"only {len(found)} of {len(run.points)} draws give a network of this heart; make "
+                "more prior simulations (prior_simulations), or narrow the ranges of the lengths"
+            )
+        return found
 
     def _rng(self, number: int, recordings: int) -> np.random.Generator:
         """Random numbers of a run, or of draws from one."""
         return self.journal.rng(Stage.SAMPLING, number + 2 * RUNS * (recordings > 1))
 
-    def _sample(
-        self, recordings: int, begun: Sequence[SamplingRun | None] = (None,) * RUNS
-    ) -> list[SamplingRun]:
-        """Make the runs; how each goes depends on its number and on the seed alone."""
-        each = self.settings.evaluations // RUNS
-        states: dict[int, State] = {}  # where each run stands
-        # what a run before this one might have done; its points are asked for again, and are there
-        done = [0 if begun[0] is None else self._phase - sum(len(r.points) for r in begun if r)]
+    def _agree(self, runs: Sequence[SamplingRun]) -> bool:
+        """Whether runs agree, and are worth as many independent draws as are wanted."""
+        enough = all(run.effective * RUNS >= self.settings.effective for run in runs)
+        return enough and agreement(*runs).converged
 
+    def _sample(self, recordings: int) -> list[SamplingRun]:
+        """Make the runs, with more particles until they agree."""
+        # one thread about both, since each would give the other's threads back
+        sample, count = one_thread(self._runs), PARTICLES
+        while True:
+            runs: list[SamplingRun] = sample(recordings, count)
+            if self._agree(runs) or count >= MOST_PARTICLES:
+                return runs
+            count *= 2
+
+    def _runs(self, recordings: int, count: int) -> list[SamplingRun]:
         def log_likelihoods(points: Floats) -> Floats:
-            again = self.journal.knew(list(points))
+            each = [emulated(points) for emulated in self.emulated[:recordings]]
+            return np.asarray(np.sum(each, axis=0))
 
-            def report(count: int) -> None:
-                if again:
-                    self._report_stored(done[0] + count)
-                else:
-                    self._report(done[0] + count, self._status(states, recordings))
+        states: dict[int, State] = {}
+        dimension = len(self.space) + len(self.averaged)
 
-            found = self.journal.evaluate(Stage.SAMPLING, list(points), 100, report)
-            done[0] += len(points)
-            return np.array(
-                [e.log_likelihoods[:recordings].sum() if e.feasible else -np.inf for e in found]
-            )
+        def one(number: int) -> SamplingRun:
+            def reported(state: State) -> None:
+                states[number] = state
+                self._report(states, recordings, count)
 
-        runs: list[SamplingRun] = importance_sample(
-            log_likelihoods,
-            *(
-                sampling(
-                    self._rng(number, recordings),
-                    # every second network of the prior: the runs have nothing in common
-                    prior_points(len(self.space), self.settings.prior_simulations)[number::RUNS],
-                    effective=-(-self.settings.effective // RUNS),
-                    most=each,
-                    begun=begun[number],
-                    progress=partial(states.__setitem__, number),
-                )
-                for number in range(RUNS)
-            ),
-        )
-        return runs
+            rng = self._rng(number, recordings)
+            run: SamplingRun = temper(log_likelihoods, dimension, rng, count, reported)
+            return run
 
-    def _status(self, states: Mapping[int, State], recordings: int) -> str:
-        """What is said of the runs while they go on."""
-        said = f"{RUNS} runs"
-        if self.recordings > 1:
-            said += ", first recording alone" if recordings == 1 else ", all recordings"
-        if not states:
-            return said
-        evidences = " and ".join(f"{state.log_evidence:.1f}" for state in states.values())
-        effective = sum(state.effective for state in states.values())
-        return (
-            f"{said}, log evidence {evidences}, effective sample about {effective:.0f} of "
-            f"{self.settings.effective}"
-        )
+        with ThreadPoolExecutor(RUNS) as pool:
+            return list(pool.map(one, range(RUNS)))
 
-    def _report_stored(self, done: int) -> None:
-        """A stage of its own: it says nothing of how long new evaluations take."""
-        if self.progress is not None:
-            total = len(self.journal.before)
-            self.progress("stored", min(done, total), total, "")
-
-    def _report(self, done: int, said: str) -> None:
-        if self.progress is None:
+    def _report(self, states: dict[int, State], recordings: int, count: int) -> None:
+        if self.progress is None or len(states) < RUNS:
             return
-        stored = (record.evaluation for record in self.journal.known.values())
-        losses = [evaluation.loss for evaluation in stored if evaluation.feasible]
-        best = f", best loss {min(losses):.4g} mV²" if losses else ""
-        total = self._phase + self.settings.evaluations * (self.recordings > 1)
-        self.progress(Stage.SAMPLING, done, total, said + best)
-
-    @property
-    def _phase(self) -> int:
-        """Evaluations at most until the first recording is done."""
-        return self.settings.prior_simulations + self.settings.evaluations
+        said = f"{RUNS} runs of {count}"
+        if len(self.emulated) > 1:
+            said += ", first recording alone" if recordings == 1 else ", all recordings"
+        evidences = " and ".join(f"{states[k].log_evidence:.1f}" for k in range(RUNS))
+        # steps of the temperature take alike long on a logarithmic scale
+        coldest = min(state.temperature for state in states.values())
+        done = round(100 * (1 + np.log10(max(coldest, 1e-3)) / 3))
+        self.progress("sampling", max(1, done), 100, f"{said}, log evidence {evidences}")

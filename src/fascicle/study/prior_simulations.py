@@ -1,13 +1,13 @@
-"""Prior simulations: networks of the prior, for any recording of a heart to be compared with.
+"""Prior simulations: networks of the prior with all that is not known, from which emulators learn.
 
-Every posterior begins with the same networks (`prior_points`); to simulate them takes most of the
-time of a fit, and depends on the heart alone. Their ECGs are kept with the heart, in parts that are
-written whole or not at all, so that the simulation may be interrupted at any time.
+They depend on no recording. Every network has parameters, tissue, growth and delays from their
+priors; every third one has a third left fascicle; every tenth one, from which no emulator learns,
+has its ECG in a random body, too. They are kept with the heart, in parts that are written whole or
+not at all, so that the simulation may be interrupted at any time.
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,198 +18,210 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.array_cache import ArrayCache
-from fascicle.core.arrays import Floats
+from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.errors import InputError
-from fascicle.core.files import DISPOSABLE
-from fascicle.core.leads import LEADS
-from fascicle.core.parameters import ParameterSpace
-from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
-from fascicle.core.ranges import check_count
-from fascicle.forward.compile_kernels import compile_kernels
+from fascicle.core.leads import INDEPENDENT_ROWS, LEADS
+from fascicle.core.parameters import ParameterSpace, free
+from fascicle.core.progress import Progress, stage_progress
+from fascicle.core.quantities import Changes, fascicle_names, quantity
+from fascicle.forward.bodies import random_bodies
+from fascicle.forward.loss import placed
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
-from fascicle.forward.simulation import Signals, Simulation
-from fascicle.heart.folder import as_heart
-from fascicle.heart.heart import Heart
-from fascicle.purkinje.growth import GrowthRules
-from fascicle.study.pool import Pool, Threads, check_pool
-from fascicle.study.settings import FitSettings
-from fascicle.study.space import growth_and_conduction, study_space
+from fascicle.forward.simulation import SimulatedBeat, Simulation
+from fascicle.study.pool import Pool
+from fascicle.study.space import AveragedOver, growth_and_conduction
 
 PART = 500  # networks in a file
+HELD_OUT = 10  # of so many networks the last is held out
+BODIES = 24  # that are drawn, once for all networks
+SEED = 20240  # the networks of the prior are the same in every study
+BEFORE = 40  # samples (ms) before the first activation that are kept of an ECG
 Arrays = dict[str, NDArray[Any]]
 
 
-def prior_points(dimension: int, count: int) -> Floats:
-    """The first `count` networks of the prior, (count, dimension), in the unit cube."""
-    return np.concatenate([_part(dimension, k) for k in range(-(-count // PART))])[:count]
+@dataclass(frozen=True)
+class Examples:
+    """What networks of the prior give.
 
+    Attributes
+    ----------
+    points : (n, d) array
+        In the unit cube.
+    feasible : (n,) array
+        Whether they give a network.
+    ecgs : (m, 8 + k, length) array
+        Independent leads (mV) of those that do, from `BEFORE` the first activation on.
+    in_bodies : (h, 8 + k, length) array
+        Of those held out, in a random body.
+    """
 
-def _part(dimension: int, number: int) -> Floats:
-    # the networks of the prior are the same in every study
-    return np.random.default_rng([20240, number]).random((PART, dimension))
+    points: Floats
+    feasible: Booleans
+    ecgs: NDArray[np.float32]
+    in_bodies: NDArray[np.float32]
 
-
-def signals_of(
-    item: tuple[Mapping[str, float], Scenario | None], model: ForwardModel
-) -> Signals | str:
-    """What of parameters in a scenario is compared with recordings, or why they give no network."""
-    outcome = model.simulate(*item)
-    return Signals.of(outcome) if isinstance(outcome, Simulation) else outcome.reason
+    @property
+    def held_out(self) -> Booleans:
+        """Which of all networks are (n,)."""
+        return np.asarray(np.arange(len(self.points)) % HELD_OUT == HELD_OUT - 1)
 
 
 @dataclass(frozen=True)
 class PriorSimulations:
-    """The stored simulations of one forward model and prior."""
+    """Simulations of one forward model, prior and scenario, as far as they are there."""
 
+    model: ForwardModel
+    space: ParameterSpace
+    averaged: AveragedOver
+    fixed: Mapping[str, float]
     cache: ArrayCache  # in the heart's folder
-    content: str  # what they depend on
+    scenario: tuple[Scenario, str] | None = None  # with its digest
 
-    @classmethod
-    def of(
-        cls, heart: Heart, space: ParameterSpace, fixed: Mapping[str, float]
-    ) -> PriorSimulations | None:
-        """Those of a heart, what is learnt and what is fixed; None for a heart without a folder."""
-        if heart.folder is None:
-            return None
-        known = growth_and_conduction(heart, GrowthRules())
-        held = [(name, known[name]) for name in ("conduction", "growth")]
-        content = f"{heart.digest} {space.parameters} {sorted(fixed.items())} {held}"
-        return cls(ArrayCache(heart.folder / DISPOSABLE, "prior"), content)
+    @cached_property
+    def content(self) -> str:
+        """What they depend on."""
+        known = growth_and_conduction(self.model.heart, self.model.rules)
+        about = self.space.parameters, self.averaged, sorted(self.fixed.items())
+        digest = "" if self.scenario is None else self.scenario[1]
+        return f"{self.model.heart.digest} {about} {sorted(known.items())} {digest}"
 
-    def file(self, number: int) -> Path:
-        """The file of a part."""
-        return self.cache.file(f"{self.content} {number}")
+    def covers(
+        self, space: ParameterSpace, averaged: AveragedOver, fixed: Mapping[str, float]
+    ) -> bool:
+        """Whether these are of all that another study learns, fixes and averages over."""
+        ends = _ranges(self.space, self.averaged)
+        wanted = _ranges(space, averaged)
+        wanted |= {name: (value, value) for name, value in fixed.items()}
+        wanted.pop("gain", None)  # a factor on the ECG
+        inside = all(
+            ends[name][0] <= low and high <= ends[name][1]
+            for name, (low, high) in wanted.items()
+            if name in ends
+        )
+        return inside and wanted.keys() == ends.keys() and averaged.tissues == self.averaged.tissues
 
     def __len__(self) -> int:
         """Networks that are there."""
         number = 0
-        while self.file(number).is_file():
+        while self._file(number).is_file():
             number += 1
         return number * PART
 
-    def add(self, number: int, outcomes: list[Signals | str]) -> None:
-        """Store the outcomes of a part's networks: what each gives, or why it is none."""
-        found = [o if isinstance(o, Signals) else None for o in outcomes]
-        rows = next((len(s.leads) for s in found if s), len(LEADS))
-        signals = [s.leads if s else np.empty((rows, 0)) for s in found]
-        arrays = {
-            "leads": np.concatenate(signals, axis=1).astype(np.float32),
-            "ends": np.cumsum([signal.shape[1] for signal in signals]),
-            "first": np.array([s.first_activation if s else np.nan for s in found]),
-            "junctions": np.array([s.junctions if s else (0, 0) for s in found]),
-            "reasons": np.array(["" if isinstance(o, Signals) else o for o in outcomes]),
-        }
-        self.cache.write(f"{self.content} {number}", arrays, compress=True)
+    def _file(self, number: int) -> Path:
+        return self.cache.file(f"{self.content} {number}")
 
-    def get(self, point: Floats) -> Signals | str | None:
-        """What a point (d,) gives, or why it gives no network; None if it is not here."""
-        part, k = self._places(len(point)).get(point.tobytes(), (None, 0))
-        if part is None:
-            return None
-        if part["reasons"][k]:
-            return str(part["reasons"][k])
-        start = int(part["ends"][k - 1]) if k else 0
-        leads = part["leads"][:, start : part["ends"][k]].astype(float)
-        junctions = tuple(int(n) for n in part["junctions"][k])
-        return Signals(leads, float(part["first"][k]), junctions)
+    def points(self, number: int) -> Floats:
+        """Networks of a part in the unit cube, (`PART`, d).
 
-    def _places(self, dimension: int) -> dict[bytes, tuple[Arrays, int]]:
-        """Part, and place in it, of every point."""
-        if not self._known:
-            for number in range(len(self) // PART):
-                part = self.cache.read(f"{self.content} {number}")
-                if part is None:
-                    raise InputError(
-                        f"{self.file(number)}: damaged; delete it, and 'fascicle heart "
-                        "simulate-prior' makes it again"
-                    )
-                for k, point in enumerate(_part(dimension, number)):
-                    self._known[point.tobytes()] = part, k
-        return self._known
+        What the speeds of the tissue depend on is the same in all of a part: a tissue takes
+        seconds.
+        """
+        dimension = len(self.space) + len(self.averaged)
+        points = np.random.default_rng([SEED, number]).random((PART, dimension))
+        for k, name in enumerate(self.space.names):
+            if quantity(name).changes is Changes.TISSUE:
+                points[:, k] = points[0, k]
+        return points
 
-    @cached_property
-    def _known(self) -> dict[bytes, tuple[Arrays, int]]:
-        return {}
+    def parameters(self, number: int) -> list[dict[str, float]]:
+        """All quantities of the networks of a part."""
+        rng, count = np.random.default_rng([SEED, number, 1]), len(self.space)
+        names = {*self.space.names, *self.fixed}
+        third = [free(name) for name in fascicle_names("lv", 3) if name.endswith("3")]
+        usual = "lv_fascicle_angle_2" in names and not names & {"lv_fascicles", third[0].name}
+        found = []
+        for point in self.points(number):
+            values = {**self.fixed, **self.space.from_unit(point[:count])}
+            values |= self.averaged.values(point[count:])
+            if usual and rng.random() < 1 / 3:
+                values |= {p.name: float(p.from_unit(np.array(rng.random()))) for p in third}
+            found.append(values)
+        return found
 
-    def check(self, model: ForwardModel, space: ParameterSpace, fixed: Mapping[str, float]) -> None:
-        """Simulate its first network again."""
-        for point in _part(len(space), 0):
-            stored = self.get(point)
-            if isinstance(stored, Signals):
-                now = signals_of(({**fixed, **space.from_unit(point)}, None), model)
-                # mV; stored leads have single precision
-                if (
-                    isinstance(now, str)
-                    or now.leads.shape != stored.leads.shape
-                    or not np.allclose(stored.leads, now.leads, atol=1e-4)
-                ):
-                    raise InputError(
-                        f"{self.cache.folder}: prior simulations of another forward model; delete "
-                        "it, and 'fascicle heart simulate-prior' makes them again"
-                    )
-                return
+    def simulate(self, count: int, pool: Pool, progress: Progress | None = None) -> None:
+        """Make what is missing of so many networks."""
+        begin, end = len(self) // PART, -(-count // PART)
+        if begin >= end:
+            return
+        report = stage_progress(progress, "prior simulations")
+        bodies = random_bodies(self.model, np.random.default_rng([SEED, 0, 2]), BODIES)
+        rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(self.model.heart.leads))]
+        for number in range(begin, end):
+            scenario = None if self.scenario is None else self.scenario[0]
+            items = [(values, scenario) for values in self.parameters(number)]
+            drawn = np.random.default_rng([SEED, number, 3]).integers(BODIES, size=PART)
+            ecgs: list[Floats] = []
+            others: list[Floats] = []
+            feasible = np.zeros(PART, bool)
+            for k, outcome in enumerate(pool.map(_beat, items, self.model)):
+                report(number * PART + k + 1, end * PART)
+                if outcome is None:
+                    continue
+                feasible[k] = True
+                ecgs.append(_from_activation(outcome.leads[rows], outcome))
+                if k % HELD_OUT == HELD_OUT - 1:
+                    leads = bodies[drawn[k]].leads(outcome.activation)
+                    others.append(_from_activation(leads[rows], outcome))
+            self.cache.write(
+                f"{self.content} {number}",
+                {"feasible": feasible, **_joined("ecg", ecgs, len(rows)),
+                 **_joined("body", others, len(rows))},
+                compress=True,
+            )  # fmt: skip
+
+    def examples(self, count: int) -> Examples:
+        """What so many networks give; they must be there."""
+        parts = []
+        for number in range(-(-count // PART)):
+            part = self.cache.read(f"{self.content} {number}")
+            if part is None:
+                raise InputError(
+                    f"{self._file(number)}: damaged; delete it, and the same command makes it again"
+                )
+            parts.append(part)
+        length = max(int(np.diff(part["ecg_ends"], prepend=0).max(initial=1)) for part in parts)
+        return Examples(
+            np.concatenate([self.points(number) for number in range(len(parts))]),
+            np.concatenate([part["feasible"] for part in parts]),
+            np.concatenate([_separated("ecg", part, length) for part in parts]),
+            np.concatenate([_separated("body", part, length) for part in parts]),
+        )
 
 
-def simulate_prior(
-    heart: Heart | Path | str,
-    networks: int | None = None,
-    *,
-    workers: int | None = None,
-    progress: Progress | Lines | None = "lines",
-    pool: Pool | None = None,
-) -> Path:
-    """Simulate networks of the prior of a heart once, so that its fits need not.
+def _ranges(space: ParameterSpace, averaged: AveragedOver) -> dict[str, tuple[float, float]]:
+    both = (*space.parameters, *averaged.space.parameters)
+    return {parameter.name: (parameter.lower, parameter.upper) for parameter in both}
 
-    What is there already is kept, so it goes on where it was interrupted.
 
-    Parameters
-    ----------
-    heart : Heart or path
-        The heart, its folder, or ``"default"``.
-    networks : int, optional
-        How many; by default as many as a fit begins with.
-    workers : int, optional
-        Simulations that run at the same time; by default one a core.
-    progress : Progress, "lines" or None
-        Called with how many networks are simulated; by default lines on standard error say so.
-    pool : Pool, optional
-        Where they are simulated, as in `fascicle.fit`; by default on `workers` threads.
+def _beat(
+    item: tuple[Mapping[str, float], Scenario | None], model: ForwardModel
+) -> SimulatedBeat | None:
+    """What is kept of a network: a beat without its trees."""
+    found = model.simulate(*item)
+    if not isinstance(found, Simulation):
+        return None
+    names = found.lead_names
+    return SimulatedBeat(found.leads, found.onset, found.activation, (), lead_names=names)
 
-    Returns
-    -------
-    Path
-        Folder that holds them.
 
-    Raises
-    ------
-    InputError
-        If the heart cannot be used, or its folder cannot be written to.
-    """
-    check_pool(pool)
-    heart = as_heart(heart)
-    default = FitSettings.model_fields["prior_simulations"].default
-    count = default if networks is None else networks
-    check_count(count, "networks")
-    if workers is not None:
-        check_count(workers, "workers")
-    space, fixed = study_space("posterior", {}, heart)
-    stored = PriorSimulations.of(heart, space, fixed)
-    if stored is None or not os.access(str(heart.folder), os.W_OK):
-        raise InputError(f"{heart.folder or heart.name}: cannot be written to; copy the heart")
-    with shown_progress(progress) as shown:
-        if shown is not None:
-            compile_kernels(shown)
-        model = ForwardModel(heart, progress=shown)
-        stored.check(model, space, fixed)
-        report = stage_progress(shown, "prior simulations")
-        pool = pool or Threads(workers or os.cpu_count() or 1)
-        for number in range(len(stored) // PART, -(-count // PART)):
-            points = _part(len(space), number)
-            items = [({**fixed, **space.from_unit(point)}, None) for point in points]
-            outcomes: list[Signals | str] = []
-            for outcome in pool.map(signals_of, items, model):
-                outcomes.append(outcome)
-                report(number * PART + len(outcomes), -(-count // PART) * PART)
-            stored.add(number, outcomes)
-    return stored.cache.folder
+def _from_activation(leads: Floats, beat: SimulatedBeat) -> Floats:
+    """Leads (n_leads, n) from `BEFORE` the first activation to their end."""
+    begin = beat.first_activation - BEFORE
+    return placed(leads, begin, int(np.ceil(leads.shape[1] - begin)) + BEFORE)
+
+
+def _joined(name: str, ecgs: list[Floats], rows: int) -> Arrays:
+    """ECGs of any lengths, one after the other, and where each ends."""
+    joined = np.concatenate([np.empty((rows, 0)), *ecgs], axis=1)
+    ends = np.cumsum([ecg.shape[1] for ecg in ecgs], dtype=int)
+    return {name: joined.astype(np.float32), f"{name}_ends": ends}
+
+
+def _separated(name: str, part: Arrays, length: int) -> NDArray[np.float32]:
+    """ECGs of a part, (n, n_leads, length), with silence after their ends."""
+    ends, joined = part[f"{name}_ends"], part[name]
+    found = np.zeros((len(ends), len(joined), length), np.float32)
+    for ecg, begin, end in zip(found, [0, *ends[:-1]], ends, strict=True):
+        ecg[:, : min(end - begin, length)] = joined[:, begin : min(end, begin + length)]
+    return found

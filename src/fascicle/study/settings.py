@@ -12,7 +12,7 @@ from fascicle.core.ranges import shown
 
 Method = Literal["posterior", "paper"]
 # Settings that only one of the methods has
-OF_THE_POSTERIOR = ("effective", "evaluations", "prior_simulations", "gain_sd")
+OF_THE_POSTERIOR = ("effective", "prior_simulations", "gain_sd")
 OF_THE_PAPER = (
     "samples", "tolerance", "draws", "refit_after", "rounds", "initial", "steps", "refit_every",
     "leads", "free_gain",
@@ -60,20 +60,15 @@ class FitSettings(BaseModel):
         "Steps after which the surrogate's hyper-parameters are fitted again; in the paper at "
         "every step (1). It knows every evaluation at once.",
     )
-    effective: int = _whole(300, 20, 100_000, "Effective sample size, and networks to draw.")
-    evaluations: int = _whole(
-        24_000,
-        200,
-        10_000_000,
-        "Simulations at most, in addition to those of the prior; where they are too few, the "
-        "result says so.",
+    effective: int = _whole(
+        300, 20, 100_000, "Networks to simulate, and effective sample size to reach."
     )
     prior_simulations: int = _whole(
-        8000,
+        16_000,
         100,
         1_000_000,
-        "Networks of the prior to begin with. 'fascicle heart simulate-prior' makes them once for "
-        "all recordings of a heart.",
+        "Networks of the prior from which the emulator learns. They are made once for all "
+        "recordings of a heart.",
     )
     gain_sd: float = Field(
         0.3,

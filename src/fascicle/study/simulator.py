@@ -13,7 +13,7 @@ from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Signals, Simulation
 from fascicle.purkinje.tree import InvalidTree
 from fascicle.study.pool import Pool, Threads
-from fascicle.study.prior_simulations import PriorSimulations, signals_of
+from fascicle.study.space import AveragedOver
 from fascicle.torso.variation.conductor import InvalidTorso
 
 
@@ -23,16 +23,22 @@ class PointSimulator:
 
     model: ForwardModel
     space: ParameterSpace  # what is learnt: from a point to named parameters
-    fixed: Mapping[str, float] = field(default_factory=dict)  # at other values than defaults
+    fixed: dict[str, float] = field(default_factory=dict)  # at other values than defaults
     pool: Pool = field(default=Threads(1), compare=False)
-    prior: PriorSimulations | None = None  # networks that need not be simulated again
+    averaged: AveragedOver = field(default_factory=AveragedOver)  # its coordinates come last
     backend: Backend | None = field(default=None, compare=False)  # in place of the pool
 
     __repr__ = short_repr
 
     def parameters(self, point: Floats) -> dict[str, float]:
         """All parameters of a point (d,) that are not at their defaults, by name."""
-        return {**self.fixed, **self.space.from_unit(point)}
+        learnt, rest = point[: len(self.space)], point[len(self.space) :]
+        return self.fixed | self.space.from_unit(learnt) | self.averaged.values(rest)
+
+    @property
+    def dimension(self) -> int:
+        """Number of coordinates of a point."""
+        return len(self.space) + len(self.averaged)
 
     def simulate(
         self, points: Iterable[Floats], scenario: Scenario | None = None
@@ -48,20 +54,20 @@ class PointSimulator:
         items = [(self.parameters(point), scenario) for point in points]
         return self.pool.map(signals_of, items, self.model)
 
-    def known(self, points: Sequence[Floats]) -> list[Signals | str | None]:
-        """Intrinsic beats that the pool need not simulate: stored ones, and those of the backend.
-
-        None for all others.
-        """
-        stored = [self.prior.get(point) if self.prior is not None else None for point in points]
+    def from_backend(self, points: Sequence[Floats]) -> list[Signals | str | None]:
+        """Intrinsic beats that a backend simulates; None for all others."""
         if self.backend is None:
-            return stored
-        missing = [number for number, there in enumerate(stored) if there is None]
-        parameters = [self.parameters(points[number]) for number in missing]
-        new = self.backend.signals(self.model, parameters)
-        for number, found in zip(missing, new, strict=True):
-            stored[number] = found.reason if isinstance(found, InvalidTree) else found
-        return stored
+            return [None] * len(points)
+        found = self.backend.signals(self.model, [self.parameters(point) for point in points])
+        return [each.reason if isinstance(each, InvalidTree) else each for each in found]
+
+
+def signals_of(
+    item: tuple[Mapping[str, float], Scenario | None], model: ForwardModel
+) -> Signals | str:
+    """What of parameters in a scenario is compared with recordings, or why they give no network."""
+    outcome = model.simulate(*item)
+    return Signals.of(outcome) if isinstance(outcome, Simulation) else outcome.reason
 
 
 def _simulate(

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
+import numpy as np
+
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file, read_toml
 from fascicle.core.parameters import (
@@ -67,6 +71,65 @@ def study_space(
         raise InputError("every parameter is fixed, so nothing is left to learn; free one")
     space = ParameterSpace(tuple(learnt.values()))
     return ordered_fascicles(space) if method == "posterior" else space, fixed
+
+
+# Not known of a patient, and averaged over unless a study learns or fixes it; docs/quantities.md
+# says where the priors are from.
+NOT_KNOWN = (
+    free("branch_length", prior="normal", median=8.0, sd=1.0),
+    free("branch_angle", prior="normal", median=0.15, sd=0.03),
+    free("repulsion", prior="normal", median=0.1, sd=0.03),
+    free("anterograde_delay", lower=0.0, upper=3.0),
+)
+# As many tissues as can be kept at a time: the plain one, and others about it.
+TISSUES: tuple[dict[str, float], ...] = (
+    {},
+    {"anisotropy_ratio": 2.0},
+    {"anisotropy_ratio": 3.1},
+    {"anisotropy_ratio": 2.1, "endocardial_layer": 2.0, "endocardial_speed": 1.6},
+    {"anisotropy_ratio": 3.0, "endocardial_layer": 2.0, "endocardial_speed": 1.6},
+)
+TISSUE = "tissue"  # what the number of one of `TISSUES` is called
+
+
+@dataclass(frozen=True)
+class AveragedOver:
+    """What is not known and not reported either, but varies in all simulations of a posterior.
+
+    Attributes
+    ----------
+    space : ParameterSpace
+        Quantities with their priors.
+    tissues : tuple of mappings
+        Quantities of the tissues, each as probable as the others.
+    """
+
+    space: ParameterSpace = field(default_factory=partial(ParameterSpace, ()))
+    tissues: tuple[Mapping[str, float], ...] = ({},)
+
+    @classmethod
+    def of(cls, space: ParameterSpace, fixed: Mapping[str, float], heart: Heart) -> AveragedOver:
+        """What is left to average over beside what is learnt, fixed, and known of the heart."""
+        known = {*space.names, *fixed, *heart.values}
+        left = tuple(p for p in NOT_KNOWN if p.name not in known)
+        varied = {name for tissue in TISSUES for name in tissue}
+        return cls(ParameterSpace(left), ({},) if known & varied else TISSUES)
+
+    def __len__(self) -> int:
+        """Coordinates of a point."""
+        return len(self.space) + (len(self.tissues) > 1)
+
+    def tissue(self, points: Floats) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+        """Which of the tissues points (n, d) of the unit cube are of, (n,)."""
+        if len(self.tissues) == 1:
+            return np.zeros(len(points), np.intp)
+        number = (points[:, -1] * len(self.tissues)).astype(np.intp)
+        return np.minimum(number, len(self.tissues) - 1)
+
+    def values(self, point: Floats) -> dict[str, float]:
+        """All quantities at a point (d,) of the unit cube."""
+        (number,) = self.tissue(point[None])
+        return {**self.space.from_unit(point[: len(self.space)]), **self.tissues[number]}
 
 
 def without_groups(wanted: Mapping[str, Any]) -> dict[str, Any]:

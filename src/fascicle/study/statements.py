@@ -15,7 +15,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.parameters import Parameter
 from fascicle.core.quantities import parameter_name, region_labels
 from fascicle.inference.evaluation import Evaluation
-from fascicle.inference.importance_sampling import EVIDENCE_APART, MEANS_APART
+from fascicle.inference.tempered_sampling import EVIDENCE_APART, MEANS_APART
 from fascicle.purkinje.tree import FEW_JUNCTIONS
 from fascicle.study.agreement import pearson
 from fascicle.study.population import Population, Posterior
@@ -306,9 +306,7 @@ def _warnings(result: Result) -> Iterator[tuple[Kind, str]]:
     poor = _poor_fit(result)
     yield Kind.POOR_FIT, poor
     if isinstance(result.population, Posterior) and not poor:  # else to go on would not help
-        settings = result.settings
-        more = how_to_go_on(result.population, settings.effective, settings.evaluations)
-        yield Kind.NOT_CONVERGED, more
+        yield Kind.NOT_CONVERGED, how_to_go_on(result.population, result.settings)
     yield Kind.LEADS, _poor_leads(result)
     yield Kind.GAIN, _unusual_gain(result)
     if result.settings.method == "paper":
@@ -359,24 +357,14 @@ def _poor_fit(result: Result) -> str:
     )
 
 
-def how_to_go_on(posterior: Posterior, effective: int, evaluations: int) -> str:
-    """Say with which settings, of both runs, a fit goes on whose runs do not agree; else empty."""
+def how_to_go_on(posterior: Posterior, settings: FitSettings) -> str:
+    """Say with which settings a fit goes on whose runs do not agree; else empty."""
     if posterior.converged:
         return ""
-    if posterior.evaluations.sum() < evaluations:
-        return (
-            f"both runs have their {effective} effective draws, but do not agree: the same command "
-            f"with --effective {2 * effective} goes on where they stopped"
-        )
-    # the effective sample grows with the evaluations, of the slower run, too
-    slowest = float((posterior.evaluations / posterior.effective).max())
-    enough = max(slowest * effective, 2 * posterior.evaluations.sum())
-    step = 10 ** max(0, int(np.log10(enough)) - 1)  # two digits and zeros
     return (
-        f"the runs have {posterior.effective.sum():.0f} of {effective} effective draws after "
-        f"{posterior.evaluations.sum():.0f} evaluations in addition to those of the prior: the "
-        f"same command with --evaluations {int(step * np.ceil(enough / step))} goes on where they "
-        "stopped, and at this rate that is enough"
+        f"the two runs do not agree, or are worth fewer than {settings.effective} independent "
+        f"draws each: --prior-simulations {2 * settings.prior_simulations}, in a new study, makes "
+        "the emulator, and so the likelihood, smoother"
     )
 
 

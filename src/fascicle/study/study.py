@@ -16,12 +16,14 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
 from pydantic import ConfigDict, Field, ValidationError
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import write_text
 from fascicle.core.parameters import Parameter, ParameterSpace
@@ -32,11 +34,12 @@ from fascicle.study.evaluations import Database, Journal, Record, Stage
 from fascicle.study.lock import LOCK, study_lock
 from fascicle.study.population import RESULT, Population
 from fascicle.study.settings import FitSettings, first_problem
+from fascicle.study.space import AveragedOver
 
 CONFIGURATION = "study.json"
 DATABASE = "evaluations.sqlite"
-FORMAT: Final = 7  # of the folder
-MAY_CHANGE = ("workers", "steps", "samples", "effective", "evaluations")  # when a study is resumed
+FORMAT: Final = 8  # of the folder
+MAY_CHANGE = ("workers", "steps", "samples", "effective")  # when a study is resumed
 CHECKED = 4  # stored evaluations that are made again
 SAME_LOSS = 1e-6  # relative; another machine rounds otherwise, another model differs by far more
 
@@ -60,7 +63,7 @@ class StudyConfig(FitSettings):
     growth: dict[str, float]  # rules, where `fixed` does not say otherwise
     growth_term: str = REPULSION.function.__name__  # name of the function of a GrowthTerm
     conduction: dict[str, float | None]  # of the tissues, likewise; None where others decide it
-    version: Literal[7] = FORMAT  # of the folder
+    version: Literal[8] = FORMAT  # of the folder
 
     @property
     def parameter_space(self) -> ParameterSpace:
@@ -118,8 +121,17 @@ class Study:
         """Count the times that a stage has proposed points so far."""
         return self._database.steps(stage)
 
-    def run(self, objective: Objective, progress: Progress | None = None) -> Population:
+    def run(
+        self,
+        objective: Objective,
+        progress: Progress | None = None,
+        averaged: AveragedOver | None = None,
+        emulated: Sequence[Callable[[Floats], Floats]] = (),
+    ) -> Population:
         """Do what is left of the study, and give its result.
+
+        A posterior needs to know what is averaged over, and the emulated log-likelihoods of each
+        recording.
 
         A finished study gives its result again. A few stored points are evaluated again,
         to see that the forward model is still the same: `objective` must give the same result for
@@ -131,11 +143,14 @@ class Study:
             from fascicle.study import paper, posterior  # the surrogate, which only a fit needs
 
             config, space = self.config, self.config.parameter_space
-            journal = Journal(self._database, objective, len(space), config.seed, config.workers)
+            averaged = averaged or AveragedOver()
+            dimension = len(space) + len(averaged)
+            journal = Journal(self._database, objective, dimension, config.seed, config.workers)
             if config.method == "paper":
                 return paper.PaperFit(config, space, journal, progress).run()
-            recordings = len(config.scenarios)
-            return posterior.PosteriorFit(config, space, journal, recordings, progress).run()
+            return posterior.PosteriorFit(
+                config, space, averaged, journal, emulated, progress
+            ).run()
 
     def check_objective(self, objective: Objective) -> None:
         """Refuse another forward model than that of the stored evaluations."""

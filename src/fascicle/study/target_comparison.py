@@ -22,8 +22,7 @@ from fascicle.inference.evaluation import Evaluation
 from fascicle.recording.residuals import repeated
 from fascicle.recording.target import Target
 from fascicle.study.pool import Threads
-from fascicle.study.prior_simulations import signals_of
-from fascicle.study.simulator import PointSimulator
+from fascicle.study.simulator import PointSimulator, signals_of
 
 # A point, its parameters, and its intrinsic beat if that is known
 Item = tuple[Floats, Mapping[str, float], Signals | str | None]
@@ -150,7 +149,7 @@ def _evaluate_part(
     simulator: PointSimulator, recordings: Sequence[TargetComparison], points: Sequence[Floats]
 ) -> Iterator[Evaluation]:
     intrinsic = [recording.scenario is None for recording in recordings]
-    known = simulator.known(points) if any(intrinsic) else [None] * len(points)
+    known = simulator.from_backend(points) if any(intrinsic) else [None] * len(points)
     items: list[Item] = [
         (point, simulator.parameters(point), there)
         for point, there in zip(points, known, strict=True)

@@ -1,0 +1,125 @@
+"""Small neural networks that learn a smooth function from noisy examples of it.
+
+A first layer, residual blocks h ← h + silu(h W + b), a linear last layer. They are trained by Adam
+with decoupled weight decay and a step that falls as a cosine, and averaged: networks that begin at
+other random weights err differently.
+
+References
+----------
+K. He et al., "Deep residual learning for image recognition", CVPR 2016; D. P. Kingma and J. Ba,
+"Adam: a method for stochastic optimization", ICLR 2015; I. Loshchilov and F. Hutter, "Decoupled
+weight decay regularization", ICLR 2019; B. Lakshminarayanan et al., "Simple and scalable predictive
+uncertainty estimation using deep ensembles", NeurIPS 2017.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit
+
+Singles = NDArray[np.float32]
+
+BATCH = 256  # examples of a step
+RATE, DECAY = 2e-3, 0.01  # of the steps at most; of the weights, relative to the step
+MOMENTS = (0.9, 0.99)  # Adam's memory of gradients and of their squares
+
+
+class Network(NamedTuple):
+    """A trained network.
+
+    Attributes
+    ----------
+    weights : tuple of arrays
+        Matrix and offset of each layer, the first and the last layer's at the ends.
+    """
+
+    weights: tuple[Singles, ...]
+
+    def __call__(self, inputs: Singles) -> Singles:
+        """Give the outputs (n, q) of inputs (n, p)."""
+        hidden = _forward(self.weights, inputs)[-1][0]
+        return np.asarray(hidden @ self.weights[-2] + self.weights[-1])
+
+
+def _forward(weights: tuple[Singles, ...], inputs: Singles) -> list[tuple[Singles, ...]]:
+    """Input, sum and sigmoid of each hidden layer, and at last what the last layer is given."""
+    kept, hidden = [], inputs
+    for k in range(0, len(weights) - 2, 2):
+        total = hidden @ weights[k] + weights[k + 1]
+        open_ = expit(total)
+        kept.append((hidden, total, open_))
+        hidden = total * open_ if k == 0 else hidden + total * open_
+    return [*kept, (hidden,)]
+
+
+def _gradients(
+    weights: tuple[Singles, ...], kept: list[tuple[Singles, ...]], slope: Singles
+) -> list[Singles]:
+    """Of the loss in all weights, given its slope (n, q) in the outputs."""
+    (hidden,) = kept[-1]
+    found = [slope.sum(axis=0), hidden.T @ slope]
+    back = slope @ weights[-2].T
+    for k in range(len(weights) - 4, -1, -2):
+        given, total, open_ = kept[k // 2]
+        inner = back * (open_ * (1 + total * (1 - open_)))
+        found += [inner.sum(axis=0), given.T @ inner]
+        back = back + inner @ weights[k].T if k else inner
+    return found[::-1]
+
+
+def train(
+    inputs: Singles,
+    outputs: Singles,
+    rng: np.random.Generator,
+    *,
+    width: int = 256,
+    blocks: int = 3,
+    steps: int = 3000,
+    probability: bool = False,
+    progress: Callable[[int], None] = lambda done: None,
+) -> Network:
+    """Train a network on examples: inputs (n, p) of about unit size, and outputs (n, q).
+
+    Parameters
+    ----------
+    width, blocks : int
+        Size of the hidden layers, and how many of them are residual.
+    steps : int
+        Of `BATCH` examples each.
+    probability : bool
+        Whether outputs are 0 or 1, of which the network gives the log odds; else the mean squared
+        error is made small.
+    progress : callable
+        Called now and then with the steps that are done.
+    """
+    sizes = [inputs.shape[1], *[width] * (blocks + 1), outputs.shape[1]]
+    weights: tuple[Singles, ...] = ()
+    for before, after in pairwise(sizes):
+        first = rng.standard_normal((before, after)) / np.sqrt(before)
+        weights += (first.astype(np.float32), np.zeros(after, np.float32))
+    means, squares = ([np.zeros_like(w) for w in weights] for _ in range(2))
+    order = np.empty(0, int)
+    for step in range(1, steps + 1):
+        if len(order) < BATCH:
+            order = np.concatenate([order, rng.permutation(len(inputs))])
+        batch, order = order[:BATCH], order[BATCH:]
+        kept = _forward(weights, inputs[batch])
+        found = kept[-1][0] @ weights[-2] + weights[-1]
+        wanted = outputs[batch]
+        slope = expit(found) - wanted if probability else found - wanted
+        rate = RATE * min(1.0, step / 200) * 0.5 * (1 + np.cos(np.pi * step / steps))
+        gradients = _gradients(weights, kept, slope / np.float32(len(batch)))
+        for weight, gradient, mean, square in zip(weights, gradients, means, squares, strict=True):
+            mean += (1 - MOMENTS[0]) * (gradient - mean)
+            square += (1 - MOMENTS[1]) * (gradient**2 - square)
+            size = np.sqrt(square / (1 - MOMENTS[1] ** step)) + 1e-8
+            change = mean / (1 - MOMENTS[0] ** step) / size
+            weight -= (rate * (change + DECAY * (weight.ndim == 2) * weight)).astype(np.float32)
+        if step % 50 == 0:
+            progress(step)
+    return Network(weights)

@@ -1,0 +1,315 @@
+"""An emulator of a heart's ECG: small networks that learn it from the prior simulations.
+
+ECGs are aligned at the first activation and described by their principal components. Networks give
+the components from the parameters; another one gives the probability that parameters give a
+network of the heart at all. What held-out ECGs in random bodies have beside the emulated ones is
+all that the emulator does not say: its own error, the fine structure that growth leaves to chance,
+and the body. That is the discrepancy of the likelihood (J. Kaipio and E. Somersalo, "Statistical
+inverse problems: discretization, model reduction and inverse crimes", J. Comput. Appl. Math. 198,
+2007).
+
+A heart whose speeds are all c times as high, with root times and delays c times as short, has the
+same ECG on a clock that is c times as fast. Every simulation therefore serves at several speeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dct, idct
+
+from fascicle.core.arrays import Floats
+from fascicle.core.leads import INDEPENDENT_LEADS, limb_leads_from
+from fascicle.core.parameters import ParameterSpace
+from fascicle.core.progress import Progress, stage_progress
+from fascicle.core.threads import one_thread
+from fascicle.inference.emulator import BATCH, Network, Singles, train
+from fascicle.study.prior_simulations import BEFORE, Examples
+from fascicle.study.space import AveragedOver
+
+NETWORKS = 3  # that are averaged
+COMPONENTS = 60  # principal ones; they leave a thousandth of the variance
+HIGHEST = 0.04  # cycles per ms; the likelihood looks at less
+COPIES = 4  # of an example at other speeds
+EPOCHS = 12  # times that every example is seen
+FASTER = ("alpha", "fibre_speed", "cv")  # c times as high
+SOONER = ("root_time", "anterograde_delay", "retrograde_delay", "his_time")  # c times as short
+
+
+@dataclass(frozen=True)
+class EcgEmulator:
+    """What networks learnt of a heart's ECG.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Quantities that it depends on.
+    centre, scale : arrays
+        Of its inputs: the quantities, those of `FASTER` by their logarithms, and the tissue.
+    networks, validity : sequence of Network, and Network
+        Components, in `unit`; log odds that there is a network.
+    mean, components : (8 + k, f) and (q, 8 + k, f) arrays
+        Mean ECG (mV) and principal components, in cosines.
+    unit : float
+        Root mean square of the components (mV).
+    length : int
+        Samples (1 ms) of an ECG, which begins `BEFORE` the first activation.
+    left : (h, q) array
+        Components of what the emulator does not say of held-out ECGs in random bodies, each over
+        the norm of its emulated ECG.
+    report : mapping of str to float
+        Of held-out networks: share of the variance that it gives, root mean square error over that
+        of the ECGs, in the plain body, by lead and in random bodies; how often it is right about
+        whether there is a network.
+    """
+
+    names: tuple[str, ...]
+    centre: Floats
+    scale: Floats
+    networks: tuple[Network, ...]
+    validity: Network
+    mean: Floats
+    components: Floats
+    unit: float
+    length: int
+    left: Floats
+    report: Mapping[str, float]
+
+    def scores(self, inputs: Singles) -> Singles:
+        """Components (n, q) in `unit` of inputs (n, p) that `inputs` has made."""
+        return np.asarray(np.mean([network(inputs) for network in self.networks], axis=0))
+
+    def log_validity(self, inputs: Singles) -> Floats:
+        """Logarithm of the probability that there is a network, (n,)."""
+        odds = self.validity(inputs)[:, 0].astype(float)
+        return np.asarray(-np.logaddexp(0.0, -odds))
+
+    def inputs(self, values: Mapping[str, Floats], tissues: Floats) -> Singles:
+        """Inputs (n, p) of quantities (n,) by name, and of tissues (n, t) (`tissue_inputs`)."""
+        raw = _raw(self.names, values, tissues)
+        return np.asarray((raw - self.centre) / self.scale, dtype=np.float32)
+
+    @cached_property
+    def series(self) -> Floats:
+        """Components as leads (q, 12 + k, length), as one unit of scores gives them (mV)."""
+        return np.asarray(self.unit * _in_time(self.components, self.length))
+
+    @cached_property
+    def mean_leads(self) -> Floats:
+        """Mean ECG in all leads (12 + k, length) (mV)."""
+        return np.asarray(_in_time(self.mean[None], self.length)[0])
+
+    @cached_property
+    def left_leads(self) -> Floats:
+        """What the emulator does not say, (h, 12 + k, length), of ECGs of unit norm."""
+        return _in_time(np.einsum("hq,qlf->hlf", self.left, self.components), self.length)
+
+    def arrays(self) -> dict[str, Any]:
+        """All of it for a file; the weights in half precision."""
+        found: dict[str, Any] = {}
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if each.name in ("networks", "validity"):
+                group = value if each.name == "networks" else (value,)
+                for n, network in enumerate(group):
+                    for k, weight in enumerate(network.weights):
+                        found[f"{each.name} {n} {k:02d}"] = weight.astype(np.float16)
+            elif each.name == "report":
+                found |= {f"report {name}": number for name, number in value.items()}
+            elif each.name in ("mean", "components", "left"):
+                found[each.name] = value.astype(np.float32)
+            else:
+                found[each.name] = value
+        return found
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, Any]) -> EcgEmulator:
+        """The inverse of `arrays`."""
+        parts = {n: np.asarray(arrays[n]) for n in ("centre", "scale")}
+        parts |= {n: np.asarray(arrays[n], float) for n in ("mean", "components", "left")}
+        networks: dict[str, list[Singles]] = {}
+        for name in sorted(arrays):
+            if name.startswith(("networks ", "validity ")):
+                kind = name.rpartition(" ")[0]
+                networks.setdefault(kind, []).append(arrays[name].astype(np.float32))
+        made = {kind: Network(tuple(weights)) for kind, weights in networks.items()}
+        return cls(
+            names=tuple(map(str, arrays["names"])),
+            unit=float(arrays["unit"]),
+            length=int(arrays["length"]),
+            networks=tuple(n for kind, n in made.items() if kind.startswith("networks")),
+            validity=made["validity 0"],
+            report={
+                name.removeprefix("report "): float(arrays[name])
+                for name in arrays
+                if name.startswith("report ")
+            },
+            **parts,
+        )
+
+
+def tissue_inputs(tissue: Mapping[str, float], plain_ratio: float) -> list[float]:
+    """What an emulator is told of a tissue: anisotropy, and how much a layer hastens."""
+    ratio = tissue.get("anisotropy_ratio", plain_ratio)
+    faster = tissue.get("endocardial_speed", 1.0) ** 2 - 1
+    hastened = tissue.get("endocardial_layer", 0.0) * faster
+    return [float(np.log(ratio)), float(hastened)]
+
+
+def _raw(names: tuple[str, ...], values: Mapping[str, Floats], tissues: Floats) -> Floats:
+    columns = [np.log(values[n]) if n in FASTER else values[n] for n in names]
+    return np.column_stack([*columns, tissues])
+
+
+def _in_time(cosines: Floats, length: int) -> Floats:
+    """Independent leads in cosines (n, 8 + k, f) as all leads in time (n, 12 + k, length)."""
+    padded = np.pad(cosines, ((0, 0), (0, 0), (0, length - cosines.shape[2])))
+    ecg = idct(padded, axis=2, norm="ortho")
+    limb = limb_leads_from(INDEPENDENT_LEADS)
+    assert limb is not None
+    return np.concatenate([np.einsum("al,nlt->nat", limb[:, :2], ecg[:, :2]), ecg[:, 2:]], axis=1)
+
+
+@one_thread
+def learn(
+    examples: Examples,
+    space: ParameterSpace,
+    averaged: AveragedOver,
+    plain_ratio: float,
+    rng: np.random.Generator,
+    *,
+    same_on_any_clock: bool = True,
+    progress: Progress | None = None,
+) -> EcgEmulator:
+    """Train an emulator on the examples that are not held out.
+
+    Parameters
+    ----------
+    plain_ratio : float
+        Speed along over across the fibre in the plain tissue.
+    same_on_any_clock : bool
+        Whether faster hearts are the same on another clock: not where a scenario has times.
+    """
+    table = np.array([tissue_inputs(t, plain_ratio) for t in averaged.tissues])
+    table = table if len(table) > 1 else table[:, :0]
+    values = space.columns(examples.points[:, : len(space)])
+    rest = examples.points[:, len(space) :]
+    values |= averaged.space.columns(rest[:, : len(averaged.space)])
+    values.pop("gain", None)  # a factor on the ECG
+    ends = {p.name: (p.lower, p.upper) for p in (*space.parameters, *averaged.space.parameters)}
+    tissues, names = table[averaged.tissue(rest)], tuple(values)
+    raw = _raw(names, values, tissues)
+    centre, scale = raw.mean(axis=0), raw.std(axis=0) + 1e-9
+    made, held_out = examples.feasible, examples.held_out[examples.feasible]
+    begin = np.flatnonzero(~held_out)
+
+    count = max(2, round(2 * HIGHEST * examples.ecgs.shape[2]))
+    cosines = _cosines(examples.ecgs, count)
+    mean = cosines[begin].mean(axis=0)
+    flat = (cosines[begin] - mean).reshape(len(begin), -1)
+    components = np.linalg.svd(flat[:6000], full_matrices=False)[2][:COMPONENTS]
+    unit = float((flat @ components.T).std())
+
+    def scores(given: Floats) -> Floats:
+        return np.asarray((given - mean).reshape(len(given), -1) @ components.T / unit)
+
+    feasible = {name: value[made] for name, value in values.items()}
+    inputs, outputs = [raw[made][begin]], [scores(cosines[begin])]
+    here = {name: value[begin] for name, value in feasible.items()}
+    clocks = {"cv", "root_time"} < {*names} and bool({*FASTER[:2]} & {*names})
+    for _ in range(COPIES if same_on_any_clock and clocks else 0):
+        others, ecgs = _on_another_clock(here, ends, examples.ecgs[begin], rng)
+        inputs.append(_raw(names, others, tissues[made][begin]))
+        outputs.append(scores(_cosines(ecgs, count)))
+    seen = ((np.concatenate(inputs) - centre) / scale).astype(np.float32)
+    wanted = np.concatenate(outputs).astype(np.float32)
+    every = ((raw - centre) / scale).astype(np.float32)
+    steps = max(200, EPOCHS * len(seen) // BATCH)
+    report, done = stage_progress(progress, "training"), [0] * (NETWORKS + 1)
+
+    def train_one(number: int, rng: np.random.Generator) -> Network:
+        def reported(step: int) -> None:
+            done[number] = step
+            report(sum(done), steps * (NETWORKS + 1))
+
+        if number == NETWORKS:
+            known = examples.feasible[:, None][~examples.held_out].astype(np.float32)
+            given = every[~examples.held_out]
+            return train(
+                given, known, rng, width=64, steps=steps, probability=True, progress=reported
+            )
+        return train(seen, wanted, rng, steps=steps, progress=reported)
+
+    with ThreadPoolExecutor(2) as pool:
+        *networks, validity = pool.map(train_one, range(NETWORKS + 1), rng.spawn(NETWORKS + 1))
+    shape = len(components), *mean.shape
+    emulator = EcgEmulator(
+        names, centre, scale, tuple(networks), validity, mean, components.reshape(shape), unit,
+        examples.ecgs.shape[2], np.empty((0, len(components))), {},
+    )  # fmt: skip
+    return _with_what_is_left(emulator, examples, count, every)
+
+
+def _cosines(ecgs: NDArray[np.float32], count: int) -> Floats:
+    return np.asarray(dct(ecgs, axis=2, norm="ortho")[:, :, :count], dtype=float)
+
+
+def _on_another_clock(
+    values: Mapping[str, Floats],
+    ends: Mapping[str, tuple[float, float]],
+    ecgs: NDArray[np.float32],
+    rng: np.random.Generator,
+) -> tuple[dict[str, Floats], NDArray[np.float32]]:
+    """The same hearts, each at other speeds within the ranges, and their ECGs."""
+    slowest, fastest = np.full(len(ecgs), 0.2), np.full(len(ecgs), 5.0)
+    for name, value in values.items():
+        low, high = ends[name]
+        if name in FASTER:
+            slowest, fastest = np.maximum(slowest, low / value), np.minimum(fastest, high / value)
+        elif name in SOONER:
+            end = np.where(value > 0, high, low)
+            slowest = np.maximum(slowest, np.where(value == 0, 0, value / end))
+    clock = np.exp(rng.uniform(np.log(slowest), np.log(np.maximum(fastest, slowest))))
+    changed = {
+        n: v * clock if n in FASTER else v / clock if n in SOONER else v for n, v in values.items()
+    }
+    length = ecgs.shape[2]
+    place = np.clip(BEFORE + clock[:, None] * (np.arange(length) - BEFORE), 0, length - 1)
+    before = np.minimum(place.astype(int), length - 2)
+    share = (place - before)[:, None].astype(np.float32)
+    early, late = (np.take_along_axis(ecgs, k[:, None], axis=2) for k in (before, before + 1))
+    return changed, early * (1 - share) + late * share
+
+
+def _with_what_is_left(
+    emulator: EcgEmulator, examples: Examples, count: int, inputs: Singles
+) -> EcgEmulator:
+    """The same with what held-out ECGs have beside the emulated ones, and a report."""
+    held_out = examples.held_out
+    scores = emulator.scores(inputs[held_out & examples.feasible]) * emulator.unit
+    flat = emulator.components.reshape(len(emulator.components), -1)
+    emulated = emulator.mean + (scores @ flat).reshape(-1, *emulator.mean.shape)
+    norms = np.sqrt((emulated**2).sum(axis=(1, 2)))
+    in_bodies = _cosines(examples.in_bodies, count) - emulated
+    left = in_bodies.reshape(len(in_bodies), -1) @ flat.T / norms[:, None]
+    true = _cosines(examples.ecgs[held_out[examples.feasible]], count)
+    errors, squares = ((true - emulated) ** 2).sum(axis=2), (true**2).sum(axis=2)
+    spread = ((true - true.mean(axis=0)) ** 2).sum()
+    odds, there = emulator.validity(inputs[held_out])[:, 0], examples.feasible[held_out]
+    report = {
+        "networks": float(len(examples.points)),
+        "r_squared": 1 - float(errors.sum() / max(spread, 1e-12)),
+        "error": float(np.sqrt(errors.sum() / squares.sum())),
+        "error_in_bodies": float(np.sqrt((in_bodies**2).sum() / squares.sum())),
+        "validity": float(((odds > 0) == there).mean()),
+    }
+    leads = [*INDEPENDENT_LEADS, *map(str, range(errors.shape[1] - len(INDEPENDENT_LEADS)))]
+    for lead, error, square in zip(leads, errors.sum(axis=0), squares.sum(axis=0), strict=True):
+        report[f"error_{lead}"] = float(np.sqrt(error / square))
+    return replace(emulator, left=left, report=report)

@@ -1,0 +1,145 @@
+"""The emulator of a heart: found, or made of prior simulations, and kept with the heart."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from fascicle.core.array_cache import ArrayCache
+from fascicle.core.errors import InputError
+from fascicle.core.files import DISPOSABLE
+from fascicle.core.progress import Lines, Progress, shown_progress
+from fascicle.core.ranges import check_count
+from fascicle.forward.compile_kernels import compile_kernels
+from fascicle.forward.model import ForwardModel
+from fascicle.forward.scenario import Scenario
+from fascicle.heart.folder import as_heart
+from fascicle.heart.heart import Heart
+from fascicle.purkinje.growth import GrowthRules
+from fascicle.study.ecg_emulator import EcgEmulator, learn
+from fascicle.study.pool import Pool, Threads, check_pool
+from fascicle.study.prior_simulations import SEED, PriorSimulations
+from fascicle.study.settings import FitSettings
+from fascicle.study.simulator import PointSimulator
+from fascicle.study.space import AveragedOver, study_space
+
+PACKAGED = "emulator"  # file in the folder of a heart whose emulator comes with it
+
+
+def emulator_of(
+    simulator: PointSimulator,
+    count: int,
+    folder: Path,
+    progress: Progress | None = None,
+    scenario: tuple[Scenario, str] | None = None,
+) -> EcgEmulator:
+    """Find an emulator for a study, or make one of so many prior simulations.
+
+    That of the heart's usual priors serves wherever a study learns and fixes what it has seen.
+
+    Parameters
+    ----------
+    folder : Path
+        Of a heart, in which simulations and emulator are kept.
+    scenario : (Scenario, str), optional
+        In which the heart was recorded, and its digest.
+    """
+    model, heart = simulator.model, simulator.model.heart
+    space, fixed = study_space("posterior", {}, heart)
+    averaged = AveragedOver.of(space, fixed, heart)
+    usual = prior_of(
+        replace(simulator, space=space, averaged=averaged, fixed=fixed), folder, scenario
+    )
+    if usual.covers(simulator.space, simulator.averaged, simulator.fixed):
+        if heart.folder is not None and scenario is None and model.rules == GrowthRules():
+            stored = ArrayCache(heart.folder, PACKAGED).read(usual.content)
+            if stored is not None and float(stored["report networks"]) >= count:
+                return EcgEmulator.from_arrays(stored)
+        return made_emulator(usual, count, simulator.pool, progress)
+    return made_emulator(prior_of(simulator, folder, scenario), count, simulator.pool, progress)
+
+
+def made_emulator(
+    prior: PriorSimulations, count: int, pool: Pool, progress: Progress | None = None
+) -> EcgEmulator:
+    """The emulator that was learnt from so many prior simulations, which are made if need be."""
+    cache, key = ArrayCache(prior.cache.folder, PACKAGED), f"{prior.content} {count}"
+    stored = cache.read(key)
+    if stored is not None:
+        return EcgEmulator.from_arrays(stored)
+    prior.simulate(count, pool, progress)
+    ratio = float(np.divide(*prior.model.conduction.speeds))
+    found = learn(
+        prior.examples(count), prior.space, prior.averaged, ratio, np.random.default_rng(SEED),
+        same_on_any_clock=prior.scenario is None, progress=progress,
+    )  # fmt: skip
+    cache.write(key, found.arrays(), compress=True)
+    return EcgEmulator.from_arrays(found.arrays())  # with weights as they are stored
+
+
+def prior_of(
+    simulator: PointSimulator, folder: Path, scenario: tuple[Scenario, str] | None = None
+) -> PriorSimulations:
+    """Prior simulations of what a simulator varies, kept in the folder of a heart."""
+    cache = ArrayCache(folder / DISPOSABLE, "prior")
+    return PriorSimulations(
+        simulator.model, simulator.space, simulator.averaged, simulator.fixed, cache, scenario
+    )
+
+
+def simulate_prior(
+    heart: Heart | Path | str,
+    networks: int | None = None,
+    *,
+    workers: int | None = None,
+    progress: Progress | Lines | None = "lines",
+    pool: Pool | None = None,
+) -> Path:
+    """Simulate networks of the prior of a heart once, and train its emulator, for all its fits.
+
+    What is there already is kept, so it goes on where it was interrupted.
+
+    Parameters
+    ----------
+    heart : Heart or path
+        The heart, its folder, or ``"default"``.
+    networks : int, optional
+        How many; by default as many as a fit wants.
+    workers : int, optional
+        Simulations that run at the same time; by default one a core.
+    progress : Progress, "lines" or None
+        Called with how many networks are simulated; by default lines on standard error say so.
+    pool : Pool, optional
+        Where they are simulated, as in `fascicle.fit`; by default on `workers` threads.
+
+    Returns
+    -------
+    Path
+        Folder that holds them.
+
+    Raises
+    ------
+    InputError
+        If the heart cannot be used, or its folder cannot be written to.
+    """
+    check_pool(pool)
+    heart = as_heart(heart)
+    default = FitSettings.model_fields["prior_simulations"].default
+    count = default if networks is None else networks
+    check_count(count, "networks")
+    if workers is not None:
+        check_count(workers, "workers")
+    space, fixed = study_space("posterior", {}, heart)
+    if heart.folder is None or not os.access(heart.folder, os.W_OK):
+        raise InputError(f"{heart.folder or heart.name}: cannot be written to; copy the heart")
+    with shown_progress(progress) as shown:
+        if shown is not None:
+            compile_kernels(shown)
+        model = ForwardModel(heart, progress=shown)
+        averaged = AveragedOver.of(space, fixed, heart)
+        prior = prior_of(PointSimulator(model, space, fixed, averaged=averaged), heart.folder)
+        made_emulator(prior, count, pool or Threads(workers or os.cpu_count() or 1), shown)
+    return prior.cache.folder
