@@ -2,17 +2,23 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import fascicle
+from fascicle.cli.demo import demo_recording
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import Parameter, ParameterSpace
+from fascicle.core.parameters import Parameter, ParameterSpace, free
 from fascicle.inference import optimisation as bo_step
 from fascicle.inference.abc import ErrorDensity, total_variation
 from fascicle.inference.evaluation import Evaluation
 from fascicle.study.evaluations import Stage
-from fascicle.study.study import CHECKED, FORMAT, Study, StudyConfig
+from fascicle.study.fit import read_inputs
+from fascicle.study.settings import FitSettings
+from fascicle.study.space import NOT_KNOWN
+from fascicle.study.study import CHECKED, FORMAT, Study, StudyConfig, check_same
 
 SPACE = ParameterSpace((Parameter("cv", "mm/ms", 2.0, 4.0), Parameter("root_time", "ms", -75, 50)))
 NOISE = np.linspace(-1, 1, 6) ** 3
@@ -174,6 +180,11 @@ def test_batches_are_repeatable(tmp_path):
         ),
         ({"space": SPACE.parameters[::-1]}, r"\(the order of the parameters\)"),
         (
+            {"likelihood": {"name": "Mine"}, "averaged": (free("branch_angle"),)},
+            r"\(likelihood name: there none, now Mine; "
+            r"branch_angle: there none, now averaged over \(uniform 0.05 to 0.5\)\)",
+        ),
+        (
             {"initial": 13, "draws": 1, "rounds": 1, "seed": 4, "fixed": {"gain": 2.0}},
             r"\(draws: there 3000, now 1; rounds: there 4, now 1; .*; and 2 more\)",
         ),
@@ -327,3 +338,18 @@ def test_importing_the_study_loads_no_surrogate():
     code = f"import sys, fascicle.study.study; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_posterior_names_the_constants_of_its_likelihood(default_heart, monkeypatch):
+    target = fascicle.make_target(fascicle.read_recording(demo_recording()))
+
+    def named(method):
+        return read_inputs(default_heart, target, {}, FitSettings(method=method)).config
+
+    before = named("posterior")
+    assert before.likelihood["discrepancy_shares"].split()[0] == "0.1"
+    assert [parameter.name for parameter in before.averaged] == [p.name for p in NOT_KNOWN]
+    assert not named("paper").likelihood
+    monkeypatch.setattr("fascicle.forward.likelihood.SHARES", np.array([0.2, 0.4]))
+    with pytest.raises(InputError, match=r"\(likelihood discrepancy_shares: there 0.1 .*, now 0.2"):
+        check_same(Path("s"), before, named("posterior"))

@@ -8,9 +8,9 @@ recorded beat::
 
     V̂ = g V(s) + ε,    ε ~ N(0, C + σ² D)
 
-    C     covariance of what is known: noise of the mean beat, roughness of the forward model
-    D     covariance of the discrepancy, what no network of this model explains, of unit size: half
-          of it is smooth in time, half is rough, as a network's own ECG is in its parameters
+    C     covariance of what is known: noise of the mean beat, and what an emulator does not say
+    D     covariance of the discrepancy, what lies outside all of that, of unit size: half of it is
+          smooth in time, half is rough, as a network's own ECG is in its parameters
     σ     its size (mV), unknown: log-uniform over `SHARES` of the recorded QRS
     g     gain, unknown: normal about 1
     s     shift, unknown: the first activation is the onset of the recorded QRS, give or take its
@@ -46,6 +46,10 @@ from fascicle.recording.target import Target
 
 MARGIN = 40  # samples (ms) of silence on either side of the QRS
 STEP = 2  # ms between shifts
+HALF_PERIOD = 20.0  # ms; of the fastest cosine
+AFTER_ONSET = 3.0  # ms; SD of the first activation about the onset, besides the onset's own
+CORRELATED = (12.0, 4.0)  # ms; of the smooth and the rough half of the discrepancy
+OWN = 0.5  # share of the discrepancy that is each lead's own
 SHARES = np.geomspace(0.1, 0.4, 4)  # of the recorded QRS (root mean square): the discrepancy's
 
 
@@ -230,8 +234,7 @@ class QrsLikelihood:
 
     @property
     def _onset_sd(self) -> float:
-        # ms; 3 of the recorded onset after the first activation, besides the onset's own
-        return float(np.hypot(self.target.onset_sd, 3.0))
+        return float(np.hypot(self.target.onset_sd, AFTER_ONSET))
 
     def noise(self, rng: np.random.Generator, scale: int) -> Floats:
         """Draw ε for the discrepancy `scales[scale]`, in coefficients (n_leads, n_modes)."""
@@ -285,13 +288,24 @@ class QrsLikelihood:
         return basis, 1 / spread, constant + np.log(spread).sum(axis=1), data
 
 
-def cosines(qrs: int) -> Floats:
-    """Orthonormal cosines over a QRS of so many samples and its margins, (length, n_modes).
+def constants() -> dict[str, float | str]:
+    """Name of the likelihood, and what it holds fixed."""
+    return {
+        "name": QrsLikelihood.__name__,
+        "margin_ms": MARGIN,
+        "half_period_ms": HALF_PERIOD,
+        "shift_step_ms": STEP,
+        "first_activation_sd_ms": AFTER_ONSET,
+        "discrepancy_shares": " ".join(f"{share:.3g}" for share in SHARES),
+        "discrepancy_correlations_ms": " ".join(f"{each:g}" for each in CORRELATED),
+        "discrepancy_of_each_lead": OWN,
+    }
 
-    Half a period of the fastest one takes 20 ms.
-    """
+
+def cosines(qrs: int) -> Floats:
+    """Orthonormal cosines over a QRS of so many samples and its margins, (length, n_modes)."""
     length = qrs + 2 * MARGIN
-    return np.asarray(idct(np.eye(length)[:, : round(length / 20.0)], axis=0, norm="ortho"))
+    return np.asarray(idct(np.eye(length)[:, : round(length / HALF_PERIOD)], axis=0, norm="ortho"))
 
 
 def beat_noise(target: Target) -> Floats:
@@ -318,7 +332,7 @@ def discrepancy_in_time(length: int) -> Floats:
     smooth half does over the first 10 ms (0.94 at 3 ms, 0.78 at 6 ms). Without the rough half, fast
     deflections would decide between networks.
     """
-    return np.asarray(np.mean([matern(length, each) for each in (12.0, 4.0)], axis=0))
+    return np.asarray(np.mean([matern(length, each) for each in CORRELATED], axis=0))
 
 
 def matern(length: int, correlation: float = 12.0) -> Floats:
@@ -333,7 +347,7 @@ def separable(leads: Floats, time: Floats, modes: Floats) -> Floats:
     return np.asarray(np.kron(leads, modes.T @ time @ modes))
 
 
-def lead_pattern(signals: Sequence[Floats], own: float = 0.5) -> Floats:
+def lead_pattern(signals: Sequence[Floats], own: float = OWN) -> Floats:
     """Correlation of leads of differences between simulations (n_leads, n), of unit mean.
 
     `own` is the share of the variance that is each lead's own, such as by its electrode's place.

@@ -18,7 +18,7 @@ from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.quantities import torso_values
 from fascicle.core.ranges import check_kind
 from fascicle.forward.compile_kernels import compile_kernels
-from fascicle.forward.likelihood import Likelihood
+from fascicle.forward.likelihood import Likelihood, constants
 from fascicle.forward.model import Backend, ForwardModel, usable
 from fascicle.forward.preparation import share_prepared
 from fascicle.forward.simulation import Simulation
@@ -137,8 +137,7 @@ def fit(
     check_study_folder(folder)
     refuse_held(folder)
     with shown_progress(progress) as shown:
-        inputs = read_inputs(heart, target, parameters or {}, checked, rules)
-        inputs = replace(inputs, likelihoods=likelihoods)
+        inputs = read_inputs(heart, target, parameters or {}, checked, rules, likelihoods)
         return fit_inputs(inputs, folder, shown, pool, backend)
 
 
@@ -179,6 +178,7 @@ def read_inputs(
     parameters: Mapping[str, Any],
     settings: FitSettings,
     rules: GrowthRules | None = None,
+    likelihoods: Sequence[Likelihood] | None = None,
 ) -> Inputs:
     """Read what `fit` is given, and settle what is learnt; it says what is what."""
     rules = _rules(rules)
@@ -192,15 +192,25 @@ def read_inputs(
     space, fixed = study_space(settings.method, parameters, heart)
     if settings.free_gain and ("gain" in space.names or "gain" in fixed):
         raise InputError("the gain is a parameter already; leave --free-gain out")
+    of_posterior: dict[str, Any] = {}
+    if settings.method == "posterior":
+        averaged = AveragedOver.of(space, fixed, heart)
+        named = {"name": ", ".join(type(one).__qualname__ for one in likelihoods or ())}
+        of_posterior = {
+            "likelihood": constants() if likelihoods is None else named,
+            "averaged": averaged.space.parameters,
+            "tissues": averaged.tissues,
+        }
     config = StudyConfig(
         heart=heart.digest,
         **_hashes(recordings),
         space=space.parameters,
         fixed=fixed,
         **growth_and_conduction(heart, rules),
+        **of_posterior,
         **settings.model_dump(),
     )
-    return Inputs(heart, recordings, config, rules)
+    return Inputs(heart, recordings, config, rules, likelihoods)
 
 
 def fit_inputs(

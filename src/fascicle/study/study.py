@@ -63,6 +63,9 @@ class StudyConfig(FitSettings):
     growth: dict[str, float]  # rules, where `fixed` does not say otherwise
     growth_term: str = REPULSION.function.__name__  # name of the function of a GrowthTerm
     conduction: dict[str, float | None]  # of the tissues, likewise; None where others decide it
+    likelihood: dict[str, float | str] = Field(default_factory=dict)  # of a posterior
+    averaged: tuple[Parameter, ...] = ()  # what is averaged over, and, each as probable, in which
+    tissues: tuple[dict[str, float], ...] = ({},)
     version: Literal[8] = FORMAT  # of the folder
 
     @property
@@ -293,9 +296,10 @@ def _identity(config: StudyConfig) -> dict[str, str]:
     found: dict[str, str] = {}
     for name in StudyConfig.model_fields:
         value = getattr(config, name)
-        if name == "space":
-            found |= {parameter.name: f"learnt ({_prior(parameter)})" for parameter in value}
-        elif isinstance(value, dict):  # fixed, growth, conduction
+        if name in ("space", "averaged"):
+            how = "learnt" if name == "space" else "averaged over"
+            found |= {parameter.name: f"{how} ({_prior(parameter)})" for parameter in value}
+        elif isinstance(value, dict):  # fixed, growth, conduction, likelihood
             label = "" if name == "fixed" else f"{name} "
             found |= {f"{label}{key}": _number(number) for key, number in value.items()}
         elif name in ("other_targets", "scenarios"):
@@ -313,5 +317,7 @@ def _prior(parameter: Parameter) -> str:
     return f"{parameter.prior} {parameter.lower:.15g} to {parameter.upper:.15g}{middle}{place}"
 
 
-def _number(value: float | None) -> str:
+def _number(value: float | str | None) -> str:
+    if isinstance(value, str):
+        return value
     return "none" if value is None else f"{value:.15g}"
