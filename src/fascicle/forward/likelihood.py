@@ -112,15 +112,11 @@ class Fit:
         cosines are so slow that the sum over them is as good as the integral.
     weights : (n_scales, n_shifts) array
         Posterior probability of each pair of discrepancy and shift; they add up to 1.
-    gains, gain_sds : (n_scales, n_shifts) arrays
-        Mean and standard deviation of the gain, given the pair.
     """
 
     log_likelihood: float
     shifts: Floats
     weights: Floats
-    gains: Floats
-    gain_sds: Floats
 
 
 @dataclass(frozen=True)
@@ -137,12 +133,15 @@ class QrsLikelihood:
         D, of unit mean over the samples of a lead.
     gain_sd : float
         Of the gain about 1; 0 fixes it.
+    bodies : (k, 12 + a, 12 + a) array
+        What another body adds to all leads: matrices, each with a standard normal factor.
     """
 
     target: Target
     known: Floats
     discrepancy: Floats
     gain_sd: float
+    bodies: Floats
 
     __repr__ = short_repr
 
@@ -151,17 +150,19 @@ class QrsLikelihood:
         return self.fit(ecg).log_likelihood
 
     def predictive(self, ecg: Signals, rng: np.random.Generator) -> Replicate:
-        """Draw shift, gain and size of the discrepancy, and an error of that size."""
+        """Draw shift, gain, body and size of the discrepancy, and an error of that size."""
         target, fit = self.target, self.fit(ecg)
         place = rng.choice(fit.weights.size, p=fit.weights.ravel() / fit.weights.sum())
         scale, at = np.unravel_index(place, fit.weights.shape)
-        gain = rng.normal(fit.gains[scale, at], fit.gain_sds[scale, at])
         shift = float(fit.shifts[at])
+        models = self.whitened(ecg.leads, ecg.first_activation)[:, :, at]
+        factors = self._factors(models, int(scale), rng)
+        gain = 1 + self.gain_sd * factors[0]
+        leads = gain * ecg.leads + np.tensordot(factors[1:], self.bodies @ ecg.leads, 1)
         begin = shift + MARGIN - target.qrs_samples.start
-        clean = gain * placed(ecg.leads, begin, len(target.time), target.response)
+        clean = placed(leads, begin, len(target.time), target.response)
         error, least = self.noise(rng, int(scale)), self.noise(rng, 0)
-        model = placed(ecg.leads[self._rows], shift, self.length, target.response)
-        left = self._padded - gain * model
+        left = self._padded - placed(leads[self._rows], shift, self.length, target.response)
         return Replicate(
             clean,
             clean + self._in_all_leads(error @ self.modes.T),
@@ -173,52 +174,74 @@ class QrsLikelihood:
             float((left**2).sum()),
         )
 
+    def _factors(self, models: Floats, scale: int, rng: np.random.Generator) -> Floats:
+        """Draw the factors (1 + k,) of `_columns`, standard normal beforehand."""
+        _, weights, _, data = self._diagonal
+        columns = self._columns(models)
+        precision = np.eye(len(columns)) + (weights[scale] * columns) @ columns.T
+        root = np.linalg.cholesky(precision)
+        along = columns @ (weights[scale] * (data[:, 0] - models[0]))
+        mean = np.linalg.solve(precision, along)
+        return np.asarray(mean + np.linalg.solve(root.T, rng.standard_normal(len(columns))))
+
     def fit(self, ecg: Signals) -> Fit:
         """Compare a simulated ECG, zero before its first and after its last sample."""
-        joint, gains, gain_sds = self._joint(self.whitened(ecg.leads, ecg.first_activation))
-        joint += self._log_priors
+        joint = self._joint(self.whitened(ecg.leads, ecg.first_activation)) + self._log_priors
         total = float(logsumexp(joint))
-        weights = np.exp(joint - total)
         shifts = ecg.first_activation - MARGIN + self._steps
-        return Fit(total - math.log(len(SHARES)), shifts, weights, gains, gain_sds)
+        return Fit(total - math.log(len(SHARES)), shifts, np.exp(joint - total))
 
-    def of_sums(self, mean: Floats, parts: Floats, scores: Floats, gains: Floats) -> Floats:
-        """Log-likelihoods (m,) of ECGs that are sums, multiplied by gains (m,).
+    def of_sums(self, parts: Floats, scores: Floats) -> Floats:
+        """Log-likelihoods (m,) of ECGs that are sums of parts, weighted by scores (q, m).
 
-        Of a mean (n, n_shifts) and parts (q, n, n_shifts), as `whitened` gives them, these weighted
-        by scores (m, q).
+        Parts have shape (n_shifts, 1 + k, n, q): `whitened` gives each.
         """
-        logs = np.empty((len(scores), len(SHARES), len(self._steps)))
-        for k, prior in enumerate(self._log_priors):
-            model = gains[:, None] * (scores @ parts[:, :, k] + mean[:, k])
-            found = self._joint(np.asarray(model.T, dtype=scores.dtype))
-            logs[:, :, k] = found[0].T + prior
-        return np.asarray(logsumexp(logs, axis=(1, 2)) - math.log(len(SHARES)))
+        logs = np.empty((len(self._steps), len(SHARES), scores.shape[1]))
+        for at, prior in enumerate(self._log_priors):
+            logs[at] = self._joint(parts[at] @ scores) + prior
+        return np.asarray(logsumexp(logs, axis=(0, 1)) - math.log(len(SHARES)))
 
     def whitened(self, leads: Floats, first_activation: float) -> Floats:
-        """Coefficients of all leads (12 + k, n) in the diagonal basis, at every shift.
+        """Coefficients of all leads (12 + k, n), and of what the body may add to them.
 
-        Shape (n, n_shifts).
+        In the diagonal basis, at every shift: shape (1 + k, n, n_shifts).
         """
         begin, end = first_activation - MARGIN + self._steps[[0, -1]]
-        length, response = self.length, self.target.response
-        samples = placed(leads[self._rows], begin, length + round(end - begin), response)
-        windows = sliding_window_view(samples, length, axis=1)[:, ::STEP]
+        samples = placed(leads, begin, self.length + round(end - begin), self.target.response)
+        windows = sliding_window_view(samples, self.length, axis=1)[:, ::STEP]
+        found = np.ascontiguousarray(windows) @ self.modes  # (12 + k, n_shifts, n_modes)
+        mixed = [found, *np.tensordot(self.bodies, found, 1)]
         basis = self._diagonal[0]
-        found = np.ascontiguousarray(windows) @ self.modes
-        return np.asarray(basis.T @ found.transpose(0, 2, 1).reshape(len(basis), -1))
+        each = [part[self._rows].transpose(0, 2, 1).reshape(len(basis), -1) for part in mixed]
+        return np.asarray(basis.T @ np.array(each))
 
-    def _joint(self, model: Floats) -> tuple[Floats, Floats, Floats]:
-        """Log-likelihood, mean gain and its standard deviation, of models (n, m): (n_scales, m)."""
-        _, weights, log_determinants, data = self._diagonal
-        size = weights.astype(model.dtype) @ model**2
-        overlap = (weights * data.T).astype(model.dtype) @ model
-        variance = self.gain_sd**2
-        along = overlap - size
-        precision = 1 + variance * size
-        square = weights @ data**2 - 2 * overlap + size - variance * along**2 / precision
-        logs = -0.5 * (square + np.log(precision) + log_determinants[:, None])
-        return logs, 1 + variance * along / precision, self.gain_sd / np.sqrt(precision)
+    def _columns(self, models: Floats) -> Floats:
+        """What gain and body add to a model, by one standard deviation of each."""
+        return np.concatenate([self.gain_sd * models[:1], models[1:]])
+
+    def _joint(self, models: Floats) -> Floats:
+        """Log-likelihood (n_scales, m) of models (1 + k, n, m), as `whitened` gives them.
+
+        Factors of gain and body are integrated: they add X Xᵀ to the covariance, X being
+        `_columns`, which is I + XᵀWX in the factors, and is eliminated one by one.
+        """
+        _, all_weights, log_determinants, data = self._diagonal
+        weights, columns = all_weights.astype(models.dtype), self._columns(models)
+        left = data.astype(models.dtype) - models[0]
+        square, count = weights @ left**2, len(columns)
+        along = [weights @ (column * left) for column in columns]
+        gram = [[weights @ (one * other) for other in columns[k:]] for k, one in enumerate(columns)]
+        logs = np.zeros_like(square)
+        for j in range(count):
+            pivot = 1 + gram[j][0]
+            logs += np.log(pivot)
+            square -= along[j] ** 2 / pivot
+            for k in range(j + 1, count):
+                ratio = gram[j][k - j] / pivot
+                along[k] = along[k] - ratio * along[j]
+                for other in range(k, count):
+                    gram[k][other - k] = gram[k][other - k] - ratio * gram[j][other - j]
+        return np.asarray(-0.5 * (square + logs + log_determinants[:, None]))
 
     @cached_property
     def _steps(self) -> Floats:

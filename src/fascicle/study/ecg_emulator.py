@@ -24,18 +24,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct, idct
 
-from fascicle.core.arrays import Floats
-from fascicle.core.leads import INDEPENDENT_LEADS, limb_leads_from
+from fascicle.core.arrays import Floats, Integers
+from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, LEADS, limb_leads_from
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.threads import one_thread
 from fascicle.inference.emulator import BATCH, Network, Singles, train
-from fascicle.study.prior_simulations import BEFORE, Examples
+from fascicle.study.prior_simulations import BEFORE, BODIES, Examples
 from fascicle.study.space import AveragedOver
 
-NETWORKS = 3  # that are averaged
+NETWORKS = 2  # that are averaged
 COMPONENTS = 60  # principal ones; they leave a thousandth of the variance
 HIGHEST = 0.04  # cycles per ms; the likelihood looks at less
+MODES = 4  # of the body
 COPIES = 4  # of an example at other speeds
 EPOCHS = 12  # times that every example is seen
 FASTER = ("alpha", "fibre_speed", "cv")  # c times as high
@@ -60,9 +61,12 @@ class EcgEmulator:
         Root mean square of the components (mV).
     length : int
         Samples (1 ms) of an ECG, which begins `BEFORE` the first activation.
+    bodies : (k, 8 + a, 8 + a) array
+        What another body adds to the independent leads: matrices, each with a factor that is
+        standard normal over random bodies.
     left : (h, q) array
-        Components of what the emulator does not say of held-out ECGs in random bodies, each over
-        the norm of its emulated ECG.
+        Components of what emulator and these do not say of held-out ECGs in random bodies, each
+        over the norm of its emulated ECG.
     report : mapping of str to float
         Of held-out networks: share of the variance that it gives, root mean square error over that
         of the ECGs, in the plain body, by lead and in random bodies; how often it is right about
@@ -78,6 +82,7 @@ class EcgEmulator:
     components: Floats
     unit: float
     length: int
+    bodies: Floats
     left: Floats
     report: Mapping[str, float]
 
@@ -106,6 +111,15 @@ class EcgEmulator:
         return np.asarray(_in_time(self.mean[None], self.length)[0])
 
     @cached_property
+    def bodies_of_all_leads(self) -> Floats:
+        """`bodies` of all leads, (k, 12 + a, 12 + a)."""
+        whole = _all_leads(np.eye(self.bodies.shape[1]))
+        rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(whole))]
+        found = np.zeros((len(self.bodies), len(whole), len(whole)))
+        found[:, :, rows] = whole @ self.bodies
+        return found
+
+    @cached_property
     def left_leads(self) -> Floats:
         """What the emulator does not say, (h, 12 + k, length), of ECGs of unit norm."""
         return _in_time(np.einsum("hq,qlf->hlf", self.left, self.components), self.length)
@@ -122,7 +136,7 @@ class EcgEmulator:
                         found[f"{each.name} {n} {k:02d}"] = weight.astype(np.float16)
             elif each.name == "report":
                 found |= {f"report {name}": number for name, number in value.items()}
-            elif each.name in ("mean", "components", "left"):
+            elif each.name in ("mean", "components", "bodies", "left"):
                 found[each.name] = value.astype(np.float32)
             else:
                 found[each.name] = value
@@ -132,7 +146,7 @@ class EcgEmulator:
     def from_arrays(cls, arrays: Mapping[str, Any]) -> EcgEmulator:
         """The inverse of `arrays`."""
         parts = {n: np.asarray(arrays[n]) for n in ("centre", "scale")}
-        parts |= {n: np.asarray(arrays[n], float) for n in ("mean", "components", "left")}
+        parts |= {n: np.asarray(arrays[n], float) for n in ("mean", "components", "bodies", "left")}
         networks: dict[str, list[Singles]] = {}
         for name in sorted(arrays):
             if name.startswith(("networks ", "validity ")):
@@ -171,9 +185,14 @@ def _in_time(cosines: Floats, length: int) -> Floats:
     """Independent leads in cosines (n, 8 + k, f) as all leads in time (n, 12 + k, length)."""
     padded = np.pad(cosines, ((0, 0), (0, 0), (0, length - cosines.shape[2])))
     ecg = idct(padded, axis=2, norm="ortho")
+    return np.asarray([_all_leads(each) for each in ecg])
+
+
+def _all_leads(independent: Floats) -> Floats:
+    """All leads (12 + a, n) from the independent ones (8 + a, n)."""
     limb = limb_leads_from(INDEPENDENT_LEADS)
     assert limb is not None
-    return np.concatenate([np.einsum("al,nlt->nat", limb[:, :2], ecg[:, :2]), ecg[:, 2:]], axis=1)
+    return np.concatenate([limb[:, :2] @ independent[:2], independent[2:]])
 
 
 @one_thread
@@ -251,7 +270,7 @@ def learn(
     shape = len(components), *mean.shape
     emulator = EcgEmulator(
         names, centre, scale, tuple(networks), validity, mean, components.reshape(shape), unit,
-        examples.ecgs.shape[2], np.empty((0, len(components))), {},
+        examples.ecgs.shape[2], np.empty(0), np.empty(0), {},
     )  # fmt: skip
     return _with_what_is_left(emulator, examples, count, every)
 
@@ -296,9 +315,12 @@ def _with_what_is_left(
     flat = emulator.components.reshape(len(emulator.components), -1)
     emulated = emulator.mean + (scores @ flat).reshape(-1, *emulator.mean.shape)
     norms = np.sqrt((emulated**2).sum(axis=(1, 2)))
-    in_bodies = _cosines(examples.in_bodies, count) - emulated
-    left = in_bodies.reshape(len(in_bodies), -1) @ flat.T / norms[:, None]
+    in_bodies = _cosines(examples.in_bodies, count)
     true = _cosines(examples.ecgs[held_out[examples.feasible]], count)
+    bodies, factors = _body_modes(true, in_bodies, examples.bodies)
+    added = np.einsum("hk,kab,hbf->haf", factors[examples.bodies], bodies, emulated)
+    errors_in_bodies = in_bodies - emulated - added
+    left = errors_in_bodies.reshape(len(in_bodies), -1) @ flat.T / norms[:, None]
     errors, squares = ((true - emulated) ** 2).sum(axis=2), (true**2).sum(axis=2)
     spread = ((true - true.mean(axis=0)) ** 2).sum()
     odds, there = emulator.validity(inputs[held_out])[:, 0], examples.feasible[held_out]
@@ -306,10 +328,34 @@ def _with_what_is_left(
         "networks": float(len(examples.points)),
         "r_squared": 1 - float(errors.sum() / max(spread, 1e-12)),
         "error": float(np.sqrt(errors.sum() / squares.sum())),
-        "error_in_bodies": float(np.sqrt((in_bodies**2).sum() / squares.sum())),
+        "error_in_bodies": float(np.sqrt((errors_in_bodies**2).sum() / squares.sum())),
         "validity": float(((odds > 0) == there).mean()),
     }
     leads = [*INDEPENDENT_LEADS, *map(str, range(errors.shape[1] - len(INDEPENDENT_LEADS)))]
     for lead, error, square in zip(leads, errors.sum(axis=0), squares.sum(axis=0), strict=True):
         report[f"error_{lead}"] = float(np.sqrt(error / square))
-    return replace(emulator, left=left, report=report)
+    return replace(emulator, bodies=bodies, left=left, report=report)
+
+
+def _body_modes(plain: Floats, in_bodies: Floats, numbers: Integers) -> tuple[Floats, Floats]:
+    """What bodies add to the leads: matrices (k, 8 + a, 8 + a), and factors (bodies, k) of each.
+
+    Leads that see the same front from slightly elsewhere are nearly sums of one another, at all
+    times the same: of the energy that a body adds that is nine tenths.
+    """
+    rows = plain.shape[1]
+    every = plain.transpose(1, 0, 2).reshape(rows, -1)
+    power = every @ every.T / every.shape[1]
+    power += 1e-3 * np.trace(power) / rows * np.eye(rows)
+    root, found = np.linalg.cholesky(power), np.zeros((BODIES, rows, rows))
+    for number in np.unique(numbers):
+        here = plain[numbers == number].transpose(1, 0, 2).reshape(rows, -1)
+        there = in_bodies[numbers == number].transpose(1, 0, 2).reshape(rows, -1)
+        ridge = here @ here.T + 1e-3 * here.shape[1] * power
+        found[number] = np.linalg.solve(ridge, here @ (there - here).T).T
+    # in leads of unit power that are not correlated, so that the largest modes add the most
+    flat = (found @ root).reshape(BODIES, -1)
+    factors, sizes, modes = np.linalg.svd(flat, full_matrices=False)
+    sds = sizes[:MODES] / np.sqrt(BODIES)
+    bodies = sds[:, None, None] * modes[:MODES].reshape(-1, rows, rows) @ np.linalg.inv(root)
+    return bodies, factors[:, :MODES] * np.sqrt(BODIES)

@@ -39,7 +39,7 @@ def likelihood_of(target: Target, emulator: EcgEmulator, gain_sd: float) -> QrsL
     seen = (left @ modes[: left.shape[2]]).reshape(len(left), -1)
     known = beat_noise(target) + seen.T @ seen / max(len(seen), 1)
     outside = separable(lead_pattern(left), discrepancy_in_time(len(modes)), modes)
-    return QrsLikelihood(target, known, outside, gain_sd)
+    return QrsLikelihood(target, known, outside, gain_sd, emulator.bodies_of_all_leads)
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,9 @@ class EmulatedLikelihood:
         gain = values.get("gain", np.ones(len(points)))
         scores: Any = emulator.scores(inputs)
         if isinstance(self.likelihood, QrsLikelihood):
-            found = self.likelihood.of_sums(*self._parts, scores, gain)
+            ones = np.ones((len(scores), 1), scores.dtype)
+            factors = gain.astype(scores.dtype)[:, None] * np.concatenate([ones, scores], axis=1)
+            found = self.likelihood.of_sums(self._parts, np.ascontiguousarray(factors.T))
         else:
             found = self._one_by_one(scores, gain)
         return np.asarray(found + emulator.log_validity(inputs))
@@ -79,12 +81,12 @@ class EmulatedLikelihood:
         return found
 
     @cached_property
-    def _parts(self) -> tuple[Floats, Floats]:
-        """Mean and components of the emulator as the likelihood sees them, at every shift."""
+    def _parts(self) -> Any:
+        """Mean and components of the emulator as the likelihood sees them."""
         assert isinstance(self.likelihood, QrsLikelihood)
         both = [self.emulator.mean_leads, *self.emulator.series]
         seen = np.array([self.likelihood.whitened(leads, float(BEFORE)) for leads in both])
-        return seen[0].astype(np.float32), seen[1:].astype(np.float32)
+        return np.ascontiguousarray(seen.transpose(3, 1, 2, 0), dtype=np.float32)
 
     @cached_property
     def _tissues(self) -> Floats:

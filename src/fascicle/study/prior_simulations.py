@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.array_cache import ArrayCache
-from fascicle.core.arrays import Booleans, Floats
+from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_ROWS, LEADS
 from fascicle.core.parameters import ParameterSpace, free
@@ -52,14 +52,15 @@ class Examples:
         Whether they give a network.
     ecgs : (m, 8 + k, length) array
         Independent leads (mV) of those that do, from `BEFORE` the first activation on.
-    in_bodies : (h, 8 + k, length) array
-        Of those held out, in a random body.
+    in_bodies, bodies : (h, 8 + k, length) and (h,) arrays
+        Of those held out, in a random body, and its number.
     """
 
     points: Floats
     feasible: Booleans
     ecgs: NDArray[np.float32]
     in_bodies: NDArray[np.float32]
+    bodies: Integers
 
     @property
     def held_out(self) -> Booleans:
@@ -165,7 +166,7 @@ class PriorSimulations:
                     others.append(_from_activation(leads[rows], outcome))
             self.cache.write(
                 f"{self.content} {number}",
-                {"feasible": feasible, **_joined("ecg", ecgs, len(rows)),
+                {"feasible": feasible, "bodies": drawn, **_joined("ecg", ecgs, len(rows)),
                  **_joined("body", others, len(rows))},
                 compress=True,
             )  # fmt: skip
@@ -186,6 +187,14 @@ class PriorSimulations:
             np.concatenate([part["feasible"] for part in parts]),
             np.concatenate([_separated("ecg", part, length) for part in parts]),
             np.concatenate([_separated("body", part, length) for part in parts]),
+            np.concatenate(
+                [
+                    part["bodies"][HELD_OUT - 1 :: HELD_OUT][
+                        part["feasible"][HELD_OUT - 1 :: HELD_OUT]
+                    ]
+                    for part in parts
+                ]
+            ),
         )
 
 
