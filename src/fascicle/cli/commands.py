@@ -199,10 +199,12 @@ def fit(
     ('fascicle fit HEART intrinsic.nc rv-paced.nc:rv.toml --out STUDY'), must be explained by the
     same networks; the result says what the others add to the first.
 
-    The posterior is sampled in two independent runs; the first line of the result says whether they
-    agree, and whether the model explains the recording.
+    The first fit of a heart simulates networks of the prior and trains an emulator on them; both
+    are kept with the heart. On the emulator the posterior is sampled in two independent runs. The
+    first line of the result says whether they agree, and whether the networks that were simulated
+    of it explain the recording.
 
-    Every evaluation is stored at once. The command may be interrupted at any time; run again, it
+    What is simulated is stored at once. The command may be interrupted at any time; run again, it
     continues where it stopped.
 
     A settings file can also name the quantities to learn and their priors ('fascicle parameters'

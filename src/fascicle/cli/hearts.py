@@ -383,10 +383,11 @@ def heart_simulate_prior(
     ] = None,
     scheduler: SchedulerOption = None,
 ) -> Result:
-    """Simulate networks of the prior once, which shortens every fit of this heart.
+    """Simulate networks of the prior once, and train the emulator that every fit samples.
 
-    They are stored in the heart's folder and serve every recording, if the fit learns the default
-    parameters with their default ranges. The command may be interrupted at any time: run again, it
+    Both are stored in the heart's folder and serve every recording, if the fit learns default
+    parameters, or others that the simulations vary, within their ranges (docs/posterior.md); a fit
+    makes them if they are missing. The command may be interrupted at any time: run again, it
     continues where it stopped; a larger number adds to what is stored.
     """
     from fascicle.study.heart_emulator import simulate_prior
