@@ -6,18 +6,19 @@ collide, which no patient shows. The recording is isoelectric outside its QRS wi
 loss. With V(s) the coefficients of the simulation that is shifted by s, and V̂ those of the mean
 recorded beat::
 
-    V̂ = g V(s) + ε,    ε ~ N(0, C + σ² D)
+    V̂ = g V(s) + Σ z_k B_k V(s) + ε,    ε ~ N(0, C + σ² D)
 
     C     covariance of what is known: noise of the mean beat, and what an emulator does not say
     D     covariance of the discrepancy, what lies outside all of that, of unit size: half of it is
           smooth in time, half is rough, as a network's own ECG is in its parameters
     σ     its size (mV), unknown: log-uniform over `SHARES` of the recorded QRS
     g     gain, unknown: normal about 1
+    B_k   what another body adds to the leads, each with a factor z_k that is standard normal
     s     shift, unknown: the first activation is the onset of the recorded QRS, give or take its
           uncertainty
 
-g is integrated exactly (it adds the rank-one term sd² V Vᵀ to the covariance), σ and s by sums. In
-the basis that makes C the identity and D diagonal, every σ costs one sum over the coefficients.
+g and z_k are integrated exactly (they add X Xᵀ to the covariance, the columns of X being sd V and
+B_k V), σ and s by sums. In the basis that makes C the identity and D diagonal, every σ costs one sum over the coefficients.
 The separation into noise, discrepancy and model follows M. C. Kennedy and A. O'Hagan, "Bayesian
 calibration of computer models", J. R. Statist. Soc. B 63 (2001).
 """

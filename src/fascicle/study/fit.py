@@ -26,7 +26,7 @@ from fascicle.heart.folder import as_heart, load_heart, write_heart
 from fascicle.heart.heart import Heart
 from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.agreement import agreement
-from fascicle.study.ecg_emulator import EcgEmulator
+from fascicle.study.ecg_emulator import MODES, EcgEmulator
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.heart_emulator import emulator_of
 from fascicle.study.likelihood import EmulatedLikelihood, likelihood_of
@@ -197,7 +197,7 @@ def read_inputs(
         averaged = AveragedOver.of(space, fixed, heart)
         named = {"name": ", ".join(type(one).__qualname__ for one in likelihoods or ())}
         of_posterior = {
-            "likelihood": constants() if likelihoods is None else named,
+            "likelihood": constants() | {"body_modes": MODES} if likelihoods is None else named,
             "averaged": averaged.space.parameters,
             "tissues": averaged.tissues,
         }
