@@ -18,7 +18,8 @@ recorded beat::
           uncertainty
 
 g and z_k are integrated exactly (they add X Xᵀ to the covariance, the columns of X being sd V and
-B_k V), σ and s by sums. In the basis that makes C the identity and D diagonal, every σ costs one sum over the coefficients.
+B_k V), σ and s by sums. In the basis that makes C the identity and D diagonal, every σ costs one
+sum over the coefficients.
 The separation into noise, discrepancy and model follows M. C. Kennedy and A. O'Hagan, "Bayesian
 calibration of computer models", J. R. Statist. Soc. B 63 (2001).
 """
