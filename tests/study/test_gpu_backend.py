@@ -14,6 +14,7 @@ from fascicle.forward.device import batch
 from fascicle.forward.device import card as card_module
 from fascicle.forward.device.backend import GpuBackend
 from fascicle.forward.primitives import His
+from fascicle.study.space import AveragedOver
 from fascicle.study.study import SAME_LOSS
 from fascicle.study.target_comparison import evaluate, networks
 
@@ -58,6 +59,16 @@ def test_what_is_too_large_is_simulated_here(
     monkeypatch.setattr(batch, "MOST_SITES", 100)
     found = evaluated(simulator, recordings, points, backend)
     assert_alike(found, expected, simulated_here=range(7))
+
+
+def test_other_tissues_are_simulated_here(backend, simulator, recordings, points):
+    """The card knows the plain tissue alone."""
+    averaged = AveragedOver(tissues=({}, {"anisotropy_ratio": 1.5}))
+    several = replace(simulator, averaged=averaged)
+    both = [np.append(points[0], share) for share in (0.2, 0.8)]
+    expected = list(evaluate(several, recordings, both))
+    assert expected[0].loss != pytest.approx(expected[1].loss, rel=0.01)
+    assert_alike(evaluated(several, recordings, both, backend), expected, simulated_here=[1])
 
 
 def test_further_recordings_are_simulated_here(backend, simulator, recordings, points):

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from fascicle.core.arrays import Floats
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.ranges import short_repr
@@ -55,11 +57,16 @@ class PointSimulator:
         return self.pool.map(signals_of, items, self.model)
 
     def from_backend(self, points: Sequence[Floats]) -> list[Signals | str | None]:
-        """Intrinsic beats that a backend simulates; None for all others."""
-        if self.backend is None:
-            return [None] * len(points)
-        found = self.backend.signals(self.model, [self.parameters(point) for point in points])
-        return [each.reason if isinstance(each, InvalidTree) else each for each in found]
+        """Intrinsic beats that a backend simulates, in the plain tissue; None for all others."""
+        found: list[Signals | str | None] = [None] * len(points)
+        if self.backend is None or not points:
+            return found
+        tissues = self.averaged.tissue(np.asarray(points)[:, len(self.space) :])
+        plain = [k for k, number in enumerate(tissues) if not self.averaged.tissues[number]]
+        asked = [self.parameters(points[k]) for k in plain]
+        for k, each in zip(plain, self.backend.signals(self.model, asked), strict=True):
+            found[k] = each.reason if isinstance(each, InvalidTree) else each
+        return found
 
 
 def signals_of(
