@@ -25,7 +25,7 @@ from fascicle.study.settings import FitSettings
 from fascicle.study.space import AveragedOver
 
 RUNS = 2
-PARTICLES, MOST_PARTICLES = 1000, 8000  # of a run, at first and where runs do not agree
+PARTICLES, MOST_PARTICLES = 600, 9600  # of a run, at first and where runs do not agree
 
 Emulated = Callable[[Floats], Floats]  # log-likelihoods (n,) of points (n, d), of one recording
 
