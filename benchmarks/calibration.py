@@ -4,23 +4,22 @@
                                      [--physics same|other] [--method posterior|paper]
                                      [--noise TARGET] [--wrong [--other-heart HEART]]
 
-Truths are drawn from the prior. Each gives a recording as the likelihood believes recordings to be:
-the simulated ECG times a gain, with a discrepancy (its size is log-uniform from half to all of
-the signal, its correlation that of the likelihood), ten beats with noise of 0.03 mV, and QRS marks
-that are off. A whole fit with default settings follows, but with `--prior-simulations`
-networks. Where the truth
-lies among the draws is kept (`truth-0007.json`), so that the same command goes on where it stopped,
-or adds truths.
+Truths are networks of the prior that no emulator has seen, with all that is not known drawn as in
+the prior simulations, each in a random body of its own. Each gives a recording: the simulated ECG
+times a gain, ten beats with noise of 0.03 mV, and QRS marks that are off. A whole fit with default
+settings follows, but with `--prior-simulations` networks. Where the truth lies among the draws is
+kept (`truth-0007.json`), so that the same command goes on where it stopped, or adds truths. With
+`--tuning` truths are others, to choose constants by.
 
 With `--physics other` the truth is of another model than the one that is fitted: it is activated
 on tetrahedra of half the edge length, with three left fascicles in every second truth, fibres
 turned by some 10 degrees in the wall, other anisotropy, a fast endocardial layer, and delays at the
 junctions; its ECG is that of another torso, with the heart and the electrodes elsewhere and other
 conductivities (`docs/quantities.md`; in an unbounded conductor, with electrodes off by some 10 mm
-and 8 degrees). No discrepancy is added: the physics makes it. With `--noise` the beats differ
+and 8 degrees). With `--noise` the beats differ
 from their mean as those of a recorded target do.
 
-With `--method paper` the truths have its parameters (α is fixed), no gain, no discrepancy, and 300
+With `--method paper` the truths have its parameters (α is fixed), no gain, and 300
 beats that vary as recorded ones do (`examples.recover_known_network`): what the method takes for
 granted.
 
