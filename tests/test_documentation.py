@@ -7,6 +7,11 @@ from pathlib import Path
 import pytest
 
 import fascicle
+from fascicle.forward.likelihood import SHARES
+from fascicle.study.posterior import MOST_PARTICLES, PARTICLES
+from fascicle.study.prior_simulations import BODIES
+from fascicle.study.settings import FitSettings
+from fascicle.study.space import NOT_KNOWN
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DOCS = REPOSITORY / "docs"
@@ -52,3 +57,19 @@ def test_notebooks_without_output(site, name):
     cells = json.loads((site / f"{name}.ipynb").read_text(encoding="utf-8"))["cells"]
     assert {cell["cell_type"] for cell in cells} == {"code", "markdown"}
     assert not any(cell.get("outputs") for cell in cells)
+
+
+def test_the_posterior_s_page_states_the_numbers_of_the_code():
+    page = (DOCS / "posterior.md").read_text(encoding="utf-8")
+    least, most = 100 * SHARES[[0, -1]]
+    assert f"{FitSettings().prior_simulations:,} networks" in page
+    assert f"{PARTICLES} particles" in page
+    assert f"up to {MOST_PARTICLES}." in page
+    assert f"log-uniform, {least:.0f} to {most:.0f} % of the recorded QRS" in page
+    assert f"{BODIES} torsos" in page
+    table = (DOCS / "quantities.md").read_text(encoding="utf-8").partition("## What is averaged")[2]
+    for parameter in NOT_KNOWN:
+        how = f"{parameter.lower:g} to {parameter.upper:g}"
+        if parameter.median is not None:
+            how = f"normal, {parameter.median:g} ± {parameter.sd:g}"
+        assert re.search(rf"`{parameter.name}` \| [^|]*{re.escape(how)}", table), parameter.name
