@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,6 @@ from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
-from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.ecg_emulator import EcgEmulator, learn
 from fascicle.study.pool import Pool, Threads, check_pool
 from fascicle.study.prior_simulations import SEED, PriorSimulations
@@ -26,7 +26,7 @@ from fascicle.study.settings import FitSettings
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import AveragedOver, study_space
 
-PACKAGED = "emulator"  # file in the folder of a heart whose emulator comes with it
+EMULATOR = "emulator"  # kind of file
 
 
 def emulator_of(
@@ -47,17 +47,17 @@ def emulator_of(
     scenario : (Scenario, str), optional
         In which the heart was recorded, and its digest.
     """
-    model, heart = simulator.model, simulator.model.heart
+    heart = simulator.model.heart
     space, fixed = study_space("posterior", {}, heart)
     averaged = AveragedOver.of(space, fixed, heart)
     usual = prior_of(
         replace(simulator, space=space, averaged=averaged, fixed=fixed), folder, scenario
     )
     if usual.covers(simulator.space, simulator.averaged, simulator.fixed):
-        if heart.folder is not None and scenario is None and model.rules == GrowthRules():
-            stored = ArrayCache(heart.folder, PACKAGED).read(usual.content)
-            if stored is not None and float(stored["report networks"]) >= count:
-                return EcgEmulator.from_arrays(stored)
+        with resources.as_file(resources.files("fascicle") / "data" / "emulators") as packaged:
+            stored = ArrayCache(packaged, EMULATOR).read(usual.content)
+        if stored is not None and float(stored["report networks"]) >= count:
+            return EcgEmulator.from_arrays(stored)
         return made_emulator(usual, count, simulator.pool, progress)
     return made_emulator(prior_of(simulator, folder, scenario), count, simulator.pool, progress)
 
@@ -66,7 +66,7 @@ def made_emulator(
     prior: PriorSimulations, count: int, pool: Pool, progress: Progress | None = None
 ) -> EcgEmulator:
     """The emulator that was learnt from so many prior simulations, which are made if need be."""
-    cache, key = ArrayCache(prior.cache.folder, PACKAGED), f"{prior.content} {count}"
+    cache, key = ArrayCache(prior.cache.folder, EMULATOR), f"{prior.content} {count}"
     stored = cache.read(key)
     if stored is not None:
         return EcgEmulator.from_arrays(stored)
