@@ -23,7 +23,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_ROWS, LEADS
 from fascicle.core.parameters import ParameterSpace, free
 from fascicle.core.progress import Progress, stage_progress
-from fascicle.core.quantities import Changes, fascicle_names, quantity
+from fascicle.core.quantities import Changes, fascicle_names, quantity, torso_values
 from fascicle.forward.bodies import random_bodies
 from fascicle.forward.loss import placed
 from fascicle.forward.model import ForwardModel
@@ -146,7 +146,9 @@ class PriorSimulations:
         if begin >= end:
             return
         report = stage_progress(progress, "prior simulations")
-        bodies = random_bodies(self.model, np.random.default_rng([SEED, 0, 2]), BODIES)
+        bodies = []
+        if not torso_values(dict.fromkeys(self.space.names, np.nan)):  # else each has its own body
+            bodies = random_bodies(self.model, np.random.default_rng([SEED, 0, 2]), BODIES)
         rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(self.model.heart.leads))]
         for number in range(begin, end):
             scenario = None if self.scenario is None else self.scenario[0]
@@ -162,7 +164,9 @@ class PriorSimulations:
                 feasible[k] = True
                 ecgs.append(_from_activation(outcome.leads[rows], outcome))
                 if k % HELD_OUT == HELD_OUT - 1:
-                    leads = bodies[drawn[k]].leads(outcome.activation)
+                    leads = outcome.leads
+                    if bodies:
+                        leads = bodies[drawn[k]].leads(outcome.activation)
                     others.append(_from_activation(leads[rows], outcome))
             self.cache.write(
                 f"{self.content} {number}",
@@ -199,8 +203,12 @@ class PriorSimulations:
 
 
 def _ranges(space: ParameterSpace, averaged: AveragedOver) -> dict[str, tuple[float, float]]:
-    both = (*space.parameters, *averaged.space.parameters)
-    return {parameter.name: (parameter.lower, parameter.upper) for parameter in both}
+    """Between which quantities are learnt; averaged over, of normal priors within 2 SD."""
+    found = {p.name: (p.lower, p.upper) for p in (*space.parameters, *averaged.space.parameters)}
+    for p in averaged.space.parameters:
+        if p.median is not None and p.sd is not None:
+            found[p.name] = max(p.lower, p.median - 2 * p.sd), min(p.upper, p.median + 2 * p.sd)
+    return found
 
 
 def _beat(
