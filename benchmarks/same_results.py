@@ -42,7 +42,7 @@ def commands(data: Path) -> Iterator[list[str]]:
     surface = data / "hearts" / "cobiveco-geo1" / "heart.vtp"
     yield ["heart", "build", str(surface), "--edge-length", "2", "--out", "heart"]
     target = "target0.nc"
-    posterior = ["--evaluations", "400", "--prior-simulations", "200"]
+    posterior = ["--prior-simulations", "200"]
     yield ["fit", "default", target, *FIT, *posterior, "--out", "posterior"]
     paper = ["--method", "paper", "--initial", "30", "--steps", "10", "--samples", "3"]
     yield ["fit", "default", target, *FIT, *paper, "--draws", "20000", "--out", "paper"]
@@ -52,10 +52,7 @@ def commands(data: Path) -> Iterator[list[str]]:
 def run(checkout: Path, folder: Path, data: Path) -> None:
     """Run all commands in a folder, with the source of a checkout."""
     environment = os.environ | {"PYTHONPATH": str(checkout / "src")}
-    # as the option was called once
-    renamed = {"--prior-simulations": "--bank"} if not _knows_prior_simulations(checkout) else {}
     for command in commands(data):
-        command = [renamed.get(word, word) for word in command]
         call = [sys.executable, "-m", "fascicle.cli", *command]
         done = subprocess.run(call, cwd=folder, env=environment, capture_output=True, text=True)
         if done.returncode:
@@ -63,11 +60,6 @@ def run(checkout: Path, folder: Path, data: Path) -> None:
                 f"{checkout}: fascicle {' '.join(command)} failed: {done.stderr.strip()[-400:]}"
             )
         print(f"{checkout.name}: {' '.join(command[:2])}", flush=True)
-
-
-def _knows_prior_simulations(checkout: Path) -> bool:
-    settings = checkout / "src" / "fascicle" / "study" / "settings.py"
-    return "prior_simulations" in settings.read_text("utf-8")
 
 
 def arrays(file: Path) -> Iterator[tuple[str, np.ndarray]]:

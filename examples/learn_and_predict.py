@@ -33,7 +33,7 @@ _ = fascicle.plot.target(target)
 # on.
 
 # %%
-SMALL = {"prior_simulations": 300, "effective": 20, "evaluations": 500}
+SMALL = {"prior_simulations": 300, "effective": 20}
 study = fascicle.fit("default", target, folder / "study", **SMALL)
 print(study.verdict)
 

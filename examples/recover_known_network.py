@@ -109,15 +109,11 @@ def main() -> None:
     parser.add_argument("--truth", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--effective", type=int, default=300)
-    parser.add_argument("--evaluations", type=int, default=60_000)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     truth = read_parameters(given.truth) if given.truth else TRUTH
     truth = {"alpha": fascicle.Conduction().alpha, **truth}
-    fitted = recover(
-        given.heart, truth, given.out, given.seed,
-        effective=given.effective, evaluations=given.evaluations,
-    )  # fmt: skip
+    fitted = recover(given.heart, truth, given.out, given.seed, effective=given.effective)
     population = fitted.population
     print(fitted.verdict)
     print(f"{'':<22} {'true':>8} {'median':>8} {'5 %':>8} {'95 %':>8}")

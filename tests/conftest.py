@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import settings
@@ -30,6 +30,20 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Keep what is cached for a user apart from this one's, and begin with nothing."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("FASCICLE_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def small_posteriors() -> Iterator[None]:
+    """Few particles: runs on rough emulators hardly agree; and bodies that take no minutes."""
+
+    def bodies(model: ForwardModel, rng: Any, count: int) -> list[Any]:
+        return [model.electrocardiograph.scaled(gain) for gain in rng.uniform(0.7, 1.4, count)]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fascicle.study.posterior.PARTICLES", 200)
+        patch.setattr("fascicle.study.posterior.MOST_PARTICLES", 200)
+        patch.setattr("fascicle.study.prior_simulations.random_bodies", bodies)
         yield
 
 

@@ -369,7 +369,6 @@ def parameter_files() -> list[Seed]:
 
 
 SETTINGS = """effective = 100
-evaluations = 2000
 prior_simulations = 500
 workers = 1
 seed = 3
@@ -498,8 +497,7 @@ def _study_files() -> dict[str, bytes]:
         target = Target(beats, time, simulated.first_activation, last, 60.0, {"from": "it"}, 4.0, 5)
         fixed = {name: value for name, value in known.items() if name != "cv"}
         few = {"paper": {"initial": 6, "steps": 1, "samples": 2, "draws": 2000},
-               "posterior": {"prior_simulations": 100, "evaluations": 200,
-                             "effective": 20}}  # fmt: skip
+               "posterior": {"prior_simulations": 100, "effective": 20}}  # fmt: skip
         for method, settings in few.items():
             fascicle.fit(
                 heart, target, folder / method, parameters=fixed, method=method, workers=1,

@@ -45,7 +45,7 @@ def test_every_setting_of_a_fit_is_an_option(run, monkeypatch):
         "initial": 7, "steps": 0, "samples": 2, "seed": 3, "workers": 4, "draws": 50,
         "tolerance": 0.5, "refit_every": 5, "refit_after": 6, "rounds": 8, "method": "paper",
         "leads": "8", "fewest_junctions": 10,
-        "prior_simulations": 100, "effective": 30, "evaluations": 1000, "gain_sd": 0.1,
+        "prior_simulations": 100, "effective": 30, "gain_sd": 0.1,
     }  # fmt: skip
     options = [f"--{name.replace('_', '-')}={value}" for name, value in changed.items()]
     run("fit", "default", "t.nc", "--out", "s", "--gain", *options)

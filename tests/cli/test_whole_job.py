@@ -27,7 +27,7 @@ from fascicle.study.fit import load_study
 from fascicle.study.statements import Caution
 from fascicle.study.target_comparison import evaluate
 
-BUDGET = {"evaluations": 200, "prior_simulations": 100, "effective": 20, "workers": 2}
+BUDGET = {"prior_simulations": 100, "effective": 20, "workers": 2}
 
 
 @pytest.fixture(scope="module")

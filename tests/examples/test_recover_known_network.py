@@ -23,7 +23,7 @@ def test_fit_comes_closer_to_the_truth_than_the_first_networks(tmp_path):
     spec.loader.exec_module(example)
     fitted = example.recover(
         "default", example.TRUTH, tmp_path / "study", 0,
-        evaluations=1200, prior_simulations=200, effective=20,
+        prior_simulations=200, effective=20,
     )  # fmt: skip
     at_truth = at(fitted, fitted.simulator.space.to_unit(example.TRUTH)).loss
     first = [r.evaluation.loss for r in fitted.study.records()[:60]]

@@ -8,7 +8,15 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
 from fascicle.forward import likelihood as tested
-from fascicle.forward.likelihood import MARGIN, SHARES, QrsLikelihood, cosines, matern, separable
+from fascicle.forward.likelihood import (
+    MARGIN,
+    SHARES,
+    STEP,
+    QrsLikelihood,
+    cosines,
+    matern,
+    separable,
+)
 from fascicle.forward.loss import placed
 from fascicle.forward.simulation import Signals
 from fascicle.recording.target import Target
@@ -51,24 +59,25 @@ def example(gain_sd: float = 0.3, noise: float = 0.02) -> QrsLikelihood:
     known = noise**2 * np.eye(2 * modes.shape[1])
     leads = np.array([[1.0, -0.3], [-0.3, 1.0]])
     discrepancy = separable(leads, matern(len(modes)), modes)
-    return QrsLikelihood(target(recorded), known, discrepancy, gain_sd)
+    bodies = np.zeros((2, 12, 12))
+    bodies[:, 6:8, 6:8] = [[[0.2, -0.1], [0.0, 0.1]], [[0.0, 0.3], [-0.1, 0.0]]]
+    return QrsLikelihood(target(recorded), known, discrepancy, gain_sd, bodies)
 
 
 def brute_force(likelihood: QrsLikelihood, simulated: np.ndarray, scale: float) -> float:
-    """The same integral over shift and gain for one discrepancy, by plain sums."""
+    """The same integral over the shift for one discrepancy, by plain sums and whole matrices."""
     covariance = likelihood.known + scale**2 * likelihood.discrepancy
     data = (
         np.pad(likelihood.target.qrs[6:8], ((0, 0), (MARGIN, MARGIN))) @ likelihood.modes
     ).ravel()
     sd = np.hypot(4.0, 3.0)
-    gains = np.linspace(-5, 5, 601) * likelihood.gain_sd + 1
-    log_gain = norm.logpdf(gains, 1, likelihood.gain_sd) + np.log(gains[1] - gains[0])
     logs = []
     for offset in np.arange(-3 * sd, 3 * sd, 0.05):
-        shifted = placed(simulated, ONSET - MARGIN + offset, likelihood.length)
-        model = (shifted @ likelihood.modes).ravel()
-        each = multivariate_normal.logpdf(data - gains[:, None] * model, cov=covariance)
-        logs.append(logsumexp(each + log_gain) + norm.logpdf(offset, 0, sd) + np.log(0.05))
+        model = placed(simulated, ONSET - MARGIN + offset, likelihood.length) @ likelihood.modes
+        added = [likelihood.gain_sd * model, *(likelihood.bodies[:, 6:8, 6:8] @ model)]
+        columns = np.array([each.ravel() for each in added])
+        each = multivariate_normal.logpdf(data, model.ravel(), cov=covariance + columns.T @ columns)
+        logs.append(each + norm.logpdf(offset, 0, sd) + np.log(0.05))
     return float(logsumexp(logs))
 
 
@@ -76,14 +85,18 @@ def brute_force(likelihood: QrsLikelihood, simulated: np.ndarray, scale: float) 
 def test_against_brute_force(noise, scale, monkeypatch):
     likelihood = example(noise=noise)
     monkeypatch.setattr(tested, "SHARES", scale * SHARES[:1] / likelihood.scales[0])
+    monkeypatch.setattr(tested, "STEP", 1)
     likelihood = example(noise=noise)
     assert likelihood.scales == pytest.approx([scale])
     expected = brute_force(likelihood, signal(), scale)
     assert likelihood.fit(ecg(signal())).log_likelihood == pytest.approx(expected, abs=0.02)
+    monkeypatch.setattr(tested, "STEP", STEP)  # fewer shifts, which is faster
+    assert example(noise=noise).log_likelihood(ecg(signal())) == pytest.approx(expected, abs=0.3)
 
 
 def test_the_sizes_of_the_discrepancy_are_averaged(monkeypatch):
-    monkeypatch.setattr(tested, "SHARES", SHARES[[0, 3, 7]])
+    monkeypatch.setattr(tested, "SHARES", SHARES[[0, 2, 3]])
+    monkeypatch.setattr(tested, "STEP", 1)
     likelihood = example()
     each = [brute_force(likelihood, signal(), scale) for scale in likelihood.scales]
     fit = likelihood.fit(ecg(signal()))
@@ -91,18 +104,52 @@ def test_the_sizes_of_the_discrepancy_are_averaged(monkeypatch):
     assert fit.weights.sum(axis=1) == pytest.approx(np.exp(each - logsumexp(each)), abs=0.02)
 
 
+@pytest.mark.parametrize("gain_sd", [0.0, 0.3])
+def test_sums_are_compared_as_simulations_are(gain_sd):
+    """ECGs that are sums of a mean and of parts, many at a time, in single precision, too."""
+    likelihood, rng = example(gain_sd), np.random.default_rng(0)
+    mean, *parts = (np.pad(signal(width), ((6, 4), (0, 0))) for width in (8.0, 5.0, 13.0))
+    scores, gains = rng.standard_normal((5, 2)), rng.uniform(0.5, 2, 5)
+    each = gains[:, None, None] * (mean + np.tensordot(scores, parts, 1))
+    expected = [likelihood.log_likelihood(Signals(leads, ONSET, (1, 1))) for leads in each]
+    seen = np.array([likelihood.whitened(leads, ONSET) for leads in (mean, *parts)])
+    given = seen.transpose(3, 1, 2, 0)
+    weights = gains * np.concatenate([np.ones((1, 5)), scores.T])
+    assert np.ptp(expected) > 10
+    for kind, exact in ((np.float64, 1e-9), (np.float32, 1e-4)):
+        found = likelihood.of_sums(given.astype(kind), weights.astype(kind))
+        assert found == pytest.approx(expected, rel=exact)
+
+
 def test_gain_and_shift_are_found():
-    fit = example(gain_sd=1.0).fit(ecg(signal()))
+    """By the posterior, and so by what is drawn of it."""
+    likelihood, rng = example(gain_sd=1.0), np.random.default_rng(1)
+    fit = likelihood.fit(ecg(signal()))
     by_shift = fit.weights.sum(axis=0)
     assert by_shift @ fit.shifts == pytest.approx(ONSET - MARGIN + 1.6, abs=1.0)
-    assert (fit.weights * fit.gains).sum() == pytest.approx(1.2, abs=0.1)
+    alone = replace(likelihood, bodies=likelihood.bodies[:0])
+    drawn = [alone.predictive(ecg(signal()), rng) for _ in range(100)]
+    assert np.mean([each.gain for each in drawn]) == pytest.approx(1.2, abs=0.1)
+
+
+def test_a_body_of_the_prior_is_found():
+    """What it adds to the leads is in the networks' recordings that are drawn."""
+    likelihood, rng = example(gain_sd=0.1), np.random.default_rng(1)
+    recorded = placed(signal() + 2 * likelihood.bodies[1, 6:8, 6:8] @ signal(), ONSET, QRS)
+    given = replace(likelihood, target=target(recorded))
+    left = [
+        np.mean([((each.predictive(ecg(signal()), rng).ecg[6:8] - recorded) ** 2).sum()
+                 for _ in range(30)])
+        for each in (given, replace(given, bodies=given.bodies[:0]))
+    ]  # fmt: skip
+    assert left[0] < 0.5 * left[1]
 
 
 def test_a_fixed_gain_is_the_limit_of_a_certain_one():
     fixed = example(gain_sd=0.0).fit(ecg(signal()))
     almost = example(gain_sd=1e-5).fit(ecg(signal()))
     assert fixed.log_likelihood == pytest.approx(almost.log_likelihood, abs=1e-6)
-    assert (fixed.gains == 1).all()
+    assert example(gain_sd=0.0).predictive(ecg(signal()), np.random.default_rng(0)).gain == 1
 
 
 def test_moved_in_time_by_parts_of_a_sample():

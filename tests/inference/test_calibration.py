@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.calibration import LEVELS, coverage, distance, simultaneous
-from fascicle.inference.importance_sampling import importance_sample, sampling
+from fascicle.inference.tempered_sampling import temper
 
 TRUTHS, NOISE = 80, 0.3
 
@@ -25,11 +25,10 @@ def ranks(believed):
     for _ in range(TRUTHS):
         truth = rng.random(3)
         seen = observe(truth[None]) + NOISE * rng.standard_normal(3)
-        (run,) = importance_sample(
-            lambda p, y=seen: -0.5 * ((observe(p) - y) ** 2).sum(axis=1) / believed**2,
-            sampling(rng, rng.random((400, 3)), effective=300, most=4000),
+        run = temper(
+            lambda p, y=seen: -0.5 * ((observe(p) - y) ** 2).sum(axis=1) / believed**2, 3, rng, 400
         )
-        draws = run.points[run.draw(rng, 199)]
+        draws = run.points[rng.permutation(400)[:199]]
         found.append(((draws < truth).sum(axis=0) + rng.random(3)) / 200)
     return np.array(found)
 

@@ -20,12 +20,15 @@ from tests.dask_processes import LOST, a_local_cluster, a_scheduler, a_worker_of
 
 distributed = pytest.importorskip("distributed")
 # so that a worker can be killed within
-LONGER = {
-    "method": "posterior",
-    "effective": "20",
-    "evaluations": "200",
-    "prior_simulations": "100",
-}
+LONGER = {"method": "posterior", "effective": "20", "prior_simulations": "100"}
+
+
+@pytest.fixture(autouse=True)
+def as_many_particles_as_on_workers(monkeypatch):
+    from fascicle.study import posterior
+
+    monkeypatch.setattr(posterior, "PARTICLES", 1000)
+    monkeypatch.setattr(posterior, "MOST_PARTICLES", 8000)
 
 
 @pytest.fixture(scope="module")

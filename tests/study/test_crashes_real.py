@@ -15,7 +15,7 @@ from tests.study.crashing import killed_at_random
 PAPER = {
     "method": "paper", "initial": 12, "steps": 4, "samples": 5, "draws": 20_000, "tolerance": 1.0,
 }  # fmt: skip
-POSTERIOR = {"evaluations": 200, "prior_simulations": 100, "effective": 20}
+POSTERIOR = {"prior_simulations": 100, "effective": 20}
 KILLS = 8
 
 

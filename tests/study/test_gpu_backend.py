@@ -1,7 +1,6 @@
 """A card evaluates as threads do; what it does not simulate is refused, or done on threads."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -41,16 +40,6 @@ def evaluated(simulator, recordings, points, backend):
 def test_evaluations(backend, simulator, recordings, points, expected):
     """In batches, in order, and of what does not fit the reason."""
     assert_alike(evaluated(simulator, recordings, points, backend), expected)
-
-
-def test_what_is_stored_is_not_simulated(
-    backend, simulator, recordings, points, expected, tmp_path
-):
-    prior = SimpleNamespace()
-    known = {points[k].tobytes(): next(simulator.signals([points[k]])) for k in (1, 4)}
-    prior.get = lambda point: known.get(point.tobytes())
-    found = evaluated(replace(simulator, prior=prior), recordings, points, backend)
-    assert_alike(found, expected, simulated_here=(1, 4))
 
 
 def test_what_is_too_large_is_simulated_here(
@@ -105,7 +94,7 @@ def test_the_command_says_in_one_line_what_is_missing(tmp_path, monkeypatch, cap
 @pytest.mark.slow
 def test_a_fit_on_a_card_is_opened_without_one(backend, recordings, tmp_path):
     """What threads find again is close enough to what the card found."""
-    settings = {"effective": 20, "evaluations": 400, "prior_simulations": 200}
+    settings = {"effective": 20, "prior_simulations": 100}
     fitted = fascicle.fit(
         "default", recordings[0].target, tmp_path / "study", backend=backend, **settings
     )

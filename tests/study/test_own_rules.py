@@ -41,7 +41,7 @@ def test_a_growth_rule_is_recorded_and_needed_again(target, tmp_path, monkeypatc
     del QUANTITIES["apical_attraction"]
     term = example("Growth rule")["term"]
     folder, rules = tmp_path / "study", fascicle.GrowthRules(term=term)
-    more = {"prior_simulations": 100, "evaluations": 200, "effective": 20}
+    more = {"prior_simulations": 100, "effective": 20}
     more["parameters"] = {"apical_attraction": "free"}
     fitted = fascicle.fit("default", target, folder, rules=rules, **more)
     assert np.ptp(fitted.population.values["apical_attraction"]) > 0.05

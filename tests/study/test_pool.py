@@ -15,7 +15,6 @@ import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -81,19 +80,6 @@ class Counting(Pool):
     def map(self, function, items, *shared):
         self.sent += len(items)
         return (function(item, *shared) for item in items)
-
-
-def test_what_is_stored_is_not_sent(simulator, recordings, points, expected, tmp_path):
-    """In order, whether it is there or not; a paced beat is not stored."""
-    known = {point.tobytes(): next(simulator.signals([point])) for point in points[2:5]}
-    prior = SimpleNamespace()
-    prior.get = lambda point: known.get(point.tobytes())
-    pool = Counting()
-    here = replace(simulator, prior=prior)
-    assert_same(evaluated(here, recordings, points, pool), expected)
-    assert pool.sent == len(points) - 3
-    evaluated(here, (replace(recordings[0], scenario=case(his=His())),), points[:4], pool)
-    assert pool.sent == len(points) - 3 + 4
 
 
 @pytest.mark.parametrize(
@@ -377,7 +363,7 @@ def test_a_fit_on_a_cluster_is_that_of_one_machine(cluster, recordings, tmp_path
     from fascicle.recording.target_files import write_target
 
     write_target(recordings[0].target, tmp_path / "target.nc")
-    small = ["--effective", "20", "--evaluations", "400", "--prior-simulations", "200"]
+    small = ["--effective", "20", "--prior-simulations", "100"]
     found = []
     for name, more in (("here", []), ("there", ["--scheduler", cluster.scheduler_address])):
         folder = tmp_path / name

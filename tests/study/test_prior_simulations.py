@@ -1,129 +1,250 @@
-"""Prior simulations: what is stored, how it goes on, and what it is refused for."""
+"""Prior simulations: what is stored, how it goes on, for whom it serves, and the emulator of it."""
 
-import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 import fascicle
 from fascicle.cli.demo import demo_recording
+from fascicle.core.array_cache import ArrayCache
 from fascicle.core.errors import InputError
+from fascicle.core.files import DISPOSABLE
+from fascicle.core.leads import INDEPENDENT_ROWS
+from fascicle.forward.bodies import random_bodies
+from fascicle.forward.loss import placed
 from fascicle.forward.model import ForwardModel
+from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import write_heart
-from fascicle.inference.evaluation import Evaluation
+from fascicle.study import ecg_emulator, heart_emulator
 from fascicle.study import prior_simulations as tested
-from fascicle.study.fit import load_study
-from fascicle.study.prior_simulations import PriorSimulations, prior_points, simulate_prior
+from fascicle.study.heart_emulator import emulator_of, simulate_prior
+from fascicle.study.pool import Threads
+from fascicle.study.prior_simulations import BEFORE, PriorSimulations
 from fascicle.study.simulator import PointSimulator
-from fascicle.study.space import study_space
-from fascicle.study.target_comparison import TargetComparison, evaluate
-from tests.study.test_pool import Counting
+from fascicle.study.space import AveragedOver, study_space
+
+PART, COUNT = 40, 70
 
 
-@pytest.fixture(scope="module")
-def heart(tmp_path_factory):
-    """A heart of its own, whose prior has two parts of six networks."""
-    folder = tmp_path_factory.mktemp("heart") / "heart"
-    write_heart(fascicle.load_heart("default"), folder)
+class Counting(Threads):
+    """Counts what is simulated, and is interrupted after some."""
+
+    def __init__(self, most=10**6):
+        super().__init__(2)
+        self.sent, self.most = 0, most
+
+    def map(self, function, items, *shared):
+        for result in super().map(function, items, *shared):
+            self.sent += 1
+            if self.sent > self.most:
+                raise KeyboardInterrupt
+            yield result
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small():
+    """Two parts of few networks, in three tissues and two bodies."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tested, "PART", 6)
-        simulate_prior(folder, 7, workers=2)
-        yield fascicle.load_heart(folder)
+        patch.setattr(tested, "PART", PART)
+        patch.setattr(tested, "BODIES", 2)
+        patch.setattr(tested, "random_bodies", random_bodies)
+        patch.setattr(ecg_emulator, "FEWEST", 20)
+        patch.setattr(ecg_emulator, "EPOCHS", 1)
+        patch.setattr("fascicle.study.space.TISSUES", ({}, {"anisotropy_ratio": 2.0}))
+        yield
+
+
+def study(heart, wanted=None):
+    """What a study of it learns, averages over and fixes."""
+    space, fixed = study_space("posterior", wanted or {}, heart)
+    return space, AveragedOver.of(space, fixed, heart), fixed
+
+
+def prior_in(folder, model, wanted=None):
+    return PriorSimulations(model, *study(model.heart, wanted), ArrayCache(folder, "prior"))
+
+
+def parts(prior):
+    numbers = range(-(-COUNT // PART))
+    return [prior.cache.read(f"{prior.content} {number}") for number in numbers]
 
 
 @pytest.fixture(scope="module")
-def target():
-    return fascicle.make_target(fascicle.read_recording(demo_recording()))
+def model(default_heart):
+    """The packaged heart in an unbounded conductor, where bodies take no time."""
+    return ForwardModel(replace(default_heart, lead_fields=None, torso=None, folder=None))
 
 
-def no_prior(folder, names):
-    return [name for name in names if name.startswith("prior-")]
+@pytest.fixture(scope="module")
+def prior(model, tmp_path_factory):
+    found = prior_in(tmp_path_factory.mktemp("prior"), model)
+    found.simulate(COUNT, Counting())
+    return found
 
 
-def stored_of(heart):
-    return PriorSimulations.of(heart, *study_space("posterior", {}, heart))
+def test_examples_are_simulations_of_their_points(prior, model):
+    examples = prior.examples(COUNT)
+    parameters = [each for number in range(2) for each in prior.parameters(number)]
+    assert len(parameters) == len(examples.points) == len(examples.feasible) == 2 * PART
+    numbers = np.cumsum(examples.feasible) - 1
+    for k in (0, 9, 50, 79):
+        found = model.simulate(parameters[k])
+        assert isinstance(found, Simulation) == examples.feasible[k]
+        if examples.feasible[k]:
+            begin, length = found.first_activation - BEFORE, examples.ecgs.shape[2]
+            own = placed(found.leads[list(INDEPENDENT_ROWS)], begin, length)
+            assert examples.ecgs[numbers[k]] == pytest.approx(own, abs=1e-4)
+    first = np.abs(examples.ecgs).max(axis=(0, 1)) > 1e-3
+    assert BEFORE - 10 < np.flatnonzero(first)[0] <= BEFORE + 2
+    again = prior.averaged.values(examples.points[0, len(prior.space) :])
+    assert again.items() <= parameters[0].items()
 
 
-def same(first: Evaluation, second: Evaluation) -> bool:
-    if not first.feasible:
-        return first.reason == second.reason
-    return second.loss == pytest.approx(first.loss, rel=1e-6) and second.beat_errors == (
-        pytest.approx(first.beat_errors, rel=1e-5)
-    )
+def test_those_held_out_have_bodies(prior):
+    """Other ones than the plain one, with the same activation."""
+    examples = prior.examples(COUNT)
+    plain = examples.ecgs[examples.held_out[examples.feasible]]
+    assert 0 < len(plain) == len(examples.in_bodies)
+    assert examples.held_out.sum() == 2 * PART / tested.HELD_OUT
+    for one, other in zip(plain, examples.in_bodies, strict=True):
+        apart = ((one - other) ** 2).sum() / (one**2).sum()
+        assert 1e-3 < apart < 3
+        assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.3
 
 
-def test_evaluations_are_those_of_simulations(heart, target):
-    space, fixed = study_space("posterior", {}, heart)
-    model = ForwardModel(heart)
-    recordings = [TargetComparison(target)]
-    plain = PointSimulator(model, space, fixed)
-    stored = PointSimulator(model, space, fixed, prior=stored_of(heart))
-    points = list(prior_points(len(space), 12))
-    expected = list(evaluate(plain, recordings, points))
-    model.simulate = None  # nothing is simulated again
-    again = evaluate(stored, recordings, points)
-    assert all(same(one, other) for one, other in zip(expected, again, strict=True))
-    assert sum(e.feasible for e in expected) > 6
+@pytest.mark.parametrize(("fascicles", "share"), [(2, 1 / 3), (1, 0), (3, 1)])
+def test_a_third_have_a_third_fascicle(model, tmp_path, fascicles, share):
+    prior = prior_in(tmp_path, model, {"lv_fascicles": fascicles})
+    found = [each for number in range(10) for each in prior.parameters(number)]
+    third = ["lv_fascicle_length_3" in each for each in found]
+    assert np.mean(third) == pytest.approx(share, abs=0.08)
+    assert third == ["lv_fascicle_angle_3" in each for each in found]
 
 
-def test_it_goes_on_and_grows(heart):
-    stored = stored_of(heart)
-    assert len(stored) == 12
-    first = stored.file(0).stat().st_mtime_ns
-    stored.file(1).unlink()
-    simulate_prior(heart, 13, workers=2)
-    assert len(stored_of(heart)) == 18
-    assert stored.file(0).stat().st_mtime_ns == first
+def test_what_makes_a_tissue_is_alike_in_a_part(model, tmp_path):
+    prior = prior_in(tmp_path, model, {"endocardial_speed": "free"})
+    speeds = [{each["endocardial_speed"] for each in prior.parameters(n)} for n in range(3)]
+    assert [len(each) for each in speeds] == [1, 1, 1]
+    assert len(set.union(*speeds)) == 3
+    assert len({each["alpha"] for each in prior.parameters(0)}) == PART
 
 
-def test_elsewhere_it_is_the_same(heart, tmp_path):
-    write_heart(heart, tmp_path / "heart")
+def test_interrupted_it_goes_on_to_the_same_bits(prior, model, tmp_path):
+    again, pool = prior_in(tmp_path, model), Counting(PART + 20)
+    with pytest.raises(KeyboardInterrupt):
+        again.simulate(COUNT, pool)
+    assert [each is None for each in parts(again)] == [False, True]
+    assert len(list(tmp_path.iterdir())) == 1
     pool = Counting()
-    simulate_prior(tmp_path / "heart", 7, pool=pool)
-    assert pool.sent == 12
-    here, there = (stored_of(each) for each in (heart, fascicle.load_heart(tmp_path / "heart")))
-    for number in range(2):
-        one, other = (each.cache.read(f"{each.content} {number}") for each in (here, there))
-        assert set(one) == set(other)
-        for name, values in one.items():
-            np.testing.assert_array_equal(other[name], values)
+    again.simulate(COUNT, pool)
+    again.simulate(PART, pool)
+    assert pool.sent == PART
+    for one, other in zip(parts(again), parts(prior), strict=True):
+        for name, values in other.items():
+            assert_array_equal(one[name], values)
 
 
-def test_what_is_not_there(heart):
-    """Another prior, and a point."""
-    space, fixed = study_space("posterior", {"cv": 2.5}, heart)
-    assert len(PriorSimulations.of(heart, space, fixed)) == 0
-    assert stored_of(heart).get(np.full(13, 0.5)) is None
+def test_a_damaged_part_is_named_and_made_again(prior, model):
+    file, pool = prior._file(0), Counting()
+    whole = file.read_bytes()
+    file.write_bytes(whole[:1000])
+    with pytest.raises(InputError, match=rf"^{file}: damaged; delete it, and .* again$"):
+        prior.examples(COUNT)
+    file.unlink()
+    prior.simulate(COUNT, pool)
+    assert pool.sent == PART
+    assert file.read_bytes() == whole
 
 
-def test_a_damaged_part_is_named(heart):
-    stored = stored_of(heart)
-    whole = stored.file(0).read_bytes()
-    stored.file(0).write_bytes(whole[:1000])
-    with pytest.raises(InputError, match=r"\.npz: damaged; delete it"):
-        stored.get(np.full(13, 0.5))
-    stored.file(0).write_bytes(whole)
+@pytest.mark.parametrize(
+    ("wanted", "served"),
+    [
+        ({}, True),
+        ({"cv": {"lower": 2.5, "upper": 3.5}}, True),
+        ({"cv": {"lower": 1.5, "upper": 3.5}}, False),
+        ({"cv": 2.5, "branch_length": 7.0}, True),
+        ({"cv": 5.0}, False),
+        ({"branch_length": {"lower": 7.0, "upper": 9.0}}, True),  # learnt, not averaged over
+        ({"gain": "free"}, True),
+        ({"anisotropy_ratio": 2.0}, False),
+        ({"his_time": 40.0}, False),
+        ({"lv_fascicles": 1}, False),
+        ({"lv_fascicles": 3}, False),
+        ({"alpha": 0.06}, True),
+        ({"fibre_speed": "free"}, False),
+    ],
+)
+def test_whom_it_serves(prior, model, wanted, served):
+    assert prior.covers(*study(model.heart, wanted)) == served
 
 
-def test_another_forward_model_is_refused(heart):
-    space, fixed = study_space("posterior", {}, heart)
-    stored = stored_of(heart)
-    stored.check(ForwardModel(heart), space, fixed)
-    with pytest.raises(InputError, match="of another forward model; delete it"):
-        stored.check(ForwardModel(heart), space, {"gain": 1.2})
+def test_another_prior_has_other_simulations(prior, model, tmp_path):
+    assert len({prior_in(tmp_path, model, wanted).content
+                for wanted in ({}, {"cv": 5.0}, {"gain": "free"})}) == 3  # fmt: skip
+    known = replace(model.heart, values={"alpha": 0.07})
+    assert not prior.covers(*study(known))
 
 
-def test_numbers_that_make_no_sense(heart):
+def simulator_of(model, pool, wanted=None):
+    space, averaged, fixed = study(model.heart, wanted)
+    return PointSimulator(model, space, fixed, pool, averaged)
+
+
+def test_an_emulator_serves_all_studies_that_it_covers(prior, model, tmp_path):
+    """It is made once, and what is read is what was made."""
+    (tmp_path / DISPOSABLE).mkdir()
+    for file in prior.cache.folder.iterdir():
+        (tmp_path / DISPOSABLE / file.name).write_bytes(file.read_bytes())
+    pool = Counting()
+    first = emulator_of(simulator_of(model, pool), COUNT, tmp_path)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(heart_emulator, "learn", None)
+        again = emulator_of(simulator_of(model, pool, {"cv": 2.5}), COUNT, tmp_path)
+    assert pool.sent == 0
+    for name, values in first.arrays().items():
+        assert_array_equal(again.arrays()[name], values)
+    assert first.report["networks"] == 2 * PART
+    with pytest.raises(KeyboardInterrupt):
+        emulator_of(simulator_of(model, Counting(0), {"cv": 5.0}), COUNT, tmp_path)
+
+
+@pytest.mark.parametrize("fixed", [{}, {"anterograde_delay": 1.0}])
+def test_only_hearts_without_fixed_delays_are_the_same_on_any_clock(
+    prior, model, monkeypatch, fixed
+):
+    asked = {}
+
+    def learn(*given, **options):
+        asked.update(options)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(heart_emulator, "learn", learn)
+    monkeypatch.setattr(PriorSimulations, "examples", lambda self, count: None)
+    monkeypatch.setattr(PriorSimulations, "simulate", lambda self, *given: None)
+    with pytest.raises(KeyboardInterrupt):
+        heart_emulator.made_emulator(replace(prior, fixed=fixed), 1, Threads(1))
+    assert asked["same_on_any_clock"] == (not fixed)
+
+
+def test_a_heart_in_a_folder_that_cannot_be_written_to(model, tmp_path, monkeypatch):
+    """Simulations are kept with the study's own copy of the heart."""
+    folder, out = tmp_path / "heart", tmp_path / "study"
+    write_heart(model.heart, folder)
+    writable = heart_emulator.os.access
+    monkeypatch.setattr("os.access", lambda path, how: folder != path and writable(path, how))
+    with pytest.raises(InputError, match="heart: cannot be written to; copy the heart"):
+        simulate_prior(folder, COUNT)
+    target = fascicle.make_target(fascicle.read_recording(demo_recording()))
+    fitted = fascicle.fit(folder, target, out, prior_simulations=100, effective=20)
+    kept = {file.name.partition("-")[0] for file in (out / "heart" / DISPOSABLE).iterdir()}
+    assert {"prior", "emulator"} <= kept
+    assert not [*folder.rglob("prior-*")]
+    found = fitted.recordings[0].align(fitted.best_network.simulation.leads).loss
+    assert found == pytest.approx(fitted.population.best_loss)
+
+
+def test_numbers_that_make_no_sense(tmp_path):
     with pytest.raises(InputError, match="networks is 0"):
-        simulate_prior(heart, 0)
-
-
-@pytest.mark.slow
-def test_a_fit_finds_the_same_with_and_without(heart, target, tmp_path):
-    sizes = {"prior_simulations": 100, "evaluations": 200, "effective": 20, "workers": 2}
-    bare = shutil.copytree(heart.folder, tmp_path / "heart", ignore=no_prior)
-    without = fascicle.fit(bare, target, tmp_path / "without", **sizes)
-    simulate_prior(heart, 100, workers=2)
-    found = fascicle.fit(heart, target, tmp_path / "with", **sizes)
-    assert found.population.losses == pytest.approx(without.population.losses, rel=1e-4)
-    assert load_study(tmp_path / "with").population.converged == found.population.converged
+        simulate_prior("default", 0)

@@ -23,7 +23,7 @@ from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import study_space
 from fascicle.study.target_comparison import TargetComparison, evaluate
 
-SMALL = {"prior_simulations": 100, "evaluations": 300, "effective": 20, "workers": 2}
+SMALL = {"prior_simulations": 100, "effective": 20, "workers": 2}
 EVERYTHING = case(
     stimuli=(Stimulus(3.5, (1.0, -2.0, 3.0)), Stimulus(0.0, (0.0, 0.0, 1e-3), "rv")),
     slow=(
@@ -127,7 +127,7 @@ def test_arguments_of_the_command(tmp_path, monkeypatch):
 def likelihood(target):
     modes = cosines(target.qrs.shape[1])
     unit = separable(np.eye(8), matern(len(modes)), modes)
-    return QrsLikelihood(target, 1e-4 * np.eye(len(unit)), unit, 0.3)
+    return QrsLikelihood(target, 1e-4 * np.eye(len(unit)), unit, 0.3, np.zeros((0, 12, 12)))
 
 
 def test_likelihoods_and_losses_add_up(model, paced, both):

@@ -55,8 +55,7 @@ def fitted(
     tried = [SimpleNamespace(evaluation=e, stage=Stage.REJECTION) for e in candidates]
     study = FittedStudy(
         SimpleNamespace(
-            config=SimpleNamespace(method=method, samples=30, effective=60, evaluations=8000),
-            records=lambda: tried,
+            config=SimpleNamespace(method=method, samples=30, effective=60), records=lambda: tried
         ),
         SimpleNamespace(model=model, space=NETWORK_SPACE, fixed=fixed or {}),
         (

@@ -49,18 +49,16 @@ def print_fit(fitted: FittedStudy, summary: Mapping[str, Any]) -> None:
     """Print verdict, match and constrained parameters of a study and its summary.json."""
     from fascicle.study.population import Posterior
 
-    population, count = fitted.population, len(fitted.study.records())
+    population = fitted.population
     print_row("result", fitted.verdict)
     for warning in fitted.warnings:
         print(f"warning: {warning}")
     if fitted.of_the_paper:
-        print_row("evaluations", count)
+        print_row("evaluations", len(fitted.study.records()))
         null = f"(flat line: {fitted.null_loss:.4f})"
         print_row("best of the first", f"{fitted.best_initial_loss:.4f} mV² {null}")
     else:
-        print_row(
-            "evaluations", f"{count}, {fitted.study.config.prior_simulations} of them of the prior"
-        )
+        print_row("prior simulations", fitted.study.config.prior_simulations)
     best = f"{population.best_loss:.4f} mV², {max(fitted.explained, 0):.0%} of the QRS explained"
     print_row("best network", best)
     for number, recording in enumerate([summary, *summary.get("other_recordings", [])], 1):

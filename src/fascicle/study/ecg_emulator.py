@@ -25,18 +25,20 @@ from numpy.typing import NDArray
 from scipy.fft import dct, idct
 
 from fascicle.core.arrays import Floats, Integers
+from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, LEADS, limb_leads_from
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.threads import one_thread
 from fascicle.inference.emulator import BATCH, Network, Singles, train
-from fascicle.study.prior_simulations import BEFORE, BODIES, Examples
+from fascicle.study.prior_simulations import BEFORE, BODIES, PART, Examples
 from fascicle.study.space import AveragedOver
 
 NETWORKS = 2  # that are averaged
 COMPONENTS = 60  # principal ones; they leave a thousandth of the variance
 HIGHEST = 0.04  # cycles per ms; the likelihood looks at less
 MODES = 4  # of the body
+FEWEST = 50  # networks to learn from
 COPIES = 4  # of an example at other speeds
 EPOCHS = 12  # times that every example is seen
 FASTER = ("alpha", "fibre_speed", "cv")  # c times as high
@@ -227,6 +229,16 @@ def learn(
     centre, scale = raw.mean(axis=0), raw.std(axis=0) + 1e-9
     made, held_out = examples.feasible, examples.held_out[examples.feasible]
     begin = np.flatnonzero(~held_out)
+    if len(begin) < FEWEST or not held_out.any():
+        raise InputError(
+            f"only {made.sum()} of {len(made)} networks of the prior fit this heart; check the "
+            "heart, narrow the ranges of the lengths, or give more prior_simulations"
+        )
+    if constant := [name for name, column in zip(names, raw.T, strict=False) if not np.ptp(column)]:
+        raise InputError(
+            f"'{constant[0]}' is learnt, and has one value in every {PART} prior simulations; give "
+            f"prior_simulations of {10 * PART} or more, or fix it"
+        )
 
     count = max(2, round(2 * HIGHEST * examples.ecgs.shape[2]))
     cosines = _cosines(examples.ecgs, count)

@@ -359,7 +359,7 @@ def load_study(
             raise InputError(
                 f"{folder / name}: not the one that was fitted; put the original back, or fit again"
             )
-    if set(population.best) != set(study.config.parameter_space.names):
+    if not {*study.config.parameter_space.names} <= {*population.best}:
         raise InputError(
             f"{result}: its parameters are not those of the study; run 'fascicle fit' "
             "again to rewrite it"

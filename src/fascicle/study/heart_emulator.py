@@ -19,7 +19,7 @@ from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
-from fascicle.study.ecg_emulator import EcgEmulator, learn
+from fascicle.study.ecg_emulator import SOONER, EcgEmulator, learn
 from fascicle.study.pool import Pool, Threads, check_pool
 from fascicle.study.prior_simulations import SEED, PriorSimulations
 from fascicle.study.settings import FitSettings
@@ -72,9 +72,10 @@ def made_emulator(
         return EcgEmulator.from_arrays(stored)
     prior.simulate(count, pool, progress)
     ratio = float(np.divide(*prior.model.conduction.speeds))
+    times = {*SOONER} & {*prior.fixed, *prior.model.heart.values}  # which no speed changes
     found = learn(
         prior.examples(count), prior.space, prior.averaged, ratio, np.random.default_rng(SEED),
-        same_on_any_clock=prior.scenario is None, progress=progress,
+        same_on_any_clock=prior.scenario is None and not times, progress=progress,
     )  # fmt: skip
     cache.write(key, found.arrays(), compress=True)
     return EcgEmulator.from_arrays(found.arrays())  # with weights as they are stored

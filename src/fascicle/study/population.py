@@ -47,7 +47,7 @@ class Population:
     losses : (n,) array
         Mismatch (mV²).
     best : mapping of name to float
-        Parameters with the least mismatch of all evaluations.
+        Parameters with the least mismatch of all evaluations, what is averaged over included.
     best_loss : float
         That mismatch (mV²).
     """
@@ -147,7 +147,7 @@ class Posterior(Population):
         return cls(
             _named(space, draws),
             np.array([draw.loss for draw in draws]),
-            space.from_unit(best.point[: len(space)]),
+            space.from_unit(best.point[: len(space)]) | averaged.values(best.point[len(space) :]),
             best.loss,
             np.array([draw.log_likelihoods for draw in draws]),
             np.array([run.log_evidence for run in runs]),
@@ -236,6 +236,8 @@ def write_population(
         for group, its in ((FIRST_ALONE, population.first_alone), (AVERAGED, population.averaged)):
             if its:
                 held = xr.Dataset({name: ("draw", values) for name, values in its.items()})
+                for name in population.best.keys() & its.keys() if group == AVERAGED else ():
+                    held[name].attrs["best"] = population.best[name]
                 data.sample_stats.attrs[group] = 1
                 data.add_groups({group: held}, warn_on_custom_groups=False)
     with atomic_path(path) as temporary:
@@ -315,11 +317,14 @@ def read_population(path: Path) -> Population:
             return PaperPopulation(values, losses, best, best_loss, distances)
         logs = load_netcdf(path, "log_likelihood")
         numbered = _numbered(list(logs.data_vars))
+        stored = {g: load_netcdf(path, g) for g in (FIRST_ALONE, AVERAGED) if g in stats.attrs}
         groups = {
-            group: {str(n): v.to_numpy() for n, v in load_netcdf(path, group).data_vars.items()}
-            for group in (FIRST_ALONE, AVERAGED)
-            if group in stats.attrs
+            group: {str(name): values.to_numpy() for name, values in data.data_vars.items()}
+            for group, data in stored.items()
         }
+        for name, variable in stored[AVERAGED].data_vars.items() if AVERAGED in stored else ():
+            if "best" in variable.attrs:
+                best[str(name)] = float(variable.attrs["best"])
         return Posterior(
             values,
             losses,

@@ -111,7 +111,8 @@ class PosteriorFit:
     def _sample(self, recordings: int) -> list[SamplingRun]:
         """Make the runs, with more particles until they agree."""
         # one thread about both, since each would give the other's threads back
-        sample, count = one_thread(self._runs), PARTICLES
+        # twice as many particles as draws, of which some give no network
+        sample, count = one_thread(self._runs), max(PARTICLES, self.settings.effective)
         while True:
             runs: list[SamplingRun] = sample(recordings, count)
             if self._agree(runs) or count >= MOST_PARTICLES:
@@ -132,7 +133,10 @@ class PosteriorFit:
                 self._report(states, recordings, count)
 
             rng = self._rng(number, recordings)
-            run: SamplingRun = temper(log_likelihoods, dimension, rng, count, reported)
+            try:
+                run: SamplingRun = temper(log_likelihoods, dimension, rng, count, reported)
+            except ValueError as error:  # hardly any point has a likelihood, by one's own rule
+                raise InputError(f"{error}, and the likelihood") from None
             return run
 
         with ThreadPoolExecutor(RUNS) as pool:

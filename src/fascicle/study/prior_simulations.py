@@ -102,13 +102,6 @@ class PriorSimulations:
         )
         return inside and wanted.keys() == ends.keys() and averaged.tissues == self.averaged.tissues
 
-    def __len__(self) -> int:
-        """Networks that are there."""
-        number = 0
-        while self._file(number).is_file():
-            number += 1
-        return number * PART
-
     def _file(self, number: int) -> Path:
         return self.cache.file(f"{self.content} {number}")
 
@@ -142,15 +135,16 @@ class PriorSimulations:
 
     def simulate(self, count: int, pool: Pool, progress: Progress | None = None) -> None:
         """Make what is missing of so many networks."""
-        begin, end = len(self) // PART, -(-count // PART)
-        if begin >= end:
+        end = -(-count // PART)
+        missing = [number for number in range(end) if not self._file(number).is_file()]
+        if not missing:
             return
         report = stage_progress(progress, "prior simulations")
         bodies = []
         if not torso_values(dict.fromkeys(self.space.names, np.nan)):  # else each has its own body
             bodies = random_bodies(self.model, np.random.default_rng([SEED, 0, 2]), BODIES)
         rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(self.model.heart.leads))]
-        for number in range(begin, end):
+        for number in missing:
             scenario = None if self.scenario is None else self.scenario[0]
             items = [(values, scenario) for values in self.parameters(number)]
             drawn = np.random.default_rng([SEED, number, 3]).integers(BODIES, size=PART)
@@ -185,20 +179,14 @@ class PriorSimulations:
                     f"{self._file(number)}: damaged; delete it, and the same command makes it again"
                 )
             parts.append(part)
+        k = slice(HELD_OUT - 1, None, HELD_OUT)
         length = max(int(np.diff(part["ecg_ends"], prepend=0).max(initial=1)) for part in parts)
         return Examples(
             np.concatenate([self.points(number) for number in range(len(parts))]),
             np.concatenate([part["feasible"] for part in parts]),
             np.concatenate([_separated("ecg", part, length) for part in parts]),
             np.concatenate([_separated("body", part, length) for part in parts]),
-            np.concatenate(
-                [
-                    part["bodies"][HELD_OUT - 1 :: HELD_OUT][
-                        part["feasible"][HELD_OUT - 1 :: HELD_OUT]
-                    ]
-                    for part in parts
-                ]
-            ),
+            np.concatenate([part["bodies"][k][part["feasible"][k]] for part in parts]),
         )
 
 

@@ -1,0 +1,249 @@
+"""The emulator of a heart's ECG: what it learns, and the likelihood on it against plain sums."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.fft import dct, idct
+
+from fascicle.core.errors import InputError
+from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, limb_leads_from
+from fascicle.core.parameters import EXAMPLE_PARAMETERS, ParameterSpace, free
+from fascicle.forward.loss import placed
+from fascicle.forward.simulation import Signals, Simulation
+from fascicle.heart.conduction import Conduction
+from fascicle.recording.residuals import smooth_noise
+from fascicle.recording.target import Target
+from fascicle.study import ecg_emulator as tested
+from fascicle.study.ecg_emulator import EcgEmulator, _on_another_clock, learn, tissue_inputs
+from fascicle.study.heart_emulator import emulator_of
+from fascicle.study.likelihood import EmulatedLikelihood, beat_noise, likelihood_of
+from fascicle.study.prior_simulations import BEFORE, BODIES, HELD_OUT, Examples
+from fascicle.study.settings import FitSettings
+from fascicle.study.simulator import PointSimulator
+from fascicle.study.space import AveragedOver, study_space
+
+SPACE = ParameterSpace(tuple(free(name) for name in ("root_time", "cv", "alpha", "gain")))
+AVERAGED = AveragedOver(
+    ParameterSpace((free("anterograde_delay", lower=0.0, upper=3.0),)),
+    ({}, {"anisotropy_ratio": 2.0}),
+)
+LENGTH, COUNT = 160, 800
+SIMULATOR = SimpleNamespace(
+    space=SPACE, averaged=AVERAGED, fixed={}, model=SimpleNamespace(conduction=Conduction())
+)
+
+
+def ecgs_of(points):
+    """ECGs (n, 8, length) of a law that is the same on any clock; the tissue matters, too."""
+    values = SPACE.columns(points[:, : len(SPACE)])
+    delay = AVERAGED.space.columns(points[:, 4:5])["anterograde_delay"]
+    slower = np.where(AVERAGED.tissue(points[:, 4:]) == 1, 1.3, 1.0)
+    middle = 3 * slower / values["alpha"] + delay
+    width = 0.4 * middle + 60 / values["cv"]
+    lead = np.arange(1, 9)[:, None]
+    t = np.arange(LENGTH) - BEFORE
+    place = (t - middle[:, None, None]) / (0.3 * width[:, None, None])
+    late = 1 + 0.3 * np.tanh(values["root_time"] / width)[:, None, None] * np.sin(lead)
+    return (np.cos(lead) * late * place * np.exp(-0.5 * place**2)).astype(np.float32)
+
+
+def network_fits(points):
+    return points[:, 1] > 0.2
+
+
+@pytest.fixture(scope="module")
+def examples():
+    rng = np.random.default_rng(0)
+    points = rng.random((COUNT, 6))
+    feasible = network_fits(points)
+    ecgs = ecgs_of(points[feasible])
+    ecgs += 0.05 * smooth_noise(rng, ecgs.shape, 1.0).astype(np.float32)  # what is left to chance
+    held_out = (np.arange(COUNT) % HELD_OUT == HELD_OUT - 1)[feasible]
+    bodies = rng.integers(BODIES, size=held_out.sum())
+    # a body adds half of a lead to the next one, and noise that no sum of leads explains
+    plain, drawn = ecgs[held_out], rng.standard_normal(BODIES)[bodies][:, None, None]
+    in_bodies = plain + 0.5 * drawn * np.roll(plain, 1, axis=1)
+    in_bodies += 0.1 * smooth_noise(rng, plain.shape, 1.0).astype(np.float32)
+    return Examples(points, feasible, ecgs, in_bodies.astype(np.float32), bodies)
+
+
+@pytest.fixture(scope="module")
+def emulator(examples):
+    found = learn(examples, SPACE, AVERAGED, 2.5, np.random.default_rng(0))
+    return EcgEmulator.from_arrays(found.arrays()), found
+
+
+def slow(ecgs):
+    """Without what is faster than an emulator knows."""
+    count = round(2 * tested.HIGHEST * LENGTH)
+    return idct(dct(ecgs, axis=2)[:, :, :count], axis=2, n=LENGTH)
+
+
+def emulated_ecgs(emulator, points):
+    values = SPACE.columns(points[:, :4]) | AVERAGED.space.columns(points[:, 4:5])
+    tissues = np.array([[np.log(2.5), 0.0], [np.log(2.0), 0.0]])
+    inputs = emulator.inputs(values, tissues[AVERAGED.tissue(points[:, 4:])])
+    leads = emulator.mean_leads + np.tensordot(emulator.scores(inputs), emulator.series, 1)
+    return leads, emulator.log_validity(inputs)
+
+
+def test_it_learns_and_says_how_well(examples, emulator):
+    """What held-out networks have beside it, in random bodies, is what it says of itself."""
+    emulator, _ = emulator
+    points = examples.points[examples.held_out & examples.feasible]
+    leads, _ = emulated_ecgs(emulator, points)
+    assert "gain" not in emulator.names
+    own = leads[:, list(INDEPENDENT_ROWS)]
+    true = ecgs_of(points)
+    assert ((own - true) ** 2).sum() < 0.1 * (true**2).sum()  # of the law, without what is chance
+    given, size = slow(examples.ecgs[examples.held_out[examples.feasible]]), emulator.report
+    spread = ((given - given.mean(axis=0)) ** 2).sum()
+    assert size["r_squared"] == pytest.approx(1 - ((given - own) ** 2).sum() / spread, abs=0.01)
+    error = np.sqrt(((given - own) ** 2).sum() / (given**2).sum())
+    assert size["error"] == pytest.approx(error, abs=0.02)
+    # of what bodies add, sums of the leads are known; what is left is what components hold of it
+    rest, unknown = slow(examples.in_bodies) - own, size["error_in_bodies"] ** 2
+    assert (rest**2).sum() / (given**2).sum() > 1.3 * unknown
+    left = emulator.left_leads[:, list(INDEPENDENT_ROWS)]
+    norms = np.sqrt((own**2).sum(axis=(1, 2)))[:, None, None]
+    assert 0.6 * unknown < ((norms * left) ** 2).sum() / (given**2).sum() < 1.02 * unknown
+    added = emulator.bodies_of_all_leads[0] @ leads[0]
+    assert_allclose(added[2:6], limb_leads_from(INDEPENDENT_LEADS)[2:, :2] @ added[:2], atol=1e-9)
+    into = emulator.bodies[0] / np.abs(emulator.bodies[0]).max()
+    assert np.abs(np.diag(np.roll(into, -1, axis=0))).mean() > 2 * np.abs(into).mean()
+    limb = limb_leads_from(INDEPENDENT_LEADS)
+    assert_allclose(leads[:, :6], np.einsum("al,nlt->nat", limb[:, :2], leads[:, :2]), atol=1e-9)
+
+
+def test_where_there_are_networks(emulator):
+    points = np.random.default_rng(3).random((400, 6))
+    _, logs = emulated_ecgs(emulator[0], points)
+    clear = np.abs(points[:, 1] - 0.2) > 0.05
+    assert ((logs > np.log(0.5)) == network_fits(points))[clear].mean() > 0.97
+    assert (logs <= 0).all()
+
+
+def test_what_is_stored_is_what_was_learnt(emulator, examples):
+    stored, found = emulator
+    one, other = (emulated_ecgs(each, examples.points[:50])[0] for each in emulator)
+    assert np.abs(one - other).max() < 0.02 * np.abs(other).max()  # weights of half precision
+    assert stored.report == found.report
+    again = EcgEmulator.from_arrays(stored.arrays())
+    for name, array in stored.arrays().items():
+        assert_array_equal(again.arrays()[name], array)
+
+
+def test_the_same_seed_gives_the_same_bits(examples, monkeypatch):
+    monkeypatch.setattr(tested, "EPOCHS", 1)
+    first, again = (
+        learn(examples, SPACE, AVERAGED, 2.5, np.random.default_rng(1)).arrays() for _ in range(2)
+    )
+    for name, array in first.items():
+        assert_array_equal(again[name], array)
+
+
+def test_too_few_networks_are_refused(examples):
+    few = examples.feasible & (np.arange(COUNT) < 40)
+    given = replace(examples, feasible=few, ecgs=examples.ecgs[: few.sum()])
+    with pytest.raises(InputError, match=f"^only {few.sum()} of {COUNT} networks of the prior fit"):
+        learn(given, SPACE, AVERAGED, 2.5, np.random.default_rng(0))
+    points = examples.points.copy()
+    points[:, 2] = 0.5
+    given = replace(examples, points=points)
+    with pytest.raises(InputError, match=r"^'alpha' is learnt, and has one value in every 500"):
+        learn(given, SPACE, AVERAGED, 2.5, np.random.default_rng(0))
+
+
+def test_the_packaged_heart_has_one(default_model, tmp_path):
+    """Of its present priors, so that its fits simulate nothing beforehand."""
+    space, fixed = study_space("posterior", {}, default_model.heart)
+    averaged = AveragedOver.of(space, fixed, default_model.heart)
+    simulator = PointSimulator(default_model, space, fixed, averaged=averaged)
+    found = emulator_of(simulator, FitSettings().prior_simulations, tmp_path)
+    assert not [*tmp_path.iterdir()]
+    assert found.report["r_squared"] > 0.8
+    tissue = tissue_inputs({}, np.divide(*default_model.conduction.speeds))
+    errors, agreed = [], []
+    for point in np.random.default_rng(1).random((12, simulator.dimension)):
+        point[-1] = 0.0  # the plain tissue
+        values = simulator.parameters(point)
+        given = {name: np.array([values[name]]) for name in found.names}
+        inputs = found.inputs(given, np.array([tissue]))
+        simulated = default_model.simulate(values)
+        exists = isinstance(simulated, Simulation)
+        agreed.append(exists == (found.log_validity(inputs)[0] > np.log(0.5)))
+        if exists:
+            emulated = found.mean_leads + np.tensordot(found.scores(inputs)[0], found.series, 1)
+            begin = simulated.first_activation - BEFORE
+            true = placed(simulated.leads, begin, found.length)
+            errors.append(((emulated - true) ** 2).sum() / (true**2).sum())
+    assert np.median(errors) < 0.15
+    assert np.mean(agreed) > 0.7
+
+
+def test_a_faster_heart_is_the_same_on_another_clock(default_model):
+    """By simulations of both."""
+    values = EXAMPLE_PARAMETERS | {"alpha": 0.06, "anterograde_delay": 1.0, "cv": 3.0}
+    rows, ends = [*INDEPENDENT_ROWS], {"cv": (2.0, 4.0), "alpha": (0.05, 0.09)}
+    ends |= {"root_time": (-75.0, 50.0), "anterograde_delay": (0.0, 3.0)}
+
+    def ecg(parameters):
+        found = default_model.simulate(parameters)
+        return placed(found.leads[rows], found.first_activation - BEFORE, 400)
+
+    now = np.array([ecg(values)] * 4, np.float32)
+    here = {name: np.full(4, values[name]) for name in ends}
+    others, expected = _on_another_clock(here, ends, now, np.random.default_rng(2))
+    clock = others["cv"] / 3.0
+    assert np.ptp(clock) > 0.2
+    assert others["root_time"] == pytest.approx(values["root_time"] / clock)
+    for name, (low, high) in ends.items():
+        assert ((others[name] >= low - 1e-9) & (others[name] <= high + 1e-9)).all()
+    for k in range(4):
+        found = ecg(values | {name: float(each[k]) for name, each in others.items()})
+        assert ((found - expected[k]) ** 2).sum() < 0.02**2 * (found**2).sum()
+
+
+@pytest.fixture(scope="module")
+def target(examples):
+    """Ten beats of the law, in all leads, louder than it is."""
+    ecg = 1.3 * ecgs_of(np.full((1, 6), 0.45))[0].astype(float)
+    limb = limb_leads_from(INDEPENDENT_LEADS)
+    clean = np.concatenate([limb[:, :2] @ ecg[:2], ecg[2:]])
+    beats = clean + smooth_noise(np.random.default_rng(0), (10, *clean.shape), 0.03)
+    return Target(beats, np.arange(LENGTH) - BEFORE, 0.0, 90.0, 60.0, {"source": "made"}, 4.0, 5.0)
+
+
+class OneByOne:
+    """A likelihood that only takes one ECG at a time."""
+
+    def __init__(self, likelihood):
+        self.log_likelihood, self.predictive = likelihood.log_likelihood, likelihood.predictive
+
+
+def test_likelihoods_are_those_of_emulated_ecgs(emulator, target):
+    likelihood = likelihood_of(target, emulator[0], 0.0)
+    points = np.random.default_rng(4).random((20, 6))
+    leads, valid = emulated_ecgs(emulator[0], points)
+    gains = SPACE.columns(points[:, :4])["gain"]
+    expected = [
+        likelihood.log_likelihood(Signals(gain * each, float(BEFORE), (50, 50))) + log
+        for gain, each, log in zip(gains, leads, valid, strict=True)
+    ]
+    for each in (likelihood, OneByOne(likelihood)):
+        found = EmulatedLikelihood(SIMULATOR, emulator[0], each)(points)
+        assert found == pytest.approx(expected, rel=1e-4, abs=0.02)
+    assert np.ptp(expected) > 20
+
+
+def test_the_likelihood_knows_what_the_emulator_does_not_say(emulator, target):
+    """In proportion to the QRS; the cosines keep most of it."""
+    for louder in (1.0, 2.0):
+        given = replace(target, beats=louder * target.beats)
+        energy = (given.qrs[list(INDEPENDENT_ROWS)] ** 2).sum()
+        known = likelihood_of(given, emulator[0], 0.3).known
+        seen = np.trace(known - beat_noise(given)) / energy
+        assert 0.75 < seen / (emulator[0].left ** 2).sum(axis=1).mean() < 1
