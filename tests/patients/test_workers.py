@@ -27,8 +27,8 @@ LONGER = {"method": "posterior", "effective": "20", "prior_simulations": "100"}
 def as_many_particles_as_on_workers(monkeypatch):
     from fascicle.study import posterior
 
-    monkeypatch.setattr(posterior, "PARTICLES", 1000)
-    monkeypatch.setattr(posterior, "MOST_PARTICLES", 8000)
+    monkeypatch.setattr(posterior, "PARTICLES", 600)
+    monkeypatch.setattr(posterior, "MOST_PARTICLES", 9600)
 
 
 @pytest.fixture(scope="module")
