@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 from hypothesis import settings
 
@@ -35,32 +36,17 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def small_posteriors() -> Iterator[None]:
-    """Few particles, bodies that take no minutes, and tissues that are made once a session.
-
-    Every posterior has networks in five tissues, which take seconds each.
-    """
+    """Few particles, and bodies that take no minutes."""
 
     def bodies(model: ForwardModel, rng: Any, count: int) -> list[Any]:
-        return [model.electrocardiograph.scaled(gain) for gain in rng.uniform(0.7, 1.4, count)]
+        plain = model.electrocardiograph
+        size = len(plain.corners)
+        return [plain.scaled(np.full(size, gain)) for gain in rng.uniform(0.7, 1.4, count)]
 
-    kept: dict[Any, Any] = {}
-
-    def tissue(heart: Heart, prepared: Any, base: Any, conduction: Any) -> Any:
-        key = heart.digest, base, conduction
-        if key not in kept:
-            kept[key] = make(heart, prepared, base, conduction)
-            for old in [*kept][:-8]:
-                del kept[old]
-        return kept[key]
-
-    import fascicle.forward.model as forward
-
-    make = forward._tissue
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("fascicle.study.posterior.PARTICLES", 200)
         patch.setattr("fascicle.study.posterior.MOST_PARTICLES", 200)
         patch.setattr("fascicle.study.prior_simulations.random_bodies", bodies)
-        patch.setattr(forward, "_tissue", tissue)
         yield
 
 

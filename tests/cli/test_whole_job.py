@@ -217,7 +217,7 @@ def test_compare(study, run):
     assert lines[1].split(maxsplit=1) == ["caution", study.statements.caution.text]
     heading = f"his-pacing against left-bundle-branch-block, {len(study.population)} networks"
     assert lines[2] == heading
-    cells = [re.split("  +", line) for line in lines[4:-2]]
+    cells = [re.split("  +", line) for line in lines[4:-2] if "  " in line]
     shown = {name: float(probability) for name, probability, _ in cells}
     assert {"window QRS duration", "global QRS duration"} <= shown.keys()
     assert shown["LV activation time"] > 0.9

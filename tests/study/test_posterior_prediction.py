@@ -57,7 +57,7 @@ def likelihood(recorded):
     modes = cosines(recorded.qrs.shape[1])
     known = beat_noise(recorded) + 1e-6 * np.eye(8 * modes.shape[1])
     discrepancy = separable(np.eye(8), matern(len(modes)), modes)
-    return QrsLikelihood(recorded, known, discrepancy, 0.3)
+    return QrsLikelihood(recorded, known, discrepancy, 0.3, np.empty((0, 12, 12)))
 
 
 def network(factor=1.0):

@@ -227,6 +227,6 @@ def _separated(name: str, part: Arrays, length: int) -> NDArray[np.float32]:
     """ECGs of a part, (n, n_leads, length), with silence after their ends."""
     ends, joined = part[f"{name}_ends"], part[name]
     found = np.zeros((len(ends), len(joined), length), np.float32)
-    for ecg, begin, end in zip(found, [0, *ends[:-1]], ends, strict=True):
+    for ecg, begin, end in zip(found, np.concatenate([[0], ends])[:-1], ends, strict=True):
         ecg[:, : min(end - begin, length)] = joined[:, begin : min(end, begin + length)]
     return found
