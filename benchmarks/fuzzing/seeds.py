@@ -495,8 +495,7 @@ def _study_files() -> dict[str, bytes]:
         beats = clean + smooth_noise(np.random.default_rng(0), (3, *clean.shape), 0.02)
         last = float(np.nanmax(simulated.activation))
         target = Target(beats, time, simulated.first_activation, last, 60.0, {"from": "it"}, 4.0, 5)
-        # two fascicles, said outright: the usual prior simulations, which hardly fit, do not serve
-        fixed = {name: value for name, value in known.items() if name != "cv"} | {"lv_fascicles": 2}
+        fixed = {name: value for name, value in known.items() if name != "cv"}
         few = {"paper": {"initial": 6, "steps": 1, "samples": 2, "draws": 2000},
                "posterior": {"prior_simulations": 100, "effective": 20}}  # fmt: skip
         for method, settings in few.items():

@@ -217,13 +217,13 @@ def test_compare(study, run):
     assert lines[1].split(maxsplit=1) == ["caution", study.statements.caution.text]
     heading = f"his-pacing against left-bundle-branch-block, {len(study.population)} networks"
     assert lines[2] == heading
-    cells = [re.split("  +", line) for line in lines[4:-2] if "  " in line]
-    shown = {cell[0]: float(cell[1]) for cell in cells if len(cell) == 3}
+    end = next(k for k, line in enumerate(lines) if "P(reduction > 2 ms) = " in line)
+    cells = [re.split("  +", line) for line in lines[4:end]]
+    shown = {name: float(probability) for name, probability, _ in cells}
     assert {"window QRS duration", "global QRS duration"} <= shown.keys()
     assert shown["LV activation time"] > 0.9
     assert all(0 <= probability <= 1 for probability in shown.values())
-    assert lines[-2].startswith("total activation time: P(reduction > 2 ms) = ")
-    assert lines[-1].endswith("too few independent networks")
+    assert lines[end].startswith("total activation time: P(reduction > 2 ms) = ")
 
 
 def test_export(study, tmp_path, run, refused):

@@ -90,7 +90,12 @@ class PriorSimulations:
     def covers(
         self, space: ParameterSpace, averaged: AveragedOver, fixed: Mapping[str, float]
     ) -> bool:
-        """Whether these are of all that another study learns, fixes and averages over."""
+        """Whether these are of all that another study learns, fixes and averages over.
+
+        Not where it fixes more than half: simulations of what is left say more of it.
+        """
+        if 2 * len(space) < len(self.space):
+            return False
         ends = _ranges(self.space, self.averaged)
         wanted = _ranges(space, averaged)
         wanted |= {name: (value, value) for name, value in fixed.items()}
