@@ -15,22 +15,17 @@ import fascicle
 from fascicle.cli.output import TerminalProgress
 from fascicle.core.array_cache import ArrayCache
 from fascicle.forward.model import ForwardModel
-from fascicle.study.heart_emulator import EMULATOR, made_emulator, prior_of
+from fascicle.study.heart_emulator import EMULATOR, made_emulator, usual_prior
 from fascicle.study.pool import Threads
 from fascicle.study.settings import FitSettings
-from fascicle.study.simulator import PointSimulator
-from fascicle.study.space import AveragedOver, study_space
 
 FOLDER = Path(fascicle.__file__).parent / "data" / "emulators"
 
 
 def main() -> None:
     heart = fascicle.load_heart("default")
-    space, fixed = study_space("posterior", {}, heart)
-    averaged = AveragedOver.of(space, fixed, heart)
-    simulator = PointSimulator(ForwardModel(heart), space, fixed, averaged=averaged)
     assert heart.folder is not None
-    prior = prior_of(simulator, heart.folder)
+    prior = usual_prior(ForwardModel(heart), heart.folder)
     count = FitSettings.model_fields["prior_simulations"].default
     with TerminalProgress() as progress:
         emulator = made_emulator(prior, count, Threads(2), progress)

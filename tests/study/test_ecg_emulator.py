@@ -165,13 +165,13 @@ def test_the_packaged_heart_has_one(default_model, tmp_path):
     found = emulator_of(simulator, FitSettings().prior_simulations, tmp_path)
     assert not [*tmp_path.iterdir()]
     assert found.report["r_squared"] > 0.8
-    tissue = tissue_inputs({}, np.divide(*default_model.conduction.speeds))
+    plain = tissue_inputs(averaged, np.divide(*default_model.conduction.speeds))[:1]
     errors, agreed = [], []
     for point in np.random.default_rng(1).random((12, simulator.dimension)):
         point[-1] = 0.0  # the plain tissue
         values = simulator.parameters(point)
         given = {name: np.array([values[name]]) for name in found.names}
-        inputs = found.inputs(given, np.array([tissue]))
+        inputs = found.inputs(given, plain)
         simulated = default_model.simulate(values)
         exists = isinstance(simulated, Simulation)
         agreed.append(exists == (found.log_validity(inputs)[0] > np.log(0.5)))

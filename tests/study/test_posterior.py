@@ -34,6 +34,7 @@ AVERAGED = AveragedOver(
     ({}, {"anisotropy_ratio": 2.0}),
 )
 SMALL = {"method": "posterior", "prior_simulations": 400, "effective": 60}
+OF_AVERAGED = {"averaged": AVERAGED.space.parameters, "tissues": AVERAGED.tissues}
 
 
 def emulated(points):
@@ -64,8 +65,8 @@ def run(folder, progress=None, emulated=(emulated,), before=lambda: None, **sett
             before()
             yield evaluate(point, emulated)
 
-    study = Study.create_or_resume(folder, make_config(**SMALL | settings))
-    return study, study.run(objective, progress, AVERAGED, emulated)
+    study = Study.create_or_resume(folder, make_config(**OF_AVERAGED | SMALL | settings))
+    return study, study.run(objective, progress, emulated)
 
 
 @pytest.fixture(scope="module")

@@ -170,12 +170,19 @@ class EcgEmulator:
         )
 
 
-def tissue_inputs(tissue: Mapping[str, float], plain_ratio: float) -> list[float]:
-    """What an emulator is told of a tissue: anisotropy, and how much a layer hastens."""
-    ratio = tissue.get("anisotropy_ratio", plain_ratio)
-    faster = tissue.get("endocardial_speed", 1.0) ** 2 - 1
-    hastened = tissue.get("endocardial_layer", 0.0) * faster
-    return [float(np.log(ratio)), float(hastened)]
+def tissue_inputs(averaged: AveragedOver, plain_ratio: float) -> Floats:
+    """What an emulator is told of each tissue: anisotropy, and how much a layer hastens.
+
+    Shape (n_tissues, 2), or (1, 0) where there is but one.
+    """
+    if len(averaged.tissues) == 1:
+        return np.empty((1, 0))
+    ratios = [tissue.get("anisotropy_ratio", plain_ratio) for tissue in averaged.tissues]
+    hastened = [
+        tissue.get("endocardial_layer", 0.0) * (tissue.get("endocardial_speed", 1.0) ** 2 - 1)
+        for tissue in averaged.tissues
+    ]
+    return np.column_stack([np.log(ratios), hastened])
 
 
 def _raw(names: tuple[str, ...], values: Mapping[str, Floats], tissues: Floats) -> Floats:
@@ -217,14 +224,11 @@ def learn(
     same_on_any_clock : bool
         Whether faster hearts are the same on another clock: not where a scenario has times.
     """
-    table = np.array([tissue_inputs(t, plain_ratio) for t in averaged.tissues])
-    table = table if len(table) > 1 else table[:, :0]
-    values = space.columns(examples.points[:, : len(space)])
-    rest = examples.points[:, len(space) :]
-    values |= averaged.space.columns(rest[:, : len(averaged.space)])
+    learnt, rest = np.split(examples.points, [len(space)], axis=1)
+    values = space.columns(learnt) | averaged.columns(rest)
     values.pop("gain", None)  # a factor on the ECG
     ends = {p.name: (p.lower, p.upper) for p in (*space.parameters, *averaged.space.parameters)}
-    tissues, names = table[averaged.tissue(rest)], tuple(values)
+    tissues, names = tissue_inputs(averaged, plain_ratio)[averaged.tissue(rest)], tuple(values)
     raw = _raw(names, values, tissues)
     centre, scale = raw.mean(axis=0), raw.std(axis=0) + 1e-9
     made, held_out = examples.feasible, examples.held_out[examples.feasible]

@@ -236,7 +236,7 @@ def fit_inputs(
         if config.method == "posterior":
             recordings, emulated = _emulated(simulator, recordings, inputs, folder, progress)
         objective = partial(evaluate, simulator, recordings)
-        population = study.run(objective, progress, simulator.averaged, emulated)
+        population = study.run(objective, progress, emulated)
         return _completed(FittedStudy(study, simulator, recordings, population), progress)
 
 
@@ -402,7 +402,4 @@ def _simulated_and_compared(
         for target, scenario in recordings
     )
     pool = pool or Threads(config.workers)
-    averaged = AveragedOver()
-    if config.method == "posterior":
-        averaged = AveragedOver.of(space, fixed, heart)
-    return PointSimulator(model, space, fixed, pool, averaged, backend), compared
+    return PointSimulator(model, space, fixed, pool, config.averaged_over, backend), compared

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
@@ -47,12 +46,7 @@ def emulator_of(
     scenario : (Scenario, str), optional
         In which the heart was recorded, and its digest.
     """
-    heart = simulator.model.heart
-    space, fixed = study_space("posterior", {}, heart)
-    averaged = AveragedOver.of(space, fixed, heart)
-    usual = prior_of(
-        replace(simulator, space=space, averaged=averaged, fixed=fixed), folder, scenario
-    )
+    usual = usual_prior(simulator.model, folder, scenario)
     if usual.covers(simulator.space, simulator.averaged, simulator.fixed):
         with resources.as_file(resources.files("fascicle") / "data" / "emulators") as packaged:
             stored = ArrayCache(packaged, EMULATOR).read(usual.content)
@@ -89,6 +83,15 @@ def prior_of(
     return PriorSimulations(
         simulator.model, simulator.space, simulator.averaged, simulator.fixed, cache, scenario
     )
+
+
+def usual_prior(
+    model: ForwardModel, folder: Path, scenario: tuple[Scenario, str] | None = None
+) -> PriorSimulations:
+    """Those of what a study varies if nothing else is said."""
+    space, fixed = study_space("posterior", {}, model.heart)
+    averaged = AveragedOver.of(space, fixed, model.heart)
+    return prior_of(PointSimulator(model, space, fixed, averaged=averaged), folder, scenario)
 
 
 def simulate_prior(
@@ -133,14 +136,12 @@ def simulate_prior(
     check_count(count, "networks")
     if workers is not None:
         check_count(workers, "workers")
-    space, fixed = study_space("posterior", {}, heart)
     if heart.folder is None or not os.access(heart.folder, os.W_OK):
         raise InputError(f"{heart.folder or heart.name}: cannot be written to; copy the heart")
     with shown_progress(progress) as shown:
         if shown is not None:
             compile_kernels(shown)
         model = ForwardModel(heart, progress=shown)
-        averaged = AveragedOver.of(space, fixed, heart)
-        prior = prior_of(PointSimulator(model, space, fixed, averaged=averaged), heart.folder)
+        prior = usual_prior(model, heart.folder)
         made_emulator(prior, count, pool or Threads(workers or os.cpu_count() or 1), shown)
     return prior.cache.folder

@@ -57,8 +57,7 @@ class EmulatedLikelihood:
         simulator, emulator = self.simulator, self.emulator
         learnt, rest = np.split(points, [len(simulator.space)], axis=1)
         values: dict[str, Floats] = {n: np.full(len(points), v) for n, v in simulator.fixed.items()}
-        values |= simulator.space.columns(learnt)
-        values |= simulator.averaged.space.columns(rest[:, : len(simulator.averaged.space)])
+        values |= simulator.space.columns(learnt) | simulator.averaged.columns(rest)
         inputs = emulator.inputs(values, self._tissues[simulator.averaged.tissue(rest)])
         gain = values.get("gain", np.ones(len(points)))
         scores: Any = emulator.scores(inputs)
@@ -90,8 +89,5 @@ class EmulatedLikelihood:
 
     @cached_property
     def _tissues(self) -> Floats:
-        conduction = self.simulator.model.conduction
-        ratio = float(np.divide(*conduction.speeds))
-        tissues = self.simulator.averaged.tissues
-        table = np.array([tissue_inputs(tissue, ratio) for tissue in tissues])
-        return table if len(self.emulator.centre) > len(self.emulator.names) else table[:, :0]
+        ratio = float(np.divide(*self.simulator.model.conduction.speeds))
+        return tissue_inputs(self.simulator.averaged, ratio)

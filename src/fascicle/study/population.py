@@ -19,7 +19,7 @@ from fascicle.core.netcdf import load_netcdf
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.ranges import short_repr
 from fascicle.inference.evaluation import Evaluation
-from fascicle.inference.tempered_sampling import RunAgreement, SamplingRun
+from fascicle.inference.tempered_sampling import SamplingRun
 from fascicle.recording.target import Target
 from fascicle.study.predictive import Checks, Prediction
 from fascicle.study.settings import Method
@@ -138,7 +138,7 @@ class Posterior(Population):
         draws: Sequence[Evaluation],
         best: Evaluation,
         runs: Sequence[SamplingRun],
-        agreed: RunAgreement,
+        means_apart: Floats,
         converged: bool,
     ) -> Posterior:
         """Name the parameters of draws, as many of each run, and of the best of all evaluations."""
@@ -153,7 +153,9 @@ class Posterior(Population):
             np.array([run.log_evidence for run in runs]),
             np.array([run.effective for run in runs]),
             np.array([float(run.evaluations) for run in runs]),
-            dict(zip(space.names, map(float, agreed.means), strict=True)),
+            dict(
+                zip(space.names, map(float, means_apart), strict=False)
+            ),  # those averaged over follow
             converged,
             {n: np.array([values.get(n, np.nan) for values in rest]) for n in names},
         )

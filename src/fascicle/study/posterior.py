@@ -65,14 +65,13 @@ class PosteriorFit:
             for number, run in enumerate(runs)
             for found in self._simulated(run, each, number, recordings)
         ]
-        agreed = agreement(*runs)
         return Posterior.of(
             self.space,
             self.averaged,
             draws,
             best_of(self.journal.evaluations),
             runs,
-            replace(agreed, means=agreed.means[: len(self.space)]),
+            agreement(*runs).means,
             self._agree(runs),
         )
 
@@ -110,9 +109,9 @@ class PosteriorFit:
 
     def _sample(self, recordings: int) -> list[SamplingRun]:
         """Make the runs, with more particles until they agree."""
-        # one thread about both, since each would give the other's threads back
-        # twice as many particles as draws, of which some give no network
-        sample, count = one_thread(self._runs), max(PARTICLES, self.settings.effective)
+        sample = one_thread(self._runs)  # about both: each would give the other's threads back
+        # twice as many as are drawn from a run, since some give no network
+        count = max(PARTICLES, self.settings.effective)
         while True:
             runs: list[SamplingRun] = sample(recordings, count)
             if self._agree(runs) or count >= MOST_PARTICLES:

@@ -21,6 +21,7 @@ from fascicle.forward.likelihood import Likelihood, Replicate
 from fascicle.forward.simulation import Signals
 from fascicle.recording.target import Target
 from fascicle.study.agreement import agreement, frontal_axis
+from fascicle.study.settings import FitSettings
 from fascicle.study.target_comparison import Network
 
 # What makes a fit poor: a recording that would be rare among those that the model gives, or a QRS
@@ -143,7 +144,7 @@ def predict_recording(
         np.array([each.gain for each in drawn]),
         np.array([each.shift for each in drawn]),
         np.array([each.discrepancy for each in drawn]),
-        _checks(target, networks, drawn, getattr(likelihood, "gain_sd", 0.3)),
+        _checks(target, networks, drawn, getattr(likelihood, "gain_sd", FitSettings().gain_sd)),
     )
 
 

@@ -149,8 +149,8 @@ class PriorSimulations:
         if not torso_values(dict.fromkeys(self.space.names, np.nan)):  # else each has its own body
             bodies = random_bodies(self.model, np.random.default_rng([SEED, 0, 2]), BODIES)
         rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(self.model.heart.leads))]
+        scenario = None if self.scenario is None else self.scenario[0]
         for number in missing:
-            scenario = None if self.scenario is None else self.scenario[0]
             items = [(values, scenario) for values in self.parameters(number)]
             drawn = np.random.default_rng([SEED, number, 3]).integers(BODIES, size=PART)
             ecgs: list[Floats] = []

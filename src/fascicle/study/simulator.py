@@ -49,13 +49,6 @@ class PointSimulator:
         items = [(self.parameters(point), scenario) for point in points]
         return self.pool.map(_simulate, items, self.model)
 
-    def signals(
-        self, points: Iterable[Floats], scenario: Scenario | None = None
-    ) -> Iterator[Signals | str]:
-        """What of simulations is compared with recordings, or why a point gives no network."""
-        items = [(self.parameters(point), scenario) for point in points]
-        return self.pool.map(signals_of, items, self.model)
-
     def from_backend(self, points: Sequence[Floats]) -> list[Signals | str | None]:
         """Intrinsic beats that a backend simulates, in the plain tissue; None for all others."""
         found: list[Signals | str | None] = [None] * len(points)

@@ -89,7 +89,6 @@ TISSUES: tuple[dict[str, float], ...] = (
     {"anisotropy_ratio": 2.1, "endocardial_layer": 2.0, "endocardial_speed": 1.6},
     {"anisotropy_ratio": 3.0, "endocardial_layer": 2.0, "endocardial_speed": 1.6},
 )
-TISSUE = "tissue"  # what the number of one of `TISSUES` is called
 
 
 @dataclass(frozen=True)
@@ -125,6 +124,10 @@ class AveragedOver:
             return np.zeros(len(points), np.intp)
         number = (points[:, -1] * len(self.tissues)).astype(np.intp)
         return np.minimum(number, len(self.tissues) - 1)
+
+    def columns(self, points: Floats) -> dict[str, Floats]:
+        """Quantities, but those of tissues, at points (n, d) of the unit cube, (n,) each."""
+        return self.space.columns(points[:, : len(self.space)])
 
     def values(self, point: Floats) -> dict[str, float]:
         """All quantities at a point (d,) of the unit cube."""

@@ -73,6 +73,11 @@ class StudyConfig(FitSettings):
         """The parameter space that is learnt."""
         return ParameterSpace(self.space)
 
+    @property
+    def averaged_over(self) -> AveragedOver:
+        """What is averaged over; nothing by the paper's method."""
+        return AveragedOver(ParameterSpace(self.averaged), self.tissues)
+
 
 class Study:
     """A study folder."""
@@ -128,13 +133,11 @@ class Study:
         self,
         objective: Objective,
         progress: Progress | None = None,
-        averaged: AveragedOver | None = None,
         emulated: Sequence[Callable[[Floats], Floats]] = (),
     ) -> Population:
         """Do what is left of the study, and give its result.
 
-        A posterior needs to know what is averaged over, and the emulated log-likelihoods of each
-        recording.
+        A posterior needs the emulated log-likelihoods of each recording.
 
         A finished study gives its result again. A few stored points are evaluated again,
         to see that the forward model is still the same: `objective` must give the same result for
@@ -146,7 +149,7 @@ class Study:
             from fascicle.study import paper, posterior  # the surrogate, which only a fit needs
 
             config, space = self.config, self.config.parameter_space
-            averaged = averaged or AveragedOver()
+            averaged = config.averaged_over
             dimension = len(space) + len(averaged)
             journal = Journal(self._database, objective, dimension, config.seed, config.workers)
             if config.method == "paper":
