@@ -73,8 +73,9 @@ def stimulated(folder, par):
     """Vertices and times (ms) of the stimuli of a parameter file."""
     vertices, times = [], []
     for k in range(int(par["num_stim"])):
-        chosen, domain = read_vtx(folder / par[f"stim[{k}].elec.vtx_file"])
-        assert domain == "intra"
+        file = folder / par[f"stim[{k}].elec.vtx_file"]
+        assert file.read_text().split()[1] == "intra"
+        chosen = read_vtx(file, 10**6)
         vertices += chosen.tolist()
         times += [float(par[f"stim[{k}].ptcl.start"])] * len(chosen)
     assert len(set(vertices)) == len(vertices)
@@ -138,7 +139,7 @@ class TestOpenCarp:
             stem = written / "opencarp" / "000" / f"{tree.side}_tree"
             read = read_tree(f"{stem}.pts", tree.side, tree.nodes[tree.root])
             np.testing.assert_allclose(read.nodes, tree.nodes, atol=1e-8)
-            found, _ = read_vtx(f"{stem}_junctions.vtx")
+            found = read_vtx(stem.with_name(f"{stem.name}_junctions.vtx"), len(tree.nodes))
             assert found.tolist() == tree.junctions.tolist()
             np.testing.assert_allclose(np.loadtxt(f"{stem}_activation.dat"), times, atol=1e-6)
 

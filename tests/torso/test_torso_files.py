@@ -9,8 +9,8 @@ from block_heart import HEART_CENTRE, block_heart, ellipsoid, lung, skin
 from fascicle.core.errors import InputError
 from fascicle.heart.folder import read_torso, write_torso
 from fascicle.heart.heart import Torso
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON
-from fascicle.mesh.formats.vtk import write_grid, write_surface
+from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE
+from fascicle.mesh.formats.vtk import write_grid
 from fascicle.torso.surfaces import Surface, read_torso_surfaces, signed_distance
 
 
@@ -71,12 +71,12 @@ def test_reads_and_welds_stl(tmp_path):
 
 def test_remeshes_what_is_too_fine(tmp_path):
     fine = ellipsoid(HEART_CENTRE, (150.0, 110.0, 180.0), 6)
-    write_surface(tmp_path / "skin.vtp", fine.vertices, fine.triangles)
+    write_grid(tmp_path / "skin.vtp", fine.vertices, fine.triangles, TRIANGLE)
     body = read_torso_surfaces(tmp_path / "skin.vtp", [], block_heart())
     assert 1000 < len(body.skin.triangles) < len(fine.triangles) / 3
     assert body.skin.litres == pytest.approx(fine.litres, rel=0.01)
     assert np.abs(signed_distance(body.skin.vertices, fine)).max() < 2.75
-    write_surface(tmp_path / "skin.vtp", fine.vertices / 1000, fine.triangles)
+    write_grid(tmp_path / "skin.vtp", fine.vertices / 1000, fine.triangles, TRIANGLE)
     with pytest.raises(InputError, match="seems to be in metres"):
         read_torso_surfaces(tmp_path / "skin.vtp", [], block_heart())
 
@@ -93,11 +93,11 @@ def test_takes_the_outside_of_tetrahedra(tmp_path):
 
 def test_refuses_surfaces_by_the_name_of_their_file(tmp_path):
     body = skin()
-    write_surface(tmp_path / "open.vtp", body.vertices, body.triangles[3:])
-    write_surface(tmp_path / "m.vtp", body.vertices / 1000, body.triangles)
+    write_grid(tmp_path / "open.vtp", body.vertices, body.triangles[3:], TRIANGLE)
+    write_grid(tmp_path / "m.vtp", body.vertices / 1000, body.triangles, TRIANGLE)
     twice = np.concatenate([body.triangles, body.triangles + len(body.vertices)])
     both = np.concatenate([body.vertices, body.vertices + 500])
-    write_surface(tmp_path / "two.vtp", both, twice)
+    write_grid(tmp_path / "two.vtp", both, twice, TRIANGLE)
     for name, message in (
         ("open.vtp", r"open\.vtp: \d of \d+ edges are open \("),
         ("m.vtp", r"m\.vtp: .* seems to be in metres; multiply the coordinates by 1000"),

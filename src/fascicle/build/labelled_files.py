@@ -331,7 +331,7 @@ def _from_surface_files(
             return source, _on_boundary(source, mesh.points, triangles, labels, boundary)
         votes = np.zeros((points, max(Label) + 1), dtype=bool)
         for path, label in files:
-            votes[read_vtx(path, points)[0], label] = True
+            votes[read_vtx(path, points), label] = True
         used = np.unique(boundary)
         without = np.asarray(~votes[used].any(axis=1))
         fault = "points of the boundary have no label"

@@ -215,12 +215,8 @@ def declare(known: Quantity) -> None:
 
     `Quantity.apply` says what it does to the conduction of the tissue; `Quantity.changes` must be
     ``Changes.TIMES`` where that is `alpha` alone, else ``Changes.TISSUE``. What a
-    `fascicle.GrowthTerm` takes has ``Changes.TREES`` and is declared by that.
-
-    Raises
-    ------
-    ValueRefusedError
-        If there is another one of this name, or it does nothing.
+    `fascicle.GrowthTerm` takes has ``Changes.TREES`` and is declared by that. ValueRefusedError is
+    that there is another one of this name, or that it does nothing.
     """
     if QUANTITIES.get(known.name, known) != known or known.name in GROUPS:
         raise ValueRefusedError(f"parameter '{known.name}' is taken; choose another name")

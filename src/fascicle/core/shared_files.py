@@ -31,10 +31,7 @@ def write_shared(path: Path, content: object) -> SharedFile:
 def read_shared(file: SharedFile) -> Any:
     """Read it; what this process has read last is remembered.
 
-    Raises
-    ------
-    FileError
-        If the file has been changed: to unpickle what somebody else wrote would run their code.
+    FileError is that it was changed: to unpickle what somebody else wrote would run their code.
     """
     with _READING:  # threads of a worker begin together, and one heart is enough for all
         return _read(file)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import warnings
+import csv
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -65,50 +65,39 @@ def read_action_potential(path: str | PathLike[str]) -> TabulatedPotential:
     InputError
         If the file is missing or holds something else.
     """
-    import pandas as pd  # takes long, and only a table needs it
-
     file = as_path(path, "action potential", "the path of a CSV file")
     check_file(file, (".csv",), "action potential")
     try:
-        with warnings.catch_warnings():
-            # cells beyond those of the header are not dropped
-            warnings.simplefilter("error", pd.errors.ParserWarning)
-            # as text: pandas crashes at numbers such as 1e4000000000000001 (its issue 63089)
-            frame = pd.read_csv(
-                file, dtype=str, keep_default_na=False, index_col=False, encoding="utf-8-sig"
-            )
-    except (OSError, ValueError, pd.errors.ParserWarning) as error:
+        text = file.read_text(encoding="utf-8-sig")
+        table = [row for row in csv.reader(text.splitlines(), strict=True) if row]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{file}: not a readable table ({one_line(error)}); {REMEDY}") from error
-    header = [str(name).strip() for name in frame.columns]
+    header = [name.strip() for name in table[0]] if table else []
     if header != COLUMNS:
-        raise InputError(f"{file}: its header is '{','.join(header)[:60]}'; {REMEDY}")
-    times, potentials = (_numbers(f"{file}: {n}", frame.iloc[:, k]) for k, n in enumerate(COLUMNS))
+        raise InputError(f"{file}: its header is '{printable(','.join(header))[:60]}'; {REMEDY}")
+    rows = [_numbers(file, row, number) for number, row in enumerate(table[1:], 1)]
+    times, potentials = np.array(rows).reshape(-1, 2).T
     _check(str(file), times, potentials)
     return TabulatedPotential(times, potentials)
 
 
 def write_action_potential(path: Path, table: TabulatedPotential) -> None:
     """Write a table that `read_action_potential` reads, to the last bit."""
-    import pandas as pd
-
-    pd.DataFrame(dict(zip(COLUMNS, (table.times, table.potentials), strict=True))).to_csv(
-        path, index=False
-    )
+    rows = zip(table.times.tolist(), table.potentials.tolist(), strict=True)
+    text = "\n".join([",".join(COLUMNS), *(f"{time!r},{value!r}" for time, value in rows)])
+    path.write_text(f"{text}\n", encoding="utf-8")
 
 
-def _numbers(what: str, cells: object) -> Floats:
-    """Cells as finite numbers."""
-    values = []
-    for row, cell in enumerate(np.asarray(cells, dtype=object), start=1):
-        try:
-            values.append(float(cell))
-        except (TypeError, ValueError):  # a short row has no text
-            values.append(np.nan)
-        if not np.isfinite(values[-1]):
-            raise InputError(
-                f"{what} is '{printable(str(cell))[:40]}' in row {row} of samples; give a number"
-            )
-    return np.array(values)
+def _numbers(file: Path, row: list[str], number: int) -> list[float]:
+    """Two finite numbers."""
+    try:
+        values = [float(cell) for cell in row]
+    except ValueError:
+        values = []
+    if len(values) != len(COLUMNS) or not np.isfinite(values).all():
+        found = printable(",".join(row))[:60]
+        raise InputError(f"{file}: row {number} of samples is '{found}'; give two numbers")
+    return values
 
 
 def _check(file: str, times: Floats, potentials: Floats) -> None:

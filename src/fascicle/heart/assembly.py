@@ -45,24 +45,13 @@ def assemble_heart(
 ) -> Heart:
     """Build and validate a heart from files that were read.
 
-    Parameters
-    ----------
-    mesh, fibres : MeshFile
-        Tetrahedra, with their regions and sheets if it has them; fibres per point or tetrahedron,
-        in the same file if None.
-    surfaces : dict of side to MeshFile
-        Endocardia; triangles with a cell array ``valve`` that is not 0 span a valve opening.
-    seeds : dict of side to (root, direction)
-        Vertices of the endocardia, or positions on them; None where they are to be found.
-    electrodes : Path
-        File of electrode positions.
-    name : str
-        What to call the heart.
-    by_rule : bool or None
-        Whether fibres and sheets are those of `fascicle.heart.fibres.rule_based_fibres`. None:
-        where the given ones are a `fascicle.heart.fibres.placeholder`.
-    notes : list of str, optional
-        What was done with the fibres is added here.
+    The mesh has tetrahedra, and perhaps their regions and sheets; fibres are per point or
+    tetrahedron, in the same file if None. Triangles of the endocardia, by side, with a cell array
+    ``valve`` that is not 0 span a valve opening. Seeds are vertices of the endocardia, or positions
+    on them; None where they are to be found.
+
+    Fibres and sheets are those of `fascicle.heart.fibres.rule_based_fibres` if `by_rule`, or if it
+    is None and the given ones are a `fascicle.heart.fibres.placeholder`; the notes then say so.
     """
     tetrahedra = mesh.require(TETRAHEDRON, "tetrahedra")
     check_units(str(mesh.path), mesh.points)

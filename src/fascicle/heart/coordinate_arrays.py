@@ -55,12 +55,8 @@ def read_coordinates(mesh: MeshFile) -> VentricularCoordinates | None:
     """Ventricular coordinates of the vertices of a mesh's tetrahedra, if it has the point arrays.
 
     Those are ``tv``, ``tm``, ``rt`` (or ``rtSin`` and ``rtCos``) and ``ab`` of Cobiveco, or
-    ``v``, ``rho``, ``phi`` and ``z`` of `from_universal`, in upper or lower case; all four.
-
-    Raises
-    ------
-    InputError
-        If one is not a number a point, or out of range.
+    ``v``, ``rho``, ``phi`` and ``z`` of `from_universal`, in upper or lower case; all four. An
+    error if one is not a number a point, or out of range.
     """
     arrays = {name.lower(): values for name, values in mesh.point_data.items()}
     used = used_points(mesh)
@@ -84,9 +80,7 @@ def read_coordinates(mesh: MeshFile) -> VentricularCoordinates | None:
 
 def used_points(mesh: MeshFile) -> Integers:
     """The points of a file (n,) that are vertices of its tetrahedra."""
-    used = np.zeros(len(mesh.points), dtype=bool)
-    used[mesh.cells[TETRAHEDRON]] = True
-    return np.flatnonzero(used)
+    return np.unique(mesh.cells[TETRAHEDRON])
 
 
 def _checked(

@@ -146,10 +146,7 @@ def computed_coordinates(
 ) -> VentricularCoordinates:
     """Ventricular coordinates of a mesh's vertices by its labelled surface.
 
-    Raises
-    ------
-    InputError
-        If the surface lacks a label, or there is no septum, or no apex at its end.
+    An error if the surface lacks a label, or there is no septum, or no apex at its end.
     """
     missing = missing_parts(mesh.labels)
     if missing:
@@ -171,7 +168,7 @@ def computed_coordinates(
     ridge = mesh.tetrahedra[corners.min(axis=1) != corners.max(axis=1)]
     mixed = anterior[ridge].any(axis=1) & ~anterior[ridge].all(axis=1)
     mixed &= below[ridge].all(axis=1)
-    on_ridge, at_apex = (_marked(cells, len(part)) for cells in (ridge, ridge[mixed]))
+    on_ridge, at_apex = (np.isin(np.arange(len(part)), cells) for cells in (ridge, ridge[mixed]))
     if not at_apex.any():
         raise InputError(f"{mesh.name}: no apex where the ventricles join; check the labels")
     behind, before = (_nodes(space, on_ridge & (anterior == side)) for side in (False, True))
@@ -298,8 +295,3 @@ def _sides(mesh: LabelledMesh, part: Integers, inwards: Floats) -> tuple[Boolean
 def _nodes(space: QuadraticSpace, vertices: Booleans) -> Integers:
     """Nodes of the edges between some vertices (n,), and these."""
     return np.flatnonzero(np.concatenate([vertices, vertices[space.edges].all(axis=1)]))
-
-
-def _marked(cells: Integers, count: int) -> Booleans:
-    """Which of so many vertices some cells (m, k) have."""
-    return np.bincount(cells.ravel(), minlength=count) > 0

@@ -22,13 +22,9 @@ Electrodes = dict[str, Floats]  # positions (3,) by name, mm
 def read_electrodes(path: Path | str) -> tuple[Floats, Electrodes]:
     """Read electrodes (mm): positions (9, 3) of `fascicle.core.leads.ELECTRODES`, then others.
 
-    Any other name is an additional electrode; Frank's are given all seven or none.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, a pickle or unreadable, or an electrode is missing, misnamed or not
-        at a finite position.
+    Any other name is an additional electrode; Frank's are given all seven or none. An error if the
+    file is missing, a pickle or unreadable, or an electrode is missing, misnamed or not at a finite
+    position.
     """
     path = Path(path)
     check_file(path, (".csv", ".json"), "electrodes")

@@ -55,10 +55,7 @@ class Endocardium:
 def oriented_into_cavity(vertices: Floats, triangles: Integers, name: str) -> Integers:
     """Triangles (m, 3) of an endocardium, counter-clockwise seen from inside the cavity.
 
-    Raises
-    ------
-    InputError
-        If the surface, called `name`, is not one manifold piece with the topology of a disk.
+    An error if the surface, called `name`, is not one manifold piece with the topology of a disk.
     """
     check_edges(name, vertices, triangles)
     oriented = oriented_piece(name, vertices, triangles, "the one that is the endocardium")
@@ -120,12 +117,8 @@ def seeded_endocardia(
 ) -> tuple[Endocardium, Endocardium]:
     """LV and RV endocardium with root and direction as chosen, or as the anatomy suggests.
 
-    Parameters
-    ----------
-    surfaces : mapping of side to (name, vertices, triangles, valves)
-        What to call each in an error, and the surfaces as in `septal_seeds`.
-    chosen : mapping of side to (root, direction)
-        Each the number of a vertex, a position (mm), or None to have it found.
+    Surfaces are, by side, what to call each in an error, and vertices, triangles and valves as in
+    `septal_seeds`.
     """
     seeded = []
     for side, other in (("lv", "rv"), ("rv", "lv")):

@@ -121,12 +121,7 @@ def rule_based_fibres(
 
     with the published α and β on the surfaces if no angles are given. The right ventricle may be
     missing. Where openings of the great arteries are labelled, fibres turn towards them on the
-    endocardium and around them outside.
-
-    Raises
-    ------
-    InputError
-        If the surface lacks a label that the rule needs.
+    endocardium and around them outside. An error if the surface lacks a label that the rule needs.
     """
     angles = angles if angles is not None else FibreAngles()
     for what, labels in (

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from fascicle.core.arrays import Floats
-from fascicle.core.errors import InputError
+from fascicle.core.errors import InputError, given_in
 from fascicle.core.files import (
     as_path,
     atomic_folder,
@@ -33,9 +33,9 @@ from fascicle.heart.coordinate_arrays import used_points
 from fascicle.heart.electrodes import write_electrodes
 from fascicle.heart.heart import Heart, LeadFields, Torso, TorsoTissue
 from fascicle.mesh.checks import refuse
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON, MeshFile
+from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.formats.read import read_mesh
-from fascicle.mesh.formats.vtk import write_grid, write_surface
+from fascicle.mesh.formats.vtk import write_grid
 from fascicle.mesh.measures import signed_volumes
 
 MANIFEST = "heart.toml"
@@ -60,7 +60,7 @@ class _Strict(BaseModel):
 
 
 class Seeds(_Strict):
-    """Where one bundle starts and heads for: vertices of its endocardium."""
+    """Vertices of an endocardium: where its bundle starts, and where it heads for."""
 
     root: int
     direction: int
@@ -92,13 +92,7 @@ class Manifest(_Strict):
 
 
 def as_heart(given: Heart | Path | str) -> Heart:
-    """A heart as it was given, or read from its folder.
-
-    Raises
-    ------
-    InputError
-        If it is neither, or the folder cannot be used.
-    """
+    """A heart as it was given, or read from its folder; an error if it is neither."""
     if isinstance(given, Heart):
         return given
     return load_heart(as_path(given, "heart", "a heart, its folder, or 'default'"))
@@ -181,7 +175,7 @@ def _read_manifest(folder: Path) -> Manifest:
 
 def _patient_values(path: Path, values: dict[str, Any], heart: Heart) -> dict[str, float]:
     """The patient's values, of quantities that there are, and of regions that there are."""
-    try:
+    with given_in(path):
         found = checked(values)
         check_one_speed(found)
         regions = region_labels(found)
@@ -191,9 +185,7 @@ def _patient_values(path: Path, values: dict[str, Any], heart: Heart) -> dict[st
             # all that `Conduction.with_values` looks at; anything else would count for nothing
             if name not in (*SPEEDS, *SPEED, *regions.values()):
                 raise InputError(f"'{name}' is not a property of the tissue; leave it out")
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    return found
+        return found
 
 
 def _read_lead_fields(mesh: MeshFile, heart: Heart) -> Floats:
@@ -272,7 +264,7 @@ def write_heart(heart: Heart, folder: Path) -> None:
         for e in heart.endocardia:
             valves = {} if e.valves is None else {"valve": e.valves.astype(int)}
             file = temporary / FILES[f"{e.side}_endocardium"]
-            write_surface(file, e.vertices, e.triangles, cell_data=valves)
+            write_grid(file, e.vertices, e.triangles, TRIANGLE, cell_data=valves)
         write_electrodes(
             temporary / FILES["electrodes"], heart.electrodes, heart.additional_electrodes
         )

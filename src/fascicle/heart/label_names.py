@@ -81,10 +81,7 @@ def _words(letters: str) -> frozenset[str] | None:
 def labels_by_number(numbers: Mapping[str, int]) -> dict[str, Label]:
     """Labels by their number in the file, as text, from names as in ``{"lv": 3, "rv_endo": 4}``.
 
-    Raises
-    ------
-    InputError
-        If a name means no label, or a number is given to two.
+    An error if a name means no label, or a number is given to two.
     """
     labels: dict[str, Label] = {}
     for name, number in numbers.items():

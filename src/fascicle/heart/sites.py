@@ -84,10 +84,7 @@ class Places:
 def places(heart: Heart) -> Places:
     """Find where in the ventricles each tetrahedron of a heart is (seconds, on a fine mesh more).
 
-    Raises
-    ------
-    InputError
-        If a surface of the heart is missing.
+    An error if a surface of the heart is missing.
     """
     mesh = labelled_mesh(heart)
     potentials, _ = wall_potentials(quadratic_space(mesh.vertices, mesh.tetrahedra), mesh)
@@ -149,26 +146,18 @@ class Sites:
         return places(self.heart)
 
     def position(self, site: str | CoordinateSite) -> tuple[float, float, float]:
-        """Position of a site (mm).
+        """Position of a site (mm): ventricular coordinates, or a name in any case.
 
-        Parameters
-        ----------
-        site : CoordinateSite or str
-            Ventricular coordinates, whose nearest vertex is taken, or a name in any case:
+        - ``"mid anterolateral epicardium"``, ``"segment 12 epicardium"``: the middle of a segment
+          of the left ventricle (`SEGMENTS`) under one of its `LAYERS`; the epicardium of a septal
+          segment is the right side of the septum;
+        - ``"rv apex"``, ``"rv septum"``, ``"rv outflow tract"``, ``"rv free wall"``: on the right
+          endocardium;
+        - ``"left bundle"``: 15 mm below the root of the left network, towards its direction and the
+          apex, and ``"left septum"``, 10 mm further, on the left endocardium. The bundles of all
+          networks with the paper's ranges of lengths pass there.
 
-            - ``"mid anterolateral epicardium"``, ``"segment 12 epicardium"``: the middle of a
-              segment of the left ventricle (`SEGMENTS`) under one of its `LAYERS`; the epicardium
-              of a septal segment is the right side of the septum;
-            - ``"rv apex"``, ``"rv septum"``, ``"rv outflow tract"``, ``"rv free wall"``: on the
-              right endocardium;
-            - ``"left bundle"``: 15 mm below the root of the left network, towards its direction and
-              the apex, and ``"left septum"``, 10 mm further, on the left endocardium. The bundles
-              of all networks with the paper's ranges of lengths pass there.
-
-        Raises
-        ------
-        InputError
-            If there is no such site, or the heart has no ventricular coordinates.
+        An error if there is no such site, or the heart has no ventricular coordinates.
         """
         if site not in self._known:
             if isinstance(site, CoordinateSite):

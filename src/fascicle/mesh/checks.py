@@ -35,19 +35,11 @@ def refuse(
     cells: Integers | None = None,
     numbers: Integers | None = None,
 ) -> None:
-    """Refuse vertices, or cells, if some are bad; the message tells how many and the first places.
+    """Refuse vertices (n, 3) (mm), or cells (m, c) of them, of which some are bad.
 
-    Parameters
-    ----------
-    name, fault, remedy : str
-        The parts of the message, as in "heart.vtu: 3 of 80 tetrahedra are inverted (first: ...);
-        remesh them".
-    bad : (n,) or (m,) array
-        Which vertices, or which cells, have the fault.
-    vertices, cells : (n, 3) and (m, c) arrays
-        Positions (mm), and the corners of the cells, if these are meant.
-    numbers : (m,) or (m, c) array, optional
-        What each is called, by default its row.
+    `bad` (n,) or (m,) says which. The message is of the form "heart.vtu: 3 of 80 tetrahedra are
+    inverted (first: ...); remesh them"; `numbers`, (m,) or (m, c), are what each is called, by
+    default its row.
     """
     at = np.flatnonzero(bad)
     if not at.size:

@@ -35,34 +35,18 @@ class Interface(NamedTuple):
     inner: int
     outer: int
 
-    @property
-    def enclosed(self) -> float:
-        """Its contribution to the volume of all domains (mm³)."""
-        volume = closed_volume(self.vertices, self.triangles)
-        return volume * (int(self.inner != NOTHING) - int(self.outer != NOTHING))
-
 
 def tetrahedralise(
     interfaces: Sequence[Interface], what: str, remedy: str, **parameters: float
 ) -> tuple[Floats, Integers, Integers]:
     """Fill the domains between closed surfaces by Netgen, which changes none of these.
 
-    Schöberl 1997, Comput Vis Sci 1:41-52.
+    Schöberl 1997, Comput Vis Sci 1:41-52. The surfaces touch neither themselves nor one another.
+    An error calls the space between them `what`. Netgen's parameters are ``maxh``, the longest edge
+    (mm), and others.
 
-    Parameters
-    ----------
-    interfaces : sequence of Interface
-        The surfaces, which touch neither themselves nor one another.
-    what, remedy : str
-        For an error: the name of the space between them, and what to do.
-    **parameters
-        Netgen's: ``maxh``, the longest edge (mm), and others.
-
-    Returns
-    -------
-    vertices, tetrahedra, domains : (n, 3), (m, 4) and (m,) arrays
-        Positions (mm), those of the interfaces first, indices, positively oriented, and the domain
-        that each tetrahedron lies in.
+    The result is vertices (n, 3) (mm), those of the interfaces first, tetrahedra (m, 4), positively
+    oriented, and the domain that each lies in (m,).
     """
     from netgen import meshing as netgen
 
@@ -90,7 +74,11 @@ def tetrahedralise(
     tetrahedra = corners[:, [0, 2, 1, 3]].astype(np.int64) - 1  # Netgen orients otherwise
     vertices = np.array(mesh.Coordinates(), dtype=float, order="C")
     volume = float(signed_volumes(vertices, tetrahedra).sum())
-    missing = 1 - volume / sum(interface.enclosed for interface in interfaces)
+    missing = 1 - volume / sum(
+        closed_volume(each.vertices, each.triangles)
+        * (int(each.inner != NOTHING) - int(each.outer != NOTHING))
+        for each in interfaces
+    )
     if abs(missing) > 1e-6:  # more than rounding: it leaves out what it cannot fill
         why = f" ({failure[1].strip()})" if failure else ""
         raise InputError(

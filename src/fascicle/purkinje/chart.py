@@ -54,17 +54,13 @@ def build_chart(endocardium: Endocardium) -> Chart:
     triangles can make it fold; then the mean-value weights, which are positive and so give a
     bijection by Tutte's theorem, take the place of the cotangents. They do so too where the
     harmonic map stretches some triangle 20 times more one way than the other, if they stretch
-    less. The metric is that of the real surface in either case, so lengths stay exact.
+    less. The metric is that of the real surface in either case, so lengths stay exact. An error if
+    even that map folds, which a valid surface cannot do except through degenerate triangles.
 
     References
     ----------
     Remacle et al., Int J Numer Methods Eng 83 (2010) 403-425. Floater, Mean value coordinates,
     Comput Aided Geom Des 20 (2003) 19-27.
-
-    Raises
-    ------
-    InputError
-        If even that map folds, which a valid surface cannot do except through degenerate triangles.
     """
     vertices, triangles = endocardium.vertices, endocardium.triangles
     loop = boundary_loops(triangles)[0]

@@ -169,24 +169,10 @@ def grow_from_parameters(
 
     Each segment obeys d ← normalise(d + w∇d_CP(x)), x ← x + (l_b/N_s)·d (equation 1 of the
     paper), with unit vectors and distances of the endocardium's own metric, or with another term.
+    The outcome is an `InvalidTree` where the bundle or a fascicle would leave the endocardium.
 
-    Parameters
-    ----------
-    side : str
-        ``"lv"`` or ``"rv"``.
-    chart, seed : Chart, Seed
-        The endocardium's map to the disk, and start and heading of the bundle there.
-    parameters : mapping of name to float
-        Lengths (mm) of the bundle and of as many fascicles as are named, and their angles to it
-        (rad, counter-clockwise in the disk seen from inside the cavity), as in
-        `fascicle.core.parameters`; of both sides.
-    rules : GrowthRules
-        What is held fixed.
-
-    Returns
-    -------
-    PurkinjeTree or InvalidTree
-        `InvalidTree` where the bundle or a fascicle would leave the endocardium.
+    The parameters, of both sides, are lengths (mm) of the bundle and of as many fascicles as are
+    named, and their angles to it (rad, counter-clockwise in the disk seen from inside the cavity).
 
     Notes
     -----

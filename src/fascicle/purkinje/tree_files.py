@@ -86,7 +86,7 @@ def write_opencarp_tree(stem: Path, tree: PurkinjeTree) -> None:
     )
     along = tree.nodes[child] - tree.nodes[parent]
     opencarp.write_directions(opencarp.opencarp_file(stem, ".lon"), [unit(along)])
-    opencarp.write_lengths(opencarp.opencarp_file(stem, "_length.dat"), tree.lengths[child])
+    opencarp.write_values(opencarp.opencarp_file(stem, "_length.dat"), 1000 * tree.lengths[child])
     opencarp.write_vtx(opencarp.opencarp_file(stem, "_root.vtx"), np.array([tree.root]))
     opencarp.write_vtx(opencarp.opencarp_file(stem, "_junctions.vtx"), tree.junctions)
 
@@ -94,29 +94,15 @@ def write_opencarp_tree(stem: Path, tree: PurkinjeTree) -> None:
 def read_tree(
     path: Path | str, side: str, near: Floats, *, file_first: bool = False
 ) -> PurkinjeTree:
-    """Read a tree of lines.
+    """Read a tree of lines or polylines (mm), or openCARP's by this module's convention.
 
     Segments take their length from a cell array ``length`` (mm) if there is one, as in trees that
     were written here, else from their ends. Lines that make one tree by their point numbers are
     taken as they are; else points in one place are made one first.
 
-    Parameters
-    ----------
-    path : path
-        VTU, VTP or VTK file of lines or polylines (mm), or openCARP's `.pts` or `.elem` by the
-        convention of this module's docstring.
-    side : str
-        ``"lv"`` or ``"rv"``.
-    near : (3,) array
-        The root is the node of the tree nearest to this point (mm): an end, a fork or neither.
-    file_first : bool
-        Whether the root that the file marks, if it does, counts before `near`.
-
-    Raises
-    ------
-    InputError
-        If the file is not one connected tree without loops, or its nearest node is farther than
-        2 mm from the point.
+    The root is the node nearest to the point `near` (3,) (mm): an end, a fork or neither. Where
+    `file_first`, the root that the file marks, if it does, counts before that. InputError is that
+    the file is not one connected tree without loops, or that no node is within 2 mm of the point.
     """
     path = Path(path)
     purpose = f"{side.upper()} tree"
@@ -198,7 +184,7 @@ def _read_opencarp_tree(path: Path | str, purpose: str) -> MeshFile:
     file = opencarp.opencarp_file(path, "_root.vtx")
     if file.exists():
         marked = np.zeros(len(mesh.points))
-        marked[opencarp.read_vtx(file, len(mesh.points))[0]] = 1
+        marked[opencarp.read_vtx(file, len(mesh.points))] = 1
         mesh = replace(mesh, point_data={**mesh.point_data, "root": marked})
     return mesh
 

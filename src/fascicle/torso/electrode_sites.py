@@ -88,16 +88,9 @@ def additional_sites(heart: Heart, axes: Floats, skin: Surface, names: Sequence[
     scapula and at the spine's border, and right-sided electrodes mirror the left ones: Kligfield et
     al. 2007, Circulation 115:1306-1324.
 
-    Parameters
-    ----------
-    heart : Heart
-        With the nine electrodes.
-    axes : (3, 3) array
-        Columns: to the left, to the back, up, in the heart's coordinates.
-    skin : Surface
-        Closed, around the heart (mm).
-    names : sequence of str
-        Electrodes of Frank's leads, of `fascicle.core.leads.POSTERIOR` and `RIGHT`.
+    The columns of `axes` (3, 3) point to the left, to the back and up in the heart's coordinates;
+    the skin is closed. Names are those of Frank's electrodes, of `fascicle.core.leads.POSTERIOR`
+    and `RIGHT`.
     """
     nine = heart.electrodes @ axes
     x = float(nine[[Electrode.RA, Electrode.LA, Electrode.V1, Electrode.V2], 0].mean())
@@ -114,31 +107,20 @@ def additional_sites(heart: Heart, axes: Floats, skin: Surface, names: Sequence[
             )
         return np.asarray(begin + max(distance for _, distance, *_ in hits) * towards)
 
-    def around(degrees: float) -> Floats:
-        """On the skin at an angle from straight ahead to the left."""
-        angle = np.radians(degrees)
-        return ray((x, y, level), (np.sin(angle), -np.cos(angle), 0.0))
-
-    def behind(share: float) -> Floats:
-        """On the back, so far to the left of the midline."""
-        return ray((x + share * width, y, level), (0.0, 1.0, 0.0))
-
-    def mirrored(row: int) -> Floats:
-        """Nearest to the mirror image of an electrode."""
-        image = axes @ (nine[row] * [-1, 1, 1] + [2 * x, 0, 0])
-        return np.asarray(igl.point_mesh_squared_distance(image[None], *skin)[2][0])
-
-    def neck() -> Floats:
-        """On the back in the midline, 2 cm below the top of the torso."""
-        top = float(ray((x, y, level), (0.0, 0.0, 1.0)) @ axes[:, 2])
-        return ray((x, y, top - 20.0), (0.0, 1.0, 0.0))
-
+    places = {"F": heart.electrodes[Electrode.LL]}
+    # degrees from straight ahead to the left
     angles = {"A": 90.0, "C": 45.0, "E": 0.0, "I": -90.0, "M": 180.0, "V7": 116.0}
-    places = {name: around(angle) for name, angle in angles.items()}
+    for name, angle in zip(angles, np.radians([*angles.values()]), strict=True):
+        places[name] = ray((x, y, level), (np.sin(angle), -np.cos(angle), 0.0))
     # of the half-width: behind the midclavicular and the sternal line
-    places |= {"V8": behind(0.55), "V9": behind(0.15), "H": neck()}
-    places |= {right: mirrored(Electrode[right.removesuffix("R")]) for right in RIGHT}
-    places["F"] = heart.electrodes[Electrode.LL]
+    for name, share in (("V8", 0.55), ("V9", 0.15)):
+        places[name] = ray((x + share * width, y, level), (0.0, 1.0, 0.0))
+    # on the back in the midline, 2 cm below the top of the torso
+    top = float(ray((x, y, level), (0.0, 0.0, 1.0)) @ axes[:, 2])
+    places["H"] = ray((x, y, top - 20.0), (0.0, 1.0, 0.0))
+    for name in RIGHT:  # nearest to the mirror image of the left one
+        image = axes @ (nine[Electrode[name.removesuffix("R")]] * [-1, 1, 1] + [2 * x, 0, 0])
+        places[name] = np.asarray(igl.point_mesh_squared_distance(image[None], *skin)[2][0])
     return {name: places[name] for name in names}
 
 

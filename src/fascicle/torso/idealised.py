@@ -74,12 +74,8 @@ def idealised_torso(
     """Put an idealised adult torso around a heart (mm), which stays where it is.
 
     The trunk is a standard adult's if it is not given; the pose is that of
-    `fascicle.torso.heart_pose.torso_frame`.
-
-    Raises
-    ------
-    InputError
-        If the heart does not fit into that torso, leaves no room for the lungs, or is not closed.
+    `fascicle.torso.heart_pose.torso_frame`. An error if the heart does not fit into that torso,
+    leaves no room for the lungs, or is not closed.
     """
     size = size if size is not None else TrunkSize()
     frame = torso_frame(mesh, size, pose)
@@ -95,21 +91,12 @@ def fitted_torso(
     known: Mapping[str, float],
     pose: Pose = "standard",
 ) -> tuple[TorsoSurfaces, FittedTrunk]:
-    """Put an idealised torso around a heart on whose skin given electrodes lie.
+    """Put an idealised torso around a heart (mm) on whose skin given electrodes lie.
 
-    Parameters
-    ----------
-    mesh : LabelledMesh
-        The heart (mm).
-    electrodes : (9, 3) array
-        In the heart's coordinates (mm).
-    name : str
-        What to call them in an error.
-    known : mapping of name to float
-        Measures of the person, arguments of `TrunkSize`, which are kept.
-    pose : {"standard", "ras", "lps"}
-        Whether the torso's axes follow from the electrodes, or are those of the image that the
-        heart comes from; both are tilted a little where that fits better.
+    Electrodes (9, 3), which an error calls `name`, are in the heart's coordinates (mm). Measures of
+    the person that are known, arguments of `TrunkSize`, are kept. In the "standard" pose the
+    torso's axes follow from the electrodes, else they are those of the image that the heart comes
+    from; both are tilted a little where that fits better.
     """
     standard = TrunkSize()
     if pose == "standard":

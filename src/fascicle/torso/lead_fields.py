@@ -131,13 +131,8 @@ def lead_fields(
     Those of the nine sum to zero at every vertex: each is for unit current that leaves through all
     nine alike, which no lead notices; so are those of the additional electrodes. Scar
     (`Conduction.regions`) does not count: tissue that does not activate still conducts
-    extracellularly, and nothing better than the intact Gᵢ + Gₑ is known of it here. `progress` is
-    called with how many of how many electrodes are done.
-
-    Raises
-    ------
-    InputError
-        If an electrode is far from the skin, the mesh falls into pieces, or the solver gets stuck.
+    extracellularly, and nothing better than the intact Gᵢ + Gₑ is known of it here. An error if an
+    electrode is far from the skin, the mesh falls into pieces, or the solver gets stuck.
     """
     tetrahedra = np.concatenate([heart.tetrahedra, torso.tetrahedra])
     contacts = place_electrodes(torso.vertices, tetrahedra, heart.electrode_positions)
@@ -178,12 +173,8 @@ def total_conductivity(heart: Heart, torso: Torso, conduction: Conduction) -> Fl
 def assemble_stiffness(vertices: Floats, tetrahedra: Integers, conductivity: Floats) -> csr_matrix:
     """Kᵢⱼ = ∫ ∇λᵢ·σ∇λⱼ dx for the hat functions λ of linear elements.
 
-    Conductances (n, n) (mS, that is 1/kΩ) for σ (m, 3, 3) (mS/cm) on a mesh in mm.
-
-    Raises
-    ------
-    InputError
-        If a vertex belongs to no tetrahedron.
+    Conductances (n, n) (mS, that is 1/kΩ) for σ (m, 3, 3) (mS/cm) on a mesh in mm, each of whose
+    vertices belongs to a tetrahedron.
     """
     unused = np.bincount(tetrahedra.ravel(), minlength=len(vertices)) == 0
     whole = "mesh of heart and torso"
@@ -214,21 +205,13 @@ def solve_neumann(
 ) -> Floats:
     """Potentials (e, n) (mV), each of mean zero, for currents into an insulated conductor.
 
+    The stiffness (n, n) is that of `assemble_stiffness` (1/kΩ); currents (e, n) into each vertex
+    are in µA, and each row sums to zero. Good meshes of 300,000 vertices take 30 iterations.
+
     Conjugate gradients, preconditioned by smoothed aggregation (Vaněk, Mandel and Brezina,
     Computing 56, 1996, 179-196). The conductor is grounded at one vertex: the system is then
     regular, and as the currents are balanced none flows to ground, so the potentials change by
     constants only.
-
-    Parameters
-    ----------
-    stiffness : (n, n) sparse matrix
-        Of `assemble_stiffness` (1/kΩ).
-    currents : (e, n) array
-        Current into each vertex (µA); each row sums to zero.
-    progress : callable, optional
-        Called with how many of how many rows are done.
-    most_iterations : int
-        Good meshes of 300,000 vertices take 30.
     """
     pieces, _ = connected_components(stiffness, directed=False)
     if pieces > 1:

@@ -23,10 +23,7 @@ from fascicle.torso.surfaces import Surface
 def torso_of(heart: Heart, progress: StageProgress = no_progress) -> Torso:
     """A heart's torso, or the standard one of a heart that carries its lead fields without it.
 
-    Raises
-    ------
-    InputError
-        If the heart's electrodes are not on the standard one: then it was another torso.
+    An error if the heart's electrodes are not on the standard one: then it was another torso.
     """
     if heart.torso is not None:
         return heart.torso
@@ -55,8 +52,7 @@ def mesh_torso(
     so the result continues the heart's own mesh. Tetrahedra are blood if an endocardium and a lid
     over each of its openings enclose their centre: a winding number above one half (Jacobson, Kavan
     and Sorkine-Hornung 2013, ACM Trans Graph 32:33). The lid is not a surface of the mesh: the edge
-    of a real heart's opening is too rough to hold one that nowhere cuts the tissue. `progress` is
-    called with how many of how many steps are done.
+    of a real heart's opening is too rough to hold one that nowhere cuts the tissue.
     """
     progress(0, 2)
     around, first_lung = 1, 2  # Netgen's numbers of what it fills; the other lungs' follow

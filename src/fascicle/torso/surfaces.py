@@ -87,12 +87,8 @@ def read_torso_surfaces(
 
     Surfaces are welded (STL repeats every point), turned outwards, and remeshed if they are far
     finer than a torso needs. Of a volume mesh the outer surface is used; lungs are separate files.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be read, holds no surface, or one that is open, in several pieces, not in
-        mm or not where a torso's or a lung's is.
+    An error if a file cannot be read, holds no surface, or one that is open, in several pieces, not
+    in mm or not where a torso's or a lung's is.
     """
     read = TorsoSurfaces(
         _read_surface(Path(skin), "torso", SKIN_EDGE),
@@ -102,7 +98,7 @@ def read_torso_surfaces(
     return read
 
 
-def _read_surface(path: Path, purpose: str, edge: float, most: int = 20_000) -> Surface:
+def _read_surface(path: Path, purpose: str, edge: float) -> Surface:
     """The triangles of a file, or the boundary of its tetrahedra; a finer surface is remeshed."""
     mesh = read_mesh(path, purpose)
     if len(mesh.cells.get(TETRAHEDRON, ())):
@@ -116,7 +112,7 @@ def _read_surface(path: Path, purpose: str, edge: float, most: int = 20_000) -> 
     check_edges(str(path), vertices, triangles)
     oriented = oriented_piece(str(path), vertices, triangles, "the outer one")
     surface = Surface(vertices, turned_outwards(vertices, oriented))
-    if len(triangles) > most:
+    if len(triangles) > 20_000:
         check_closed(str(path), surface, purpose)
         surface = remeshed(surface, edge)
     return surface

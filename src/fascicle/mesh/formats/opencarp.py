@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -112,9 +111,8 @@ def read_surf(path: Path, points: int) -> Integers:
     return np.ascontiguousarray(triangles[:, :3])
 
 
-def read_vtx(path: Path | str, points: int | None = None) -> tuple[Integers, str]:
-    """Read the vertex numbers of a `.vtx` file, and its domain (``"intra"`` or ``"extra"``)."""
-    path = Path(path)
+def read_vtx(path: Path, points: int) -> Integers:
+    """Read the vertex numbers (k,) of a `.vtx` file, for a mesh with this number of points."""
     header, *lines = _lines(path, "vertices")
     domain = lines[0].strip() if lines else ""
     if domain not in ("intra", "extra"):
@@ -122,7 +120,7 @@ def read_vtx(path: Path | str, points: int | None = None) -> tuple[Integers, str
             f"{path}: the second line is '{_start(domain)}'; it must be 'intra' or 'extra'"
         )
     text = _checked_count(path, header, lines[1:])
-    return _indices(path, text, 1, points, tagged=False)[:, 0], domain
+    return _indices(path, text, 1, points, tagged=False)[:, 0]
 
 
 def read_lengths(path: Path) -> Floats:
@@ -178,7 +176,7 @@ def _table(path: Path, lines: list[str], columns: tuple[int, ...]) -> Floats:
 
 
 def _indices(
-    path: Path, lines: list[str], corners: int, points: int | None, tagged: bool = True
+    path: Path, lines: list[str], corners: int, points: int, tagged: bool = True
 ) -> Integers:
     """Point indices, `corners` a line, and a tag where there is one."""
     table = _table(path, lines, (corners, corners + 1) if tagged else (corners,))
@@ -188,13 +186,11 @@ def _indices(
         raise InputError(f"{path}: {table[tuple(bad[0])]:g} is not a whole number; correct it")
     numbers = table.astype(np.int64)
     nodes = numbers[:, :corners]
-    outside = nodes[(nodes < 0) | (nodes >= (np.inf if points is None else points))]
+    outside = nodes[(nodes < 0) | (nodes >= points)]
     if outside.size:
-        known = (
-            "indices count from 0" if points is None else f"the mesh has points 0 to {points - 1}"
-        )
         raise InputError(
-            f"{path}: {outside.size} indices are out of range (first: {outside[0]}); {known}"
+            f"{path}: {outside.size} indices are out of range (first: {outside[0]}); the mesh has "
+            f"points 0 to {points - 1}"
         )
     return numbers
 
@@ -204,9 +200,9 @@ def _start(text: str) -> str:
     return printable(" ".join(text.split())[:60])
 
 
-def write_vtx(path: Path, indices: Integers, domain: Literal["intra", "extra"] = "intra") -> None:
-    """Write point indices (k,) of one of openCARP's domains as a `.vtx` file."""
-    write_text(path, f"{len(indices)}\n{domain}\n" + _rows("%d", indices))
+def write_vtx(path: Path, indices: Integers) -> None:
+    """Write point indices (k,) of the intracellular domain as a `.vtx` file."""
+    write_text(path, f"{len(indices)}\nintra\n" + _rows("%d", indices))
 
 
 def write_surf(path: Path, triangles: Integers) -> None:
@@ -228,19 +224,14 @@ def write_opencarp_mesh(
 
 
 def write_directions(path: Path, axes: list[Floats]) -> None:
-    """Write one or more unit vectors (m, 3) a cell as a `.lon` file, whole or not at all."""
+    """Write one or more unit vectors (m, 3) a cell as a `.lon` file."""
     text = _rows(" ".join(["%.15f"] * (3 * len(axes))), np.hstack(axes))
     write_text(path, f"{len(axes)}\n{text}")
 
 
 def write_values(path: Path, values: Floats) -> None:
-    """Write one number (n,) a node or a cell as a `.dat` file."""
+    """Write one number (n,) a node or a cell as a `.dat` file, in openCARP's units."""
     write_text(path, _rows("%.6f", values))
-
-
-def write_lengths(path: Path, lengths: Floats) -> None:
-    """Write one length (mm) a cell as a `.dat` file, in µm."""
-    write_values(path, lengths * 1000)
 
 
 def _rows(form: str, values: Floats | Integers) -> str:

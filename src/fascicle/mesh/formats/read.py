@@ -22,11 +22,8 @@ MESH_FORMATS = (*VTK_FORMATS, ".ply", ".msh", *OPENCARP_FORMATS)
 def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
     """Read a mesh file of any supported format.
 
-    Raises
-    ------
-    InputError
-        If the file is missing, of another format, truncated or otherwise unreadable, empty, or
-        has coordinates that are not finite.
+    InputError is that the file is missing, of another format, truncated or otherwise unreadable,
+    empty, or has coordinates that are not finite.
     """
     path = Path(path)
     check_file(path, MESH_FORMATS, purpose)
@@ -55,10 +52,13 @@ def _check_complete(path: Path) -> None:
         head = file.read(512)
         file.seek(max(0, size - 1024))
         tail = file.read()
+    # 50 bytes a triangle after the header of 80 and their number, or text
+    triangles = size >= 84 and size >= 84 + 50 * int.from_bytes(head[80:84], "little")
+    whole_stl = (triangles and any(tail)) or b"endsolid" in tail.lower()
     promised = {
         ".vtu": ("</VTKFile>", b"</VTKFile>" in tail),
         ".vtp": ("</VTKFile>", b"</VTKFile>" in tail),
-        ".stl": ("as many triangles as announced", _stl_is_whole(head, tail, size)),
+        ".stl": ("as many triangles as announced", whole_stl),
         ".obj": ("line end", tail[-1:].isspace()),
         ".vtk": ("line end", tail[-1:].isspace() or not is_ascii_vtk(head)),
     }
@@ -67,10 +67,3 @@ def _check_complete(path: Path) -> None:
         raise InputError(f"{path}: the file is empty; export or copy it again")
     if not complete:
         raise damaged(path, f"no {end} at its end")
-
-
-def _stl_is_whole(head: bytes, tail: bytes, size: int) -> bool:
-    """Whether there are 50 bytes a triangle after the header of 80 and their number, or text."""
-    announced = int.from_bytes(head[80:84], "little")
-    fits = len(head) >= 84 and size >= 84 + 50 * announced
-    return (fits and any(tail)) or b"endsolid" in tail.lower()

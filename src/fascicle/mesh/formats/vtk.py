@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError, one_line
 from fascicle.core.files import write_text
-from fascicle.core.isolated import Limits
 from fascicle.mesh.formats.mesh_file import LINE, TETRAHEDRON, TRIANGLE, MeshFile, damaged
 
 
@@ -28,8 +27,6 @@ def read_vtk(path: Path) -> MeshFile:
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkFiltersCore import vtkAppendFilter
 
-    if path.suffix.lower() in (".vtu", ".vtp"):
-        _check_stated_counts(path)
     reader = _vtk_reader(path)
     with _vtk_complaints() as complaints:
         reader.Update()
@@ -63,22 +60,6 @@ def read_vtk(path: Path) -> MeshFile:
         path, points.astype(float), cells, _named_arrays(data.GetPointData()), cell_data, others,
         has_polylines=np.unique(lines).size < lines.size,
     )  # fmt: skip
-
-
-def _check_stated_counts(path: Path) -> None:
-    """Refuse an XML file that states more points or cells than a file of its size may hold.
-
-    Others state sizes too, but VTK compares them with the file, or memory is limited.
-    """
-    most = Limits.of(path).memory / 8  # a point takes 12 bytes at least, a cell 9
-    pattern = rb'NumberOf(Points|Cells|Verts|Lines|Strips|Polys)\s*=\s*"\s*(\d+)'
-    for what, number in re.findall(pattern, path.read_bytes()):
-        if len(number) > 20 or int(number) > most:
-            raise InputError(
-                f"{path}: states {number[:20].decode()} {what.decode().lower()}, and a "
-                f"file of {path.stat().st_size / 2**20:.3g} MB may hold {most:.2g}; it is damaged, "
-                "export it again"
-            )
 
 
 def _named_arrays(fields: Any) -> dict[str, NDArray[Any]]:
@@ -191,38 +172,23 @@ def write_grid(
     point_data: Mapping[str, NDArray[Any]] | None = None,
     cell_data: Mapping[str, NDArray[Any]] | None = None,
 ) -> None:
-    """Write cells of one kind, such as `TETRAHEDRON`, as a VTU file, whole or not at all.
+    """Write cells of one kind, such as `TETRAHEDRON`, as VTU, whole or not at all.
 
     Points (n, 3) are in mm, cells (m, k) their indices; arrays have one row a point, or a cell.
+    Triangles may be a VTP file, by its suffix.
     """
     import pyvista as pv
-
-    grid = pv.UnstructuredGrid({kind: cells}, np.asarray(points))
-    grid.point_data.update(point_data or {})
-    grid.cell_data.update(cell_data or {})
-    _save(grid, path)
-
-
-def write_surface(
-    path: Path,
-    points: Floats,
-    triangles: Integers,
-    cell_data: dict[str, NDArray[np.generic]] | None = None,
-) -> None:
-    """Write triangles, with arrays of one row a triangle, as VTP, whole or not at all."""
-    import pyvista as pv
-
-    surface = pv.PolyData.from_regular_faces(np.asarray(points), triangles)
-    surface.cell_data.update(cell_data or {})
-    _save(surface, path)
-
-
-def _save(data: Any, path: Path) -> None:
-    """Write by way of memory: on a full disk VTK crashes, and Python raises an error."""
     from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
 
-    is_surface = path.suffix == ".vtp"
-    writer: Any = vtkXMLPolyDataWriter() if is_surface else vtkXMLUnstructuredGridWriter()
+    data: Any
+    if path.suffix == ".vtp":
+        data = pv.PolyData.from_regular_faces(np.asarray(points), cells)
+    else:
+        data = pv.UnstructuredGrid({kind: cells}, np.asarray(points))
+    writer: Any = {".vtp": vtkXMLPolyDataWriter}.get(path.suffix, vtkXMLUnstructuredGridWriter)()
+    data.point_data.update(point_data or {})
+    data.cell_data.update(cell_data or {})
+    # by way of memory: on a full disk VTK crashes, and Python raises an error
     writer.SetInputData(data)
     writer.SetDataModeToBinary()  # as base64, so the output is text
     writer.WriteToOutputStringOn()

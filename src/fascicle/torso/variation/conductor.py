@@ -263,13 +263,10 @@ class Conductor:
 
     def moved(self, state: TorsoState, chosen: Booleans | slice = slice(None)) -> Floats:
         """σT of the torso's tetrahedra, or of those chosen (c, 3, 3), as it moves (mS/cm)."""
-        sigma = self.around[chosen] * self.factors(state)[chosen, None, None]
+        factors = state.ratios[self.torso.tissues - min(TorsoTissue)]
+        sigma = self.around[chosen] * factors[chosen, None, None]
         jacobians = self.morph.at(chosen).jacobians(self.motion(state))
         return np.asarray(sigma @ pulled_back(jacobians))
-
-    def factors(self, state: TorsoState) -> Floats:
-        """Factor on the conductivity of each of the torso's tetrahedra (m,)."""
-        return np.asarray(state.ratios[self.torso.tissues - min(TorsoTissue)])
 
 
 def build_conductor(heart: Heart, torso: Torso, conduction: Conduction) -> Conductor:

@@ -59,16 +59,10 @@ def exterior_inputs(state: TorsoState) -> Floats:
 def near_field(electrodes: Floats, hull: Floats, projection: Floats, energy: Floats) -> Floats:
     """What electrodes (e, 3) (mm) in plain tissue without end drive into the hull's modes (e, k).
 
-    Parameters
-    ----------
-    electrodes, hull : (e, 3) and (s, 3) arrays
-        Places on the skin as they stand to the heart, and points of the hull's surface (mm).
-    projection : (s, k) array
-        Makes coefficients of the modes of 1/distance (1/mm) to the points: the potential of a unit
-        current into an insulated plane, 1/(2πσr), projected in the energy of a hull of plain
-        tissue.
-    energy : (k, k) array
-        Of the modes in that hull and outside together (1/kΩ).
+    Electrodes are on the skin as they stand to the heart, `hull` (s, 3) are points of its surface
+    (mm). The projection (s, k) makes coefficients of the modes of 1/distance (1/mm) to the points:
+    the potential of a unit current into an insulated plane, 1/(2πσr), projected in the energy of a
+    hull of plain tissue. The energy (k, k) is of the modes in that hull and outside (1/kΩ).
     """
     return np.asarray((1.0 / cdist(electrodes, hull)) @ projection @ energy)
 

@@ -60,19 +60,11 @@ def build_response(
     outer_torsos: int = 240,
     patterns: int = 50,
 ) -> TorsoResponse:
-    """Learn how the lead fields of a conductor depend on the torso.
+    """Learn how the lead fields of a conductor depend on the torso, from torsos drawn by `rng`.
 
-    Parameters
-    ----------
-    conductor : Conductor
-        Heart and torso.
-    rng : Generator
-        Draws the torsos.
-    progress : callable, optional
-        Called with how many of how many steps are done.
-    mode_torsos, modes, outer_torsos, patterns : int
-        Torsos solved for all electrodes, modes kept of their fields, torsos between which the
-        outside is interpolated, and functions kept of the places on the skin.
+    `mode_torsos` are solved for all electrodes, and so many modes of their fields kept; between
+    `outer_torsos` the outside is interpolated; `patterns` functions of the places on the skin are
+    kept.
     """
     heart, total = conductor.heart, mode_torsos + outer_torsos
     places = electrode_places(conductor)
