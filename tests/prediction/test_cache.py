@@ -134,7 +134,7 @@ def test_files_that_are_damaged_or_have_other_sizes_are_none(study, activated, s
         if share is None:
             with np.load(file) as content:
                 arrays = {name: content[name] for name in content.files}
-            np.savez(file, **(arrays | {"lengths": arrays["lengths"][:1]}))
+            np.savez(file, **(arrays | {"indices": arrays["indices"][1:]}))
         else:
             content = file.read_bytes()
             file.write_bytes(content[: int(share * len(content))])

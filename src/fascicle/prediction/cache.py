@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,18 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.array_cache import ArrayCache
-from fascicle.core.leads import LEADS
 from fascicle.core.parameters import complete
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import scenario_text
 from fascicle.prediction.index_names import INDICES
-from fascicle.prediction.predicted import RINGING, Predicted, PredictedBeat
+from fascicle.prediction.predicted import Predicted, PredictedBeat
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 from fascicle.study.fitted import FittedStudy
 
-# Arrays of a file
-NAMES = {"leads", "filtered", "lengths", "activation", "captured", "tree_times", "indices"}
+FIELDS = ("leads", "filtered", "activation", "captured")  # of a beat, that are arrays
 
 Arrays = Mapping[str, NDArray[Any]]
 Trees = Sequence[tuple[PurkinjeTree, ...]]  # of each network
@@ -55,17 +54,17 @@ class PredictionCache:
     def read(self, scenarios: Mapping[str, Scenario]) -> dict[str, Predicted]:
         """Read the cached predictions of scenarios; damaged files are ignored."""
         files = {
-            name: arrays
+            name: self._cache.read(scenario_text(scenario))
             for name, scenario in scenarios.items()
             if not scenario.trees
-            and (arrays := self._cache.read(scenario_text(scenario))) is not None
         }
-        trees = self._trees() if files else []
-        return {
-            name: _predicted(scenarios[name], arrays, trees)
-            for name, arrays in files.items()
-            if _whole(arrays, trees)
-        }
+        trees = self._trees() if any(files.values()) else []
+        found = {}
+        for name, arrays in files.items():
+            with suppress(KeyError, ValueError):  # an array is missing, or of another size
+                if arrays is not None:
+                    found[name] = _predicted(scenarios[name], arrays, trees)
+        return found
 
     def write(self, predicted: Mapping[str, Predicted]) -> None:
         """Cache predictions if the folder is writable, except those with custom networks."""
@@ -94,56 +93,20 @@ def _grown(parameters: Mapping[str, float], model: ForwardModel) -> tuple[Purkin
     return trees
 
 
-def _arrays(found: Predicted) -> dict[str, NDArray[Any]]:
-    """Arrays to store for n networks; those of unequal lengths are concatenated."""
-    times = [[times for _, times in beat.trees] for beat in found.beats]
-    return {
-        "leads": np.concatenate([beat.leads for beat in found.beats], axis=1),
-        "filtered": np.concatenate([beat.filtered for beat in found.beats], axis=1),
-        "lengths": np.array([beat.leads.shape[1] for beat in found.beats]),
-        "activation": np.array([beat.activation for beat in found.beats]),
-        "captured": np.array([beat.captured for beat in found.beats]),
-        "tree_times": np.concatenate([each for of_beat in times for each in of_beat]),
-        "indices": np.array([found.indices[name] for name in INDICES]),
-    }
-
-
-def _whole(arrays: Arrays, trees: Trees) -> bool:
-    """Whether all arrays exist and their sizes agree."""
-    if {*arrays} != NAMES or arrays["lengths"].ndim != 1:
-        return False
-    count, samples = len(trees), int(arrays["lengths"].sum())
-    leads = arrays["leads"].shape[0]
-    return (
-        arrays["lengths"].shape == (count,)
-        and leads >= len(LEADS)
-        and arrays["leads"].shape == (leads, samples)
-        and arrays["filtered"].shape == (leads, samples + 2 * RINGING * count)
-        and arrays["activation"].shape[:1] == arrays["captured"].shape[:1] == (count,)
-        and arrays["tree_times"].shape == (sum(_sizes(trees)),)
-        and arrays["indices"].shape == (len(INDICES), count)
-    )
+def _arrays(found: Predicted) -> Arrays:
+    """Arrays to store: the indices, and those of each network by its number."""
+    arrays = {"indices": np.array([found.indices[name] for name in INDICES])}
+    for k, beat in enumerate(found.beats):
+        arrays |= {f"{name} {k}": getattr(beat, name) for name in FIELDS}
+        arrays |= {f"times {k} {tree}": times for tree, (_, times) in enumerate(beat.trees)}
+    return arrays
 
 
 def _predicted(scenario: Scenario, arrays: Arrays, trees: Trees) -> Predicted:
     """Inverse of `_arrays`."""
-    lengths = arrays["lengths"]
-    leads = np.split(arrays["leads"], np.cumsum(lengths)[:-1], axis=1)
-    filtered = np.split(arrays["filtered"], np.cumsum(lengths + 2 * RINGING)[:-1], axis=1)
-    times = iter(np.split(arrays["tree_times"], np.cumsum(_sizes(trees))[:-1]))
-    beats = [
-        PredictedBeat(
-            leads[k],
-            filtered[k],
-            arrays["activation"][k],
-            tuple((tree, next(times)) for tree in own),
-            arrays["captured"][k],
-        )
-        for k, own in enumerate(trees)
-    ]
+    beats = []
+    for k, own in enumerate(trees):
+        leads, filtered, activation, captured = (arrays[f"{name} {k}"] for name in FIELDS)
+        times = tuple((tree, arrays[f"times {k} {number}"]) for number, tree in enumerate(own))
+        beats.append(PredictedBeat(leads, filtered, activation, times, captured))
     return Predicted(scenario, beats, dict(zip(INDICES, arrays["indices"], strict=True)))
-
-
-def _sizes(trees: Trees) -> list[int]:
-    """How many nodes each tree of each network has."""
-    return [len(tree.nodes) for own in trees for tree in own]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 from fascicle.core.arrays import Floats
 from fascicle.core.ranges import short_repr
@@ -24,15 +25,11 @@ class Unused(Enum):
     SURPLUS = "the other groups of leads have no more beats"
 
 
-@dataclass(frozen=True)
-class Drift:
+class Drift(NamedTuple):
     """How far (mV) a beat is off the median beat right after the QRS, and in which lead most."""
 
     lead: str
     potential: float
-
-    def __str__(self) -> str:
-        return f"baseline drifts by {abs(self.potential):.2f} mV in {self.lead}"
 
 
 @dataclass(frozen=True)
@@ -62,7 +59,7 @@ class Beat:
         if self.unused is Unused.OTHER_CLASS:
             return f"class {self.label}"
         if self.drift is not None:
-            return str(self.drift)
+            return f"baseline drifts by {abs(self.drift.potential):.2f} mV in {self.drift.lead}"
         return "" if self.unused is None else self.unused.value
 
 

@@ -96,12 +96,7 @@ def make_target(
 def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analysis:
     """Find, sort, choose and detrend the beats of a recording, and find their QRS window.
 
-    Parameters
-    ----------
-    recording : Recording
-        Twelve leads.
-    choices : TargetOptions, optional
-        Decisions of the user; by default everything is decided here.
+    What the user has not decided by `choices` is decided here.
 
     Raises
     ------
@@ -133,12 +128,8 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
         findings += check_recording(checked, r_peaks, filters, paced=len(spikes) > 0)
         _refuse(findings, recording)
         by_group, label = select_beats(groups, options, source)
-        aligned = combine(
-            [
-                _cut(source, group, own, options, label)
-                for group, own in zip(groups, by_group, strict=True)
-            ]
-        )
+        pairs = zip(groups, by_group, strict=True)
+        aligned = combine([_cut(source, group, own, options, label) for group, own in pairs])
         beats = tuple(beat for own in by_group for beat in own)
         target = _target(recording, aligned, beats, options, label, filters)
     except NoQrsError as error:
@@ -164,11 +155,8 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
 
 def _refuse(findings: Sequence[CheckResult], recording: Recording) -> None:
     """Raise the first finding that forbids a target, with the corrections that may be the fault."""
-    done = [
-        f"{name} {recording.provenance[name]}"
-        for name in ("inverted", "swapped")
-        if name in recording.provenance
-    ]
+    notes = recording.provenance
+    done = [f"{name} {notes[name]}" for name in ("inverted", "swapped") if name in notes]
     note = f" (after your options: {', '.join(done)}; they may be the fault)" if done else ""
     for finding in findings:
         if finding.severity is Severity.FATAL:
@@ -255,13 +243,14 @@ def _recorded_signal(recording: Recording) -> Floats:
 
 def _classes(groups: Sequence[LeadGroup]) -> tuple[BeatClass, ...]:
     """Classes of all groups, the most frequent first."""
-    labels = sorted({label for group in groups for label in group.labels}, key=by_name)
-    classes = []
-    for label in labels:
-        having = [group for group in groups if label in group.labels]
-        count = sum(len(group.of_class(label)) for group in having)
-        classes.append(BeatClass(label, count, having[0].describe(label)))
-    return tuple(classes)
+    of_label: dict[str, list[LeadGroup]] = {}
+    for group in groups:
+        for label in group.labels:
+            of_label.setdefault(label, []).append(group)
+    return tuple(
+        BeatClass(label, len(of_label[label]), of_label[label][0].describe(label))
+        for label in sorted(of_label, key=by_name)
+    )
 
 
 def _target(

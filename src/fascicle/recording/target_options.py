@@ -75,25 +75,19 @@ class TargetOptions:
 
     def described(self) -> dict[str, str]:
         """Text of every decision that was taken, for the provenance."""
-        values = {
+        named = {
             "class": self.beat_class,
-            "beats": self.beats,
-            "exclude": self.exclude or None,
+            "beats": ", ".join(map(str, self.beats or ())),
+            "exclude": ", ".join(map(str, self.exclude)),
+        }
+        numbers = {
             "noise_mV": self.noise,
             "lowpass_hz": self.lowpass,
             "notch_hz": self.notch,
             "recorder_lowpass_hz": self.recorder_lowpass,
         }
-        texts = {
-            name: value
-            if isinstance(value, str)
-            else ", ".join(map(str, value))
-            if isinstance(value, tuple | list)
-            else f"{value:g}"
-            for name, value in values.items()
-            if value is not None
-        }
-        return {f"choice_{name}": text for name, text in texts.items()}
+        texts = named | {name: f"{x:g}" for name, x in numbers.items() if x is not None}
+        return {f"choice_{name}": text for name, text in texts.items() if text}
 
 
 def check_window(onset: float, offset: float, source: str) -> None:

@@ -156,22 +156,19 @@ def qrs_windows(
     J. L. Willems et al., Eur. Heart J. 6:815 (1985), on the global QRS.
     """
     marks = _marks(signal, step, not_before, smoothing)
+    first, last = marks.further_out(FIRST_ACTIVATION, step)
     onset, offset = marks.further_out(EXPERT, step)
-    window = _inside(marks, signal, step, not_before)
-    return QrsWindows(window, (max(onset, not_before) if not_before else onset, offset))
+    return QrsWindows(
+        (max(first, not_before), min(last, signal.shape[1] - 1)),
+        (max(onset, not_before) if not_before else onset, offset),
+    )
 
 
 def qrs_window(
     signal: Floats, step: float, not_before: int = 0, smoothing: float = SMOOTHING
 ) -> tuple[int, int]:
     """Window of `qrs_windows` alone."""
-    return _inside(_marks(signal, step, not_before, smoothing), signal, step, not_before)
-
-
-def _inside(marks: _Marks, signal: Floats, step: float, not_before: int) -> tuple[int, int]:
-    """Window, inside the array."""
-    onset, offset = marks.further_out(FIRST_ACTIVATION, step)
-    return max(onset, not_before), min(offset, signal.shape[1] - 1)
+    return qrs_windows(signal, step, not_before, smoothing).window
 
 
 class _Marks(NamedTuple):
@@ -194,7 +191,11 @@ class _Marks(NamedTuple):
 
 def _marks(signal: Floats, step: float, not_before: int, smoothing: float) -> _Marks:
     """Ends of the QRS in the limb leads and in each chest lead."""
-    beat = _at_rest_before(signal[: len(LEADS)], not_before, step)
+    beat = signal[: len(LEADS)].copy()
+    if not_before:  # until a pacing spike ends, the level before it
+        begin, end = (max(not_before - round(before / step), 0) for before in (30.0, 12.0))  # ms
+        level = beat[:, begin : max(end, begin + 1)].mean(axis=1, keepdims=True)
+        beat[:, :not_before] = level
     there = np.isfinite(beat).all(axis=1)
     electrodes = np.maximum(np.flatnonzero(there) - len(LIMB_LEADS) + 1, 0)
     core, velocity, leads, first = _core_and_leads(beat, step, smoothing, not_before > 0)
@@ -228,20 +229,21 @@ def _marks(signal: Floats, step: float, not_before: int, smoothing: float) -> _M
 def _core_and_leads(
     beat: Floats, step: float, smoothing: float, paced: bool
 ) -> tuple[tuple[int, int], _Velocity, Floats, int]:
-    """Core of the QRS, velocity, leads without interference, and first sample with a slow start."""
-    core, velocity = _core_and_velocity(beat, step, smoothing, paced)
+    """Core of the QRS, velocity, leads without interference, and first sample with a slow start.
+
+    The velocity is smoothed until noise makes it hardly faster.
+    """
+    independent = beat[complete_leads(beat)]
+    core = _core_of(independent, step, paced)
+    independent = _without_interference(independent, core, step)
+    velocity = _Velocity.of(independent, smoothing, step)
+    for wider in (wider for wider in (5.0, 6.0, 8.0) if wider > smoothing):  # ms
+        speed = velocity.speed(_OFFSET.turning)
+        if STANDS_OUT * _quietest(speed, step) <= 0.025 * _highest(speed, step):
+            break
+        velocity = _Velocity.of(independent, wider, step)
     leads = _without_interference(beat[np.isfinite(beat).all(axis=1)], core, step)
     return core, velocity, leads, _with_slow_start(leads, velocity, core, step)
-
-
-def _at_rest_before(signal: Floats, not_before: int, step: float) -> Floats:
-    """Signal (12, n) that keeps its level before a pacing spike until that ends."""
-    beat = signal.copy()
-    if not not_before:
-        return beat
-    first, stop = (max(not_before - round(before / step), 0) for before in (30.0, 12.0))  # ms
-    beat[:, :not_before] = signal[:, first : max(stop, first + 1)].mean(axis=1, keepdims=True)
-    return beat
 
 
 def _away_from_segment(
@@ -298,22 +300,6 @@ def _end_of_p_wave(
     alone = away[lowest] < 0.2 * min(away[:lowest].max(), away[highest])
     slower = speed[:lowest].max() < 0.5 * speed[lowest:].max()
     return first + lowest if alone and slower else 0
-
-
-def _core_and_velocity(
-    beat: Floats, step: float, smoothing: float, paced: bool
-) -> tuple[tuple[int, int], _Velocity]:
-    """Core of the QRS and the velocity of all leads together, hardly faster by noise than it."""
-    leads = beat[complete_leads(beat)]
-    core = _core_of(leads, step, paced)
-    leads = _without_interference(leads, core, step)
-    velocity = _Velocity.of(leads, smoothing, step)
-    for wider in (wider for wider in (5.0, 6.0, 8.0) if wider > smoothing):  # ms
-        speed = velocity.speed(_OFFSET.turning)
-        if STANDS_OUT * _quietest(speed, step) <= 0.025 * _highest(speed, step):
-            break
-        velocity = _Velocity.of(leads, wider, step)
-    return core, velocity
 
 
 def _derivative(leads: Floats, smoothing: float, step: float, order: int) -> Floats:

@@ -94,9 +94,8 @@ def _stored(node: h5py.Group, depth: int = 0) -> dict[str, Any]:
 
     found: dict[str, Any] = _attributes(node)
     for key in node:
-        item: Any = None
-        if isinstance(node.get(key, getlink=True), h5py.HardLink):
-            item = node[key]
+        linked = not isinstance(node.get(key, getlink=True), h5py.HardLink)
+        item: Any = None if linked else node[key]
         if isinstance(item, h5py.Group) and depth < 4:  # more may be a circle
             found[key] = {} if key.startswith("#") else _stored(item, depth + 1)  # MATLAB's own
         elif isinstance(item, h5py.Dataset) and not item.is_virtual and not item.external:

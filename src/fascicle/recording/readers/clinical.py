@@ -99,11 +99,9 @@ def _samples_are_right(source_format: str, data: bytes, root: ET.Element | None)
     return source_format == "ishne_holter" and data[8:10] == bytes(2)
 
 
-def _parsed(parser: Any, path: Path, copy: Path | None = None) -> tuple[Any, list[str], list[str]]:
+def _parsed(parser: Any, path: Path, copy: Path) -> tuple[Any, list[str], list[str]]:
     """Run one parser; return its record, its warnings, and those that a checksum is wrong."""
     from ecgdatakit.exceptions import ChecksumWarning, ECGDataKitError, UnsupportedFormatError
-
-    copy = path if copy is None else copy
 
     def reason(error: object) -> str:
         """One short line; the file is named elsewhere."""
@@ -290,7 +288,7 @@ def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
     units = {spec["description"]: spec["units"] for spec in raw["signal_specs"]}
     for segment in (file for file in files if file.suffix == ".hea"):
         # the library joins segments whatever their rates and units, and scales marks as samples
-        part = _parsed(WFDBParser, segment)[0].raw_metadata
+        part = _parsed(WFDBParser, segment, segment)[0].raw_metadata
         same = all(units.get(s["description"]) == s["units"] for s in part["signal_specs"])
         stated = part["sampling_frequency_stated"]
         same &= not stated or part["sampling_frequency"] == raw["sampling_frequency"]
@@ -319,10 +317,8 @@ def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
         channels.append(Channel(name, values, unit, gain=spec["gain"], missing=missing))
         if known:
             rate = raw["sampling_frequency"] * spec["samples_per_frame"]
-    provenance = {
-        "signal_files": ", ".join(file.name for file in files),
-        "signal_sha256": sha256_of(files),
-    }
+    names = ", ".join(file.name for file in files)
+    provenance = {"signal_files": names, "signal_sha256": sha256_of(files)}
     # writers that do not compute checksums put 0
     unsummed = {spec["description"] for spec in specs if not spec["checksum"]}
     differ = [name for name in re.findall("'(.*?)'", "".join(wrong)) if name not in unsummed]

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 
@@ -37,7 +37,7 @@ class _Group:
         self.sources = [_source(channel, k) for k, channel in enumerate(self.channels, start=1)]
         self.leads = [lead for _, lead in self.sources if lead is not None]
         offset = _number(item, "MultiplexGroupTimeOffset", math.nan)
-        self.start = offset * 1e-3 * (self.rate or math.nan)  # in samples
+        self.start = offset * 1e-3 * (self.rate or math.nan)  # in samples; 0 is no rate
         label = _text(item, "MultiplexGroupLabel").upper()
         self.averaged = _text(item, "WaveformOriginality") == "DERIVED" or "MEDIAN" in label
 
@@ -66,11 +66,9 @@ def read_dicom(path: Path, sampling_rate: float | None) -> RawRecording:
         items = _items(dataset, "WaveformSequence")
         for item in items:
             list(item.iterall())  # decodes all elements
+    plain = (uid.ExplicitVRLittleEndian, uid.ImplicitVRLittleEndian)
     if "TransferSyntaxUID" not in dataset.file_meta:
-        explicit = not dataset.original_encoding[0]
-        dataset.file_meta.TransferSyntaxUID = (
-            uid.ExplicitVRLittleEndian if explicit else uid.ImplicitVRLittleEndian
-        )
+        dataset.file_meta.TransferSyntaxUID = plain[bool(dataset.original_encoding[0])]
     if not items:
         kind = _text(dataset, "Modality") or "unknown"
         stored = getattr(dataset.get("SOPClassUID", None), "name", "") or "unknown object"
@@ -79,7 +77,6 @@ def read_dicom(path: Path, sampling_rate: float | None) -> RawRecording:
             "DICOM ECG waveform without encryption"
         )
     syntax = dataset.file_meta.TransferSyntaxUID
-    plain = (uid.ImplicitVRLittleEndian, uid.ExplicitVRLittleEndian)
     compressed = any(
         item["WaveformData"].is_undefined_length  # encapsulated
         or item.WaveformSampleInterpretation in ("MB", "AB")  # mu-law, A-law
@@ -110,7 +107,7 @@ def read_dicom(path: Path, sampling_rate: float | None) -> RawRecording:
     # the low frequency is where the pass band begins: that of the high-pass filter
     bands = (
         [
-            _number(channel, keyword, 0.0)
+            _number(channel, keyword)
             for group in chosen
             for channel, (_, lead) in zip(group.channels, group.sources, strict=True)
             if lead is not None
@@ -119,7 +116,7 @@ def read_dicom(path: Path, sampling_rate: float | None) -> RawRecording:
     )
     filters = narrowest_passband(*bands)
     provenance = with_remarks(provenance, remarks)
-    return RawRecording(channels, chosen[0].rate, filters=filters, provenance=provenance)
+    return RawRecording(channels, chosen[0].rate or None, filters=filters, provenance=provenance)
 
 
 def _mended(item: Any) -> list[str]:
@@ -165,11 +162,10 @@ def _drop_empty(groups: Sequence[_Group], samples: Sequence[Any]) -> None:
 
 def _chosen(groups: Sequence[_Group], path: Path) -> list[_Group]:
     """Return the group that counts and those joined to it; averaged beats are the last resort."""
-    found: list[_Group] = []
-    for candidates in ([group for group in groups if not group.averaged], groups):
-        found = _join(candidates, path) if candidates else []
-        if _is_complete({lead for group in found for lead in group.leads}):
-            break
+    rhythms = [group for group in groups if not group.averaged]
+    found = _join(rhythms, path) if rhythms else []
+    if not _is_complete({lead for group in found for lead in group.leads}):
+        found = _join(groups, path)
     return sorted(found, key=lambda group: group.index)
 
 
@@ -188,8 +184,8 @@ def _join(groups: Sequence[_Group], path: Path) -> list[_Group]:
         adds = bool(set(group.leads) - found) and not _is_complete(found)
         if adds and group.rate != first.rate:
             raise InputError(
-                f"{path}: leads {', '.join(group.leads)} are sampled at {group.rate or 0:g} Hz, "
-                f"{', '.join(first.leads)} at {first.rate or 0:g} Hz; export all leads at one rate"
+                f"{path}: leads {', '.join(group.leads)} are sampled at {group.rate:g} Hz, "
+                f"{', '.join(first.leads)} at {first.rate:g} Hz; export all leads at one rate"
             )
         in_time = group.rate == first.rate and math.isfinite(group.start)
         if adds or (group.leads and in_time):
@@ -231,9 +227,8 @@ def _joined_parts(channels: Sequence[Channel]) -> tuple[list[Channel], dict[str,
             ranked[0] = replace(ranked[0], values=values)
         joined.append(ranked[0])
         if len(parts) > 1 and ranked[0].lead is not None:
-            notes[f"strip_of_{lead}"] = (
-                f"lead {lead} is that of {len(parts)} groups, joined in time"
-            )
+            said = f"lead {lead} is that of {len(parts)} groups, joined in time"
+            notes[f"strip_of_{lead}"] = said
     return joined, notes
 
 
@@ -252,23 +247,22 @@ def _channels(group: _Group, samples: Any, path: Path) -> list[Channel]:
             channels.append(Channel(name, np.full(len(samples), np.nan)))
         if lead is None or lead not in group.leads:
             continue
-        rate = group.rate or 0.0
-        of_time = _number(channel, "ChannelTimeSkew", 0.0) * rate
+        of_time = _number(channel, "ChannelTimeSkew") * group.rate
         skew = _number(channel, "ChannelSampleSkew", of_time)
-        skew += _number(channel, "ChannelOffset", 0.0) * rate
+        skew += _number(channel, "ChannelOffset") * group.rate
         if abs(skew) > 0.5:  # samples; less is multiplexing
             raise InputError(
                 f"{path}: lead {lead} is {skew:g} samples apart from its group; export all leads "
                 "over the same time"
             )
-        sensitivity = _number(channel, "ChannelSensitivity", 0.0)
+        sensitivity = _number(channel, "ChannelSensitivity")
         sensitivity *= _number(channel, "ChannelSensitivityCorrectionFactor", 1.0)
         if sensitivity == 0:
             raise InputError(
                 f"{path}: unknown unit of lead {lead} (no channel sensitivity, or 0); export the "
                 "waveform calibrated in uV or mV"
             )
-        baseline = _number(channel, "ChannelBaseline", 0.0)
+        baseline = _number(channel, "ChannelBaseline")
         values, missing = samples[:, k] * sensitivity + baseline, pads * sensitivity + baseline
         units = _items(channel, "ChannelSensitivityUnitsSequence")
         spelt = [_text(each, word) for each in units[:1] for word in ("CodeValue", "CodeMeaning")]
@@ -290,11 +284,7 @@ def _text(item: Any, keyword: str) -> str:
     return printable(str(item.get(keyword, None) or "").strip()[:64])
 
 
-@overload
-def _number(item: Any, keyword: str) -> float | None: ...
-@overload
-def _number(item: Any, keyword: str, absent: float) -> float: ...
-def _number(item: Any, keyword: str, absent: float | None = None) -> float | None:
+def _number(item: Any, keyword: str, absent: float = 0.0) -> float:
     """Return a number of an item; `absent` where it is absent or empty."""
     value = item.get(keyword, None)
     if value is None or value == "":

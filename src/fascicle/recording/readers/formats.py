@@ -1,21 +1,18 @@
-"""The formats that are read, a `Reader` each: help texts and documentation follow from this list.
+"""The formats that are read, a `Reader` each: help texts follow from this list.
 
 Nothing heavy is imported here: a format's own module loads when a file of it is read.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 from fascicle.core.errors import InputError
-
-
-def _never(start: bytes) -> bool:
-    return False
 
 
 @dataclass(frozen=True)
@@ -34,8 +31,6 @@ class Reader:
     recognises : function, optional
         Whether a file that begins with so many bytes (at most 512) is of this format. What the
         content says counts before what the name says.
-    notes : str
-        For the table of formats in the documentation.
     largest : int
         Size of the largest file that is opened (bytes).
     isolated : bool
@@ -46,64 +41,37 @@ class Reader:
     format: str
     suffixes: tuple[str, ...]
     read: Callable[[Path, float | None], Any]
-    recognises: Callable[[bytes], bool] = _never
-    notes: str = ""
+    recognises: Callable[[bytes], bool] = lambda start: False
     largest: int = 512 * 2**20
     isolated: bool = False
 
 
-def _built_in(
-    name: str, suffixes: str, place: str, notes: str, recognises: Callable[[bytes], bool] = _never
-) -> Reader:
-    """Reader by a function, ``module.function``, that is loaded when it is called."""
-    module, function = place.split(".")
+def _built_in(name: str, suffixes: str, place: str, beginning: bytes = b"(?!)") -> Reader:
+    """Reader by a function, ``module:function``, loaded when it is called, and how files begin."""
+    begin = re.compile(beginning, re.DOTALL).match
 
     def read(path: Path, sampling_rate: float | None) -> Any:
-        loaded = import_module(f"fascicle.recording.readers.{module}")
-        return getattr(loaded, function)(path, sampling_rate)
+        return resolve_name(f"fascicle.recording.readers.{place}")(path, sampling_rate)
 
-    return Reader(name, tuple(suffixes.split()), read, recognises, notes, isolated=True)
+    return Reader(
+        name, tuple(suffixes.split()), read, lambda start: begin(start) is not None, isolated=True
+    )
 
 
 READERS = [
+    _built_in("WFDB", ".hea", "clinical:read_wfdb"),
+    _built_in("DICOM waveform", ".dcm", "dicom:read_dicom", b".{128}DICM"),
     _built_in(
-        "WFDB", ".hea", "clinical.read_wfdb",
-        "or the record's name; several files and segments; the header's gains count",
+        "HL7 aECG, GE MUSE, Philips or Mortara XML", ".xml", "clinical:read_clinical",
+        b"[\xef\xbb\xbf\xff\xfe \t\r\n\0]*<",
     ),
-    _built_in(
-        "DICOM waveform", ".dcm", "dicom.read_dicom",
-        "the group with the most leads, joined in time with those that have others or continue "
-        "them; channels that are constant in one group only are not recorded in it",
-        lambda start: start[128:132] == b"DICM",
-    ),
-    _built_in(
-        "HL7 aECG, GE MUSE, Philips or Mortara XML", ".xml", "clinical.read_clinical",
-        "entities are refused, nothing is fetched, checksums must be right",
-        lambda start: start.lstrip(b"\xef\xbb\xbf\xff\xfe \t\r\n\0").startswith(b"<"),
-    ),
-    _built_in(
-        "SCP-ECG", ".scp", "clinical.read_clinical", "checksums of the samples must be right",
-        lambda start: start[16:22] == b"SCPECG",
-    ),
-    _built_in(
-        "EDF", ".edf", "clinical.read_clinical", "EDF+ as well, without gaps",
-        lambda start: start.startswith(b"0       ") and len(start) >= 256,
-    ),
-    _built_in(
-        "ISHNE", ".ecg", "clinical.read_clinical", "checksums must be right",
-        lambda start: start.startswith(b"ISHNE1.0"),
-    ),
-    _built_in("MFER", ".mwf .mfer", "clinical.read_clinical", "uncompressed"),
-    _built_in(
-        "HDF5", ".h5 .hdf5 .nc", "arrays.read_hdf5",
-        "one array for each lead, or one matrix with the leads' names; see the keys below",
-        lambda start: start.startswith(b"\x89HDF\r\n\x1a\n"),
-    ),
-    _built_in(
-        "MATLAB", ".mat", "arrays.read_matlab", "versions 4 to 7.3; as HDF5",
-        lambda start: start.startswith(b"MATLAB "),
-    ),
-    _built_in("table", ".csv .tsv .txt", "tables.read_table", "see below"),
+    _built_in("SCP-ECG", ".scp", "clinical:read_clinical", b".{16}SCPECG"),
+    _built_in("EDF", ".edf", "clinical:read_clinical", b"0 {7}.{248}"),
+    _built_in("ISHNE", ".ecg", "clinical:read_clinical", b"ISHNE1[.]0"),
+    _built_in("MFER", ".mwf .mfer", "clinical:read_clinical"),
+    _built_in("HDF5", ".h5 .hdf5 .nc", "arrays:read_hdf5", b"\x89HDF\r\n\x1a\n"),
+    _built_in("MATLAB", ".mat", "arrays:read_matlab", b"MATLAB "),
+    _built_in("table", ".csv .tsv .txt", "tables:read_table"),
 ]  # fmt: skip
 
 
@@ -121,15 +89,6 @@ def register_reader(reader: Reader) -> None:
 def known_formats() -> str:
     """Formats with their suffixes, for help texts and messages."""
     return ", ".join(f"{reader.format} ({', '.join(reader.suffixes)})" for reader in READERS)
-
-
-def formats_table() -> str:
-    """Formats with their notes, for the documentation."""
-    rows = (
-        f"| {reader.format} | {', '.join(f'`{s}`' for s in reader.suffixes)} | {reader.notes} |"
-        for reader in READERS
-    )
-    return "\n".join(["| format | files | notes |", "|---|---|---|", *rows])
 
 
 def reader_of(path: Path) -> Reader:

@@ -81,9 +81,8 @@ def additional_lead_name(text: str) -> str | None:
 def lead_of_code(code: str) -> str | None:
     """Return the lead of an MDC (``2:1``, ISO/IEEE 11073) or SCP-ECG (``5.6.3-9-1``) code."""
     match = re.fullmatch(r"(?:2:|5\.6\.3-9-)(\d+)", code)
-    codes = (1, 2, 61, 62, 63, 64, 3, 4, 5, 6, 7, 8)
-    more = (9, 66, 67, 10, 11, 12, 13, 14, 16, 17, 18)  # of ISO/IEEE 11073-10102
-    known = zip((*codes, *more), (*LEADS, *ADDITIONAL_LEADS), strict=True)
+    codes = (1, 2, 61, 62, 63, 64, 3, 4, 5, 6, 7, 8, 9, 66, 67, 10, 11, 12, 13, 14, 16, 17, 18)
+    known = zip(codes, (*LEADS, *ADDITIONAL_LEADS), strict=True)
     return dict(known).get(int(match[1])) if match else None
 
 

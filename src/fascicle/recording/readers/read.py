@@ -271,9 +271,7 @@ def _assemble(
             gains[row] = abs(channel.gain) / scale
     more, left_out = _additional(every, lengths[many], rate, source, unit)
     names = (*LEADS, *more)
-    lost = []
-    if silent:
-        lost = [f"not recorded, constant or empty from start to end: {', '.join(silent)}"]
+    lost = f"not recorded, constant or empty from start to end: {', '.join(silent)}"
     signal, pulses = leave_out_pulses(np.array([*signal, *more.values()]), rate)
     signal, repairs = bridge_gaps(signal, rate, names)
     signal, additional = signal[: len(LEADS)], dict(zip(more, signal[len(LEADS) :], strict=True))
@@ -298,7 +296,7 @@ def _assemble(
         sampling_rate=rate,
         source=source,
         provenance={"format": raw.format}
-        | with_remarks(raw.provenance, [*lost, *pulses, *repairs]),
+        | with_remarks(raw.provenance, [*([lost] if silent else []), *pulses, *repairs]),
         filters=raw.filters,
         digits_per_millivolt=gains,
         derived=derived,
@@ -319,12 +317,8 @@ def _additional(
     for lead, channel in channels.items():
         if lead in LEADS:
             continue
-        values = without_fill(channel, rate)
-        if (
-            len(values) == length
-            and _moves(channel)
-            and millivolts(channel.unit or unit or "") is not None
-        ):
+        values, known = without_fill(channel, rate), millivolts(channel.unit or unit or "")
+        if len(values) == length and _moves(channel) and known is not None:
             found[lead] = _scale(channel, lead, source, unit, channels) * values
         else:
             left_out.append(lead)
@@ -373,19 +367,18 @@ def _check_complete(
     """Refuse a file without the leads that are needed or wanted; `silent` ones hold no signal."""
     limb_known = limb_leads_from(found) is not None
     needed = INDEPENDENT_LEADS if wanted is None else wanted
-    missing = [
-        lead for lead in needed if lead not in found and not (lead in LIMB_LEADS and limb_known)
-    ]
+    there = {*found, *(LIMB_LEADS if limb_known else ())}
+    missing = [lead for lead in needed if lead not in there]
     if not missing:
         return
     usable = [lead for lead in (*LEADS, *ADDITIONAL_LEADS) if lead in found]
     advice = "two limb leads and V1 to V6 are needed"
     if limb_known and any(lead in CHEST_LEADS for lead in found):
         advice += f"; to go on without, name the leads to use: --leads {','.join(usable)}"
-    there = f"found: {', '.join(usable) or 'none'}"
-    there += f"; constant or empty: {', '.join(silent)}" if silent else ""
+    said = f"found: {', '.join(usable) or 'none'}"
+    said += f"; constant or empty: {', '.join(silent)}" if silent else ""
     raise InputError(
-        f"{source}: lead{'s' * (len(missing) > 1)} {', '.join(missing)} missing ({there}); {advice}"
+        f"{source}: lead{'s' * (len(missing) > 1)} {', '.join(missing)} missing ({said}); {advice}"
     )
 
 

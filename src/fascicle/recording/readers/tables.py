@@ -125,25 +125,17 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
             numbers.shape[1],
         )
     channels = [
-        Channel(
-            column.name, row, _unit(column, columns, metadata, path), column.lead, missing=missing
-        )
-        for column, row in zip(leads, numbers, strict=False)
+        Channel(c.name, row, _unit(c, columns, metadata, path), c.lead, missing=missing)
+        for c, row in zip(leads, numbers, strict=False)
     ]
     others = [c for c in columns if c not in leads and c not in times]
     not_numbers = [c.name for c in others if c.cells.dtype.kind not in "iuf"]
     table = _without_strips(channels, [c.rhythm for c in leads], rate, not_numbers, "table")
-    more = [
-        Channel(
-            c.name,
-            c.numbers(path)[kept],
-            c.unit if c.unit is not None else _unit(c, columns, metadata, path),
-            additional_lead_name(c.quantity),
-            missing=missing,
-        )
-        for c in others
-        if c.name not in not_numbers
-    ]
+    more = []
+    for c in (c for c in others if c.name not in not_numbers):
+        unit = c.unit if c.unit is not None else _unit(c, columns, metadata, path)
+        lead, values = additional_lead_name(c.quantity), c.numbers(path)[kept]
+        more.append(Channel(c.name, values, unit, lead, missing=missing))
     return _with_rest_around(replace(table, channels=[*table.channels, *more]))
 
 
@@ -155,14 +147,8 @@ def _with_rest_around(table: RawRecording) -> RawRecording:
         return table
     before = round(0.5 * rate)  # s
     channels = [c.placed(before, 2 * before + len(c.values), 0.0) for c in table.channels]
-    return replace(
-        table,
-        channels=channels,
-        provenance=with_remarks(
-            table.provenance,
-            ["holds one beat that begins and ends at 0 mV; isoelectric before and after it"],
-        ),
-    )
+    remark = "holds one beat that begins and ends at 0 mV; isoelectric before and after it"
+    return replace(table, channels=channels, provenance=with_remarks(table.provenance, [remark]))
 
 
 def _parsed(path: Path) -> tuple[list[_Column], list[Entry]]:
