@@ -208,8 +208,13 @@ def cut_along_borders(surface: LabelledSurface, edge_length: float = NARROWEST) 
         graph = DualGraph(surface.vertices, surface.triangles)
         level = _level(graph, inside)
         if part == Label.EPICARDIUM:
-            away = _distance_to_endocardia(surface) / max(NARROWEST, edge_length) - 1
-            level = np.minimum(level, away)
+            rims = [
+                loop
+                for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
+                for loop in boundary_loops(surface.having(label))
+            ]
+            away, _ = cKDTree(surface.vertices[np.concatenate(rims)]).query(surface.vertices)
+            level = np.minimum(level, away / max(NARROWEST, edge_length) - 1)
         cut = cut_at_zero(graph.vertices, graph.triangles, level)
         before = surface.labels[cut.parent]
         outside = np.where(before == part, Label.BASE, before)
@@ -228,18 +233,6 @@ def _smoothed(graph: DualGraph, chosen: Booleans) -> Floats:
     reach = max(2.5, 1.5 * float(graph.lengths.mean()))  # mm over which a border is smoothed
     system = diags_array(graph.areas) + reach**2 * graph.laplacian(graph.crease_weights)
     return np.asarray(splu(csc_array(system)).solve(graph.areas * chosen))
-
-
-def _distance_to_endocardia(surface: LabelledSurface) -> Floats:
-    """Distance of each vertex from the nearest edge of an endocardium (mm), shape (n,)."""
-    line = np.concatenate(
-        [
-            loop
-            for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
-            for loop in boundary_loops(surface.having(label))
-        ]
-    )
-    return np.asarray(cKDTree(surface.vertices[line]).query(surface.vertices)[0])
 
 
 def _level(graph: DualGraph, inside: Booleans) -> Floats:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -41,29 +40,11 @@ def build_heart(
     name: str = "heart",
     progress: Progress | None = None,
 ) -> BuiltHeart:
-    """Build a simulation-ready heart from an anatomy.
+    """Build a simulation-ready heart from an anatomy, meshed with a mean edge length (mm).
 
-    Parameters
-    ----------
-    source : Source
-        Surface, surfaces, segmentation or mesh.
-    edge_length : float
-        Mean edge of the tetrahedra (mm).
-    angles : FibreAngles, optional
-        Angles of the rule-based fibres; fibres of the source take precedence.
-    torso : TorsoOptions, optional
-        Torso and electrodes.
-    seeds : mapping of side to (root, direction), optional
-        Where each bundle starts and where it heads; by default determined from the anatomy.
-    name : str
-        Name of the heart.
-    progress : Progress, optional
-        Progress callback.
-
-    Raises
-    ------
-    InputError
-        If the anatomy or the torso cannot be used; the message says why.
+    Fibres of the source take precedence over the angles of rule-based ones. Seeds (by side, root
+    and direction) say where each bundle starts and heads; by default the anatomy does. An error if
+    the anatomy or the torso cannot be used.
     """
     anatomy = read_anatomy(source, edge_length, progress)
     check_tetrahedra(anatomy.mesh.name, anatomy.mesh.vertices, anatomy.mesh.tetrahedra)
@@ -86,10 +67,7 @@ def heart_of(
     name: str = "heart",
     progress: Progress | None = None,
 ) -> Heart:
-    """Fibres, endocardia and seeds of an anatomy; its electrodes are not placed yet (NaN).
-
-    Parameters are those of `build_heart`.
-    """
+    """Fibres, endocardia and seeds of an anatomy; its electrodes are not placed yet (NaN)."""
     mesh, fibres, sheets = anatomy.mesh, anatomy.fibres, anatomy.sheets
     if fibres is None:
         ruled = rule_based_fibres(mesh, angles, stage_progress(progress, "fibres"))
@@ -101,11 +79,7 @@ def heart_of(
     chosen = {side: (seeds or {}).get(side, (None, None)) for side in surfaces}
     left, right = seeded_endocardia(surfaces, chosen)
     unplaced = np.full((len(ELECTRODES), 3), np.nan)
-    heart = Heart(mesh.vertices, mesh.tetrahedra, fibres, left, right, unplaced, name)
-    return replace(
-        heart,
-        regions=mesh.regions,
-        sheets=sheets,
-        values=anatomy.values,
-        coordinates=anatomy.coordinates,
-    )
+    return Heart(
+        mesh.vertices, mesh.tetrahedra, fibres, left, right, unplaced, name,
+        regions=mesh.regions, sheets=sheets, values=anatomy.values, coordinates=anatomy.coordinates,
+    )  # fmt: skip

@@ -32,20 +32,9 @@ def classify_surface(
     whether it is flat or a rounded rim. A random walker draws the borders along the creases; the
     borders are then smoothed, and the base is nowhere narrower than about 2 mm.
 
-    Parameters
-    ----------
-    vertices, triangles : (n, 3) and (m, 3) arrays
-        Positions (mm), in any frame, and vertex indices, in any orientation.
-    name : str
-        Name of the surface in messages.
-    progress : StageProgress
-        Called with the triangles done and in all, while rays are traced.
-
-    Returns
-    -------
-    LabelledSurface
-        The same triangles, turned to face out of the tissue; each label is one piece and each
-        endocardium has one opening. Vertices that no triangle uses are dropped.
+    Vertices (n, 3) (mm) are in any frame, triangles (m, 3) in any orientation; they are turned to
+    face out of the tissue. Each label is one piece and each endocardium has one opening. Vertices
+    that no triangle uses are dropped.
     """
     vertices, triangles = without_unused_vertices(vertices, triangles)
     check_units(name, vertices)

@@ -36,19 +36,10 @@ def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTre
     openCARP and Gmsh files hold the whole boundary, labelled by
     `fascicle.heart.labelled_surface.labelled_mesh`, and 'heart build' reads them.
 
-    Parameters
-    ----------
-    heart : Heart
-        The heart.
-    out : Path
-        openCARP (µm): a folder, see `write_opencarp`; the files are called ``heart``. VTU (mm): a
-        file; tetrahedra with the cell arrays ``fibre``, ``sheet`` and ``region`` and the point
-        arrays ``lead_field_RA``, ... (kΩ), as far as the heart has them. Gmsh (mm): a file, see
-        `write_gmsh`.
-    kind : str
-        ``"opencarp"``, ``"vtu"`` or ``"gmsh"``.
-    trees : sequence of PurkinjeTree
-        Purkinje networks to write with the heart; openCARP only.
+    The kind ``"opencarp"`` (µm) is a folder, see `write_opencarp`, whose files are called
+    ``heart``, perhaps with Purkinje networks; ``"vtu"`` (mm) a file of tetrahedra with the cell
+    arrays ``fibre``, ``sheet`` and ``region`` and the point arrays ``lead_field_RA``, ... (kΩ), as
+    far as the heart has them; ``"gmsh"`` (mm) a file, see `write_gmsh`.
     """
     suffixes = {"opencarp": "", "vtu": ".vtu", "gmsh": ".msh"}
     if kind not in suffixes:

@@ -73,13 +73,8 @@ def join_surfaces(
     Endocardia and epicardium do not move. A base whose boundary loops lie within 2.5 mm of theirs
     is fitted to them; without a base, one is spanned between them.
 
-    Parameters
-    ----------
-    parts : mapping of str to Part
-        ``lv``, ``rv`` and ``epicardium``, each open at the base, with one boundary loop; and
-        perhaps the ``base`` between the loops.
-    progress : StageProgress
-        Called with the steps done and in all.
+    Parts are ``lv``, ``rv`` and ``epicardium``, each open at the base, with one boundary loop; and
+    perhaps the ``base`` between the loops.
     """
     name = ", ".join(part.name for part in parts.values())
     named = {"epicardium": "epicardium", "lv": "LV endocardium", "rv": "RV endocardium"}

@@ -111,16 +111,9 @@ def labelled_surface(
 ) -> LabelledSurface:
     """The surface of a file (mm) with the labels of its triangles; repeated points are merged.
 
-    Parameters
-    ----------
-    mesh : MeshFile
-        A file of triangles.
-    array : str, optional
-        Name of the array of labels, one a triangle or one a point, if it is none of `LABEL_NAMES`.
-    names : mapping of str to int, optional
-        Number of each label, as ``{"lv": 3}``; the others have `Label`'s number.
-    labels_file : Path, optional
-        A text file with one whole number a triangle or point, instead of an array.
+    Labels are one a triangle or one a point: an array called so, if it is none of `LABEL_NAMES`, or
+    a text file of whole numbers. Names are the number of each label, as ``{"lv": 3}``; the others
+    have `Label`'s number.
     """
     check_units(str(mesh.path), mesh.points)
     triangles = mesh.require(TRIANGLE, "triangles")
@@ -187,24 +180,11 @@ def labelled_tetrahedra(
     - ``.surf`` files, or else ``.vtx`` files, in the mesh's folder with names like
       ``<stem>_lv_endo.surf``: openCARP.
 
-    Parameters
-    ----------
-    mesh : MeshFile
-        Points in mm.
-    array : str, optional
-        Name of the array of labels, if it has another one.
-    names : mapping of str to Label, optional
-        The file's own names or numbers (as text) of labels, where they are not understood.
-    cut : (k, 3) array, optional
-        Triangles at which tissue was left out, if any was: base, where the file has no label.
-    fibres : "rule" or "file", optional
-        Whether to ignore fibres of the file, or to keep them even if they look like a
-        `fascicle.heart.fibres.placeholder`.
-
-    Returns
-    -------
-    Anatomy
-        Unused vertices are left out; labels are 0 if the file has none and where nothing was cut.
+    `array` is the array of labels, if it has another name, and `names` are the file's own names or
+    numbers (as text) of labels. Triangles (k, 3) that were cut, where tissue was left out, are base
+    if the file has no label. Fibres of the file are ignored ("rule"), or kept even if they look
+    like a `fascicle.heart.fibres.placeholder` ("file"). Unused vertices are left out; labels are 0
+    if the file has none and where nothing was cut.
     """
     file_tetrahedra = mesh.require(TETRAHEDRON, "tetrahedra")
     name = str(mesh.path)

@@ -72,13 +72,9 @@ def surface_from_segmentation(
     alone, a wall is added, of 3 mm or as thick as two elements of the mesh to come (edge length in
     mm) need, up to 5 mm. Each decision adds a line to the notes.
 
-    Returns
-    -------
-    surface : LabelledSurface
-        Closed, in the segmentation's frame (mm), edges near 1 mm. The base is an annulus with two
-        holes, the endocardia and the epicardium are disks.
-    given : Volumes
-        Those of the label map, which the surface should have, and the wall that was added.
+    The surface is closed, in the segmentation's frame (mm), with edges near 1 mm: the base is an
+    annulus with two holes, the endocardia and the epicardium are disks. The volumes are those of
+    the label map, which it should have, and the wall that was added.
     """
     notes = notes if notes is not None else []
     thickest = float(segmentation.spacing.max())

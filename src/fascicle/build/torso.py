@@ -132,28 +132,11 @@ def add_electrodes(
 ) -> Heart:
     """Add the electrodes of leads besides the twelve to a heart, at their standard places.
 
-    A heart without its torso, as the packaged one, is put into the idealised torso again.
-    Electrodes that are there stay where they are.
-
-    Parameters
-    ----------
-    heart : Heart or path
-        The heart, its folder, or ``"default"``.
-    leads : sequence of str
-        Some of `fascicle.core.leads.ADDITIONAL_LEADS`: ``X``, ``Y``, ``Z``, ``V7`` to ``V9``,
-        ``V2R`` to ``V6R``.
-    progress : Progress, optional
-        Called while the torso is meshed and the lead fields are solved.
-
-    Returns
-    -------
-    Heart
-        With lead fields for all electrodes.
-
-    Raises
-    ------
-    InputError
-        If a lead has no standard place, or the heart lies in an unbounded conductor.
+    The heart, its folder, or ``"default"``, is returned with lead fields for all electrodes. One
+    without its torso, as the packaged one, is put into the idealised torso again. Electrodes that
+    are there stay where they are. Leads are some of `fascicle.core.leads.ADDITIONAL_LEADS`: ``X``,
+    ``Y``, ``Z``, ``V7`` to ``V9``, ``V2R`` to ``V6R``. An error if a lead has no standard place, or
+    the heart lies in an unbounded conductor.
     """
     heart = as_heart(heart)
     check_items(leads, str, "leads", f"some of {', '.join(ADDITIONAL_LEADS)}")

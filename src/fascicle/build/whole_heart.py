@@ -18,7 +18,6 @@ from fascicle.mesh.measures import closed_by_fan, signed_volumes, triangle_areas
 from fascicle.mesh.topology import boundary_triangles, places_in
 
 VENTRICLES = ("lv", "rv", "septum")
-MOST_REGIONS = 200  # an array of more numbers is one of elements, not of regions
 
 Regions = Mapping[str, tuple[int, ...]]  # the numbers of each of `VENTRICLES`
 
@@ -33,7 +32,7 @@ def region_arrays(mesh: MeshFile) -> dict[str, Integers]:
         values = np.asarray(given)
         if values.ndim == 1 and (np.isfinite(values) & (values == np.round(values))).all():
             count = len(np.unique(values))
-            if 1 < count <= MOST_REGIONS:
+            if 1 < count <= 200:  # one of more numbers is of elements, not of regions
                 known = name.lower() in REGION_NAMES
                 found[name] = (not known, -count), values.astype(np.int64)
     return {
@@ -66,24 +65,11 @@ def regions_in(mesh: MeshFile) -> str:
 def ventricles(
     mesh: MeshFile, regions: Regions, array: str | None = None
 ) -> tuple[MeshFile, Integers]:
-    """Take the ventricles out of a mesh.
+    """Take the ventricles out of a mesh, by the numbers of their regions in an array.
 
-    Parameters
-    ----------
-    mesh : MeshFile
-        Tetrahedra with an array of region numbers.
-    regions : mapping of str to tuple of int
-        Numbers of ``lv``, ``rv`` and perhaps ``septum``.
-    array : str, optional
-        Name of the array; by default the one that has these numbers.
-
-    Returns
-    -------
-    mesh : MeshFile
-        Their tetrahedra, with the numbers in the array ``region``, and those triangles of the file
-        that are on their boundary.
-    cut : (k, 3) array
-        Triangles, as points of the file, that lay between ventricles and other tissue.
+    By default that is the array that has these numbers. The result is their tetrahedra, with the
+    numbers in the array ``region``, and those triangles of the file that are on their boundary; and
+    the triangles (k, 3), as points of the file, that lay between ventricles and other tissue.
     """
     unknown = [name for name in regions if name not in VENTRICLES]
     if unknown or not {"lv", "rv"} <= set(regions):
