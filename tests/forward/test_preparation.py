@@ -13,6 +13,7 @@ from fascicle.core.files import DISPOSABLE
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward import compile_kernels, preparation
 from fascicle.forward.compile_kernels import STEPS
+from fascicle.forward.eikonal import myocardium
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.preparation import KEPT, prepare
 from fascicle.heart.conduction import Conduction, Region
@@ -287,3 +288,25 @@ def test_what_cannot_be_linked_is_left(heart, tmp_path, monkeypatch):
     (tmp_path / "copy").mkdir()
     preparation.share_prepared(heart, tmp_path / "copy")
     assert not any((tmp_path / "copy" / DISPOSABLE).iterdir())
+
+
+def test_tissues_are_kept_where_that_is_asked_for(heart, monkeypatch):
+    traced, trace = [], myocardium.build_travel_time_table
+
+    def spy(*args):
+        traced.append(args)
+        return trace(*args)
+
+    monkeypatch.setattr(myocardium, "build_travel_time_table", spy)
+    found = []
+    for tables in (3, 1):  # the plain tissue's, too, at first
+        traced.clear()
+        model = ForwardModel(heart, action_potential=Upstroke())
+        model.keep_tissues([{"anisotropy_ratio": 2.0}])
+        ratios = [replace(model.conduction, anisotropy_ratio=ratio) for ratio in (2.0, 2.2)]
+        found.append([model._tissue(each).myocardium for each in ratios])
+        assert len(traced) == tables
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one.travel_times.square, other.travel_times.square)
+        np.testing.assert_array_equal(one.mesh.solver, other.mesh.solver)
+    assert not np.allclose(found[0][0].mesh.solver, found[0][1].mesh.solver)

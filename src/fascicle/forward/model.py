@@ -31,7 +31,7 @@ from fascicle.forward.cable.template import default_template
 from fascicle.forward.ecg.electrocardiogram import ActionPotential, Electrocardiograph, first_sample
 from fascicle.forward.eikonal.activation import Coupling, attach, solve
 from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium
-from fascicle.forward.preparation import Prepared, as_arrays, from_arrays, prepare
+from fascicle.forward.preparation import Prepared, as_arrays, cached, from_arrays, prepare
 from fascicle.forward.primitives import FURTHEST_STIMULUS
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Signals, SimulatedBeat, Simulation, check_activation
@@ -40,13 +40,14 @@ from fascicle.heart.conduction import Conduction
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
 from fascicle.heart.sites import Sites
+from fascicle.kernels.arrays import TravelTimeTable
 from fascicle.purkinje.growth import GrowthRules, grow_from_parameters
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 from fascicle.torso.variation.conductor import InvalidTorso
 from fascicle.torso.variation.response import TorsoResponse
 
 REMEMBERED = 8  # grown networks that are kept, in case only speeds and times change next
-TISSUES = 6  # tissues that are kept; each takes the memory of a heart
+TISSUES = 6  # tissues that are kept; each takes the memory of a heart, or half of it on disk
 
 SCENARIO = "a fascicle.Scenario; fascicle.read_scenarios reads them"  # what to give
 
@@ -146,7 +147,8 @@ class ForwardModel:
         self.prepared = prepared
         self.myocardium = prepared.myocardium
         self._grow = lru_cache(REMEMBERED)(partial(_grow_trees, prepared))
-        self._tissue = made_once(partial(_tissue, heart, prepared, self.conduction), TISSUES)
+        self._kept: set[Conduction] = set()
+        self._tissue = made_once(self._made_tissue, TISSUES)
         self.sites = Sites(heart)
         self._progress = progress
         self._torso: TorsoModel | None = None
@@ -155,6 +157,13 @@ class ForwardModel:
 
     def __repr__(self) -> str:
         return f"ForwardModel({self.heart.name}, {len(self.heart.vertices)} vertices)"
+
+    def keep_tissues(self, tissues: Iterable[Mapping[str, float]]) -> None:
+        """Keep in the heart's folder what is prepared of these tissues, quantities by name."""
+        for tissue in tissues:
+            self._kept.add(
+                replace(self.conduction.with_values(tissue), alpha=self.conduction.alpha)
+            )
 
     def grow(self, parameters: Mapping[str, float]) -> tuple[PurkinjeTree, ...] | InvalidTree:
         """Grow both trees, left first, or say which one does not fit.
@@ -293,6 +302,27 @@ class ForwardModel:
             coupled,
             beat.capture_groups,
             lead_names=self.heart.leads,
+        )
+
+    def _made_tissue(self, conduction: Conduction) -> Tissue:
+        """Tissue of these speeds, with the α of the model's own."""
+        myocardium, build = self.myocardium, partial(build_myocardium, self.heart, conduction)
+        if conduction in self._kept - {self.conduction}:
+            myocardium = cached(
+                self.heart,
+                conduction,
+                "tissue",
+                build,
+                lambda made: made.travel_times._asdict(),  # nine tenths of the work
+                lambda arrays: build(table=TravelTimeTable(**arrays)),
+                most=TISSUES,
+            )
+        elif conduction != self.conduction:
+            myocardium = build()
+        return Tissue(
+            myocardium,
+            self.prepared.electrocardiograph.scaled(conduction.scale(self.heart)),
+            lru_cache(REMEMBERED)(partial(attach, myocardium)),
         )
 
     def _leads(self, times: Floats, tissue: Tissue, values: Mapping[str, float]) -> Floats:
@@ -470,15 +500,3 @@ class Tissue:
     myocardium: Myocardium
     electrocardiograph: Electrocardiograph
     attach: Callable[[tuple[PurkinjeTree, ...]], Coupling]
-
-
-def _tissue(heart: Heart, prepared: Prepared, base: Conduction, conduction: Conduction) -> Tissue:
-    """Tissue of a heart that was prepared for the conduction `base`."""
-    myocardium = prepared.myocardium
-    if conduction != base:
-        myocardium = build_myocardium(heart, conduction)
-    return Tissue(
-        myocardium,
-        prepared.electrocardiograph.scaled(conduction.scale(heart)),
-        lru_cache(REMEMBERED)(partial(attach, myocardium)),
-    )

@@ -32,6 +32,10 @@ class PointSimulator:
 
     __repr__ = short_repr
 
+    def __post_init__(self) -> None:
+        """Have the tissues, which every command on a study needs, prepared once a heart."""
+        self.model.keep_tissues({**self.fixed, **tissue} for tissue in self.averaged.tissues)
+
     def parameters(self, point: Floats) -> dict[str, float]:
         """All parameters of a point (d,) that are not at their defaults, by name."""
         learnt, rest = point[: len(self.space)], point[len(self.space) :]

@@ -146,13 +146,14 @@ def build_myocardium(
     conduction: Conduction,
     progress: StageProgress = no_progress,
     gradients: Floats | None = None,
+    table: TravelTimeTable | None = None,
 ) -> Myocardium:
     """Precompute metric, squared travel times, adjacency and ray travel times of a heart.
 
     Vertices and elements are renumbered along the mesh, so that what is near in space is near in
     memory; `Myocardium.order` leads back. `progress` counts the triangles from which rays are
     traced, if that takes a while. `gradients` (m, 4, 3) are those of the barycentric coordinates in
-    the heart's tetrahedra (1/mm), if at hand.
+    the heart's tetrahedra (1/mm), `table` the ray travel times, if at hand.
     """
     if gradients is None:
         gradients = barycentric_gradients(heart.vertices, heart.tetrahedra)
@@ -183,7 +184,8 @@ def build_myocardium(
     tree = find_on_surface(vertices, surface)
     endocardia = _triangles_at(heart, vertices, surface, tree)
     endocardia = endocardia[conducts[owner[endocardia]]]
-    table = build_travel_time_table(mesh, surface, owner, endocardia, progress)
+    if table is None:
+        table = build_travel_time_table(mesh, surface, owner, endocardia, progress)
     candidates = {
         e.side: find_candidates(e.vertices[e.triangles], vertices, surface, tree)
         for e in heart.endocardia
