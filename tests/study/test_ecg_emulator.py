@@ -24,6 +24,7 @@ from fascicle.study.prior_simulations import BEFORE, BODIES, HELD_OUT, Examples
 from fascicle.study.settings import FitSettings
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import AveragedOver, study_space
+from fascicle.study.target_comparison import Network
 
 SPACE = ParameterSpace(tuple(free(name) for name in ("root_time", "cv", "alpha", "gain")))
 AVERAGED = AveragedOver(
@@ -165,23 +166,26 @@ def test_the_packaged_heart_has_one(default_model, tmp_path):
     found = emulator_of(simulator, FitSettings().prior_simulations, tmp_path)
     assert not [*tmp_path.iterdir()]
     assert found.report["r_squared"] > 0.8
-    plain = tissue_inputs(averaged, np.divide(*default_model.conduction.speeds))[:1]
-    errors, agreed = [], []
-    for point in np.random.default_rng(1).random((12, simulator.dimension)):
-        point[-1] = 0.0  # the plain tissue
+    networks, agreed = [], []
+    for number, point in enumerate(np.random.default_rng(1).random((12, simulator.dimension))):
+        point[-1] = 0.3 * (number > 8)  # the plain tissue, and the second one
         values = simulator.parameters(point)
-        given = {name: np.array([values[name]]) for name in found.names}
-        inputs = found.inputs(given, plain)
         simulated = default_model.simulate(values)
         exists = isinstance(simulated, Simulation)
+        tissue = averaged.tissue(point[None, len(space) :])
+        inputs = found.inputs(
+            {name: np.array([values[name]]) for name in found.names},
+            tissue_inputs(averaged, np.divide(*default_model.conduction.speeds))[tissue],
+        )
         agreed.append(exists == (found.log_validity(inputs)[0] > np.log(0.5)))
         if exists:
-            emulated = found.mean_leads + np.tensordot(found.scores(inputs)[0], found.series, 1)
-            begin = simulated.first_activation - BEFORE
-            true = placed(simulated.leads, begin, found.length)
-            errors.append(((emulated - true) ** 2).sum() / (true**2).sum())
-    assert np.median(errors) < 0.15
+            networks.append(Network(values, simulated, simulated.leads, 1.0, 1.0))
     assert np.mean(agreed) > 0.7
+    emulated = EmulatedLikelihood(simulator, found, None)
+    assert emulated.error(networks) < 1.3 * found.report["error"]
+    others = [*networks[1:], networks[0]]
+    swapped = [replace(n, parameters=o.parameters) for n, o in zip(networks, others, strict=True)]
+    assert emulated.error(swapped) > 3 * found.report["error"]
 
 
 def test_a_faster_heart_is_the_same_on_another_clock(default_model):

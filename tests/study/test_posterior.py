@@ -188,6 +188,12 @@ BEST = "% of the QRS explained by the best 5% of networks"
             "poor fit: QRS duration 191 ms recorded, 148 (131–161) simulated",
             Caution.POOR_FIT,
         ),
+        (
+            Checks(0.9, {}, emulator=[0.52, 0.3]),
+            f"fit acceptable: 90{BEST}; emulator 52% off these networks, 30% expected",
+            None,
+        ),
+        (Checks(0.9, {}, emulator=[0.4, 0.3]), f"fit acceptable: 90{BEST}", None),
     ],
 )
 def test_verdict_and_caution(done, checks, words, caution):

@@ -88,6 +88,17 @@ class EcgEmulator:
     left: Floats
     report: Mapping[str, float]
 
+    @property
+    def said(self) -> str:
+        """How good it is for held-out networks."""
+        report = self.report
+        leads = sorted((error, name) for name, error in report.items() if "error_V" in name)
+        (least, best), (most, worst) = leads[0], leads[-1]
+        return (
+            f"held-out ECGs: R² {report['r_squared']:.2f}, {report['error']:.0%} off ({least:.0%} "
+            f"{best[6:]} to {most:.0%} {worst[6:]}; {report['error_in_bodies']:.0%} in bodies)"
+        )
+
     def scores(self, inputs: Singles) -> Singles:
         """Components (n, q) in `unit` of inputs (n, p) that `inputs` has made."""
         return np.asarray(np.mean([network(inputs) for network in self.networks], axis=0))

@@ -230,17 +230,20 @@ def fit_inputs(
         study = Study.create_or_resume(folder, config, progress)
         if not _holds(folder / HEART, heart):
             write_heart(heart, folder / HEART)
-        share_prepared(heart, folder / HEART)
         write_recordings(folder, inputs.recordings)
         emulated: list[EmulatedLikelihood] = []
         if config.method == "posterior":
             recordings, emulated = _emulated(simulator, recordings, inputs, folder, progress)
         objective = partial(evaluate, simulator, recordings)
         population = study.run(objective, progress, emulated)
-        return _completed(FittedStudy(study, simulator, recordings, population), progress)
+        share_prepared(heart, folder / HEART)
+        fitted = FittedStudy(study, simulator, recordings, population)
+        return _completed(fitted, emulated, progress)
 
 
-def _completed(fitted: FittedStudy, progress: Progress | None) -> FittedStudy:
+def _completed(
+    fitted: FittedStudy, emulated: Sequence[EmulatedLikelihood], progress: Progress | None
+) -> FittedStudy:
     """Simulate the networks, compare a posterior with the recording, and write the results."""
     networks, agreements, predictions = fitted.networks(progress), [], []
     rng = np.random.default_rng([fitted.study.config.seed, PREDICTION])
@@ -248,11 +251,14 @@ def _completed(fitted: FittedStudy, progress: Progress | None) -> FittedStudy:
         its = networks if number == 0 else fitted.networks(progress, number)
         agreements.append(agreement(each.target, its))
         if each.likelihood is not None:
-            predictions.append(predict_recording(each.target, each.likelihood, its, rng))
+            found = predict_recording(each.target, each.likelihood, its, rng)
+            error = [emulated[number].error(its), emulated[number].emulator.report["error"]]
+            predictions.append(replace(found, checks=replace(found.checks, emulator=error)))
     if predictions:
         checks = Checks.joined([each.checks for each in predictions])
         fitted = replace(fitted, checks=checks, gains=predictions[0].gains)
-    write_results(fitted, networks, agreements, predictions)
+    reports = [dict(each.emulator.report) for each in emulated]
+    write_results(fitted, networks, agreements, predictions, reports)
     return fitted
 
 

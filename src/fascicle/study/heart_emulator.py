@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -61,18 +63,20 @@ def made_emulator(
 ) -> EcgEmulator:
     """The emulator that was learnt from so many prior simulations, which are made if need be."""
     cache, key = ArrayCache(prior.cache.folder, EMULATOR), f"{prior.content} {count}"
-    stored = cache.read(key)
-    if stored is not None:
-        return EcgEmulator.from_arrays(stored)
-    prior.simulate(count, pool, progress)
-    ratio = float(np.divide(*prior.model.conduction.speeds))
-    times = {*SOONER} & {*prior.fixed, *prior.model.heart.values}  # which no speed changes
-    found = learn(
-        prior.examples(count), prior.space, prior.averaged, ratio, np.random.default_rng(SEED),
-        same_on_any_clock=prior.scenario is None and not times, progress=progress,
-    )  # fmt: skip
-    cache.write(key, found.arrays(), compress=True)
-    return EcgEmulator.from_arrays(found.arrays())  # with weights as they are stored
+    arrays: Mapping[str, Any] | None = cache.read(key)
+    if arrays is None:
+        prior.simulate(count, pool, progress)
+        ratio = float(np.divide(*prior.model.conduction.speeds))
+        times = {*SOONER} & {*prior.fixed, *prior.model.heart.values}  # which no speed changes
+        arrays = learn(
+            prior.examples(count), prior.space, prior.averaged, ratio, np.random.default_rng(SEED),
+            same_on_any_clock=prior.scenario is None and not times, progress=progress,
+        ).arrays()  # fmt: skip
+        cache.write(key, arrays, compress=True)
+    emulator = EcgEmulator.from_arrays(arrays)  # with weights as they are stored
+    if progress is not None:
+        progress("emulator", 1, 1, emulator.said)
+    return emulator
 
 
 def prior_of(

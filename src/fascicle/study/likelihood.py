@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.core.leads import independent_rows
+from fascicle.core.leads import INDEPENDENT_ROWS, LEADS, independent_rows
 from fascicle.core.ranges import short_repr
 from fascicle.forward.likelihood import (
     MARGIN,
@@ -21,11 +22,13 @@ from fascicle.forward.likelihood import (
     lead_pattern,
     separable,
 )
+from fascicle.forward.loss import placed
 from fascicle.forward.simulation import Signals
 from fascicle.recording.target import Target
 from fascicle.study.ecg_emulator import EcgEmulator, tissue_inputs
 from fascicle.study.prior_simulations import BEFORE
 from fascicle.study.simulator import PointSimulator
+from fascicle.study.target_comparison import Network
 
 
 def likelihood_of(target: Target, emulator: EcgEmulator, gain_sd: float) -> QrsLikelihood:
@@ -68,6 +71,25 @@ class EmulatedLikelihood:
         else:
             found = self._one_by_one(scores, gain)
         return np.asarray(found + emulator.log_validity(inputs))
+
+    def error(self, networks: Sequence[Network]) -> float:
+        """Root mean square of what is emulated falsely of networks' ECGs, over that of the ECGs."""
+        emulator, tissues = self.emulator, self.simulator.averaged.tissues
+        rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(emulator.mean_leads))]
+        columns = {n: np.array([each.parameters[n] for each in networks]) for n in emulator.names}
+        varied = {name for tissue in tissues for name in tissue}
+        own = [{n: v for n, v in each.parameters.items() if n in varied} for each in networks]
+        places = [tissues.index(tissue) for tissue in own]
+        scores: Any = emulator.scores(emulator.inputs(columns, self._tissues[places]))
+        off = whole = 0.0
+        for network, found in zip(networks, scores, strict=True):
+            signals = Signals.of(network.simulation)
+            begin = signals.first_activation - BEFORE
+            true = placed(signals.leads, begin, emulator.length)[rows]
+            emulated = (emulator.mean_leads + np.tensordot(found, emulator.series, 1))[rows]
+            gain = network.parameters.get("gain", 1.0)
+            off, whole = off + ((true - gain * emulated) ** 2).sum(), whole + (true**2).sum()
+        return float(np.sqrt(off / whole))
 
     def _one_by_one(self, scores: Floats, gains: Floats) -> Floats:
         """By a likelihood that takes one simulation at a time."""

@@ -30,6 +30,7 @@ from fascicle.study.target_comparison import Network
 LEVEL = 0.05  # chance that a recording that the model gives is called rare, by all checks together
 BEST = 0.05  # share of the networks that are the best
 LEAST_EXPLAINED = 0.88  # share of the variance of the QRS that the best networks explain
+MOST_OFF = 1.5  # times the error of held-out ECGs, by which the emulator may be off the networks'
 MOST_SCALED = 2.5  # standard deviations of the gain's prior, by which the median gain is off 1
 DURATION, AXIS, ALL_LEADS = "QRS duration", "frontal axis", "all leads together"
 # Name in `fascicle.study.agreement.Agreement`, and unit
@@ -55,12 +56,16 @@ class Checks:
         and 95th of the networks.
     gain : list of float
         By which simulated ECGs are scaled, median of the networks; least and greatest expected.
+    emulator : list of float
+        Root mean square error of the emulated ECGs of the networks, over that of the ECGs; and of
+        held-out ones.
     """
 
     explained: float
     probabilities: Mapping[str, float]
     measured: Mapping[str, list[float]] = field(default_factory=dict)
     gain: list[float] = field(default_factory=lambda: [1.0, 1.0, 1.0])
+    emulator: list[float] = field(default_factory=lambda: [0.0, 0.0])
 
     @classmethod
     def joined(cls, each: Sequence[Checks]) -> Checks:
@@ -77,6 +82,7 @@ class Checks:
             },
             {f"{name}{of}": m for of, checks in numbered for name, m in checks.measured.items()},
             max((checks.gain for checks in each), key=lambda gain: abs(gain[0] - 1)),
+            max((checks.emulator for checks in each), key=lambda error: error[0]),
         )
 
     @property
@@ -94,6 +100,14 @@ class Checks:
         """What the best networks explain."""
         share = math.floor(100 * self.explained + 1e-9)  # what is less than a limit looks it
         return f"{share}% of the QRS explained by the best {BEST:.0%} of networks"
+
+    @property
+    def emulator_off(self) -> str:
+        """Say that the emulator is not of these networks; else empty."""
+        found, expected = self.emulator
+        if found <= MOST_OFF * expected:
+            return ""
+        return f"emulator {found:.0%} off these networks, {expected:.0%} expected"
 
     @property
     def failures(self) -> list[str]:

@@ -31,11 +31,12 @@ def write_results(
     networks: Sequence[Network],
     agreements: Sequence[Agreement],
     predictions: Sequence[Prediction] = (),
+    emulators: Sequence[Mapping[str, float]] = (),
 ) -> None:
     """Write networks, trees, activation map and summary into the study's folder.
 
-    `networks` are the simulated population; `agreements` and, of a posterior, `predictions` are of
-    each recording.
+    `networks` are the simulated population; `agreements` and, of a posterior, `predictions` and the
+    reports of the `emulators` are of each recording.
     """
     from fascicle import __version__
 
@@ -59,9 +60,8 @@ def write_results(
             **activation_maps(activations),
         },
     )
-    write_text(
-        folder / "summary.json", json.dumps(_summary(fitted, networks, agreements), indent=2) + "\n"
-    )
+    summary = _summary(fitted, networks, agreements) | {"emulators": list(emulators)}
+    write_text(folder / "summary.json", json.dumps(summary, indent=2) + "\n")
     predicted = np.stack([network.predicted for network in networks])[: len(population)]
     # last, since its presence says that the study is finished
     write_population(

@@ -75,6 +75,7 @@ class Kind(StrEnum):
     END_OF_RANGE = "end of range"
     FEW_JUNCTIONS = "few junctions"
     OUTSIDE_QRS = "outside the QRS"
+    EMULATOR = "emulator"
 
 
 @dataclass(frozen=True)
@@ -161,7 +162,8 @@ class Statements:
                     *([f"at the end of its range: {ends}"] if ends else []),
                 ]
                 fit = f"poor fit: {'; '.join(failures)}"
-            return f"{_convergence(population)}; {fit}"
+            said = [_convergence(population), fit, checks.emulator_off]
+            return "; ".join(each for each in said if each)
         return self.networks_called
 
     @property
@@ -307,6 +309,12 @@ def _warnings(result: Result) -> Iterator[tuple[Kind, str]]:
     yield Kind.POOR_FIT, poor
     if isinstance(result.population, Posterior) and not poor:  # else to go on would not help
         yield Kind.NOT_CONVERGED, how_to_go_on(result.population, result.settings)
+    if result.checks is not None and result.checks.emulator_off:
+        yield (
+            Kind.EMULATOR,
+            f"{result.checks.emulator_off}: the posterior is the emulator's; --prior-simulations "
+            f"{2 * result.settings.prior_simulations}, in a new study, makes it better",
+        )
     yield Kind.LEADS, _poor_leads(result)
     yield Kind.GAIN, _unusual_gain(result)
     if result.settings.method == "paper":
