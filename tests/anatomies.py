@@ -13,8 +13,8 @@ import numpy as np
 import pyvista as pv
 from scipy.spatial import Delaunay, cKDTree
 
+from fascicle.build.meshing import mesh_surface
 from fascicle.build.surface_repair import prepared_surface
-from fascicle.build.volume_meshing import mesh_surface
 from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface
 from fascicle.torso.surfaces import Surface
 

@@ -7,8 +7,8 @@ import pytest
 
 from fascicle.build.labelled_files import Anatomy
 from fascicle.build.mesh_repair import repaired_edges
+from fascicle.build.meshing import mean_axes, remeshed_anatomy
 from fascicle.build.read_anatomy import Source, read_anatomy
-from fascicle.build.volume_meshing import mean_axes, remeshed_anatomy
 from fascicle.heart.labelled_surface import Label, LabelledMesh
 from fascicle.heart.validate import check_tetrahedra
 from fascicle.mesh.measures import closed_volume, quality, signed_volumes

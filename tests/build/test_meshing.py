@@ -15,12 +15,11 @@ from shapes import (
     volume_of,
 )
 
-from fascicle.build import volume_meshing
+from fascicle.build import meshing
 from fascicle.build.endocardia import endocardia
+from fascicle.build.meshing import check_memory, mesh_surface, without_short_edges
 from fascicle.build.surface_checks import wall_thickness
-from fascicle.build.surface_meshing import without_short_edges
 from fascicle.build.surface_repair import prepared_surface
-from fascicle.build.volume_meshing import check_memory, mesh_surface
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import oriented_into_cavity
 from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface
@@ -120,7 +119,7 @@ def test_a_surface_that_cannot_be_filled_is_refused_in_one_line(capfd):
 
 def test_an_edge_length_that_would_not_fit_in_memory_is_refused(surface, monkeypatch):
     check_memory(surface, 2.0)
-    monkeypatch.setattr(volume_meshing, "available_memory", lambda: 1e9)
+    monkeypatch.setattr(meshing, "available_memory", lambda: 1e9)
     with pytest.raises(InputError, match=r"2\.8e\+05 vertices, .* 1\.7 GB and 1\.0 GB are free"):
         check_memory(surface, 1.0)
     with pytest.raises(InputError, match="must be above 0"):

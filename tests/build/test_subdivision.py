@@ -4,8 +4,8 @@ import igl
 import numpy as np
 import pytest
 
+from fascicle.build.meshing import subdivided
 from fascicle.build.read_anatomy import Source, read_anatomy
-from fascicle.build.surface_meshing import subdivided
 from fascicle.heart.labelled_surface import NEEDED, LabelledSurface
 from fascicle.mesh.measures import (
     mean_edge_length,

@@ -16,7 +16,7 @@ from anatomies import CENTRE_X, EDGE, HALF_AXES, LV, NETWORK, RV, SCAR_CENTRE, S
 
 import fascicle
 from fascicle.build.check import cavity_volume
-from fascicle.build.volume_meshing import mesh_surface
+from fascicle.build.meshing import mesh_surface
 from fascicle.core.leads import ELECTRODES
 from fascicle.forward.scenario_files import read_scenario
 from fascicle.heart.heart import digest_of

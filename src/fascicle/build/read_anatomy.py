@@ -19,13 +19,18 @@ from fascicle.build.labelled_files import (
     labelled_tetrahedra,
 )
 from fascicle.build.mesh_repair import repaired_edges, repaired_mesh, separated_vertices
+from fascicle.build.meshing import (
+    check_memory,
+    is_coarse,
+    mesh_surface,
+    remeshed_anatomy,
+    subdivided,
+)
 from fascicle.build.segmentation import SegmentationLabels, regions_at
 from fascicle.build.segmentation_files import read_segmentation
 from fascicle.build.segmentation_surface import surface_from_segmentation
 from fascicle.build.surface_checks import Volumes, check_sides, compared, mirror_warning, volumes
-from fascicle.build.surface_meshing import is_coarse, subdivided
 from fascicle.build.surface_repair import closed_surface, prepared_surface
-from fascicle.build.volume_meshing import check_memory, mesh_surface, remeshed_anatomy
 from fascicle.build.whole_heart import Regions, labels_of_ventricles, regions_in, ventricles
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file

@@ -9,7 +9,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.core.memory import available_memory
+from fascicle.core.isolated import available_memory
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart, LeadFields

@@ -29,10 +29,21 @@ from pathlib import Path
 from typing import Any
 
 from fascicle.core.errors import InputError
-from fascicle.core.memory import available_memory
 
 SECONDS = 3.0  # of computing for any file; one microsecond more for each of its bytes
 LARGE = 64 * 2**20  # bytes; a file that leaves a child with more memory than is worth keeping
+
+
+def available_memory() -> float:
+    """Memory that programs may still take (bytes); infinite where the system does not say."""
+    meminfo = Path("/proc/meminfo")
+    if meminfo.exists():  # Linux, which counts what its caches would give back
+        for line in meminfo.read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                return float(line.split()[1]) * 1024
+    if "SC_PHYS_PAGES" in getattr(os, "sysconf_names", {}):
+        return float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
+    return float("inf")
 
 
 @dataclass(frozen=True)

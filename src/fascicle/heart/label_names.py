@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -44,6 +43,7 @@ WORDS = {word for words in DECIDING.values() for word in words} | {
     "surface", "surf", "sur", "face", "faces", "boundary", "wall", "valve", "annulus", "opening",
     "plane", "septum", "septal", "sept", "free", "cavity", "side", "set", "the", "of",
 }  # fmt: skip
+ANY_WORD = "|".join(sorted(WORDS, key=len, reverse=True))
 
 
 def label_of(name: str) -> Label | None:
@@ -55,27 +55,16 @@ def label_of(name: str) -> Label | None:
     """
     if len(name) > 60:
         return None
-    runs = [_words(letters) for letters in re.findall("[^\\W\\d_]+", name.lower())]
-    if None in runs:
-        return None
-    words = frozenset().union(*(run for run in runs if run is not None))
+    words: set[str] = set()
+    for letters in re.findall("[^\\W\\d_]+", name.lower()):
+        found = re.findall(rf"({ANY_WORD})(?=(?:{ANY_WORD})*$)", letters)
+        if "".join(found) != letters:
+            return None
+        words.update(found)
     meant = [label for label, deciding in DECIDING.items() if words.intersection(deciding)]
     if not meant or set(meant) == {Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM}:
         return None
     return meant[0]
-
-
-@cache
-def _words(letters: str) -> frozenset[str] | None:
-    """Known words that a run of letters is made of; None if it is not."""
-    if not letters:
-        return frozenset()
-    for length in range(len(letters), 0, -1):
-        if letters[:length] in WORDS:
-            rest = _words(letters[length:])
-            if rest is not None:
-                return rest | {letters[:length]}
-    return None
 
 
 def labels_by_number(numbers: Mapping[str, int]) -> dict[str, Label]:

@@ -182,7 +182,8 @@ def _check_apart(name: str, one: Surface, other_name: str, other: Surface) -> No
     gap = np.concatenate(
         [signed_distance(one.vertices, other), signed_distance(other.vertices, one)]
     )
-    crossed = crossing(one, other)
+    pairs = intersections(one, other)
+    crossed = one.corners[pairs[0, 0]].mean(axis=0) if len(pairs) else None
     if gap.min() < LEAST_GAP or crossed is not None:
         overlaps = gap.min() < 0 or crossed is not None
         where = crossed if crossed is not None and gap.min() >= 0 else points[np.argmin(gap)]
@@ -191,9 +192,3 @@ def _check_apart(name: str, one: Surface, other_name: str, other: Surface) -> No
             f"{name}: {how if overlaps else f'touches {other_name}'} at {place(where)}; cut it "
             f"back there, with {LEAST_GAP:g} mm between"
         )
-
-
-def crossing(one: Surface, other: Surface) -> Floats | None:
-    """A place (3,) where two surfaces pass through each other, if any."""
-    pairs = intersections(one, other)
-    return np.asarray(one.corners[pairs[0, 0]].mean(axis=0)) if len(pairs) else None
