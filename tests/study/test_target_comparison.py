@@ -57,6 +57,21 @@ def test_truth_is_explained_to_the_noise(default_model, target, points):
     assert min(e.loss for e in others if e.feasible) > 10 * best.loss
 
 
+def test_networks_that_were_evaluated_are_not_simulated_again(
+    default_model, target, points, monkeypatch
+):
+    simulator = PointSimulator(default_model, NETWORK_SPACE, {}, Threads(2), remembered={})
+    comparison = TargetComparison(target)
+    done = [e for e in evaluate(simulator, [comparison], points) if e.feasible]
+    columns = NETWORK_SPACE.columns(np.array([each.point for each in done]))
+    learnt = [{n: float(v[k]) for n, v in columns.items()} for k in range(len(done))]
+    monkeypatch.setattr(ForwardModel, "simulate", None)
+    losses = [
+        comparison.align(n.simulation.leads).loss for n in networks(simulator, comparison, learnt)
+    ]
+    assert losses == [each.loss for each in done]
+
+
 def test_what_cannot_be_grown_is_a_typed_evaluation(default_model, target, points):
     (outcome,) = evaluated(default_model, target, points[-1:])
     assert not outcome.feasible

@@ -234,11 +234,13 @@ def fit_inputs(
         emulated: list[EmulatedLikelihood] = []
         if config.method == "posterior":
             recordings, emulated = _emulated(simulator, recordings, inputs, folder, progress)
+            simulator = replace(simulator, remembered={})
         objective = partial(evaluate, simulator, recordings)
         population = study.run(objective, progress, emulated)
         share_prepared(heart, folder / HEART)
         fitted = FittedStudy(study, simulator, recordings, population)
-        return _completed(fitted, emulated, progress)
+        fitted = _completed(fitted, emulated, progress)
+        return replace(fitted, simulator=replace(simulator, remembered=None))
 
 
 def _completed(

@@ -18,6 +18,9 @@ from fascicle.study.pool import Pool, Threads
 from fascicle.study.space import AveragedOver
 from fascicle.torso.variation.conductor import InvalidTorso
 
+# Simulations by sorted parameters and the identity of a scenario
+Remembered = dict[tuple[tuple[tuple[str, float], ...], int], Simulation]
+
 
 @dataclass(frozen=True)
 class PointSimulator:
@@ -29,6 +32,8 @@ class PointSimulator:
     pool: Pool = field(default=Threads(1), compare=False)
     averaged: AveragedOver = field(default_factory=AveragedOver)  # its coordinates come last
     backend: Backend | None = field(default=None, compare=False)  # in place of the pool
+    # by threads of this process, where draws are evaluated first and then looked at
+    remembered: Remembered | None = field(default=None, compare=False)
 
     __repr__ = short_repr
 
@@ -64,14 +69,6 @@ class PointSimulator:
         for k, each in zip(plain, self.backend.signals(self.model, asked), strict=True):
             found[k] = each.reason if isinstance(each, InvalidTree) else each
         return found
-
-
-def signals_of(
-    item: tuple[Mapping[str, float], Scenario | None], model: ForwardModel
-) -> Signals | str:
-    """What of parameters in a scenario is compared with recordings, or why they give no network."""
-    outcome = model.simulate(*item)
-    return Signals.of(outcome) if isinstance(outcome, Simulation) else outcome.reason
 
 
 def _simulate(

@@ -19,10 +19,12 @@ from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Signals, Simulation
 from fascicle.inference.evaluation import Evaluation
+from fascicle.purkinje.tree import InvalidTree
 from fascicle.recording.residuals import repeated
 from fascicle.recording.target import Target
 from fascicle.study.pool import Threads
-from fascicle.study.simulator import PointSimulator, signals_of
+from fascicle.study.simulator import PointSimulator, Remembered
+from fascicle.torso.variation.conductor import InvalidTorso
 
 # A point, its parameters, and its intrinsic beat if that is known
 Item = tuple[Floats, Mapping[str, float], Signals | str | None]
@@ -156,7 +158,7 @@ def _evaluate_part(
     ]
     shared = simulator.model, recordings
     if isinstance(simulator.pool, Threads):
-        yield from simulator.pool.map(_evaluate, items, *shared)
+        yield from simulator.pool.map(_evaluate, items, *shared, simulator.remembered)
         return
     # what needs no simulation is compared here
     left = [item for item in items if item[-1] is None or not all(intrinsic)]
@@ -167,7 +169,10 @@ def _evaluate_part(
 
 
 def _evaluate(
-    item: Item, model: ForwardModel, recordings: Sequence[TargetComparison]
+    item: Item,
+    model: ForwardModel,
+    recordings: Sequence[TargetComparison],
+    remembered: Remembered | None = None,
 ) -> Evaluation:
     """Simulate a point in the scenario of each recording, and compare it with all of them."""
     point, parameters, known = item
@@ -181,7 +186,8 @@ def _evaluate(
         elif recording.scenario is None and known is not None:
             signals = known
         else:
-            signals = signals_of((parameters, recording.scenario), model)
+            outcome = _simulated(parameters, recording.scenario, model, remembered)
+            signals = Signals.of(outcome) if isinstance(outcome, Simulation) else outcome.reason
         simulated.append(signals)
         each.append(recording(point, signals))
         if not each[-1].feasible:
@@ -195,13 +201,35 @@ def networks(
 ) -> Iterator[Network]:
     """Simulate parameters that are known to give trees, as those of a population are."""
     parameters = [{**simulator.fixed, **each} for each in learnt]
-    return simulator.pool.map(_network, parameters, simulator.model, recording)
+    shared = simulator.model, recording
+    if isinstance(simulator.pool, Threads):
+        return simulator.pool.map(_network, parameters, *shared, simulator.remembered)
+    return simulator.pool.map(_network, parameters, *shared)
+
+
+def _simulated(
+    parameters: Mapping[str, float],
+    scenario: Scenario | None,
+    model: ForwardModel,
+    remembered: Remembered | None,
+) -> Simulation | InvalidTree | InvalidTorso:
+    """Simulate parameters, or find what they gave before."""
+    key = tuple(sorted(parameters.items())), id(scenario)
+    if remembered is not None and key in remembered:
+        return remembered[key]
+    outcome = model.simulate(parameters, scenario)
+    if remembered is not None and isinstance(outcome, Simulation):
+        remembered[key] = outcome
+    return outcome
 
 
 def _network(
-    parameters: Mapping[str, float], model: ForwardModel, recording: TargetComparison
+    parameters: Mapping[str, float],
+    model: ForwardModel,
+    recording: TargetComparison,
+    remembered: Remembered | None = None,
 ) -> Network:
-    simulation = model.simulate(parameters, recording.scenario)
+    simulation = _simulated(parameters, recording.scenario, model, remembered)
     if not isinstance(simulation, Simulation):
         raise RuntimeError(f"a network of the population is impossible: {simulation.reason}")
     alignment = recording.align(simulation.leads)
