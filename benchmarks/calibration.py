@@ -369,6 +369,7 @@ def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, A
             "acceptable": checks.acceptable,
             "failures": checks.failures,
             "explained": checks.explained,
+            "emulator": checks.emulator,
             "probabilities": dict(checks.probabilities),
             "evaluations": population.evaluations.tolist(),
             "effective": population.effective.tolist(),
@@ -419,16 +420,15 @@ def fit(
     emulator: EcgEmulator | None,
 ) -> tuple[Population, list[Network], Checks | None]:
     """Population, its networks, and of a posterior how they agree with the recording."""
+    simulator = replace(simulator, remembered={})
     population = fitted(simulator, recording, settings, number, emulator)
     learnt = [population.parameters(k) for k in range(len(population))]
     networks, likelihood = list(simulated(simulator, recording, learnt)), recording.likelihood
     if likelihood is None:
         return population, networks, None
-    return (
-        population,
-        networks,
-        predict_recording(recording.target, likelihood, networks, rng).checks,
-    )
+    checks = predict_recording(recording.target, likelihood, networks, rng).checks
+    error = EmulatedLikelihood(simulator, emulator, likelihood).error(networks)
+    return population, networks, replace(checks, emulator=[error, emulator.report["error"]])
 
 
 def places(
@@ -547,6 +547,10 @@ def summarise(results: list[dict[str, Any]], folder: Path) -> None:
         best = np.quantile([r["explained"] for r in results], (0.05, 0.5))
         print(
             "explained by the best networks: {:.0%} (a 20th below), {:.0%} (median)".format(*best)
+        )
+        off = np.quantile([np.divide(*r["emulator"]) for r in results], (0.5, 0.95))
+        print(
+            "emulator off, of what is expected: {:.2f} (median), {:.2f} (a 20th above)".format(*off)
         )
         for name in results[0]["probabilities"]:
             least = np.sort([r["probabilities"][name] for r in results])[:3]
