@@ -124,17 +124,13 @@ def helix_angles(mesh: LabelledMesh, heart: Heart) -> dict[str, HelixAngles]:
         between &= np.isfinite(across)  # a missing surface is infinitely far
         here = np.flatnonzero(between)  # where surfaces meet, no direction is transmural
         depth = distances[inner, here] / across[here]
-        found[name] = HelixAngles(depth, _helix(fibres[here], outward[here], base - apex))
+        through = unit(outward[here])
+        along = unit(base - apex - (through @ (base - apex))[:, None] * through)
+        upwards = np.einsum("ij,ij->i", fibres[here], along)
+        around = np.einsum("ij,ij->i", fibres[here], np.cross(along, through))
+        angle = 90 - (90 - np.degrees(np.arctan2(upwards, around))) % 180
+        found[name] = HelixAngles(depth, angle)
     return found
-
-
-def _helix(fibres: Floats, outward: Floats, up: Floats) -> Floats:
-    """Angle of fibres to the circumference (degrees)."""
-    across = unit(outward)
-    along = unit(up - (across @ up)[:, None] * across)
-    around = np.cross(along, across)
-    angle = np.arctan2(np.einsum("ij,ij->i", fibres, along), np.einsum("ij,ij->i", fibres, around))
-    return np.asarray(90 - (90 - np.degrees(angle)) % 180)
 
 
 def _endocardium_rows(heart: Heart, charts: Mapping[str, Chart]) -> list[tuple[str, str]]:

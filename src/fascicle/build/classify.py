@@ -130,10 +130,13 @@ def _upwards(edge: Floats, inside: Floats) -> Floats:
 def _clean_regions(graph: DualGraph, regions: Integers, name: str) -> Integers:
     """Make each region one manifold piece, all apart from one another by the base."""
     for _ in range(20):
-        before = regions
-        regions = _without_non_manifold_vertices(
-            graph, _in_one_piece(graph, _separated(graph, regions))
-        )
+        before, separated = regions, _separated(graph, regions)
+        # the largest piece of each region stays, the rest goes to the regions around it
+        kept = np.full(len(regions), -1)
+        for region in Region:
+            kept[graph.components(separated == region) == 0] = region
+        whole = graph.random_walker(kept, len(Region))
+        regions = _without_non_manifold_vertices(graph, whole)
         if (regions == before).all():
             return regions
     raise InputError(
@@ -150,14 +153,6 @@ def _separated(graph: DualGraph, regions: Integers) -> Integers:
         return regions
     touched = np.isin(graph.triangles, graph.edges[1][meeting]).any(axis=1)
     return np.where(touched, Region.BASAL, regions)
-
-
-def _in_one_piece(graph: DualGraph, regions: Integers) -> Integers:
-    """Keep the largest piece of each region; the rest goes to the regions around it."""
-    kept = np.full(len(regions), -1)
-    for region in Region:
-        kept[graph.components(regions == region) == 0] = region
-    return graph.random_walker(kept, len(Region))
 
 
 def _without_non_manifold_vertices(graph: DualGraph, regions: Integers) -> Integers:

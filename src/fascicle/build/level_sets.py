@@ -240,21 +240,17 @@ def level_set(mask: Booleans, masks: Masks, plane: BasePlane, grid: Grid) -> Flo
     values = map_coordinates(
         spline_filter(smooth, mode="nearest"), nodes, mode="nearest", prefilter=False
     )
-    nodes_inside = _volume_below(mask, masks, plane) / grid.edge**3
+    axes = masks.affine[:3, :3]
+    height = plane.height((np.argwhere(mask) - PADDING) @ axes.T + masks.affine[:3, 3])
+    # voxels that the plane cuts count in part
+    share = np.clip(0.5 - height / masks.thickness(plane.normal), 0, 1)
+    nodes_inside = float(share.sum() * abs(np.linalg.det(axes))) / grid.edge**3
     # half of the cubes around the top layer's nodes lie below the plane: the others count twice
     below = values[:, :, :-1].ravel()
     twice = np.concatenate([below, below, values[:, :, -1].ravel()])
     wanted = round(2 * nodes_inside)
     level = np.partition(twice, wanted)[wanted]
     return np.asarray(values - level, dtype=np.float64)
-
-
-def _volume_below(mask: Booleans, masks: Masks, plane: BasePlane) -> float:
-    """Volume of a padded mask below the plane (mm³); voxels that it cuts count in part."""
-    axes = masks.affine[:3, :3]
-    height = plane.height((np.argwhere(mask) - PADDING) @ axes.T + masks.affine[:3, 3])
-    share = np.clip(0.5 - height / masks.thickness(plane.normal), 0, 1)
-    return float(share.sum() * abs(np.linalg.det(axes)))
 
 
 def closed_by(values: Floats, radius: float, edge: float) -> Floats:

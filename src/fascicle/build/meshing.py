@@ -225,14 +225,6 @@ def _merge_targets(triangles: Integers, edges: Integers) -> Integers:
     return target
 
 
-def is_coarse(surface: LabelledSurface, edge_length: float) -> bool:
-    """Whether the mean edge is above three edge lengths (mm).
-
-    Remeshing keeps to its flat triangles, so the mesh would have their edges and creases.
-    """
-    return mean_edge_length(surface.vertices, surface.triangles) > 3.0 * edge_length
-
-
 def subdivided(surface: LabelledSurface, edge_length: float) -> tuple[LabelledSurface, str]:
     """Make a coarse surface smooth and finer: Loop subdivision, corrected for its shrinking.
 
@@ -253,7 +245,11 @@ def subdivided(surface: LabelledSurface, edge_length: float) -> tuple[LabelledSu
         moved = given.vertices + share * (given.vertices - np.asarray(limit, dtype=float))
         finer, parts = igl.loop(moved, given.triangles, levels)
         triangles = np.asarray(parts, dtype=np.int64)
-        vertices = _with_volume(np.asarray(finer, dtype=float), triangles, volume)
+        vertices = np.asarray(finer, dtype=float)
+        for _ in range(3):  # Newton steps along the normals; each leaves a thousandth of the error
+            missing = volume - closed_volume(vertices, triangles)
+            normals = np.asarray(igl.per_vertex_normals(vertices, triangles))
+            vertices = vertices + missing / triangle_areas(vertices, triangles).sum() * normals
         if not len(self_intersections(vertices, triangles)):
             break
     labels = np.repeat(given.labels, 4**levels)  # four follow one another for each
@@ -264,12 +260,3 @@ def subdivided(surface: LabelledSurface, edge_length: float) -> tuple[LabelledSu
         f"{closed_volume(vertices, triangles) / 1e3:.1f} ml after"
     )
     return replace(given, vertices=vertices, triangles=triangles, labels=labels), note
-
-
-def _with_volume(vertices: Floats, triangles: Integers, volume: float) -> Floats:
-    """Vertices moved along their normals by one distance so that the volume is this one (mm³)."""
-    for _ in range(3):  # Newton steps; each leaves a thousandth of the error
-        missing = volume - closed_volume(vertices, triangles)
-        normals = np.asarray(igl.per_vertex_normals(vertices, triangles))
-        vertices = vertices + missing / triangle_areas(vertices, triangles).sum() * normals
-    return vertices

@@ -19,13 +19,7 @@ from fascicle.build.labelled_files import (
     labelled_tetrahedra,
 )
 from fascicle.build.mesh_repair import repaired_edges, repaired_mesh, separated_vertices
-from fascicle.build.meshing import (
-    check_memory,
-    is_coarse,
-    mesh_surface,
-    remeshed_anatomy,
-    subdivided,
-)
+from fascicle.build.meshing import check_memory, mesh_surface, remeshed_anatomy, subdivided
 from fascicle.build.segmentation import SegmentationLabels, regions_at
 from fascicle.build.segmentation_files import read_segmentation
 from fascicle.build.segmentation_surface import surface_from_segmentation
@@ -39,7 +33,7 @@ from fascicle.heart.label_names import labels_by_number
 from fascicle.heart.labelled_surface import Label, LabelledSurface
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.formats.read import MESH_FORMATS, read_mesh
-from fascicle.mesh.measures import closed_volume
+from fascicle.mesh.measures import closed_volume, mean_edge_length
 
 OF_TETRAHEDRA = ("remesh", "regions", "region_array", "fibres")  # options for these alone
 
@@ -143,8 +137,11 @@ def _meshed(
 def _fine_enough(
     surface: LabelledSurface, edge_length: float
 ) -> tuple[LabelledSurface, tuple[str, ...]]:
-    """The surface, subdivided where it is coarse against the edge length, and a note if so."""
-    if not is_coarse(surface, edge_length):
+    """The surface, subdivided if its mean edge is above three edge lengths, and a note if so.
+
+    Remeshing keeps to its flat triangles, so the mesh would have their edges and creases.
+    """
+    if mean_edge_length(surface.vertices, surface.triangles) <= 3.0 * edge_length:
         return surface, ()
     check_memory(surface, edge_length)
     finer, note = subdivided(surface, edge_length)

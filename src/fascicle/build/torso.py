@@ -26,7 +26,7 @@ from fascicle.torso.electrode_sites import (
     check_not_mirrored,
     check_on_skin,
 )
-from fascicle.torso.heart_pose import Pose, apex_direction, axes_of_electrodes
+from fascicle.torso.heart_pose import Pose, axes_of_electrodes, heart_axes
 from fascicle.torso.idealised import FittedTrunk, fitted_torso, idealised_torso, leaving
 from fascicle.torso.lead_fields import (
     contacts_on,
@@ -177,7 +177,8 @@ def _notes_on_fit(heart: Heart, fitted: FittedTrunk, pose: Pose) -> list[str]:
     """Notes on how the trunk was fitted to the electrodes, as a whole and for each."""
     size = fitted.size
     lv, rv = (Surface(e.vertices, e.triangles) for e in heart.endocardia)
-    azimuth, descent = apex_direction(fitted.frame.rotation, lv, rv)
+    left, back, up = -fitted.frame.rotation.T @ heart_axes(lv, rv)[:, 2]  # of the apex
+    azimuth, descent = np.degrees(np.arctan2(left, -back)), np.degrees(np.arcsin(-up))
     shape = ", ".join(f"{name} {getattr(size, name):.2f}" for name in SHAPE)
     axes = "from the electrodes" if pose == "standard" else f"{pose.upper()}, tilted to fit them"
     off = fitted.electrodes - fitted.sites

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -201,15 +201,13 @@ def ordered_fascicles(space: ParameterSpace) -> ParameterSpace:
     for side in SIDES:
         angles = [name for name in named if name.startswith(f"{side}_fascicle_angle_")]
         lengths = [name.replace("angle", "length") for name in angles]
-        if len(angles) > 1 and all(_alike(named, names) for names in (angles, lengths)):
+        if len(angles) < 2 or not {*angles, *lengths} <= {*named}:
+            continue
+        priors = ({replace(named[name], name="") for name in names} for names in (angles, lengths))
+        if all(len(different) == 1 for different in priors):
             for k, name in enumerate(angles):
                 named[name] = replace(named[name], order=(k + 1, len(angles)))
     return ParameterSpace(tuple(named.values()))
-
-
-def _alike(named: Mapping[str, Parameter], names: Sequence[str]) -> bool:
-    """Whether all these are learnt, with one prior."""
-    return set(names) <= set(named) and len({replace(named[n], name="") for n in names}) == 1
 
 
 def free(name: str, **prior: Any) -> Parameter:

@@ -166,7 +166,13 @@ class Conduction:
         """Factor on D, the square of the speeds, of each tetrahedron, shape (m,)."""
         scale = self.scale(heart)
         if self.endocardial_layer > 0 and self.endocardial_speed != 1:
-            share = layer_share(heart, self.endocardial_layer)
+            distance = np.full(len(heart.vertices), np.inf)
+            for e in heart.endocardia:
+                squares = igl.point_mesh_squared_distance(heart.vertices, e.vertices, e.triangles)[
+                    0
+                ]
+                distance = np.minimum(distance, np.sqrt(squares))
+            share = share_below(distance[heart.tetrahedra], self.endocardial_layer)
             scale *= 1 + share * (self.endocardial_speed**2 - 1)
         return scale
 
@@ -205,15 +211,6 @@ class Conduction:
         """D⁻¹ (ms²/mm²) for unit fibres of shape (m, 3); shape (m, 3, 3)."""
         along, across = self._squared_speeds()
         return transversely_isotropic(fibres, 1 / along, 1 / across)
-
-
-def layer_share(heart: Heart, thickness: float) -> Floats:
-    """Share of each tetrahedron nearer than `thickness` (mm) to an endocardium, (m,)."""
-    distance = np.full(len(heart.vertices), np.inf)
-    for e in heart.endocardia:
-        squares = igl.point_mesh_squared_distance(heart.vertices, e.vertices, e.triangles)[0]
-        distance = np.minimum(distance, np.sqrt(squares))
-    return share_below(distance[heart.tetrahedra], thickness)
 
 
 def share_below(values: Floats, level: float) -> Floats:

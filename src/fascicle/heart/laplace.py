@@ -74,16 +74,6 @@ class QuadraticSpace:
         half = sparse.csr_matrix((entries.ravel(), (row, column)), shape=(self.size, self.size))
         return (half + half.T).tocsr()
 
-    @cached_property
-    def from_linear(self) -> sparse.csr_matrix:
-        """A function linear in each tetrahedron, by its values at the vertices, in this space."""
-        vertices, edges = len(self.vertices), len(self.edges)
-        middles = sparse.csr_matrix(
-            (np.full(2 * edges, 0.5), self.edges.ravel(), np.arange(0, 2 * edges + 1, 2)),
-            shape=(edges, vertices),
-        )
-        return sparse.vstack([sparse.identity(vertices), middles]).tocsr()
-
     def on(self, triangles: Integers) -> Integers:
         """Nodes of some triangles of the mesh: their corners, then the middles of their edges."""
         keys = _keys(unique_edges(triangles)[0], len(self.vertices))
@@ -93,9 +83,11 @@ class QuadraticSpace:
     def at_centroids(self, values: Floats) -> tuple[Floats, Floats]:
         """Value (m,) and gradient (1/mm) (m, 3) of a function in the middle of each tetrahedron."""
         centre = np.full(4, 1 / 4)
+        i, j = TETRAHEDRON_EDGES.T
+        basis = np.concatenate([centre * (2 * centre - 1), 4 * centre[i] * centre[j]])
         local = values[self.nodes]
         slopes = local @ _basis_gradients(centre)
-        return local @ _basis(centre), np.asarray(np.einsum("mi,mix->mx", slopes, self.gradients))
+        return local @ basis, np.asarray(np.einsum("mi,mix->mx", slopes, self.gradients))
 
 
 def quadratic_space(vertices: Floats, tetrahedra: Integers) -> QuadraticSpace:
@@ -141,9 +133,15 @@ def _multigrid(
     from pyamg.multilevel import MultilevelSolver
     from pyamg.relaxation.smoothing import change_smoothers
 
+    vertices, edges = len(space.vertices), len(space.edges)
+    middles = sparse.csr_matrix(
+        (np.full(2 * edges, 0.5), space.edges.ravel(), np.arange(0, 2 * edges + 1, 2)),
+        shape=(edges, vertices),
+    )
+    from_linear = sparse.vstack([sparse.identity(vertices), middles]).tocsr()
     quadratic = MultilevelSolver.Level()
     quadratic.A = inner
-    quadratic.P = space.from_linear[free][:, free[free < len(space.vertices)]].tocsr()
+    quadratic.P = from_linear[free][:, free[free < vertices]].tocsr()
     quadratic.R = quadratic.P.T.tocsr()
     coarse = smoothed_aggregation_solver(
         (quadratic.R @ inner @ quadratic.P).tocsr(),
@@ -156,14 +154,8 @@ def _multigrid(
     return fine, coarse
 
 
-def _basis(point: Floats) -> Floats:
-    """The ten basis functions at a point in barycentric coordinates λ: λ(2λ−1), then 4λᵢλⱼ."""
-    i, j = TETRAHEDRON_EDGES.T
-    return np.concatenate([point * (2 * point - 1), 4 * point[i] * point[j]])
-
-
 def _basis_gradients(point: Floats) -> Floats:
-    """Their derivatives by each barycentric coordinate there, shape (10, 4)."""
+    """Derivatives of the basis, λ(2λ−1), then 4λᵢλⱼ, by each λ at a point λ, shape (10, 4)."""
     i, j = TETRAHEDRON_EDGES.T
     derivatives = np.zeros((10, 4))
     derivatives[range(4), range(4)] = 4 * point - 1

@@ -9,7 +9,7 @@ import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.heart import Heart
 from fascicle.mesh.checks import refuse
@@ -45,13 +45,17 @@ def check_tetrahedra(name: str, vertices: Floats, tetrahedra: Integers) -> None:
     Every vertex (n, 3) belongs to one of the tetrahedra (m, 4).
     """
     volumes = signed_volumes(vertices, tetrahedra)
+    # the third tetrahedron on one face, or a further one, counts tissue twice
+    order, same = faces_in_order(tetrahedra)
+    overlapping = np.zeros(len(tetrahedra), dtype=bool)
+    overlapping[order[2:][same[1:] & same[:-1]] // 4] = True
     flat = 1e-9 * float(np.abs(volumes).mean())
     inverted = volumes < -flat
     mend = "swap two vertices of every one" if inverted.all() else "remove them or remesh"
     for what, remedy, bad in (
         ("have zero volume", mend, np.abs(volumes) <= flat),
         ("are inverted", mend, inverted),
-        ("overlap others", "remove what is there twice", _overlapping(tetrahedra)),
+        ("overlap others", "remove what is there twice", overlapping),
     ):
         refuse(name, bad, f"tetrahedra {what}", remedy, vertices, tetrahedra)
     linked = tetrahedra[:, [(0, 1), (0, 2), (0, 3)]].reshape(-1, 2)
@@ -63,14 +67,6 @@ def check_tetrahedra(name: str, vertices: Floats, tetrahedra: Integers) -> None:
         "keep one piece or join them",
         vertices,
     )
-
-
-def _overlapping(tetrahedra: Integers) -> Booleans:
-    """Which (m,) are the third tetrahedron on one face, or a further one: they count twice."""
-    order, same = faces_in_order(tetrahedra)
-    crowded = np.zeros(len(tetrahedra), dtype=bool)
-    crowded[order[2:][same[1:] & same[:-1]] // 4] = True
-    return crowded
 
 
 def check_fibres(

@@ -66,10 +66,16 @@ def build_chart(endocardium: Endocardium) -> Chart:
     loop = boundary_loops(triangles)[0]
     circle = _circle_by_arc_length(vertices[loop])
     points = np.asarray(igl.harmonic(vertices, triangles, loop, circle, 1))
-    if (signed_areas(points, triangles) <= 0).any():
-        points = _mean_value_map(vertices, triangles, loop, circle)
-    elif stretch(_metric(points, vertices, triangles)).max() > 20.0:
-        points = _less_stretched(points, vertices, triangles, loop, circle)
+    folds = (signed_areas(points, triangles) <= 0).any()
+
+    def most_stretched(points: Floats) -> float:
+        return float(stretch(_metric(points, vertices, triangles)).max())
+
+    if folds or most_stretched(points) > 20.0:
+        other = _mean_value_map(vertices, triangles, loop, circle)
+        is_bijective = (signed_areas(other, triangles) > 0).all()
+        if folds or (is_bijective and most_stretched(other) < most_stretched(points)):
+            points = other
     refuse(
         f"{endocardium.side.upper()} endocardium",
         ~(signed_areas(points, triangles) > 0),  # NaN among them
@@ -109,17 +115,6 @@ def _circle_by_arc_length(loop: Floats) -> Floats:
     steps = np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=1)
     angle = 2 * np.pi * np.concatenate([[0.0], np.cumsum(steps)[:-1]]) / steps.sum()
     return np.column_stack([np.cos(angle), np.sin(angle)])
-
-
-def _less_stretched(
-    points: Floats, vertices: Floats, triangles: Integers, loop: Integers, circle: Floats
-) -> Floats:
-    """The mean-value map where it folds nothing and stretches less than these points, or these."""
-    other = _mean_value_map(vertices, triangles, loop, circle)
-    if (signed_areas(other, triangles) <= 0).any():
-        return points
-    worst = [stretch(_metric(each, vertices, triangles)).max() for each in (points, other)]
-    return other if worst[1] < worst[0] else points
 
 
 def _mean_value_map(

@@ -140,12 +140,6 @@ def axes_of_electrodes(electrodes: Floats, sites: Floats) -> Floats:
     return np.asarray(rotation.as_matrix())
 
 
-def apex_direction(rotation: Floats, lv: Surface, rv: Surface) -> tuple[float, float]:
-    """Where the apex points in such axes: to the left of straight ahead, and down (degrees)."""
-    left, back, up = -rotation.T @ heart_axes(lv, rv)[:, 2]
-    return float(np.degrees(np.arctan2(left, -back))), float(np.degrees(np.arcsin(-up)))
-
-
 def check_apex(source: str, rotation: Floats, lv: Surface, rv: Surface) -> None:
     """Refuse torso axes in which the apex points to two of right, back and head.
 
