@@ -11,8 +11,7 @@ from shapes import read_labelled_mesh
 from fascicle.build.labelled_files import labelled_tetrahedra
 from fascicle.build.mesh_repair import repaired_mesh
 from fascicle.core.errors import InputError
-from fascicle.heart.label_names import label_of, labels_by_number
-from fascicle.heart.labelled_surface import Label
+from fascicle.heart.labelled_surface import Label, label_of, labels_by_number
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.topology import boundary_triangles
 

@@ -14,16 +14,9 @@ from fascicle.heart.electrodes import write_electrodes
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.folder import cell_arrays, write_mesh
 from fascicle.heart.heart import Heart
-from fascicle.heart.label_names import SURFACE_NAMES
-from fascicle.heart.labelled_surface import LabelledMesh, labelled_mesh
+from fascicle.heart.labelled_surface import SURFACE_NAMES, LabelledMesh, labelled_mesh
+from fascicle.mesh.formats import opencarp
 from fascicle.mesh.formats.mesh_file import GROUP
-from fascicle.mesh.formats.opencarp import (
-    opencarp_file,
-    write_directions,
-    write_opencarp_mesh,
-    write_surf,
-    write_vtx,
-)
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.purkinje.tree_files import write_opencarp_tree
 
@@ -107,15 +100,15 @@ def write_opencarp(
     """
     regions = heart.regions
     tags = regions if regions is not None else np.full(len(heart.tetrahedra), ONE_REGION)
-    write_opencarp_mesh(stem, heart.vertices, "Tt", heart.tetrahedra, tags)
+    opencarp.write_opencarp_mesh(stem, heart.vertices, "Tt", heart.tetrahedra, tags)
     axes = [heart.fibres] if heart.sheets is None else [heart.fibres, heart.sheets]
-    write_directions(opencarp_file(stem, ".lon"), axes)
+    opencarp.write_directions(opencarp.opencarp_file(stem, ".lon"), axes)
     for label, name in SURFACE_NAMES.items():
         triangles = surface.having(label)
         if len(triangles):
             part = stem.with_name(f"{stem.name}_{name}")
-            write_surf(opencarp_file(part, ".surf"), triangles)
-            write_vtx(opencarp_file(part, ".vtx"), np.unique(triangles))
+            opencarp.write_surf(opencarp.opencarp_file(part, ".surf"), triangles)
+            opencarp.write_vtx(opencarp.opencarp_file(part, ".vtx"), np.unique(triangles))
     for endocardium in heart.endocardia:
         _write_endocardium(
             stem.with_name(f"{stem.name}_{endocardium.side}_endocardium"), endocardium, heart
@@ -137,4 +130,4 @@ def _write_endocardium(stem: Path, endocardium: Endocardium, heart: Heart) -> No
     if (distance <= 1e-3).all():  # mm; text files round
         return
     corners = corners.reshape(-1, 3)
-    write_opencarp_mesh(stem, vertices, "Tr", corners, np.full(len(corners), ONE_REGION))
+    opencarp.write_opencarp_mesh(stem, vertices, "Tr", corners, np.full(len(corners), ONE_REGION))

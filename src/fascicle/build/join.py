@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import Label, LabelledSurface
 from fascicle.heart.validate import check_units
 from fascicle.mesh.checks import check_edges, open_loops, oriented_piece, place, refuse
@@ -65,9 +64,7 @@ class Outline(NamedTuple):
 Base = tuple[Floats, Integers]
 
 
-def join_surfaces(
-    parts: Mapping[str, Part], progress: StageProgress = no_progress
-) -> LabelledSurface:
+def join_surfaces(parts: Mapping[str, Part]) -> LabelledSurface:
     """Join separate surfaces of the ventricles to one that is closed.
 
     Endocardia and epicardium do not move. A base whose boundary loops lie within 2.5 mm of theirs
@@ -80,9 +77,7 @@ def join_surfaces(
     named = {"epicardium": "epicardium", "lv": "LV endocardium", "rv": "RV endocardium"}
     clean = [_clean_part(parts[part], what, 1) for part, what in named.items()]
     given = _clean_part(parts["base"], "base", 3) if "base" in parts else None
-    progress(1, 3)
     _check_places(*clean)
-    progress(2, 3)
     outline = _outline_of(clean)
     inner, between = _made_base(outline) if given is None else _fitted_base(outline, given)
     starts = np.cumsum([0, *(len(part.vertices) for part in clean)])
@@ -96,7 +91,6 @@ def join_surfaces(
     whole = turned_outwards(vertices, oriented_piece(name, vertices, whole))
     labels = (Label.EPICARDIUM, Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.BASE)
     of_triangles = np.repeat(labels, list(map(len, triangles))).astype(np.int64)
-    progress(3, 3)
     return LabelledSurface(vertices, whole, of_triangles, name)
 
 

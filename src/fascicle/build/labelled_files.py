@@ -17,20 +17,18 @@ from fascicle.core.files import check_file
 from fascicle.heart.assembly import FIBRE_NAMES, average_to_tetrahedra, region_labels
 from fascicle.heart.coordinate_arrays import VentricularCoordinates, read_coordinates
 from fascicle.heart.fibres import is_placeholder
-from fascicle.heart.label_names import (
-    LABEL_NAMES,
-    Names,
-    label_of,
-    labels_by_number,
-    labels_of,
-    whole_numbers,
-)
 from fascicle.heart.labelled_surface import (
+    LABEL_NAMES,
     NEEDED,
     Label,
     LabelledMesh,
     LabelledSurface,
+    Names,
+    label_of,
+    labels_by_number,
+    labels_of,
     missing_parts,
+    whole_numbers,
 )
 from fascicle.heart.validate import check_fibres, check_tetrahedra, check_units
 from fascicle.mesh.checks import refuse

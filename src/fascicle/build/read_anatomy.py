@@ -29,8 +29,7 @@ from fascicle.build.whole_heart import Regions, labels_of_ventricles, regions_in
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
 from fascicle.core.progress import Progress, stage_progress
-from fascicle.heart.label_names import labels_by_number
-from fascicle.heart.labelled_surface import Label, LabelledSurface
+from fascicle.heart.labelled_surface import Label, LabelledSurface, labels_by_number
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.formats.read import MESH_FORMATS, read_mesh
 from fascicle.mesh.measures import closed_volume, mean_edge_length
@@ -40,34 +39,18 @@ OF_TETRAHEDRA = ("remesh", "regions", "region_array", "fibres")  # options for t
 
 @dataclass(frozen=True)
 class Source:
-    """The files that a heart is built from.
+    """The files that a heart is built from."""
 
-    Attributes
-    ----------
-    file : Path or None
-        A closed surface, a segmentation or a tetrahedral mesh; None if there are parts.
-    parts : mapping of str to Path
-        Surfaces of ``lv``, ``rv``, ``epicardium`` and perhaps ``base``.
-    labels, label_array, labels_file : optional
-        Number of each label in the file, name of the label array, text file of labels.
-    remesh : bool, optional
-        Whether to remesh the inside of a tetrahedral mesh.
-    regions, region_array : optional
-        Numbers of ``lv``, ``rv`` and perhaps ``septum`` in a mesh of a whole heart, and the name
-        of their array.
-    fibres : "rule" or "file", optional
-        Which fibres of a tetrahedral mesh; by default its own, unless they are a placeholder.
-    """
-
-    file: Path | None
+    file: Path | None  # closed surface, segmentation or tetrahedral mesh; None if there are parts
+    # surfaces of ``lv``, ``rv``, ``epicardium`` and perhaps ``base``
     parts: Mapping[str, Path] = field(default_factory=dict)
-    labels: Mapping[str, int] | None = None
+    labels: Mapping[str, int] | None = None  # number of each label in the file
     label_array: str | None = None
-    labels_file: Path | None = None
-    remesh: bool | None = None
-    regions: Regions | None = None
+    labels_file: Path | None = None  # text
+    remesh: bool | None = None  # the inside of a tetrahedral mesh
+    regions: Regions | None = None  # of a whole heart, and the name of their array
     region_array: str | None = None
-    fibres: FibreChoice = None
+    fibres: FibreChoice = None  # of a tetrahedral mesh
 
     def __post_init__(self) -> None:
         if (self.file is None) == (not self.parts):
@@ -107,7 +90,7 @@ def read_anatomy(source: Source, edge_length: float, progress: Progress | None =
             part: Part(str(mesh.path), mesh.points, mesh.require(TRIANGLE, "triangles"))
             for part, mesh in meshes.items()
         }
-        joined = join_surfaces(parts, stage_progress(progress, "surface"))
+        joined = join_surfaces(parts)
         return _meshed(*_fine_enough(joined, edge_length), joined, edge_length, progress)
     segmentations = (".nii", ".nii.gz", ".nrrd", ".nhdr")
     if source.file.name.lower().endswith(segmentations):

@@ -41,28 +41,14 @@ from fascicle.torso.trunk import SHAPE, TrunkSize, outside_trunk
 
 @dataclass(frozen=True)
 class TorsoOptions:
-    """What surrounds the heart.
+    """What surrounds the heart."""
 
-    Attributes
-    ----------
-    torso : str
-        ``"idealised"``, ``"none"`` (unbounded conductor), or the file of a closed skin surface.
-    lungs : tuple of Path
-        Closed surfaces of the lungs, with a custom skin.
-    measures : mapping of name to float
-        Height (m), weight (kg) and chest girth (cm), as far as they are known, to scale the
-        idealised torso.
-    pose : {"standard", "ras", "lps"}
-        See `fascicle.torso.heart_pose.torso_frame`.
-    electrodes : Path, optional
-        Positions that the idealised torso is fitted to; by default those of its standard places.
-    """
-
-    torso: str = "idealised"
-    lungs: tuple[Path, ...] = ()
+    torso: str = "idealised"  # or "none" (unbounded conductor), or the file of a closed skin
+    lungs: tuple[Path, ...] = ()  # files of closed surfaces, with a custom skin
+    # height (m), weight (kg) and chest girth (cm), as far as they are known, of the idealised torso
     measures: Mapping[str, float] = field(default_factory=dict)
     pose: Pose = "standard"
-    electrodes: Path | None = None
+    electrodes: Path | None = None  # that the idealised torso is fitted to; else its standard ones
 
     def __post_init__(self) -> None:
         if self.torso != "idealised":

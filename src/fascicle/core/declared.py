@@ -60,12 +60,7 @@ Point = Annotated[tuple[float, float, float], RANGES["coordinate"], BeforeValida
 class Table:
     """Base of the tables: ``class Stimulus(Table, table="stimulus")`` declares ``[[stimulus]]``.
 
-    Attributes
-    ----------
-    table : str
-        What it is called in files.
-    once : bool
-        Whether a file has it once, ``[his]``, or any number of times.
+    That is a table that a file has any number of times; with `once` it is ``[his]``.
     """
 
     table: ClassVar[str]

@@ -20,14 +20,9 @@ WALL = 0.1  # a wall counts for a tenth of the way from apex to base
 
 @dataclass(frozen=True)
 class VentricularCoordinates:
-    """Ventricular coordinates of each vertex, as `fascicle.heart.coordinates` defines them.
+    """Ventricular coordinates of each vertex (n,), as `fascicle.heart.coordinates` defines them.
 
-    Attributes
-    ----------
-    ventricle : (n,) array
-        0 in the left, 1 in the right one.
-    transmural, rotational, apicobasal : (n,) arrays
-        From 0 to 1.
+    The ventricle is 0 in the left, 1 in the right one; the others are from 0 to 1.
     """
 
     ventricle: Floats

@@ -22,19 +22,11 @@ ChosenSeed = int | tuple[float, float, float] | None
 
 @dataclass(frozen=True)
 class Endocardium:
-    """The endocardial surface of one ventricle and where its bundle enters.
+    """The endocardial surface of one ventricle, ``"lv"`` or ``"rv"``, and where its bundle enters.
 
-    Attributes
-    ----------
-    side : str
-        ``"lv"`` or ``"rv"``.
-    vertices, triangles : (n, 3) and (m, 3) arrays
-        Positions (mm) and vertex indices, counter-clockwise seen from inside the cavity.
-    root, direction : int
-        Vertex where the bundle starts, and one that it heads for.
-    valves : (m,) array, optional
-        Which triangles span a valve opening within the surface; no tissue lies under them, and
-        Purkinje networks end at its edge.
+    Vertices (n, 3) (mm); triangles (m, 3), counter-clockwise seen from inside the cavity; the
+    vertex where the bundle starts, and one that it heads for; and perhaps which triangles (m,) span
+    a valve opening within the surface: no tissue lies under them, and Purkinje networks end there.
     """
 
     side: str

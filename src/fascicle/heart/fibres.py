@@ -54,27 +54,16 @@ class FibreAngles:
     axis from apex to base. On the RV's endocardium it is seen from the RV, on its septal side too.
 
     A sheet's angle is that of Bayer et al.: 0 in the wall, ±π/2 across it.
-
-    Attributes
-    ----------
-    lv_endocardium, lv_epicardium : float
-        Streeter et al. 1969, Circ Res 24:339-347: 60° and -60°.
-    rv_endocardium, rv_epicardium : float
-        Doste et al. 2019: 90° and -25°.
-    outflow_endocardium, outflow_epicardium : float
-        At the openings of the great arteries, where these are labelled. Doste et al. 2019: 90°
-        and 0°.
-    sheet_endocardium, sheet_epicardium : float
-        Bayer et al. 2012: -65° and 25°.
     """
 
-    lv_endocardium: float = radians(60)
+    lv_endocardium: float = radians(60)  # Streeter et al. 1969, Circ Res 24:339-347
     lv_epicardium: float = radians(-60)
-    rv_endocardium: float = radians(90)
+    rv_endocardium: float = radians(90)  # Doste et al. 2019
     rv_epicardium: float = radians(-25)
+    # at the openings of the great arteries, where these are labelled: Doste et al. 2019
     outflow_endocardium: float = radians(90)
     outflow_epicardium: float = 0.0
-    sheet_endocardium: float = radians(-65)
+    sheet_endocardium: float = radians(-65)  # Bayer et al. 2012
     sheet_epicardium: float = radians(25)
 
 
@@ -90,16 +79,10 @@ class Wall(IntEnum):
 class Fibres:
     """Directions of the myocardium in each tetrahedron, and where in the wall it is.
 
-    Attributes
-    ----------
-    fibre, sheet : (m, 3) arrays
-        Along the fibre, and across it in the sheet; unit vectors, orthogonal, of either sign.
-    outward, longitudinal : (m, 3) arrays
-        Across the wall, out of the ventricle (in the septum: the left one), and along it towards
-        the base; unit vectors, orthogonal.
-    depth, wall : (m,) arrays
-        0 on the endocardium, 1 on the epicardium; in the septum, 0 on the left, 1 on the right. And
-        a `Wall` for each.
+    Unit vectors (m, 3): along the fibre, and across it in the sheet, orthogonal, of either sign;
+    across the wall, out of the ventricle (in the septum: the left one), and along it towards the
+    base, orthogonal. The depth (m,) is 0 on the endocardium, 1 on the epicardium; in the septum, 0
+    on the left, 1 on the right. And a `Wall` for each (m,).
     """
 
     fibre: Floats

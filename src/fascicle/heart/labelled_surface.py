@@ -1,16 +1,22 @@
-"""The closed surface of the ventricles, with a label for every triangle."""
+"""The closed surface of the ventricles, with a label for every triangle, and names of labels."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import igl
 import numpy as np
+from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats, Integers
+from fascicle.core.errors import InputError, printable
 from fascicle.heart.endocardium import long_axis
 from fascicle.heart.heart import Heart
+from fascicle.mesh.formats.mesh_file import GROUP
 from fascicle.mesh.measures import triangle_normals, unit
 from fascicle.mesh.topology import boundary_loops
 
@@ -119,3 +125,132 @@ def labelled_mesh(heart: Heart) -> LabelledMesh:
     return LabelledMesh(
         heart.vertices, heart.tetrahedra, triangles, labels, heart.regions, heart.name
     )
+
+
+Names = Mapping[str, Label]  # the caller's own names and numbers (as text) of labels
+
+# Arrays of surfaces and meshes that hold labels, in the order in which they are looked for
+LABEL_NAMES = ("label", "labels", "class", "classes", "surface", "surfaces", "boundary", GROUP)
+EXAMPLE = "--labels base=1,epicardium=2,lv=3,rv=4"
+# What the surfaces are called in files for other software
+SURFACE_NAMES = {
+    Label.LV_ENDOCARDIUM: "lv_endo",
+    Label.RV_ENDOCARDIUM: "rv_endo",
+    Label.EPICARDIUM: "epi",
+    Label.BASE: "base",
+}
+# Words that decide, in the order in which they do: "lv_epi" is epicardium, "rv base" is base
+DECIDING: dict[Label, tuple[str, ...]] = {
+    Label.MITRAL: ("mitral", "mv"),
+    Label.AORTIC: ("aortic", "aorta", "av", "aov"),
+    Label.TRICUSPID: ("tricuspid", "tv"),
+    Label.PULMONARY: ("pulmonary", "pulmonic", "pv"),
+    Label.EPICARDIUM: ("epi", "epicardium", "epicardial"),
+    Label.BASE: ("base", "basal"),
+    Label.LV_ENDOCARDIUM: ("lv", "left"),
+    Label.RV_ENDOCARDIUM: ("rv", "right"),
+}
+# These, and words that may accompany them
+WORDS = {word for words in DECIDING.values() for word in words} | {
+    "endo", "endocardium", "endocardial", "ventricle", "ventricular", "ventricles", "heart",
+    "surface", "surf", "sur", "face", "faces", "boundary", "wall", "valve", "annulus", "opening",
+    "plane", "septum", "septal", "sept", "free", "cavity", "side", "set", "the", "of",
+}  # fmt: skip
+ANY_WORD = "|".join(sorted(WORDS, key=len, reverse=True))
+
+
+def label_of(name: str) -> Label | None:
+    """Label that a name means, or None.
+
+    Letter case, digits and separators do not matter, nor whether words are run together: "LV",
+    "lv_endo", "LVendo", "endo-lv" and "Left ventricle" are all the left endocardium. Every word
+    must be a known one, so that "lv_endo_stimulus" is nothing.
+    """
+    if len(name) > 60:
+        return None
+    words: set[str] = set()
+    for letters in re.findall("[^\\W\\d_]+", name.lower()):
+        found = re.findall(rf"({ANY_WORD})(?=(?:{ANY_WORD})*$)", letters)
+        if "".join(found) != letters:
+            return None
+        words.update(found)
+    meant = [label for label, deciding in DECIDING.items() if words.intersection(deciding)]
+    if not meant or set(meant) == {Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM}:
+        return None
+    return meant[0]
+
+
+def labels_by_number(numbers: Mapping[str, int]) -> dict[str, Label]:
+    """Labels by their number in the file, as text, from names as in ``{"lv": 3, "rv_endo": 4}``.
+
+    An error if a name means no label, or a number is given to two.
+    """
+    labels: dict[str, Label] = {}
+    for name, number in numbers.items():
+        label = label_of(name)
+        if label is None:
+            raise InputError(
+                f"--labels: unknown '{printable(name[:60])}'; the parts are base, epicardium, lv, "
+                "rv, mitral, aortic, tricuspid, pulmonary"
+            )
+        if labels.setdefault(str(number), label) != label:
+            raise InputError(
+                f"--labels: label number {number} is given two meanings; give each number one"
+            )
+    return labels
+
+
+def whole_numbers(source: str, values: NDArray[Any]) -> Integers:
+    """Values of an array of labels, shape (k,); an error unless they are one whole number each."""
+    numbers = np.asarray(values)
+    if (
+        numbers.ndim != 1
+        or not np.issubdtype(numbers.dtype, np.number)
+        or not (np.isfinite(numbers) & (numbers == np.round(numbers))).all()
+    ):
+        raise InputError(
+            f"{source} must hold one whole number each, the label; correct or rename it, or name "
+            "another (--label-array)"
+        )
+    return numbers.astype(np.int64)
+
+
+def labels_of(source: str, numbers: Integers, names: Names, groups: Mapping[int, str]) -> Integers:
+    """Label (k,) that each number (k,) in a file means: the caller's, its group's name's, its own.
+
+    `source` is file and array, for an error. The caller's own `names` and numbers come first, and
+    no other number means a label that they name. `groups` are names of physical groups by number.
+    """
+    free = [label for label in Label if label not in names.values()]  # that mean themselves
+
+    def meaning(number: int) -> Label | None:
+        group = groups.get(number)
+        for own in (group, str(number)):
+            if own is not None and own in names:
+                return names[own]
+        if group is None:
+            return Label(number) if number in free else None
+        label = label_of(group)
+        if label is None:
+            raise InputError(
+                f"{source}: cannot tell which surface '{printable(group[:60])}' is; name it epi, "
+                "base, lv_endo or rv_endo (or mitral, aortic, tricuspid, pulmonary), or say what "
+                f"its number is, as in --labels epicardium={number}"
+            )
+        return label
+
+    kinds, which, counts = np.unique(numbers, return_inverse=True, return_counts=True)
+    found = [meaning(kind) for kind in kinds.tolist()]
+    strange = [
+        f"{kind} ({count} times)"
+        for kind, count, label in zip(kinds, counts, found, strict=True)
+        if label is None
+    ]
+    if strange:
+        given = [f"{name} {label.name.lower()}" for name, label in names.items()]
+        own = [f"{label.value} {label.name.lower()}" for label in free]
+        raise InputError(
+            f"{source}: unknown labels: {', '.join(strange)}; known are {', '.join(given + own)}; "
+            f"say which number is what, as in {EXAMPLE}"
+        )
+    return np.array(found, dtype=np.int64)[which]

@@ -26,14 +26,9 @@ if TYPE_CHECKING:
 class QuadraticSpace:
     """Continuous functions that are quadratic in each tetrahedron.
 
-    Attributes
-    ----------
-    vertices, tetrahedra : (n, 3) and (m, 4) arrays
-        The mesh (mm); every vertex belongs to a tetrahedron. Node i < n is vertex i.
-    edges : (e, 2) array
-        Vertices of each edge, the smaller index first, sorted; node n + j is the middle of edge j.
-    nodes : (m, 10) array
-        Of each tetrahedron: its corners, then the middles of its `TETRAHEDRON_EDGES`.
+    Vertices (n, 3) (mm) all belong to one of the tetrahedra (m, 4); node i < n is vertex i. Edges
+    (e, 2) have the smaller vertex first and are sorted; node n + j is the middle of edge j. Nodes
+    (m, 10) of each tetrahedron are its corners, then the middles of its `TETRAHEDRON_EDGES`.
     """
 
     vertices: Floats

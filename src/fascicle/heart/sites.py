@@ -56,22 +56,13 @@ ALIASES = {
 
 @dataclass(frozen=True)
 class Places:
-    """Where in the ventricles each tetrahedron is.
+    """Where in the ventricles each tetrahedron (m,) is.
 
-    Attributes
-    ----------
-    segment : (m,) array
-        Segment of the left ventricle, 1 to 17, its half of the septum and the right one's alike;
-        0 in the free wall of the right ventricle.
-    wall : (m,) array
-        A `Wall` for each.
-    depth : (m,) array
-        0 on the endocardium, 1 on the epicardium; in the septum, 0 on the left, 1 on the right.
-    height : (m,) array
-        Along the left ventricle's long axis: 0 at the mitral opening, 1 at the end of the cavity.
-    angle : (m,) array
-        About that axis (rad), 0 in the middle of the septum, positive over the anterior wall: seen
-        from the apex, clockwise.
+    The segment of the left ventricle is 1 to 17, its half of the septum and the right one's alike,
+    and 0 in the free wall of the right ventricle. Wall and depth are those of
+    `fascicle.heart.fibres.Fibres`. The height along the left ventricle's long axis is 0 at the
+    mitral opening, 1 at the end of the cavity; the angle about that axis (rad) is 0 in the middle
+    of the septum, positive over the anterior wall: seen from the apex, clockwise.
     """
 
     segment: Integers

@@ -22,16 +22,9 @@ class Chart(NamedTuple):
     The disk is seen from inside the cavity: counter-clockwise there is counter-clockwise on the
     endocardium for an observer in the blood.
 
-    Attributes
-    ----------
-    points, vertices : (n, 2) and (n, 3) arrays
-        Position of each vertex in the disk, and on the endocardium (mm).
-    triangles : (m, 3) array
-        Vertex indices, counter-clockwise in the disk.
-    neighbours : (m, 3) array
-        Triangle across the edge opposite to each corner; -1 at the base and at valve openings.
-    metric : (m, 3) array
-        G₁₁, G₁₂, G₂₂ of G = JᵀJ with J = ∂x/∂u (mm²): a step Δu has length √(ΔuᵀGΔu).
+    Points (n, 2) in the disk, vertices (n, 3) on the endocardium (mm), triangles (m, 3); neighbours
+    (m, 3) across the edge opposite to each corner, -1 at the base and at valve openings; and as
+    metric (m, 3) G₁₁, G₁₂, G₂₂ of G = JᵀJ with J = ∂x/∂u (mm²): a step Δu has length √(ΔuᵀGΔu).
     """
 
     points: Floats

@@ -34,10 +34,8 @@ ELEVATION = np.radians(38)  # of the long axis: below the horizontal plane
 class TorsoFrame:
     """The rigid motion between the heart's coordinates and the torso frame.
 
-    Attributes
-    ----------
-    rotation, origin : (3, 3) and (3,) arrays
-        Columns: the torso's axes in the heart's coordinates; and the frame's origin there (mm).
+    The columns of the rotation (3, 3) are the torso's axes in the heart's coordinates; the origin
+    (3,) is the frame's there (mm).
     """
 
     rotation: Floats

@@ -157,15 +157,10 @@ def _with_lungs(
 
 @dataclass(frozen=True)
 class FittedTrunk:
-    """An idealised trunk fitted to electrodes.
+    """An idealised trunk fitted to electrodes: its measures, and where it lies around the heart.
 
-    Attributes
-    ----------
-    size, frame : TrunkSize, TorsoFrame
-        Its measures, and where it lies around the heart.
-    electrodes, sites, on_skin : (9, 3) arrays
-        Electrodes as given, standard sites on the trunk before it was deformed, and points of that
-        skin that the deformation puts at the electrodes; in the torso frame (mm).
+    In the torso frame (mm), each (9, 3): electrodes as given, standard sites on the trunk before it
+    was deformed, and points of that skin that the deformation puts at the electrodes.
     """
 
     size: TrunkSize

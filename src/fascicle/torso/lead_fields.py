@@ -42,13 +42,8 @@ MM_PER_CM = 10.0
 class Contacts:
     """Where electrodes touch the skin.
 
-    Attributes
-    ----------
-    triangles, weights : (e, 3) and (e, 3) arrays
-        Vertices of the triangle of the skin that each touches, and barycentric coordinates in it,
-        which are also the shares of the current.
-    moved : (e,) array
-        Distance (mm) from the electrode as given.
+    Vertices of the triangle that each touches (e, 3), and barycentric coordinates in it (e, 3),
+    which are also the shares of the current; the distance (mm) from the electrode as given (e,).
     """
 
     triangles: Integers

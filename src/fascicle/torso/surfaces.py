@@ -26,13 +26,7 @@ LEAST_GAP = 0.5  # mm, between one surface and another
 
 
 class Surface(NamedTuple):
-    """A triangle surface.
-
-    Attributes
-    ----------
-    vertices, triangles : (n, 3) and (m, 3) arrays
-        Positions (mm) and vertex indices; of a closed surface, counter-clockwise seen from outside.
-    """
+    """Vertices (n, 3) (mm) and triangles (m, 3); if closed, counter-clockwise seen from outside."""
 
     vertices: Floats
     triangles: Integers
@@ -50,14 +44,9 @@ class Surface(NamedTuple):
 
 @dataclass(frozen=True)
 class TorsoSurfaces:
-    """Closed surfaces around a heart, in the heart's coordinates (mm).
+    """Closed surfaces around a heart, in its coordinates (mm), and electrodes on the skin (9, 3).
 
-    Attributes
-    ----------
-    skin, lungs : Surface and tuple of Surface
-        The trunk's, and within it the left and the right lung's.
-    electrodes : (9, 3) array, optional
-        Positions on the skin; those of a torso of the user's own are not known.
+    Those of a torso of the user's own are not known. Lungs are the left, then the right one.
     """
 
     skin: Surface

@@ -78,20 +78,13 @@ CAGE = np.array(
 class TrunkSize:
     """What an adult trunk is scaled by; an error if a value is not one of an adult.
 
-    Attributes
-    ----------
-    height, weight : float
-        Standing height (m) and weight (kg).
-    chest : float, optional
-        Girth of the chest at the level of the nipples (cm); from height and weight if not given.
-    depth, shoulders, hips : float
-        Factors on the standard adult's depth by width of the chest, and on the width of shoulders
-        and hips.
+    The last three are factors on the standard adult's depth by width of the chest, and on the width
+    of shoulders and hips.
     """
 
-    height: float = 1.70
-    weight: float = 66.5
-    chest: float | None = None
+    height: float = 1.70  # m, standing
+    weight: float = 66.5  # kg
+    chest: float | None = None  # cm, girth at the nipples; from height and weight if not given
     depth: float = 1.0
     shoulders: float = 1.0
     hips: float = 1.0

@@ -19,6 +19,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError, one_line
+from fascicle.core.netcdf import DAMAGED
 from fascicle.mesh.formats.mesh_file import GROUP, LINE, TETRAHEDRON, TRIANGLE, MeshFile, damaged
 
 # Gmsh's number of an element type: its name and how many nodes it has
@@ -39,11 +40,7 @@ def read_meshio(path: Path) -> MeshFile:
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
             # meshio.read would leave the program when it cannot read a file
             data = meshio.gmsh.read(path) if path.suffix.lower() == ".msh" else _read_ply(path)
-    except (
-        meshio.ReadError, ValueError, LookupError, ArithmeticError, AssertionError, OSError,
-        EOFError, TypeError, AttributeError, RuntimeError, MemoryError, struct.error,
-        NameError,  # raised by its Gmsh reader where a section is missing
-    ) as error:  # fmt: skip
+    except (*DAMAGED, meshio.ReadError, MemoryError, struct.error) as error:
         raise damaged(path, one_line(error)) from None
     if "not closed" in printed.getvalue():  # of a section of a Gmsh file
         raise damaged(path, one_line(printed.getvalue()))

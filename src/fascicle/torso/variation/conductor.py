@@ -41,15 +41,10 @@ class InvalidTorso:
 class TorsoState:
     """What differs from the heart folder's torso.
 
-    Attributes
-    ----------
-    geometry : (7,) array
-        The heart's shift to the left, posteriorly and up (mm), its rotation vector along the same
-        axes (rad), and the factor on the trunk.
-    ratios : (3,) array
-        Factors on the conductivities of the `TorsoTissue`, over that on the myocardium's.
-    chest : (6, 2) array
-        By how much V1 to V6 are moved along the skin, to the left and up (mm).
+    The geometry (7,) is the heart's shift to the left, posteriorly and up (mm), its rotation vector
+    along the same axes (rad), and the factor on the trunk; ratios (3,) are factors on the
+    conductivities of the `TorsoTissue`, over that on the myocardium's; by `chest` (6, 2) V1 to V6
+    are moved along the skin, to the left and up (mm).
     """
 
     geometry: Floats
@@ -186,12 +181,7 @@ def _away(points: Floats, vertices: Floats, triangles: Integers) -> tuple[Floats
 class Conductor:
     """The mesh of heart and torso, and what changes in it.
 
-    Attributes
-    ----------
-    heart, torso : Heart, Torso
-        The myocardium and what is around it.
-    conductivity : (m, 3, 3) array
-        σ of the heart's tetrahedra, then of the torso's, as known (mS/cm).
+    The conductivity (m, 3, 3) is σ of the heart's tetrahedra, then of the torso's (mS/cm).
     """
 
     heart: Heart

@@ -71,46 +71,26 @@ def near_field(electrodes: Floats, hull: Floats, projection: Floats, energy: Flo
 class TorsoResponse:
     """Lead fields of a heart as a function of the torso.
 
-    Attributes
-    ----------
-    modes : (k, n) array
-        Φ at the heart's vertices (kΩ½).
-    inner : (4, k, k) array
-        Their energies in the hull's myocardium, then in each `TorsoTissue`.
-    solved : (b, 8) array
-        `exterior_inputs` of the torsos solved.
-    outer : (b, k(k+1)/2) array
-        Upper triangles of A over the factor on the conductivity of plain tissue.
-    places : (3 + 6·left·up + a, 3) array
-        RA, LA and LL, then V1 to V6 at every place of a grid along the skin, then the additional
-        electrodes (mm).
-    patterns : (3 + 6·left·up + a, q) array
-        Orthonormal functions of the places.
-    remainders : (b, q, k) array
-        Their coefficients in what f has beyond `near_field`.
-    hull, projection, filled : (s, 3), (s, k) and (k, k) arrays
-        See `near_field`; and the energy of the modes in a hull of plain tissue.
-    critical_centres, critical_share, critical_slope : arrays
-        `Morph` of the tetrahedra that are compressed most when the heart nears the skin.
-    centroid, axes : (3,) and (3, 3) arrays
-        Of the heart (mm) and the torso.
+    There are p = 3 + 6·left·up + a places: RA, LA and LL, then V1 to V6 at every place of a grid
+    along the skin, then the additional electrodes. The `Morph` is that of the tetrahedra that are
+    compressed most when the heart nears the skin. For hull and projection see `near_field`.
     """
 
-    modes: Floats
-    inner: Floats
-    solved: Floats
-    outer: Floats
-    places: Floats
-    patterns: Floats
-    remainders: Floats
-    hull: Floats
-    projection: Floats
-    filled: Floats
+    modes: Floats  # Φ at the heart's vertices (kΩ½), (k, n)
+    inner: Floats  # their energies in the hull's myocardium, then in each `TorsoTissue`, (4, k, k)
+    solved: Floats  # `exterior_inputs` of the torsos solved, (b, 8)
+    outer: Floats  # upper triangles of A over the factor on plain tissue's σ, (b, k(k+1)/2)
+    places: Floats  # (p, 3), mm
+    patterns: Floats  # orthonormal functions of the places, (p, q)
+    remainders: Floats  # their coefficients in what f has beyond `near_field`, (b, q, k)
+    hull: Floats  # (s, 3), mm
+    projection: Floats  # (s, k)
+    filled: Floats  # energy of the modes in a hull of plain tissue, (k, k)
     critical_centres: Floats
     critical_share: Floats
     critical_slope: Floats
-    centroid: Floats
-    axes: Floats
+    centroid: Floats  # of the heart (3,), mm
+    axes: Floats  # of the torso (3, 3)
 
     @one_thread
     def __call__(self, state: TorsoState) -> Floats | InvalidTorso:
