@@ -82,8 +82,7 @@ from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenarios
 from fascicle.forward.simulation import Simulation
 from fascicle.heart.heart import Heart
-from fascicle.recording.residuals import smooth_noise
-from fascicle.recording.target import Target
+from fascicle.recording.target import Target, smooth_noise
 from fascicle.recording.target_files import read_target
 from fascicle.reporting.style import new_figure, save
 from fascicle.study import paper, posterior

@@ -18,8 +18,7 @@ import fascicle
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario_files import read_scenarios
 from fascicle.prediction.scenarios import simulate_scenarios
-from fascicle.recording.residuals import smooth_noise
-from fascicle.recording.target import Target
+from fascicle.recording.target import Target, smooth_noise
 from fascicle.study.pool import Threads
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import study_space

@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 import fascicle
 from fascicle.core.parameters import read_parameters
 from fascicle.recording.filters import SAMPLING_STEP
-from fascicle.recording.residuals import smooth_noise
-from fascicle.recording.target import Target
+from fascicle.recording.target import Target, smooth_noise
 from fascicle.recording.window import qrs_window
 from fascicle.reporting.parameters import pair_figure
 from fascicle.reporting.study import drawings, write_figures

@@ -481,8 +481,7 @@ def _study_files() -> dict[str, bytes]:
     """What `load_study` reads of studies by both methods, with the small heart."""
     import fascicle
     from fascicle.heart.folder import write_heart
-    from fascicle.recording.residuals import smooth_noise
-    from fascicle.recording.target import Target
+    from fascicle.recording.target import Target, smooth_noise
 
     known = parameters()
 

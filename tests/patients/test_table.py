@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from fascicle.core.errors import FileError, InputError
-from fascicle.patients.table import part_of, read_table
+from fascicle.patients.patient import part_of, read_table
 
 HEAD = "patient,heart,recording"
 ROW = "anna,default,a.nc"

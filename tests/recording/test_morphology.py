@@ -8,8 +8,7 @@ import pytest
 from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import independent_rows
 from fascicle.recording.filters import resample
-from fascicle.recording.lead_groups import lead_groups
-from fascicle.recording.morphology import cluster_morphology, noise_energy
+from fascicle.recording.lead_groups import cluster_morphology, lead_groups, noise_energy
 from fascicle.recording.spikes import find_spikes, remove_spikes
 from fascicle.recording.target_options import TargetOptions
 

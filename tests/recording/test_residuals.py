@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fascicle.recording.residuals import repeated, residual_covariance
-from fascicle.recording.target import Target
+from fascicle.recording.target import Target, repeated, residual_covariance
 
 TIME = np.arange(-40.0, 61.0)
 LENGTH = 8.0  # ms of the correlation in time

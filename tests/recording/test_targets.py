@@ -10,8 +10,7 @@ import xarray as xr
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin, applied_filters
-from fascicle.recording.residuals import residual_covariance
-from fascicle.recording.target import Target
+from fascicle.recording.target import Target, residual_covariance
 from fascicle.recording.target_files import read_target, write_target
 
 

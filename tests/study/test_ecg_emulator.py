@@ -14,8 +14,7 @@ from fascicle.core.parameters import EXAMPLE_PARAMETERS, ParameterSpace, free
 from fascicle.forward.loss import placed
 from fascicle.forward.simulation import Signals, Simulation
 from fascicle.heart.conduction import Conduction
-from fascicle.recording.residuals import smooth_noise
-from fascicle.recording.target import Target
+from fascicle.recording.target import Target, smooth_noise
 from fascicle.study import ecg_emulator as tested
 from fascicle.study.ecg_emulator import EcgEmulator, _on_another_clock, learn, tissue_inputs
 from fascicle.study.heart_emulator import emulator_of

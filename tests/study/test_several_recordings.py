@@ -15,8 +15,7 @@ from fascicle.forward.likelihood import QrsLikelihood, cosines, matern, separabl
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.primitives import SlowConduction, Stimulus
 from fascicle.forward.scenario_files import read_scenario, scenario_text
-from fascicle.recording.residuals import smooth_noise
-from fascicle.recording.target import Target
+from fascicle.recording.target import Target, smooth_noise
 from fascicle.reporting.study import drawings
 from fascicle.study.recordings import digests, given_recordings, read_recordings, write_recordings
 from fascicle.study.simulator import PointSimulator

@@ -43,8 +43,7 @@ from fascicle.core.leads import LIMB_LEADS, independent_rows, limb_leads_from
 from fascicle.core.ranges import short_repr
 from fascicle.forward.loss import placed
 from fascicle.forward.simulation import Signals
-from fascicle.recording.residuals import residual_covariance
-from fascicle.recording.target import Target
+from fascicle.recording.target import Target, residual_covariance
 
 MARGIN = 40  # samples (ms) of silence on either side of the QRS
 STEP = 2  # ms between shifts

@@ -15,8 +15,7 @@ from fascicle.core.files import as_path, check_writable, write_text
 from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.threads import cores
 from fascicle.patients.outcome import Outcome, Status
-from fascicle.patients.patient import PATIENTS, STUDIES, Patient, fit_patient
-from fascicle.patients.table import part_of, read_table
+from fascicle.patients.patient import PATIENTS, STUDIES, Patient, fit_patient, part_of, read_table
 from fascicle.study.lock import HeldError
 from fascicle.study.pool import Threads, check_pool
 

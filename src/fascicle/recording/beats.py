@@ -18,8 +18,7 @@ from fascicle.core.leads import LEADS
 from fascicle.recording.analysis import Beat, Drift, Unused
 from fascicle.recording.detection import magnitude
 from fascicle.recording.filters import SAMPLING_STEP
-from fascicle.recording.lead_groups import LeadGroup, end_of_spikes
-from fascicle.recording.morphology import LARGEST_SHIFT, cut, detrended
+from fascicle.recording.lead_groups import LARGEST_SHIFT, LeadGroup, cut, detrended, end_of_spikes
 from fascicle.recording.spikes import spike_tail
 from fascicle.recording.target_options import TargetOptions
 from fascicle.recording.window import qrs_window, spatial_velocity
@@ -64,9 +63,7 @@ def extent(group: LeadGroup) -> tuple[int, int]:
 def cut_beats(group: LeadGroup, members: Integers, onset: float | None = None) -> AlignedBeats:
     """Cut out the beats `members` (n_beats,) of a group, and subtract their isoelectric lines.
 
-    The twelve leads alone decide where these are.
-
-    `onset` is that of the QRS (ms from R) where the user has given it.
+    The twelve leads alone decide where these are, or the `onset` (ms from R) that the user gave.
     """
     before, after = extent(group)
     peaks = group.peaks[members]
@@ -108,20 +105,16 @@ def _detrended_beats(
     the nearest neighbour; where none is near, as for a single beat, the level alone is removed.
     """
     level = np.stack([signal[:, max(k, 0) : k + KNOT].mean(axis=1) for k in knots])
-    slope = np.stack([_slope(level, knots, beat) for beat in range(len(knots))])
+    slope = np.zeros_like(level)  # mV per sample
+    for beat, knot in enumerate(knots):
+        neighbours = [k for k in (beat + 1, beat - 1) if 0 <= k < len(knots)]
+        near = min(neighbours, key=lambda k: abs(int(knots[k] - knot)), default=beat)
+        distance = int(knots[near] - knot)
+        if 0 < abs(distance) <= 2500:  # samples; over more, drift does not follow a straight line
+            slope[beat] = (level[near] - level[beat]) / distance
     since = (peaks - knots)[:, None] - (KNOT - 1) / 2 + np.arange(-before, after + 1)
     beats = cut(signal, peaks, before, after)
     return np.asarray(beats - level[:, :, None] - slope[:, :, None] * since[:, None])
-
-
-def _slope(level: Floats, knots: Integers, beat: int) -> Floats:
-    """Drift (mV per sample) of each lead from a beat to its nearest neighbour."""
-    neighbours = [k for k in (beat + 1, beat - 1) if 0 <= k < len(knots)]
-    near = min(neighbours, key=lambda k: abs(int(knots[k] - knots[beat])), default=beat)
-    distance = int(knots[near] - knots[beat])
-    if not 0 < abs(distance) <= 2500:  # samples; over more, drift does not follow a straight line
-        return np.zeros(level.shape[1])
-    return np.asarray((level[near] - level[beat]) / distance)
 
 
 def drifting_beats(
@@ -204,19 +197,24 @@ def select_beats(
 ) -> tuple[list[tuple[Beat, ...]], str]:
     """Number the beats of all groups and decide which are used; class of the target's beats."""
     firsts = [1, *(1 + n for n in accumulate(len(group.peaks) for group in groups))]
-    _check_numbers(source, firsts[-1] - 1, options)
+    count = firsts[-1] - 1
+    wrong = [k for k in (*(options.beats or ()), *options.exclude) if not 1 <= k <= count]
+    if wrong:
+        raise InputError(
+            f"{source}: there is no beat {wrong[0]}; {count} beats were found, numbered from 1"
+        )
     label = _target_class(groups, options)
     _check_classes(source, groups, options, label)
     reasons = [
         _reasons(group, options, label, first) for group, first in zip(groups, firsts, strict=False)
     ]
-    drifts: list[dict[int, Drift]] = []
-    for group, why in zip(groups, reasons, strict=True):
-        members = np.flatnonzero([reason is None for reason in why])
-        named = options.beats is not None  # what the user names is used
-        drifts.append({} if named else drifting_beats(group, members, options.onset))
-        for member in drifts[-1]:
-            why[member] = Unused.DRIFTING
+    drifts: list[dict[int, Drift]] = [{} for _ in groups]
+    if options.beats is None:  # what the user names is used
+        for group, why, drift in zip(groups, reasons, drifts, strict=True):
+            members = np.flatnonzero([reason is None for reason in why])
+            drift |= drifting_beats(group, members, options.onset)
+            for member in drift:
+                why[member] = Unused.DRIFTING
     fewest = min(why.count(None) for why in reasons)
     for why in reasons:  # groups recorded one after another use equally many
         used = [k for k, reason in enumerate(why) if reason is None]
@@ -269,15 +267,6 @@ def _reasons(
         else:
             reasons.append(None if one == label else Unused.OTHER_CLASS)
     return reasons
-
-
-def _check_numbers(source: str, count: int, options: TargetOptions) -> None:
-    """Refuse beats that are not there."""
-    wrong = [k for k in (*(options.beats or ()), *options.exclude) if not 1 <= k <= count]
-    if wrong:
-        raise InputError(
-            f"{source}: there is no beat {wrong[0]}; {count} beats were found, numbered from 1"
-        )
 
 
 def _check_classes(

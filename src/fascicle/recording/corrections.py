@@ -17,10 +17,7 @@ from fascicle.recording.recording import Recording, derive_limb_leads
 def share_gain(recording: Recording, digits_per_millivolt: float = 1000.0) -> Recording:
     """Give all leads one gain (digits per mV), where the file states one per lead.
 
-    Raises
-    ------
-    InputError
-        When the file does not state the gain of every lead, or all have that one already.
+    InputError where the file does not state the gain of every lead, or all have that one already.
     """
     within("gain of the file", digits_per_millivolt, "the gain that leads share")
     gains, kept = recording.digits_per_millivolt, recording.measured_leads
@@ -67,11 +64,7 @@ def swap(recording: Recording, first: str, second: str) -> Recording:
     """Undo the reversal of two limb electrodes (RA, LA, LL), or of two leads, by their names.
 
     Chest leads are measured against the mean of the limb electrodes, which no reversal alters.
-
-    Raises
-    ------
-    InputError
-        When the two are not of one kind.
+    InputError where the two are not of one kind.
     """
     names = f"{first}-{second}"
     if {first, second} <= set(ELECTRODES[:3]) and first != second:

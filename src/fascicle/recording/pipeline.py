@@ -33,8 +33,7 @@ from fascicle.recording.filters import SAMPLING_STEP, TARGET_RATE, Filter, resam
 from fascicle.recording.lead_groups import LeadGroup, complete_in, lead_groups, stretches
 from fascicle.recording.missing_metadata import MissingMetadataError
 from fascicle.recording.quality.check_result import CheckResult, Severity, listed
-from fascicle.recording.quality.checks import check_leads, check_recording
-from fascicle.recording.quality.mean_beat import check_mean_beat
+from fascicle.recording.quality.checks import check_leads, check_mean_beat, check_recording
 from fascicle.recording.recording import CHECKSUMS_AGREE, Recording, with_remarks
 from fascicle.recording.spikes import find_spikes, remove_spikes
 from fascicle.recording.target import Target

@@ -17,8 +17,7 @@ from fascicle.core.leads import LEADS
 from fascicle.core.netcdf import load_netcdf
 from fascicle.core.ranges import RANGES, shown
 from fascicle.recording.filters import SAMPLING_STEP, Filter, FilterKind, FilterOrigin
-from fascicle.recording.residuals import residual_covariance
-from fascicle.recording.target import Target
+from fascicle.recording.target import Target, residual_covariance
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -241,8 +240,8 @@ def _problems(dataset: xr.Dataset) -> Iterator[str]:
         yield f"beats reach {largest:.4g} mV, possible are {RANGES['potential']}"
     if not np.allclose(np.diff(time), SAMPLING_STEP):  # false for NaN, too
         yield f"time does not run in steps of {SAMPLING_STEP:g} ms"
-    for name in (name for name in NUMBERS if name in attributes):
-        value = attributes[name]
+    for name in NUMBERS:
+        value = attributes.get(name, 0.0)
         if not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
             yield f"{name} is {shown(value)}, not a number"
     noise = attributes.get("stated_noise_mV")

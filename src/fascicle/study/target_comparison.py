@@ -20,8 +20,7 @@ from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Signals, Simulation
 from fascicle.inference.evaluation import Evaluation
 from fascicle.purkinje.tree import InvalidTree
-from fascicle.recording.residuals import repeated
-from fascicle.recording.target import Target
+from fascicle.recording.target import Target, repeated
 from fascicle.study.pool import Threads
 from fascicle.study.simulator import PointSimulator, Remembered
 from fascicle.torso.variation.conductor import InvalidTorso

@@ -6,19 +6,27 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, sosfiltfilt, welch
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.core.leads import LEADS, LIMB_LEADS
+from fascicle.core.leads import CHEST_LEADS, LEADS, LIMB_LEADS
 from fascicle.recording.filter_estimate import estimated_lowpass
-from fascicle.recording.filters import MAINS, Filter, FilterKind, FilterOrigin, coarse
+from fascicle.recording.filters import (
+    MAINS,
+    SAMPLING_STEP,
+    Filter,
+    FilterKind,
+    FilterOrigin,
+    coarse,
+)
 from fascicle.recording.quality.check_result import Check, CheckResult, Severity, leave_out, listed
 from fascicle.recording.quality.limb_leads import check_identities, check_reversal
 from fascicle.recording.recording import Recording
+from fascicle.recording.window import spatial_velocity
 
 FLAT = Check("smallest lead", "uV", 1.0)  # standard deviation below which a lead holds no signal
 CONSTANT = Check("longest constant stretch", "s", 2.0)  # longer than between two beats of most
@@ -26,6 +34,20 @@ DUPLICATED = Check("duplicated leads, correlation", "", 0.9999)
 # for adults, of P. Kligfield et al., Recommendations for the standardization and interpretation of
 # the electrocardiogram, part I, Circulation 115:1306 (2007)
 LOWPASS = Check("recorder's low-pass", "Hz", 150.0)
+SPEED = Check("fastest part of the QRS", "mV/ms", 0.01)
+CHEST = Check("chest leads, misfit ratio", "", 1.5)
+# V1 to V6 of a heart vector (left, down, back) in Frank's torso: G. E. Dower, H. Bastos Machado, J.
+# A. Osborne, On deriving the electrocardiogram from vectorcardiographic leads, Clin. Cardiol. 3:87
+# (1980)
+DOWER = np.array(
+    [
+        [-0.515, 0.157, -0.917], [0.044, 0.164, -1.387], [0.882, 0.098, -1.277],
+        [1.213, 0.127, -0.601], [1.125, 0.127, -0.086], [0.831, 0.076, 0.230],
+    ]
+)  # fmt: skip
+# Standard deviations of what a lead holds besides, over those of the heart vector: shared with its
+# neighbours, and its own; tuned, as the limits, on benchmarks/chest_leads.py
+SHARED, OWN = 0.6, 0.3
 
 
 @dataclass(frozen=True)
@@ -94,11 +116,12 @@ def _check_flatness(recording: Recording) -> list[CheckResult]:
         if len(flat) == len(leads):
             message = "no signal in any lead; correct the unit or the gain, or record again"
     finding = FLAT.found(min(spread.values()), message, Severity.FATAL)
-    constant = {
-        lead: _longest_constant(values) / recording.sampling_rate
-        for lead, values in leads.items()
-        if lead not in flat
-    }
+    constant = {}
+    for lead, values in leads.items():
+        if lead not in flat:
+            changes = np.flatnonzero(np.diff(values))
+            runs = np.diff(np.concatenate([[-1], changes, [len(values) - 1]]))
+            constant[lead] = int(runs.max()) / recording.sampling_rate
     long = [lead for lead, seconds in constant.items() if seconds > CONSTANT.limit]
     longest = max(constant.values(), default=0.0)
     if not long:
@@ -110,12 +133,6 @@ def _check_flatness(recording: Recording) -> list[CheckResult]:
         "up; cut the recording to the part with signal"
     )
     return [finding, CONSTANT.found(longest, message, severity)]
-
-
-def _longest_constant(values: Floats) -> int:
-    """Number of samples of the longest run of equal ones in (n,) values."""
-    changes = np.flatnonzero(np.diff(values))
-    return int(np.diff(np.concatenate([[-1], changes, [len(values) - 1]])).max())
 
 
 def _check_duplicates(recording: Recording) -> list[CheckResult]:
@@ -219,11 +236,11 @@ def _wander(values: Floats, rate: float) -> float:
     return float(above - below)
 
 
-def _resolution(values: Floats) -> float:
-    """Smallest difference between distinct (n,) values (mV); 0 where all are the same."""
+def _resolution(values: Floats, rate: float) -> float:
+    """Smallest difference between distinct (n,) values (uV); 0 where all are the same."""
     gaps = np.diff(np.unique(values[:: max(len(values) // 100_000, 1)]))
-    gaps = gaps[gaps > 1e-7]  # nearer values are one value
-    return float(gaps.min()) if gaps.size else 0.0
+    gaps = gaps[gaps > 1e-7]  # mV; nearer values are one value
+    return 1e3 * float(gaps.min()) if gaps.size else 0.0
 
 
 def _clipped(values: Floats, rate: float) -> float:
@@ -281,9 +298,69 @@ LEAD_CHECKS = (
         "look at the beats, or record again at rest",
     ),
     LeadCheck(
-        "amplitude resolution", "uV", 20.0,  # recorders store 5 uV or finer
-        lambda values, _: 1e3 * _resolution(values),
+        "amplitude resolution", "uV", 20.0, _resolution,  # recorders store 5 uV or finer
         "steps of up to {largest:.0f} uV between the values of {leads}",
         "export the recording with all its digits",
     ),
 )  # fmt: skip
+
+
+def check_mean_beat(qrs: Floats, simultaneous: bool = True) -> tuple[CheckResult, CheckResult]:
+    """Both checks of a mean QRS (12, n), mV, every `SAMPLING_STEP` ms; a T wave has no chest leads.
+
+    `simultaneous` says that all leads were recorded at the same time.
+    """
+    fastest = float(spatial_velocity(qrs, SAMPLING_STEP).max())
+    if fastest >= SPEED.limit:
+        return SPEED.found(fastest), check_chest_leads(qrs, simultaneous)
+    message = (
+        f"the fastest part of the beat moves by {fastest:.4f} mV/ms, slower than any QRS "
+        f"({SPEED.limit:g} or more): a T or P wave was probably taken for the beat; look at the "
+        "picture, choose another class by --class, or give a recording with QRS complexes"
+    )
+    chest = CHEST.found(np.nan, "not checked: no QRS", Severity.FINE)
+    return SPEED.found(fastest, message), chest
+
+
+def check_chest_leads(qrs: Floats, simultaneous: bool = True) -> CheckResult:
+    r"""Suspect two neighbouring chest leads of being exchanged, or one of being upside down.
+
+    The chest leads V (6,) are :math:`V = D h + e`, of a heart vector h, by Dower's matrix D, and a
+    rest e of other torsos, hearts and electrodes. With h and e normally distributed, of covariance
+    1 and C, their misfit is :math:`V^T (D D^T + C)^{-1} V`, summed over the QRS. The figure is the
+    misfit over the least that an exchange of neighbours or an inversion leaves. Limb leads take no
+    part; reversed limb electrodes change no chest lead.
+
+    Parameters
+    ----------
+    qrs : (12, n) array
+        Mean QRS (mV), from the PR segment as zero; absent leads are NaN.
+    simultaneous : bool
+        Whether all leads were recorded at the same time.
+    """
+    chest = qrs[len(LEADS) - len(CHEST_LEADS) : len(LEADS)]
+    if not (simultaneous and np.isfinite(chest).all()):
+        message = "not checked: needs V1 to V6, recorded at the same time"
+        return CHEST.found(np.nan, message, Severity.FINE)
+    apart = np.subtract.outer(np.arange(6), np.arange(6))
+    rest = SHARED**2 * np.exp(-(apart**2) / 2) + OWN**2 * np.eye(6)
+    weight = np.linalg.inv(DOWER @ DOWER.T + rest)
+
+    def misfit(leads: Floats) -> float:
+        return float(np.sum(leads * (weight @ leads)))
+
+    remedies = {}
+    for k, lead in enumerate(CHEST_LEADS):
+        turned = np.where(np.arange(6) == k, -1.0, 1.0)[:, None] * chest
+        remedies[f"lead {lead} is probably upside down", f"--invert {lead}"] = misfit(turned)
+    for k, (lead, other) in enumerate(pairwise(CHEST_LEADS)):
+        order = [*range(k), k + 1, k, *range(k + 2, 6)]
+        what = f"leads {lead} and {other} are probably exchanged"
+        remedies[what, f"--swap {lead}-{other}"] = misfit(chest[order])
+    what, option = min(remedies, key=remedies.__getitem__)
+    ratio = misfit(chest) / remedies[what, option]
+    message = (
+        f"{what}: with that undone the chest leads fit one another {ratio:.1f} times better; look "
+        f"at the picture; to undo it: {option}"
+    )
+    return CHEST.found(ratio, message if ratio > CHEST.limit else "")

@@ -12,7 +12,7 @@ from scipy.ndimage import uniform_filter1d
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS, LIMB_LEADS, lead_matrix, limb_leads_from
 from fascicle.recording.filters import coarse
-from fascicle.recording.morphology import cut
+from fascicle.recording.lead_groups import cut
 from fascicle.recording.quality.check_result import Check, CheckResult, Severity, leave_out
 from fascicle.recording.recording import Recording
 
@@ -76,6 +76,7 @@ def _together(recording: Recording) -> list[tuple[list[int], slice]]:
 def _check_group(recording: Recording, rows: list[int], time: slice) -> list[CheckResult]:
     """Check one set of leads over the samples that they have in common."""
     leads = _detrended(recording.signal[rows, time], recording.sampling_rate)
+    leads = leads[:, :: max(leads.shape[1] // 30_000, 1)]  # relations hold at each sample
     labels, zeros = _identities(rows)
     found, limit = _misfits(leads, zeros), _limit_of(leads)
     broken = np.flatnonzero(found > limit)
@@ -153,7 +154,6 @@ def _explain(
     else each lead with a gain of its own. Reversed electrodes leave every relation intact. FATAL
     when there is an explanation, WARNING when there is none.
     """
-    leads = _thinned(leads)
     names, before = [LIMB_LEADS[row] for row in rows], _worst(leads, zeros)
 
     def holds(changed: Floats) -> bool:
@@ -179,10 +179,9 @@ def _explain(
         what = "does not follow from the other limb leads"
         if holds(np.where(same[best][:, None], gain, 1.0) * leads):
             what = f"is {1 / gain:.2f} times what the other limb leads say"
-        return Severity.FATAL, (
-            f"lead {names[best]} {what}; leave it out, it is then computed from the others: "
-            f"{leave_out(recording, [names[best]])}"
-        )
+        advice = "leave it out, it is then computed from the others:"
+        advice = f"{advice} {leave_out(recording, [names[best]])}"
+        return Severity.FATAL, f"lead {names[best]} {what}; {advice}"
     factors = _factors(leads, zeros)
     # below a ratio of 1.2 they may still be in mV
     if factors is not None and factors.max() > 1.2 * factors.min() and holds(factors * leads):
@@ -199,14 +198,13 @@ def _explain(
 
 def _misfits(leads: Floats, zeros: Floats) -> Floats:
     """How far (mV) each relation ``zeros @ leads`` is from constant: its 99th percentile, (k,)."""
-    rest = zeros @ _thinned(leads)
+    rest = zeros @ leads
     rest = np.abs(rest - np.median(rest, axis=1, keepdims=True))
     return np.asarray(np.percentile(rest, 99.0, axis=1))
 
 
 def _height(leads: Floats) -> float:
     """99th percentile of the largest absolute value among leads (m, n), each less its median."""
-    leads = _thinned(leads)
     centred = np.abs(leads - np.median(leads, axis=1, keepdims=True))
     return float(np.percentile(centred.max(axis=0), 99.0))
 
@@ -214,11 +212,6 @@ def _height(leads: Floats) -> float:
 def _limit_of(leads: Floats) -> float:
     """Misfit (mV) up to which a relation between leads (m, n) holds."""
     return max(0.05, 0.05 * _height(leads))
-
-
-def _thinned(leads: Floats) -> Floats:
-    """Evenly spread samples of leads (m, n), which serve as relations hold at each sample."""
-    return leads[:, :: max(leads.shape[1] // 30_000, 1)]
 
 
 def _worst(leads: Floats, zeros: Floats) -> float:
@@ -309,8 +302,7 @@ def _median_beat(recording: Recording, peaks: Integers) -> Floats:
 
     Leads recorded at other times give their own beats; NaN where they have fewer.
     """
-    before = round(0.26 * recording.sampling_rate)
-    after = round(0.10 * recording.sampling_rate)
+    before, after = (round(s * recording.sampling_rate) for s in (0.26, 0.10))
     median = np.full((len(LEADS), before + after + 1), np.nan)
     for row, (start, stop) in enumerate(recording.spans):
         own = peaks[(peaks - before >= start) & (peaks + after < stop)]
