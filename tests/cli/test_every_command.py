@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from rich.progress import Progress as Bars
 
-from fascicle.cli.output import Output, TerminalProgress, _plain
+from fascicle.cli.output import Output, TerminalProgress, _as_json
 from fascicle.core.errors import ValueRefusedError
 from fascicle.core.progress import ProgressLines, shown_progress, time_left, write_with_time
 from fascicle.prediction.index_names import COMPARED, INDICES
@@ -133,7 +133,7 @@ def test_log_that_cannot_be_written(refused, tmp_path):
 
 def test_plain_json():
     given = {"a": np.array([1.0, np.nan]), 2: np.float32(0.5), "p": Path("x"), "t": (1, "b")}
-    assert _plain(given) == {"a": [1.0, None], "2": 0.5, "p": "x", "t": [1, "b"]}
+    assert json.loads(_as_json(given)) == {"a": [1.0, None], "2": 0.5, "p": "x", "t": [1, "b"]}
 
 
 class TestProgress:

@@ -468,11 +468,9 @@ def report(
     from fascicle.forward.scenario_files import read_scenarios
     from fascicle.reporting.page.page import PACINGS
     from fascicle.reporting.page.page import report as write_report
-    from fascicle.reporting.style import check_kinds
     from fascicle.study.fit import load_study
 
     kinds, wanted = figures or [], read_scenarios(scenario or PACINGS)
-    check_kinds(kinds)
     with TerminalProgress() as progress:
         fitted = load_study(study, progress, pool_at(scheduler, progress))
         page, *drawn = write_report(fitted, wanted, out, progress, kinds, against)
@@ -532,10 +530,8 @@ def demo(
     print_fit(fitted, written_summary(out / "study"))
     print_prediction(predicted)
     print_reductions(predicted, BLOCK)
-    page = (out / "report.html").resolve()
+    page = out / "report.html"
     print(f"\nin {out}: the recording (target.png), the study, pacings, figures (docs/results.md)")
-    print(f"to read in a browser: {page.as_uri()}")
-    parts = ("study", "pacings")
-    return {"folder": out, "page": out / "report.html"} | {
-        p: written_summary(out / p) for p in parts
-    }
+    print(f"to read in a browser: {page.resolve().as_uri()}")
+    parts = {part: written_summary(out / part) for part in ("study", "pacings")}
+    return {"folder": out, "page": page} | parts

@@ -177,11 +177,14 @@ def heart_build(
     from fascicle.reporting.heart import labels_figure
     from fascicle.reporting.style import save
 
+    given = _numbers("--labels", labels) or {}
+    if any(len(values) > 1 for values in given.values()):
+        raise InputError(f"--labels {labels}: give every name once, such as lv=3,rv=4")
     parts = {"lv": lv_endocardium, "rv": rv_endocardium, "epicardium": epicardium, "base": base}
     source = Source(
         file=anatomy,
         parts={part: path for part, path in parts.items() if path is not None},
-        labels=_label_numbers(labels),
+        labels={name: values[0] for name, values in given.items()} if given else None,
         label_array=label_array,
         labels_file=labels_file,
         remesh=remesh or None,
@@ -330,13 +333,9 @@ def heart_refine(heart: HeartArgument, out: OutOption) -> Result:
     with TerminalProgress() as progress:
         finer = refined(coarse, progress)
     found = _write_and_check(finer, out)
-    print_table(
-        [
-            ("", "before", "after"),
-            ("tetrahedra", *(f"{len(each.tetrahedra)}" for each in (coarse, finer))),
-            ("mean edge, mm", *(f"{each.edge_length:.2f}" for each in (coarse, finer))),
-        ]
-    )
+    sizes = ("tetrahedra", *(f"{len(each.tetrahedra)}" for each in (coarse, finer)))
+    edges = ("mean edge, mm", *(f"{each.edge_length:.2f}" for each in (coarse, finer)))
+    print_table([("", "before", "after"), sizes, edges])
     return found
 
 
@@ -474,14 +473,6 @@ def _growable_charts(heart: Heart, sources: Mapping[str, object]) -> dict[str, C
     return charts
 
 
-def _label_numbers(labels: str | None) -> dict[str, int] | None:
-    """Read 'lv=3,rv=4' as names and numbers."""
-    numbers = _numbers("--labels", labels)
-    if numbers is not None and any(len(values) > 1 for values in numbers.values()):
-        raise InputError(f"--labels {labels}: give every name once, such as lv=3,rv=4")
-    return None if numbers is None else {name: values[0] for name, values in numbers.items()}
-
-
 def _numbers(option: str, text: str | None) -> dict[str, tuple[int, ...]] | None:
     """Read 'lv=1,lv=8,rv=2' as names and the numbers of each."""
     if text is None:
@@ -521,12 +512,11 @@ def _torso(options: Mapping[str, Any], electrodes: Path | None) -> TorsoOptions:
 
 def _seeds(options: Mapping[str, Any]) -> dict[str, tuple[ChosenSeed, ChosenSeed]]:
     """Root and direction of the left and of the right bundle, as the options say."""
-    named = [(f"--{name.replace('_', '-')} {options[name]}", options[name]) for name in SEEDS]
-    seeds = [_seed(where, text) for where, text in named]
-    return {"lv": (seeds[0], seeds[1]), "rv": (seeds[2], seeds[3])}
+    lv, lv_to, rv, rv_to = (_seed(name, options[name]) for name in SEEDS)
+    return {"lv": (lv, lv_to), "rv": (rv, rv_to)}
 
 
-def _seed(where: str, text: str | None) -> ChosenSeed:
+def _seed(name: str, text: str | None) -> ChosenSeed:
     """The number of a point, or three coordinates (mm)."""
     if text is None:
         return None
@@ -535,8 +525,8 @@ def _seed(where: str, text: str | None) -> ChosenSeed:
     values = _floats(text, 3)
     if values is None:
         raise InputError(
-            f"{where}: give the number of a point of the endocardium, from 0, or its position "
-            "x,y,z (mm)"
+            f"--{name.replace('_', '-')} {text}: give the number of a point of the endocardium, "
+            "from 0, or its position x,y,z (mm)"
         )
     return values[0], values[1], values[2]
 

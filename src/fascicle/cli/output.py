@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import io
 import json
-import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,6 +16,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
+from pydantic_core import to_jsonable_python
 
 from fascicle.cli.options import option, with_options
 from fascicle.core.errors import InputError, OutputError
@@ -63,7 +63,7 @@ def every_command(command: Callable[..., Result]) -> Callable[..., None]:
             if taken >= 60.0:
                 print(f"took {duration(taken)}", file=sys.stderr)
         if as_json:
-            print(json.dumps(_plain(result), indent=2))
+            print(_as_json(result))
         if status:
             raise typer.Exit(status)
 
@@ -116,7 +116,12 @@ _output: ContextVar[Output | None] = ContextVar("output of the command that runs
 def _redirected(quiet: bool, as_json: bool, log: Path | None) -> Iterator[None]:
     """Send what the block prints to the screen and to the log, as the options say."""
     with ExitStack() as around:
-        file = around.enter_context(_opened(log)) if log is not None else None
+        file = None
+        if log is not None:
+            try:
+                file = around.enter_context(log.open("a", encoding="utf-8"))
+            except OSError as error:
+                raise OutputError(f"{log}: {error.strerror}; give another --log") from None
         output = Output(None if quiet else sys.stderr, file)
         output.note(" ".join(["fascicle", *sys.argv[1:]]))
         words = None if quiet or as_json else sys.stdout
@@ -161,26 +166,10 @@ class _Copied(io.TextIOBase):
         return self._stream.encoding if self._stream is not None else "utf-8"
 
 
-def _opened(log: Path) -> TextIO:
-    try:
-        return log.open("a", encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{log}: {error.strerror}; give another --log") from None
-
-
-def _plain(value: Any) -> Any:
-    """Convert to JSON's types: NumPy numbers to numbers, those that are not finite to null."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, Path):
-        return str(value)
-    if isinstance(value, str | bool | int) or value is None:
-        return value
-    if hasattr(value, "tolist"):  # arrays and scalars of NumPy
-        return _plain(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return [_plain(item) for item in value]
+def _as_json(result: Result) -> str:
+    """JSON of a result, with NumPy's numbers; those that are not finite are null."""
+    plain = to_jsonable_python(result, inf_nan_mode="null", fallback=lambda array: array.tolist())
+    return json.dumps(plain, indent=2)
 
 
 class TerminalProgress(ProgressLines):

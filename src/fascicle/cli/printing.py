@@ -21,10 +21,8 @@ def print_simulation(simulation: Simulation, summary: Mapping[str, Any]) -> None
     from fascicle.reporting.names import MEASURES
 
     print_row("total activation time", f"{simulation.total_activation_time:.1f} ms")
-    for measure, value in (
-        (MEASURES["qrs_duration_ms"], simulation.qrs_duration),
-        (MEASURES["global_qrs_duration_ms"], simulation.global_qrs_duration),
-    ):
+    for name in ("qrs_duration", "global_qrs_duration"):
+        measure, value = MEASURES[f"{name}_ms"], getattr(simulation, name)
         print_row(measure.name, f"{value:.0f} {measure.unit} ({measure.meaning})")
     for side, tree in summary["trees"].items():
         retrograde, inactive = tree["retrograde_junctions"], tree["not_activated_junctions"]
@@ -82,18 +80,12 @@ def _print_agreement(summary: Mapping[str, Any]) -> None:
         return
     explained, correlation = summary["explained_power"], summary["correlation"]
     leads = [lead for lead, value in explained.items() if lead != "all" and value is not None]
-    print_row(
-        "mean of the networks",
-        f"{explained['all']:.0%} of the QRS explained, correlation {correlation['all']:.2f} over "
-        "all leads",
-    )
-    print_table(
-        [
-            ("", *leads),
-            ("  explained", *(f"{explained[lead]:.0%}" for lead in leads)),
-            ("  correlation", *(f"{correlation[lead]:.2f}" for lead in leads)),
-        ]
-    )
+    share = f"{explained['all']:.0%} of the QRS explained"
+    over_all = f"correlation {correlation['all']:.2f} over all leads"
+    print_row("mean of the networks", f"{share}, {over_all}")
+    shares = ("  explained", *(f"{explained[lead]:.0%}" for lead in leads))
+    alike = ("  correlation", *(f"{correlation[lead]:.2f}" for lead in leads))
+    print_table([("", *leads), shares, alike])
     if any(explained[lead] < 0 for lead in leads):
         print_row("", "below 0: further from the recorded lead than a flat line")
     for key, measure in MEASURES.items():
@@ -127,9 +119,8 @@ def _print_population(population: Population) -> None:
     for name, unit, digits in (("root_time", " ms", 1), ("cv", " m/s", 1), ("alpha", "", 3)):
         if name in population.values:
             values = population.values[name]
-            middle, low, high = (
-                f"{value:.{digits}f}" for value in (np.median(values), values.min(), values.max())
-            )
+            ends = np.median(values), values.min(), values.max()
+            middle, low, high = (f"{value:.{digits}f}" for value in ends)
             print_row(name, f"{middle}{unit} ({low} to {high})")
 
 
@@ -149,10 +140,8 @@ def print_prediction(
 
     shown = ("qrs_duration", "global_qrs_duration", "total_activation_time")
     rows = [("scenario", *map(index_label, shown))]
-    rows += [
-        (name, *(interval(found.indices[index]) for index in shown))
-        for name, found in predicted.items()
-    ]
+    for name, found in predicted.items():
+        rows.append((name, *(interval(found.indices[index]) for index in shown)))
     print_table(rows)
     print("medians (90 % of the networks)")
     for measure in MEASURES.values():
@@ -212,10 +201,8 @@ def print_comparison(predicted: Mapping[str, Predicted], result: Mapping[str, An
         reduction = f"{round(median)} {found['unit']} (90 % CrI {round(low)} to {round(high)})"
         rows.append((index_name(name), f"{found['probability']:.2f}", reduction))
     print_table(rows)
-    print(
-        f"{index_name(index)}: P(reduction > {threshold:g} {INDICES[index]}) = "
-        f"{result['probability']:.2f} ± {result['standard_error']:.2f}"
-    )
+    probability = f"{result['probability']:.2f} ± {result['standard_error']:.2f}"
+    print(f"{index_name(index)}: P(reduction > {threshold:g} {INDICES[index]}) = {probability}")
     shares = [f"{n} {share:.0%}" for n, share in [*result["variance_explained_by"].items()][:3]]
     if not shares:
         print("variance explained by the parameters: too few independent networks")

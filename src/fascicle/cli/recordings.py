@@ -258,9 +258,8 @@ def _figure(value: float) -> str:
 def _picture_path(out: Path, recording: Path, kind: str) -> Path:
     """Path of the page; neither it nor the target may replace the recording or a folder."""
     picture = out.with_suffix(f".{kind}") if out.name else out
-    for path in (out, picture):
-        exists = path.exists()
-        if exists and (not path.is_file() or (recording.exists() and path.samefile(recording))):
+    for path in (p for p in (out, picture) if p.exists()):
+        if not path.is_file() or (recording.exists() and path.samefile(recording)):
             raise OutputError(
                 f"{path}: is the recording itself, or not an ordinary file; give another name "
                 "to write to, such as target.nc (--out)"

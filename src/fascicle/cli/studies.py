@@ -95,7 +95,9 @@ def study_compare(
         line = [name, *("-" if one is None else interval(one, ".3g") for one in found), ""]
         first, second, *others = found
         if first is not None and second is not None and not others:
-            apart[name] = _mean_difference(first, second)
+            distance, both = abs(np.median(first) - np.median(second)), (first.std(), second.std())
+            with np.errstate(divide="ignore"):
+                apart[name] = float(distance / np.hypot(*both)) if distance else 0.0
             line[-1] = f"{apart[name]:.1f}"
             lines[0][-1] = "apart (SD)"
         lines.append(line)
@@ -154,15 +156,6 @@ def _parameters(fitted: FittedStudy) -> Mapping[str, Floats]:
     if not len(population) or (isinstance(population, Posterior) and not population.converged):
         return {}
     return population.values
-
-
-def _mean_difference(one: Floats, other: Floats) -> float:
-    """Distance of the medians in standard deviations of both."""
-    import numpy as np
-
-    spread = float(np.hypot(one.std(), other.std()))
-    distance = abs(float(np.median(one) - np.median(other)))
-    return distance / spread if spread else float("inf") if distance else 0.0
 
 
 def cohort(

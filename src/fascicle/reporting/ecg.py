@@ -231,8 +231,8 @@ def _limits(target: Target, mean: Floats) -> tuple[float, float]:
 
 def _draw_window(axes: Axes, target: Target) -> None:
     axes.axvspan(target.qrs_onset, target.qrs_offset, zorder=0.2, **WINDOW)
-    onset, offset = (target.qrs_onset, target.onset_sd), (target.qrs_offset, target.offset_sd)
-    for end, spread in (onset, offset):
+    ends = (target.qrs_onset, target.onset_sd), (target.qrs_offset, target.offset_sd)
+    for end, spread in ends:
         if spread > 0:
             axes.axvspan(end - spread, end + spread, zorder=0.3, **UNCERTAIN)
         axes.axvline(end, color="black", linewidth=0.7, zorder=1.5)

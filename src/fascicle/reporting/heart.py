@@ -201,10 +201,8 @@ def _draw_torso(axes: Axes, view: View, heart: Heart) -> None:
     box = view.box(np.concatenate([vertices, electrodes]))
     draw_surfaces(axes, view, *parts, box=box, size=1.1 * np.ptp(box, axis=0))
     screen = view.project(electrodes)[:, :2]
-    colours = [
-        Colour.GREEN if k >= len(ELECTRODES) else Colour.VERMILION if k < 3 else Colour.BLUE
-        for k in range(len(names))
-    ]
+    colours = [Colour.VERMILION] * 3 + [Colour.BLUE] * 6
+    colours += [Colour.GREEN] * (len(names) - len(ELECTRODES))
     x, y = screen.T
     size = 22 if len(names) < 40 else 8
     axes.scatter(x, y, s=size, c=colours, edgecolors="white", linewidths=0.6, zorder=3)

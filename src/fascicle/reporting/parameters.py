@@ -155,9 +155,8 @@ def convergence_figure(losses: Floats, stages: Sequence[str], null: float) -> Fi
     _draw_stages(axes, stages)
     number, feasible = np.arange(1, len(losses) + 1), np.isfinite(losses)
     dots: dict[str, Any] = {"markersize": 3, "markeredgewidth": 0, "alpha": 0.6}
-    axes.plot(
-        number[feasible], losses[feasible], "o", color=Colour.BLUE, label="evaluation", **dots
-    )
+    dots |= {"color": Colour.BLUE, "label": "evaluation"}
+    axes.plot(number[feasible], losses[feasible], "o", **dots)
     best = np.fmin.accumulate(losses)
     axes.step(number, best, where="post", color=Colour.VERMILION, label="best so far")
     if not feasible.all():

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
-from matplotlib.figure import Figure
 
 from fascicle.core.arrays import Floats
 from fascicle.core.files import atomic_folder, write_bytes, write_text
@@ -67,19 +66,15 @@ def write_prediction(
         for number, (name, found) in enumerate(predicted.items()):
             report(number, len(predicted))
             _write_scenario(folder / name, found, heart)
-            for stem, figure in zip(pictures, _drawn(heart, predicted, name), strict=True):
+            both = {each: predicted[each] for each in dict.fromkeys((INTRINSIC, name))}
+            figures = (
+                scenario_ecg_figure(predicted, name),
+                scenario_activation_figure(heart, predicted, name),
+                spread_figure(heart, both),  # on one scale
+            )
+            for stem, figure in zip(pictures, figures, strict=True):
                 save(mark(figure, caution), folder / name / f"{stem}.{kind}")
         report(len(predicted), len(predicted))
-
-
-def _drawn(heart: Heart, predicted: Mapping[str, Predicted], name: str) -> list[Figure]:
-    """Figures of a scenario, with the intrinsic beat on the same scales."""
-    shown = {each: predicted[each] for each in dict.fromkeys((INTRINSIC, name))}
-    return [
-        scenario_ecg_figure(predicted, name),
-        scenario_activation_figure(heart, predicted, name),
-        spread_figure(heart, shown),
-    ]
 
 
 def write_sweep(fitted: FittedStudy, swept: Swept, name: str, index: str, out: Path) -> None:
@@ -135,8 +130,7 @@ def index_table(predicted: Mapping[str, Predicted]) -> str:
         table.insert(0, "network", np.arange(len(table)))
         table.insert(0, "scenario", name)
         tables.append(table)
-    text = pd.concat(tables).to_csv(index=False, float_format="%.2f", lineterminator="\n")
-    return str(text)
+    return str(pd.concat(tables).to_csv(index=False, float_format="%.2f", lineterminator="\n"))
 
 
 def latest_segments(found: Predicted) -> dict[str, float]:

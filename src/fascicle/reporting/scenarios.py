@@ -68,11 +68,10 @@ def scenario_ecg_figure(predicted: Mapping[str, Predicted], name: str) -> Figure
     intrinsic, found = _with_intrinsic(predicted, name)
     shown = [intrinsic] if found is intrinsic else [intrinsic, found]
     time, ecgs = qrs_aligned(*shown)
+    looks = ((INTRINSIC, Colour.GREY), (style.short(name), Colour.VERMILION))
     groups = [
         EcgGroup(label, "network", time, leads[:, : len(LEADS)], colour, 0.9)
-        for label, leads, colour in zip(
-            (INTRINSIC, style.short(name)), ecgs, (Colour.GREY, Colour.VERMILION), strict=False
-        )
+        for (label, colour), leads in zip(looks, ecgs, strict=False)
     ]
     return ecg_figure(groups, "Predicted ECG", time_zero="QRS onset")
 

@@ -51,7 +51,20 @@ def drawings(
     best = ActivationRow.of("best network", fitted.best_network.simulation).since_first()
     activations = np.array([network.simulation.activation for network in networks])
     spread = ActivationRow("all networks", activation_maps(activations)["activation_sd"])
-    drawn = _of_recordings(fitted, networks)
+    # of file names and of texts
+    counts = range(1, len(fitted.recordings) + 1)
+    suffixes = ["", *(f"-{count}" for count in counts[1:])]
+    called = [f"Recording {count}" if len(counts) > 1 else "Recording" for count in counts]
+    drawn: dict[str, Drawing] = {}
+    for number, recording in enumerate(fitted.recordings):
+        its = fitted.networks(recording=number) if number else networks
+        agreed = agreement(recording.target, its)
+        drawn[f"ecg{suffixes[number]}"] = Drawing(
+            _ecg(recording.target, its, agreed),
+            f"{called[number]}: QRS of its beats and of the networks. Lines are means, bands hold "
+            "90 % of the beats or networks. Time is counted from the R peak.",
+            agreed,
+        )
     drawn["activation"] = Drawing(
         activation_figure(heart, [best], SINCE_FIRST),
         "Activation of the best network, which has the lowest mismatch.",
@@ -75,10 +88,8 @@ def drawings(
     for drawing in drawn.values():
         mark(drawing.figure, fitted.statements.caution_text)
     for number, recording in enumerate(fitted.recordings):
-        drawn[f"recording{_suffix(number)}"] = Drawing(
-            target_figure(recording.target),
-            f"Recording{_numbered(fitted, number)}: its beats and the QRS window of the fit.",
-        )
+        text = f"{called[number]}: its beats and the QRS window of the fit."
+        drawn[f"recording{suffixes[number]}"] = Drawing(target_figure(recording.target), text)
     drawn["convergence"] = Drawing(
         loss_figure(fitted),
         "Mismatch of every evaluation, in order. A network on the broken line matches the "
@@ -115,29 +126,6 @@ def recorded_ecg_figure(fitted: FittedStudy, recording: int, networks: Sequence[
     check_population(fitted)
     target = fitted.recordings[recording].target
     return _ecg(target, networks, agreement(target, networks))
-
-
-def _suffix(number: int) -> str:
-    return f"-{number + 1}" if number else ""
-
-
-def _numbered(fitted: FittedStudy, number: int) -> str:
-    return f" {number + 1}" if len(fitted.recordings) > 1 else ""
-
-
-def _of_recordings(fitted: FittedStudy, networks: Sequence[Network]) -> dict[str, Drawing]:
-    """Recorded and predicted QRS of every recording."""
-    drawn: dict[str, Drawing] = {}
-    for number, recording in enumerate(fitted.recordings):
-        its = fitted.networks(recording=number) if number else networks
-        agreed = agreement(recording.target, its)
-        drawn[f"ecg{_suffix(number)}"] = Drawing(
-            _ecg(recording.target, its, agreed),
-            f"Recording{_numbered(fitted, number)}: QRS of its beats and of the networks. Lines "
-            "are means, bands hold 90 % of the beats or networks. Time is counted from the R peak.",
-            agreed,
-        )
-    return drawn
 
 
 def _ecg(target: Target, networks: Sequence[Network], found: Agreement) -> Figure:

@@ -146,9 +146,7 @@ def _rendered(
         )  # fmt: skip
     right, up, away = view.axes
     focus = view.centre + middle @ np.array([right, up])
-    reach = 2 * max(
-        float(np.abs(surface.vertices - focus).max(initial=1.0)) for surface in surfaces
-    )
+    reach = 2 * max(float(np.abs(s.vertices - focus).max(initial=1.0)) for s in surfaces)
     camera = plotter.camera
     camera.focal_point, camera.position, camera.up = focus, focus - reach * away, up
     camera.parallel_projection, camera.parallel_scale = True, size[1] / 2
@@ -169,9 +167,8 @@ def _plotter() -> Any:
         plotter = pyvista.Plotter(off_screen=True, lighting="none")
     finally:
         vtkLogger.SetStderrVerbosity(before)
-    if plotter.render_window.GetClassName() == "vtkOSOpenGLRenderWindow" and not find_library(
-        "OSMesa"
-    ):
+    without_screen = plotter.render_window.GetClassName() == "vtkOSOpenGLRenderWindow"
+    if without_screen and not find_library("OSMesa"):
         return None
     plotter.set_background("white")
     plotter.enable_anti_aliasing("msaa")

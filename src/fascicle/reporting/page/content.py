@@ -66,24 +66,22 @@ def meaning(fitted: FittedStudy) -> list[str]:
             "The two runs are incomplete or disagree: do not rely on any number below. "
             "A warning says how to continue."
         ]
-    agree = (
+    said = [
         f"Two independent runs agree. The {count} networks below are equally probable; their "
         "spread is the uncertainty that remains given the ECG."
-    )
-    if checks is None:
-        return [agree]
-    if checks.acceptable:
-        return [
-            agree,
-            f"{checks.said}. The QRS duration, the frontal axis and the independent "
-            "leads are within the range that the networks predict.",
-        ]
-    return [
-        agree,
-        f"They do not reproduce the recorded QRS: {'; '.join(checks.failures)}. The heart, the "
-        "torso or the model does not match the patient: the intervals below come from a model that "
-        "does not fit.",
     ]
+    if checks is not None and checks.acceptable:
+        said.append(
+            f"{checks.said}. The QRS duration, the frontal axis and the independent "
+            "leads are within the range that the networks predict."
+        )
+    elif checks is not None:
+        said.append(
+            f"They do not reproduce the recorded QRS: {'; '.join(checks.failures)}. The heart, the "
+            "torso or the model does not match the patient: the intervals below come from a model "
+            "that does not fit."
+        )
+    return said
 
 
 def correlations(fitted: FittedStudy) -> list[str]:
@@ -129,20 +127,22 @@ def learnt(config: StudyConfig) -> list[Row]:
 def held(fitted: FittedStudy) -> list[Row]:
     """Quantities with a fixed value that affects the result."""
     config, model = fitted.study.config, fitted.simulator.model
-    regions = {
-        f"region_{region.label}_conductivity": region.conductivity
-        for region in model.conduction.regions
-    }
+    found = model.conduction.regions
+    regions = {f"region_{region.label}_conductivity": region.conductivity for region in found}
     values = {**config.growth, **config.conduction, **regions, **config.fixed}
     without_effect = {*config.parameter_space.names}
     if {*without_effect, *config.fixed} & {*SPEED}:  # one of them replaces the others
         without_effect |= {*SPEED} - {*config.fixed}
     without_effect |= {"body", "lung", "blood"} if model.heart.torso is None else {"torso"}
-    return [
-        _held(name, value)
-        for name, value in values.items()
-        if value is not None and name not in without_effect and not name.startswith("of ")
-    ]
+    rows: list[Row] = []
+    for name, value in values.items():
+        if value is None or name in without_effect or name.startswith("of "):
+            continue
+        if name in CONDUCTIVITIES:
+            rows.append((CONDUCTIVITIES[name], "", f"{value:g} mS/cm"))
+        else:
+            rows.append((parameter_name(name), name, _with_unit(f"{value:g}", quantity(name).unit)))
+    return rows
 
 
 def settings(config: StudyConfig) -> dict[str, Any]:
@@ -163,15 +163,8 @@ def recordings(fitted: FittedStudy) -> list[tuple[str, str]]:
     return [(name, value) for name, value in rows if value]
 
 
-def digests(config: StudyConfig) -> list[tuple[str, str]]:
-    """Hashes that identify the heart and the targets."""
-    targets = (config.target, *config.other_targets)
-    return [("heart (SHA-256)", config.heart), ("target (SHA-256)", ", ".join(targets))]
-
-
 def _prior_text(parameter: Parameter) -> str:
-    unit = "" if parameter.unit == "1" else f" {parameter.unit}"
-    within = f"{parameter.lower:.4g} to {parameter.upper:.4g}{unit}"
+    within = _with_unit(f"{parameter.lower:.4g} to {parameter.upper:.4g}", parameter.unit)
     if parameter.median is None or parameter.sd is None:
         return f"{parameter.prior}, {within}"
     of = " of the logarithm" if parameter.prior == "log-normal" else ""
@@ -179,11 +172,8 @@ def _prior_text(parameter: Parameter) -> str:
     return f"{parameter.prior}, {middle}, within {within}"
 
 
-def _held(name: str, value: float) -> Row:
-    if name in CONDUCTIVITIES:
-        return CONDUCTIVITIES[name], "", f"{value:g} mS/cm"
-    unit = quantity(name).unit
-    return parameter_name(name), name, f"{value:g}" if unit == "1" else f"{value:g} {unit}"
+def _with_unit(text: str, unit: str) -> str:
+    return text if unit == "1" else f"{text} {unit}"
 
 
 def commands(fitted: FittedStudy, predicted: Mapping[str, Predicted], against: str) -> list[str]:

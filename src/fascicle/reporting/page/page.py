@@ -33,7 +33,6 @@ from fascicle.reporting.names import MEASURES, index_label
 from fascicle.reporting.page.content import (
     commands,
     correlations,
-    digests,
     held,
     learnt,
     meaning,
@@ -92,9 +91,9 @@ def report(
         If the study has no network, a scenario does not exist or does not fit the heart, or
         `against` is not one of the scenarios.
     """
+    check_kinds(figures)
     fitted = as_study(fitted, progress)
     check_population(fitted)
-    check_kinds(figures)
     scenarios = with_intrinsic_beat(as_scenarios(scenarios))
     check_text(against, "against")
     if against not in scenarios:
@@ -161,7 +160,9 @@ def _content(
 ) -> dict[str, Any]:
     from fascicle import __version__
 
-    config, said = fitted.study.config, fitted.statements
+    config, said, population = fitted.study.config, fitted.statements, fitted.population
+    apart = population.means_apart if isinstance(population, Posterior) else {}
+    furthest = max(apart.items(), key=lambda item: item[1], default=None)
     sources = [p.target.provenance.get("source", "a target") for p in fitted.recordings]
     return {
         "version": __version__,
@@ -183,12 +184,17 @@ def _content(
         "columns": [index_label(index) for index in SHOWN],
         "rows": [_row(name, found) for name, found in predicted.items()],
         "evaluations": len(fitted.study.records()),
-        "population": fitted.population,
-        "furthest": _furthest(fitted),
+        "population": population,
+        "furthest": furthest,  # parameter by which the two runs differ most, and how many SD
         "prior_simulations": config.prior_simulations,
         "learnt": learnt(config),
         "held": held(fitted),
-        "inputs": [*settings(config).items(), *recordings(fitted), *digests(config)],
+        "inputs": [
+            *settings(config).items(),
+            *recordings(fitted),
+            ("heart (SHA-256)", config.heart),
+            ("target (SHA-256)", ", ".join((config.target, *config.other_targets))),
+        ],
         "commands": commands(fitted, predicted, against),
     }
 
@@ -197,13 +203,6 @@ def _row(name: str, found: Predicted) -> tuple[str, list[Any], tuple[str, float]
     """Percentiles of the indices of the table, and the segment most often activated last."""
     cells = [np.nanpercentile(found.indices[index], [5, 50, 95]) for index in SHOWN]
     return name, cells, next(iter(latest_segments(found).items()))
-
-
-def _furthest(fitted: FittedStudy) -> tuple[str, float] | None:
-    """The parameter whose means in the two runs differ most, and by how many SD."""
-    if not isinstance(fitted.population, Posterior):
-        return None
-    return max(fitted.population.means_apart.items(), key=lambda item: item[1])
 
 
 def _template() -> Any:
