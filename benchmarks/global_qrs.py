@@ -29,10 +29,10 @@ from numpy.typing import NDArray
 import fascicle
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
-from fascicle.recording.analysis import Analysis
 from fascicle.recording.corrections import share_gain
 from fascicle.recording.detection import r_peaks
 from fascicle.recording.filters import resample
+from fascicle.recording.pipeline import Analysis
 from fascicle.recording.recording import Recording
 from fascicle.recording.target import Target
 

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import LEADS
-from fascicle.recording.analysis import Unused
+from fascicle.recording.beats import Unused
 from fascicle.recording.pipeline import analyse
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Recording

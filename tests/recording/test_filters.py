@@ -13,16 +13,11 @@ from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.recording.detection import r_peaks
 from fascicle.recording.filter_estimate import estimated_lowpass, passed_filters
-from fascicle.recording.filters import (
-    Filter,
-    FilterKind,
-    FilterOrigin,
-    applied_filters,
-    combined_gain,
-)
+from fascicle.recording.filters import Filter, FilterKind, FilterOrigin, applied_filters
 from fascicle.recording.pipeline import analyse
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Filters, Recording
+from fascicle.recording.target import Target
 from fascicle.recording.target_options import TargetOptions
 from fascicle.study.recordings import target_digest
 
@@ -64,8 +59,10 @@ def test_gains_of_several_multiply():
     other = Filter(FilterKind.LOW_PASS, 100.0, RECORDER, 4.0)
     frequency = np.linspace(0, 200, 21)
     product = one.gain(frequency) * other.gain(frequency)
-    np.testing.assert_array_equal(combined_gain((one, other), frequency), product)
-    assert (combined_gain((), frequency) == 1.0).all()
+    plain = Target(np.zeros((2, 12, 50)), np.arange(-20.0, 30.0), -10.0, 20.0, 60.0)
+    behind = replace(plain, filters=(one, other))
+    np.testing.assert_allclose(behind.response(frequency / 1000), product, rtol=1e-12)
+    assert plain.response is None
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,9 @@ from matplotlib.colors import same_color, to_hex
 from matplotlib.text import Text
 
 from fascicle.core.leads import LEADS
-from fascicle.recording.analysis import Analysis, Beat, BeatClass, Drift, Unused
+from fascicle.recording.beats import Beat, Drift, Unused
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
+from fascicle.recording.pipeline import Analysis, BeatClass
 from fascicle.recording.recording import Recording
 from fascicle.recording.target import Target
 from fascicle.reporting.recording import class_colours, recording_figure, strip_span

@@ -12,8 +12,7 @@ from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenarios
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import predict
-from fascicle.recording.analysis import Analysis
-from fascicle.recording.pipeline import analyse
+from fascicle.recording.pipeline import Analysis, analyse
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.target_files import write_target
 from fascicle.reporting.page.page import PACINGS, write_report

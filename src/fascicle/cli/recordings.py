@@ -16,7 +16,7 @@ from fascicle.core.errors import InputError, OutputError
 from fascicle.recording.readers.formats import known_formats
 
 if TYPE_CHECKING:
-    from fascicle.recording.analysis import Analysis
+    from fascicle.recording.pipeline import Analysis
     from fascicle.recording.quality.check_result import CheckResult
     from fascicle.recording.target import Target
 
@@ -145,7 +145,7 @@ def target(
 
 def print_analysis(analysis: Analysis) -> None:
     """Print the analysis of a recording, every check with its value, and the warnings."""
-    from fascicle.recording.analysis import Unused
+    from fascicle.recording.beats import Unused
 
     recording = analysis.recording
     print_row(

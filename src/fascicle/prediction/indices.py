@@ -35,24 +35,14 @@ KORS = np.array(
 
 @dataclass(frozen=True)
 class Territories:
-    """Volumes (mm³) of a heart's elements, and where these lie.
-
-    Attributes
-    ----------
-    segment : (m,) array
-        Of the left ventricle, 1 to 17; 0 in the free wall of the right one.
-    left_free_wall : (m,) bool array
-        The left ventricle without the septum.
-    left, right : arrays
-        Vertices of the left ventricle with the septum, and of the free wall of the right one.
-    """
+    """Volumes (mm³) of a heart's m elements, and where these lie."""
 
     tetrahedra: Integers
     volumes: Floats
-    segment: Integers
-    left_free_wall: Booleans
-    left: Integers
-    right: Integers
+    segment: Integers  # (m,), of the left ventricle, 1 to 17; 0 in the free wall of the right one
+    left_free_wall: Booleans  # (m,), the left ventricle without the septum
+    left: Integers  # vertices of the left ventricle with the septum
+    right: Integers  # vertices of the free wall of the right one
 
     @classmethod
     def of(cls, heart: Heart, places: Places) -> Territories:

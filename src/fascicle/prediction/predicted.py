@@ -22,26 +22,14 @@ RINGING = 40  # samples on either side, for the ringing of the recorder's filter
 class PredictedBeat:
     """Data stored for one simulation; times are in single precision to save memory.
 
-    Attributes
-    ----------
-    leads : (12 + k, n_time) array
-        ECG (mV) every 1 ms, with the gain that matches the recording best, or that was drawn.
-    filtered : (12 + k, n_time + 2 * `RINGING`) array
-        The ECG after the recorder's filters, with `RINGING` samples more on either side. Indices
-        are not measured on it, because steep filters ring about the QRS.
-    activation : (n,) array
-        Activation time of each vertex of the heart (ms); inf if not activated.
-    trees : tuple of (PurkinjeTree, (n_nodes,) array)
-        The Purkinje networks, left first, with the activation times of their nodes (ms).
-    captured : (n_stimuli,) bool array
-        Which of the scenario's myocardial stimuli captured.
+    Indices are not measured on the filtered ECG, because steep filters ring about the QRS.
     """
 
-    leads: Floats
-    filtered: Floats
-    activation: Singles
-    trees: tuple[tuple[PurkinjeTree, Singles], ...]
-    captured: Booleans
+    leads: Floats  # (12 + k, t) mV, every 1 ms, with the best gain or the one that was drawn
+    filtered: Floats  # (12 + k, t + 2 * `RINGING`), the ECG after the recorder's filters
+    activation: Singles  # (n,) ms, of each vertex of the heart; inf if not activated
+    trees: tuple[tuple[PurkinjeTree, Singles], ...]  # left first; times of the nodes (ms)
+    captured: Booleans  # (n_stimuli,), which of the scenario's myocardial stimuli captured
 
     __repr__ = short_repr
 

@@ -7,6 +7,8 @@ settles or is pushed, shows right after the QRS, where beats of one shape have o
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -15,7 +17,6 @@ import numpy as np
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
-from fascicle.recording.analysis import Beat, Drift, Unused
 from fascicle.recording.detection import magnitude
 from fascicle.recording.filters import SAMPLING_STEP
 from fascicle.recording.lead_groups import LARGEST_SHIFT, LeadGroup, cut, detrended, end_of_spikes
@@ -26,6 +27,56 @@ from fascicle.recording.window import qrs_window, spatial_velocity
 # Samples in which the isoelectric level of a beat is read: one period of 50 Hz
 KNOT = 20
 FEW_ALIKE = 0.7  # share of the beats that should be alike
+
+
+class Unused(Enum):
+    """Why a beat is not one of the target's."""
+
+    CUT_OFF_START = "cut off by the start of the recording"
+    CUT_OFF_END = "cut off by the end of the recording"
+    EXCLUDED = "excluded"
+    NOT_CHOSEN = "not chosen"
+    OTHER_CLASS = "of another class"
+    DRIFTING = "baseline drifts"
+    SURPLUS = "the other groups of leads have no more beats"
+
+
+class Drift(NamedTuple):
+    """How far (mV) a beat is off the median beat right after the QRS, and in which lead most."""
+
+    lead: str
+    potential: float
+
+
+@dataclass(frozen=True)
+class Beat:
+    """One heart beat of a recording."""
+
+    number: int  # from 1, in the order of time
+    time: float  # of its R peak (s from the start of the recording)
+    label: str  # its class: A is the one with the most beats, then B and so on
+    interval: float  # time since the beat before (ms); NaN for the first
+    unused: Unused | None = None  # why it is not one of the target's beats
+    drift: Drift | None = None  # of its baseline, where that is why
+
+    @property
+    def used(self) -> bool:
+        """Whether it is one of the target's beats."""
+        return self.unused is None
+
+    @property
+    def cut_off(self) -> bool:
+        """Whether a part of the beat was not recorded."""
+        return self.unused in (Unused.CUT_OFF_START, Unused.CUT_OFF_END)
+
+    @property
+    def why_unused(self) -> str:
+        """The reason in words; empty where the beat is used."""
+        if self.unused is Unused.OTHER_CLASS:
+            return f"class {self.label}"
+        if self.drift is not None:
+            return f"baseline drifts by {abs(self.drift.potential):.2f} mV in {self.drift.lead}"
+        return "" if self.unused is None else self.unused.value
 
 
 class AlignedBeats(NamedTuple):

@@ -8,7 +8,6 @@ high-pass below 1 Hz changes.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from fractions import Fraction
@@ -42,27 +41,13 @@ class FilterOrigin(Enum):
 
 @dataclass(frozen=True)
 class Filter:
-    """One filter.
-
-    Attributes
-    ----------
-    kind : FilterKind
-        Low-pass or notch.
-    frequency : float
-        Cut-off of a low-pass, middle of a notch (Hz).
-    origin : FilterOrigin
-        How it is known.
-    shape : float
-        Order of a low-pass, which is a Butterworth filter; quality factor of a notch.
-    sampling_rate : float, optional
-        Samples per second (Hz) at which a digital filter was run forward and backward; None for
-        one that was run once, and is taken as analogue.
-    """
+    """One filter."""
 
     kind: FilterKind
-    frequency: float
-    origin: FilterOrigin
-    shape: float
+    frequency: float  # Hz; cut-off of a low-pass, middle of a notch
+    origin: FilterOrigin  # how it is known
+    shape: float  # order of a low-pass, which is a Butterworth filter; quality factor of a notch
+    # Hz, at which a digital filter was run forward and backward; None: run once, as analogue
     sampling_rate: float | None = None
 
     def __post_init__(self) -> None:
@@ -139,14 +124,6 @@ def applied_filters(lowpass: float | None, mains: float | None) -> tuple[Filter,
         for kind, frequency, shape in wanted
         if frequency is not None
     )
-
-
-def combined_gain(filters: Sequence[Filter], frequency: Floats) -> Floats:
-    """Product of the gains of filters at frequencies (k,), in Hz."""
-    gain = np.ones(len(frequency))
-    for one in filters:
-        gain = gain * one.gain(frequency)
-    return gain
 
 
 def resample(signal: Floats, sampling_rate: float) -> Floats:

@@ -200,7 +200,10 @@ def _name_classes(
         k: (-len(beats), heights[k] < max(heights.values()) / 3, _qrs_width(signal, beats, spikes))
         for k, beats in of_class.items()
     }
-    names = {k: _name(place) for place, k in enumerate(sorted(rank, key=rank.__getitem__))}
+    names = {}  # A to Z, then A2 to Z2 and so on
+    for place, k in enumerate(sorted(rank, key=rank.__getitem__)):
+        again, letter = divmod(place, len(ascii_uppercase))
+        names[k] = ascii_uppercase[letter] + (str(again + 1) if again else "")
     return peaks, tuple(names[k] for k in classes)
 
 
@@ -213,12 +216,6 @@ def _distinct_beats(peaks: Integers, moved: Integers) -> Integers:
         else:
             kept.append(k)
     return np.array(kept, dtype=np.int64)
-
-
-def _name(place: int) -> str:
-    """A to Z, then A2 to Z2 and so on."""
-    again, letter = divmod(place, len(ascii_uppercase))
-    return ascii_uppercase[letter] + (str(again + 1) if again else "")
 
 
 def _to_r_peak(signal: Floats, peaks: Integers, spikes: Integers) -> int:

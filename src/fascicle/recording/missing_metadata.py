@@ -12,14 +12,9 @@ from fascicle.core.errors import InputError
 
 
 class MissingMetadataError(InputError):
-    """A file does not say something that is needed.
+    """A file does not say something that is needed: its `name` as a Python argument, and a `guess`.
 
-    Attributes
-    ----------
-    name : str
-        What, as a Python argument.
-    guess : str or float, optional
-        What it probably is; None where nothing suggests it.
+    The guess is None where nothing suggests it.
     """
 
     def __init__(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import NoneType
 
@@ -17,11 +17,11 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
-from fascicle.core.ranges import check_kind
-from fascicle.recording.analysis import Analysis, Beat, BeatClass
+from fascicle.core.ranges import check_kind, short_repr
 from fascicle.recording.beats import (
     FEW_ALIKE,
     AlignedBeats,
+    Beat,
     by_name,
     combine,
     cut_beats,
@@ -52,6 +52,66 @@ from fascicle.recording.window import (
 USUAL_QRS = (0.5, 5.0)
 POSSIBLE_QRS = (0.3, 6.0)  # what is outside may be a wrong gain or unit, and is asked
 AMPLITUDE_SAID = {"choice_unit", "shared_gain"}  # notes on what the user has said
+
+
+@dataclass(frozen=True)
+class BeatClass:
+    """Beats of one shape: label (A, B, ...), number, and what is notable, such as ``early``."""
+
+    label: str
+    count: int
+    description: str
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """A recording, what was found in it, and the target made of it.
+
+    Attributes
+    ----------
+    recording : Recording
+        With the user's corrections.
+    signal : (12, n) array
+        Potential (mV) as recorded, every `fascicle.recording.filters.SAMPLING_STEP`; NaN where a
+        lead was not recorded.
+    beats : tuple of Beat
+        Every beat that was found.
+    classes : tuple of BeatClass
+        Their shapes, the most frequent first.
+    spikes : (k,) array
+        Times of pacing spikes (s).
+    findings : tuple of CheckResult
+        Every check with its figure.
+    target : Target
+        What the inference gets.
+    chosen : str
+        Label of the class of the target's beats.
+    """
+
+    recording: Recording
+    signal: Floats
+    beats: tuple[Beat, ...]
+    classes: tuple[BeatClass, ...]
+    spikes: Floats
+    findings: tuple[CheckResult, ...]
+    target: Target
+    chosen: str
+
+    __repr__ = short_repr
+
+    @property
+    def read_with(self) -> tuple[str, ...]:
+        """What the user has said of the file, in words: it was taken as said."""
+        said = {
+            "shared_gain": "one gain for all leads, {}, in place of the file's "
+            "(amplitudes rest on it)",
+            "choice_unit": "unit {}",
+            "choice_sampling_rate_hz": "sampling rate {} Hz",
+            "inverted": "upside down: {}",
+            "swapped": "exchanged: {}",
+        }
+        notes = self.recording.provenance
+        return tuple(text.format(notes[key]) for key, text in said.items() if key in notes)
 
 
 def make_target(

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.leads import LEADS
 from fascicle.core.ranges import short_repr
-from fascicle.recording.filters import SAMPLING_STEP, Filter, combined_gain
+from fascicle.recording.filters import SAMPLING_STEP, Filter
 from fascicle.recording.window import qrs_windows, smoothing_against_ringing, window_uncertainty
 
 
@@ -98,7 +98,8 @@ class Target:
         return self._gain if self.filters else None
 
     def _gain(self, frequency: Floats) -> Floats:
-        return combined_gain(self.filters, frequency * (1000.0 / SAMPLING_STEP))
+        hertz = frequency * (1000.0 / SAMPLING_STEP)
+        return np.asarray(np.prod([one.gain(hertz) for one in self.filters], axis=0))
 
     @property
     def qrs_duration(self) -> float:
@@ -155,23 +156,13 @@ class ResidualCovariance:
     """Covariance of the beats about their mean, within the QRS.
 
     The covariance of lead l at time t with lead m at time s is
-    ``sd[l, t] * sd[m, s] * leads[l, m] * time[t, s]``.
-
-    Attributes
-    ----------
-    sd : (n_leads, n_qrs) array
-        Standard deviation of every sample (mV); NaN where a lead is not used.
-    leads : (n_leads, n_leads) array
-        Correlation across leads; NaN where a lead is not used.
-    time : (n_qrs, n_qrs) array
-        Correlation across samples of the QRS.
-    shrinkage_leads, shrinkage_time : float
-        Weight of "no correlation" in each: near 0 with many beats, 1 where they show nothing.
+    ``sd[l, t] * sd[m, s] * leads[l, m] * time[t, s]``. A shrinkage is the weight of "no
+    correlation": near 0 with many beats, 1 where they show nothing.
     """
 
-    sd: Floats
-    leads: Floats
-    time: Floats
+    sd: Floats  # (n_leads, n_qrs) mV, of every sample; NaN where a lead is not used
+    leads: Floats  # (n_leads, n_leads), correlation; NaN where a lead is not used
+    time: Floats  # (n_qrs, n_qrs), correlation across samples of the QRS
     shrinkage_leads: float
     shrinkage_time: float
 

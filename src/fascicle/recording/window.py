@@ -88,10 +88,6 @@ class _Velocity:
             power = np.sort(power, axis=0)[:-1]
         return np.asarray(np.sqrt(power.mean(axis=0)))
 
-    def highest(self, step: float) -> list[float]:
-        """Highest speeds (mV/ms), by the measures of the onset and of the offset."""
-        return [_highest(self.speed(search.turning), step) for search in (_ONSET, _OFFSET)]
-
 
 def spatial_velocity(signal: Floats, step: float) -> Floats:
     r"""Speed (mV/ms) of all leads together, :math:`v(t) = \sqrt{\mathrm{mean}_i (dV_i/dt)^2}`.
@@ -206,13 +202,14 @@ def _marks(signal: Floats, step: float, not_before: int, smoothing: float) -> _M
     # A share of the height in ECGs of another size than a person's, such as uncalibrated ones
     height = float(np.ptp(leads[:, first : core[1] + 1], axis=1).max())
     visible = float(np.clip(VISIBLE, 0.005 * height, 0.04 * height))
-    last, fastest = leads.shape[1] - 1, velocity.highest(step)
+    last = leads.shape[1] - 1
     backward = _Velocity(-velocity.slope[:, ::-1], velocity.curvature[:, ::-1], velocity.smoothing)
     ends = []
-    for search, moving, outward, inside, start, high in (
-        (_ONSET, backward, leads[:, ::-1], last - core[0], last - first, fastest[0]),
-        (_OFFSET, velocity, leads, core[1], core[1], fastest[1]),
+    for search, moving, outward, inside, start in (
+        (_ONSET, backward, leads[:, ::-1], last - core[0], last - first),
+        (_OFFSET, velocity, leads, core[1], core[1]),
     ):
+        high = _highest(velocity.speed(search.turning), step)
         level = float(np.clip(MOVING, 0.005 * high, 0.04 * high))
         rest = _isoelectric_from(moving, start, search, level, step)
         away = _away_from_segment(outward, rest, search, smoothing, step)

@@ -41,19 +41,11 @@ SPREAD = "standard deviation (ms)"
 
 @dataclass(frozen=True)
 class ActivationRow:
-    """One activation of the heart, a labelled row of the figure.
-
-    Attributes
-    ----------
-    activation : (n,) array
-        Activation time of each vertex of the heart (ms); inf or NaN if it is not activated.
-    trees : tuple of (PurkinjeTree, (n_nodes,) array)
-        Purkinje networks and the times at their nodes (ms); may be empty.
-    """
+    """One activation of the heart, a labelled row of the figure."""
 
     label: str
-    activation: Floats
-    trees: tuple[tuple[PurkinjeTree, Floats], ...] = ()
+    activation: Floats  # (n,) ms, of each vertex of the heart; inf or NaN if it is not activated
+    trees: tuple[tuple[PurkinjeTree, Floats], ...] = ()  # with times (n_nodes,) of their nodes (ms)
 
     @classmethod
     def of(cls, label: str, simulation: Simulation) -> ActivationRow:

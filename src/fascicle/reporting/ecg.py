@@ -31,26 +31,14 @@ GLOBAL_END: dict[str, Any] = {"color": "black", "linewidth": 0.7, "linestyle": (
 
 @dataclass(frozen=True)
 class EcgGroup:
-    """Several ECGs on one time axis, drawn as their mean and the band they span.
+    """Several ECGs on one time axis, drawn as their mean and the band they span."""
 
-    Attributes
-    ----------
-    name, member : str
-        Name of the group in the legend, and of one ECG: ``"beat"`` or ``"network"``.
-    time : (t,) array
-        Time (ms).
-    leads : (n, 12 + k, t) array
-        Potential (mV); NaN where an ECG has ended.
-    share : float
-        Central share of the ECGs that the band holds at every time; 1 for their range.
-    """
-
-    name: str
-    member: str
-    time: Floats
-    leads: Floats
+    name: str  # of the group, in the legend
+    member: str  # name of one ECG: "beat" or "network"
+    time: Floats  # (t,) ms
+    leads: Floats  # (n, 12 + k, t) mV; NaN where an ECG has ended
     colour: str
-    share: float = 1.0
+    share: float = 1.0  # of the ECGs, that the band holds at every time; 1 for their range
 
     @property
     def label(self) -> str:

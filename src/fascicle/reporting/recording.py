@@ -15,8 +15,8 @@ from matplotlib.ticker import MultipleLocator
 
 from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.leads import LEADS
-from fascicle.recording.analysis import Analysis, BeatClass
 from fascicle.recording.filters import SAMPLING_STEP
+from fascicle.recording.pipeline import Analysis, BeatClass
 from fascicle.reporting import style
 from fascicle.reporting.ecg import draw_target
 from fascicle.reporting.style import Colour

@@ -19,20 +19,11 @@ from fascicle.mesh.measures import unit
 
 @dataclass(frozen=True)
 class View:
-    """An orthographic camera; its name stands above the picture.
-
-    Attributes
-    ----------
-    axes : (3, 3) array
-        Rows are the unit vectors to the right, upwards and away from the eye; right-handed as
-        right × up = towards the eye.
-    centre : (3,) array
-        Position (mm) of the origin of the screen.
-    """
+    """An orthographic camera; its name stands above the picture."""
 
     name: str
-    axes: Floats
-    centre: Floats
+    axes: Floats  # (3, 3), rows are unit vectors to the right, up and away from the eye
+    centre: Floats  # (3,) mm, position of the origin of the screen
 
     def project(self, positions: Floats) -> Floats:
         """Screen coordinates and depth (mm; larger is farther), the shape of `positions`."""

@@ -28,13 +28,11 @@ def template_figure(progress: Progress | None = None) -> tuple[Figure, dict[str,
         ``resting_potential`` and ``overshoot`` (mV), ``max_upstroke`` (V/s), ``apd90`` (ms) and
         ``conduction_velocity`` (m/s) of each.
     """
-    templates = {}
+    templates, report = {}, progress if progress is not None else lambda *stage: None
     for done, cell in enumerate(CELLS):
-        if progress is not None:
-            progress("template", done, len(CELLS), cell)
+        report("template", done, len(CELLS), cell)
         templates[cell] = stored_template(cell)
-    if progress is not None:
-        progress("template", len(CELLS), len(CELLS), "")
+    report("template", len(CELLS), len(CELLS), "")
     table = {cell: measure(template) for cell, template in templates.items()}
     return _drawn(templates, table), table
 

@@ -45,30 +45,14 @@ from fascicle.recording.recording import (
 
 @dataclass(frozen=True)
 class Channel:
-    """One signal of a file.
+    """One signal of a file."""
 
-    Attributes
-    ----------
-    name : str
-        As it is spelt in the file.
-    values : (n,) array
-        Samples, in `unit`; NaN where there is none.
-    unit : str, optional
-        As it is spelt in the file; None where the file does not say.
-    lead : str, optional
-        Standard name of the lead where a code of the file says it; otherwise `name` decides.
-    gain : float, optional
-        Digits of the file in one `unit`.
-    missing : tuple of float
-        What the file writes, in `unit`, where a sample is missing; see `without_fill`.
-    """
-
-    name: str
-    values: Floats
-    unit: str | None = None
-    lead: str | None = None
-    gain: float | None = None
-    missing: tuple[float, ...] = ()
+    name: str  # as it is spelt in the file
+    values: Floats  # (n,) samples, in `unit`; NaN where there is none
+    unit: str | None = None  # as it is spelt in the file; None where the file does not say
+    lead: str | None = None  # where a code of the file says it; otherwise `name` decides
+    gain: float | None = None  # digits of the file in one `unit`
+    missing: tuple[float, ...] = ()  # written for a missing sample, in `unit`; see `without_fill`
 
     def placed(self, start: int, length: int, beyond: float = np.nan) -> Channel:
         """The same on a time axis of `length` samples, from `start` on; `beyond` elsewhere."""
@@ -79,27 +63,13 @@ class Channel:
 
 @dataclass(frozen=True)
 class RawRecording:
-    """What a reader finds in a file.
+    """What a reader finds in a file."""
 
-    Attributes
-    ----------
-    channels : sequence of Channel
-        Signals, in any order; what is no lead is left out and named.
-    sampling_rate : float, optional
-        Samples per second (Hz); None where the file does not say.
-    format : str
-        Name of the format; by default that of the reader.
-    filters : Filters
-        What the recorder did to the signals.
-    provenance : dict
-        Text about the file.
-    """
-
-    channels: Sequence[Channel]
-    sampling_rate: float | None = None
-    format: str = ""
-    filters: Filters = field(default_factory=Filters)
-    provenance: dict[str, str] = field(default_factory=dict)
+    channels: Sequence[Channel]  # in any order; what is no lead is left out and named
+    sampling_rate: float | None = None  # Hz; None where the file does not say
+    format: str = ""  # by default the reader's
+    filters: Filters = field(default_factory=Filters)  # what the recorder did to the signals
+    provenance: dict[str, str] = field(default_factory=dict)  # text about the file
 
 
 def read_recording(
