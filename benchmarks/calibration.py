@@ -363,13 +363,9 @@ def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, A
         some = [networks[k] for k in rng.permutation(len(networks))[:MAPPED]]
         result |= places(simulator, population, some, (truth, simulation, paced), axis, rng)
     if isinstance(population, Posterior):
-        result |= {
+        result |= judged(checks) | {
             "converged": population.converged,
-            "acceptable": checks.acceptable,
-            "failures": checks.failures,
-            "explained": checks.explained,
             "emulator": checks.emulator,
-            "probabilities": dict(checks.probabilities),
             "evaluations": population.evaluations.tolist(),
             "effective": population.effective.tolist(),
         }
@@ -387,8 +383,18 @@ def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, A
         for name, wrong in wrong_inputs(target, rng, others).items():
             comparison = compared(wrong, emulator, gain_sd)
             its = fit(simulator, comparison, settings, number, rng, emulator)[2]
-            result["wrong"][name] = {"acceptable": its.acceptable, "failures": its.failures}
+            result["wrong"][name] = judged(its)
     return result | {"seconds": seconds}
+
+
+def judged(checks: Checks) -> dict[str, Any]:
+    """What a fit says of itself."""
+    return {
+        "acceptable": checks.acceptable,
+        "failures": checks.failures,
+        "explained": checks.explained,
+        "probabilities": dict(checks.probabilities),
+    }
 
 
 @lru_cache(1)
