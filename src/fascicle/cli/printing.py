@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from fascicle.prediction.predicted import Predicted
     from fascicle.prediction.sweeps import Swept
     from fascicle.study.fitted import FittedStudy
-    from fascicle.study.population import Population, Posterior
+    from fascicle.study.population import Posterior
 
 
 def print_simulation(simulation: Simulation, summary: Mapping[str, Any]) -> None:
@@ -45,6 +45,8 @@ def print_simulation(simulation: Simulation, summary: Mapping[str, Any]) -> None
 
 def print_fit(fitted: FittedStudy, summary: Mapping[str, Any]) -> None:
     """Print verdict, match and constrained parameters of a study and its summary.json."""
+    import numpy as np
+
     from fascicle.study.population import Posterior
 
     population = fitted.population
@@ -68,8 +70,13 @@ def print_fit(fitted: FittedStudy, summary: Mapping[str, Any]) -> None:
         _print_agreement(recording)
     if isinstance(population, Posterior):
         _print_posterior(population, fitted)
-    elif len(population):
-        _print_population(population)
+        return
+    for name, unit, digits in (("root_time", " ms", 1), ("cv", " m/s", 1), ("alpha", "", 3)):
+        if len(population) and name in population.values:
+            values = population.values[name]
+            ends = np.median(values), values.min(), values.max()
+            middle, low, high = (f"{value:.{digits}f}" for value in ends)
+            print_row(name, f"{middle}{unit} ({low} to {high})")
 
 
 def _print_agreement(summary: Mapping[str, Any]) -> None:
@@ -111,17 +118,6 @@ def _print_posterior(posterior: Posterior, fitted: FittedStudy) -> None:
         print_row(statement.name, statement)
     for pair in fitted.statements.correlated:
         print(pair)
-
-
-def _print_population(population: Population) -> None:
-    import numpy as np
-
-    for name, unit, digits in (("root_time", " ms", 1), ("cv", " m/s", 1), ("alpha", "", 3)):
-        if name in population.values:
-            values = population.values[name]
-            ends = np.median(values), values.min(), values.max()
-            middle, low, high = (f"{value:.{digits}f}" for value in ends)
-            print_row(name, f"{middle}{unit} ({low} to {high})")
 
 
 def print_verdict(fitted: FittedStudy) -> None:

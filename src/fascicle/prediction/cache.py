@@ -7,6 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,26 +31,19 @@ Trees = Sequence[tuple[PurkinjeTree, ...]]  # of each network
 
 @dataclass(frozen=True)
 class PredictionCache:
-    """Cached predictions of one population in a study's folder, one file per scenario.
-
-    `population` is the SHA-256 of the study's configuration, networks and gains.
-    """
+    """Cached predictions of one population in a study's folder, one file per scenario."""
 
     fitted: FittedStudy
-    population: str
 
-    @classmethod
-    def of(cls, fitted: FittedStudy) -> PredictionCache:
-        """Cache of a study."""
+    @cached_property
+    def _cache(self) -> ArrayCache:
+        """Of a study's configuration, networks and gains."""
+        fitted = self.fitted
         digest = hashlib.sha256(fitted.study.config.model_dump_json().encode())
         gains = fitted.gains if fitted.gains is not None else np.empty(0)
         for values in (*fitted.population.values.values(), gains):
             digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
-        return cls(fitted, digest.hexdigest())
-
-    @property
-    def _cache(self) -> ArrayCache:
-        return ArrayCache(self.fitted.folder / "predictions", self.population[:12])
+        return ArrayCache(fitted.folder / "predictions", digest.hexdigest()[:12])
 
     def read(self, scenarios: Mapping[str, Scenario]) -> dict[str, Predicted]:
         """Read the cached predictions of scenarios; damaged files are ignored."""

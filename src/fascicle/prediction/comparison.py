@@ -142,7 +142,9 @@ class Comparison:
 
     def _explained_by(self, values: Floats) -> float:
         """Squared rank correlation with the reduction, adjusted for chance correlation."""
-        left = 1 - _rank_correlation(values, self.reductions) ** 2
+        ranks = np.array([rankdata(values), rankdata(self.reductions)])
+        constant = (np.ptp(ranks, axis=1) == 0).any()  # correlates with nothing
+        left = 1 - (0.0 if constant else float(np.corrcoef(ranks)[0, 1])) ** 2
         return max(0.0, 1 - left * (self.effective - 1) / (self.effective - 2))
 
 
@@ -182,10 +184,3 @@ def _of_the_same_networks(first: Predicted, second: Predicted) -> bool:
         for a, b in zip(first.beats, second.beats, strict=True)
         for (one, _), (other, _) in zip(a.trees[:2], b.trees[:2], strict=True)
     )
-
-
-def _rank_correlation(a: Floats, b: Floats) -> float:
-    ranks = np.array([rankdata(a), rankdata(b)])
-    if (np.ptp(ranks, axis=1) == 0).any():  # constant values correlate with nothing
-        return 0.0
-    return float(np.corrcoef(ranks)[0, 1])

@@ -86,7 +86,7 @@ def predict(
                 f"{len(networks)} networks, where the study has {len(fitted.population)}; give all "
                 "that its 'networks()' gives"
             )
-    kept = PredictionCache.of(fitted)
+    kept = PredictionCache(fitted)
     found = _up_to_date(fitted, kept.read(wanted))
     missing = {name: scenario for name, scenario in wanted.items() if name not in found}
     if missing:

@@ -73,8 +73,11 @@ def estimated_lowpass(signal: Floats, sampling_rate: float, r_peaks: Integers) -
         near = (frequency > 0.4 * centre) & (frequency < 2.5 * centre)
         if near.sum() < 15 or frequency[-1] < CUTOFFS[1] * centre:
             continue
-        # Where levels fall by less there is no low-pass of the order and depth that count.
-        if _steepest_fall(frequency[near], level[near]) > 15.0:  # dB
+        # Where levels fall by less, from one frequency to 1.4 times that, there is no low-pass of
+        # the order and depth that count.
+        here, its = frequency[near], level[near]
+        fall = its - np.interp(1.4 * here, here, its)
+        if fall[1.4 * here <= here[-1]].max(initial=0.0) > 15.0:  # dB
             fit = _fit(frequency[near], level[near], centre)
             if fit is not None:
                 believed.append(fit)
@@ -136,13 +139,6 @@ def _levels(frequency: Floats, energy: Floats, sampling_rate: float) -> tuple[Fl
     first = np.searchsorted(frequency, starts - RESOLUTION / 2)
     means = np.array([energy[k : k + width].mean() for k in first])
     return middles[kept], 10 * np.log10(means[kept] + 1e-30)
-
-
-def _steepest_fall(frequency: Floats, level: Floats) -> float:
-    """Most (dB) that levels fall from one frequency to 1.4 times that."""
-    from_here = frequency[frequency * 1.4 <= frequency[-1]]
-    later = np.interp(1.4 * from_here, frequency, level)
-    return float((level[: len(from_here)] - later).max(initial=0.0))
 
 
 def _fit(frequency: Floats, level: Floats, centre: float) -> tuple[float, float, float] | None:

@@ -334,8 +334,7 @@ def _target(
             f"{source}: {count} beats show how they vary; --noise is for a single beat"
         )
     smoothing = smoothing_against_ringing(filters)
-    onset, offset = _window(aligned, smoothing, options, source)
-    onset_sd, offset_sd = _end_deviations(aligned, smoothing, options, source)
+    onset, offset, onset_sd, offset_sd = _window(aligned, smoothing, options, source)
     intervals = [beat.interval for beat in beats if math.isfinite(beat.interval)]
     return Target(
         beats=aligned.beats,
@@ -356,8 +355,11 @@ def _target(
 
 def _window(
     aligned: AlignedBeats, smoothing: float, options: TargetOptions, source: str
-) -> tuple[float, float]:
-    """QRS window (ms from R): what is given, otherwise what is found."""
+) -> tuple[float, float, float, float]:
+    """QRS window (ms from R): what is given, otherwise what is found; then its ends' SD (ms).
+
+    A given end has no SD; an end that is found to within more than 40 ms is refused.
+    """
     first, last = qrs_window(aligned.mean, SAMPLING_STEP, aligned.not_before, smoothing)
     time = aligned.time
     start = float(time[first]) if options.onset is None else float(options.onset)
@@ -373,13 +375,6 @@ def _window(
             f"{source}: QRS window {start:g} to {end:g} ms leaves the beat, which spans "
             f"{time[0]:g} to {time[-1]:g} ms from the R peak; give an onset and offset inside"
         )
-    return start, end
-
-
-def _end_deviations(
-    aligned: AlignedBeats, smoothing: float, options: TargetOptions, source: str
-) -> list[float]:
-    """Standard deviations (ms) of the ends of the window: 0 where given, refused above 40."""
     found = window_uncertainty(
         aligned.beats, SAMPLING_STEP, aligned.not_before, options.noise, smoothing
     )
@@ -392,7 +387,7 @@ def _end_deviations(
                 f"{source}: QRS {name} found to within {deviations[-1]:.0f} ms only (at most 40); "
                 f"give it by --{name}, or a cleaner recording"
             )
-    return deviations
+    return start, end, deviations[0], deviations[1]
 
 
 def _provenance(

@@ -177,20 +177,15 @@ def _given_by_a_pacemaker(
         first = np.diff(tops[members], prepend=-signal.shape[1]) > 20 * reach  # of pairs
         events = members[first]
         before = _before_beats(after[events], usual, striking[events])
-        paced = _regular(tops[events], reach) | before
+        regular = _at_fixed_rate(tops[events], reach)
+        if len(events) >= 6:  # three in each of two chambers
+            for chamber in (slice(0, None, 2), slice(1, None, 2)):
+                regular[chamber] |= _at_fixed_rate(tops[events][chamber], reach)
+        paced = regular | before
         # what follows a spike near the end is not known
         judged = tops[events] + 62 * reach < signal.shape[1]
         accepted[members] = judged.any() and paced[judged].mean() > 0.5
     return accepted
-
-
-def _regular(tops: Integers, reach: int) -> Booleans:
-    """Which spikes come at a fixed rate, or every second one does: one in each of two chambers."""
-    regular = _at_fixed_rate(tops, reach)
-    if len(tops) >= 6:  # three in each
-        for chamber in (slice(0, None, 2), slice(1, None, 2)):
-            regular[chamber] |= _at_fixed_rate(tops[chamber], reach)
-    return regular
 
 
 def _at_fixed_rate(tops: Integers, reach: int) -> Booleans:

@@ -16,7 +16,7 @@ from matplotlib.ticker import MultipleLocator
 from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.leads import LEADS
 from fascicle.recording.filters import SAMPLING_STEP
-from fascicle.recording.pipeline import Analysis, BeatClass
+from fascicle.recording.pipeline import Analysis
 from fascicle.reporting import style
 from fascicle.reporting.ecg import draw_target
 from fascicle.reporting.style import Colour
@@ -95,9 +95,8 @@ def _measures(analysis: Analysis) -> str:
     spread = math.hypot(target.onset_sd, target.offset_sd)
     uncertainty = f" ± {spread:.{0 if spread >= 1 else 1}f}" if spread > 0 else ""
     onset, offset = style.signed(target.qrs_onset), style.signed(target.qrs_offset)
-    rate = "heart rate unknown"
-    if target.heart_rate is not None:
-        rate = f"{target.heart_rate:.0f} beats/min"
+    heart_rate = target.heart_rate
+    rate = "heart rate unknown" if heart_rate is None else f"{heart_rate:.0f} beats/min"
     used, count = sum(beat.used for beat in analysis.beats), len(target.beats)
     beats = f"{used} of {len(analysis.beats)} beats used, class {analysis.chosen}"
     if used != count:
@@ -125,9 +124,11 @@ def _draw_strip(axes: Axes, analysis: Analysis, colours: Mapping[str, str]) -> N
     axes.xaxis.grid(which="both", color=Colour.PAPER, linewidth=0.5)
     axes.hlines(-np.arange(0, height, box), start, stop, color=Colour.PAPER, lw=0.5, zorder=0.5)
     _draw_traces(axes, time, level + baselines[:, None], analysis, colours)
-    for lead, baseline in enumerate(baselines):
-        if not recorded[lead]:
-            axes.text((start + stop) / 2, baseline, _absence(analysis.signal[lead]), ha="center")
+    for lead in np.flatnonzero(~recorded):
+        there, why = np.flatnonzero(np.isfinite(analysis.signal[lead])) / SAMPLES, "not used"
+        if len(there):
+            why = f"recorded from {there[0]:.1f} to {there[-1]:.1f} s"
+        axes.text((start + stop) / 2, baselines[lead], why, ha="center")
     _number_beats(axes, analysis, colours)
     spikes = analysis.spikes[(analysis.spikes >= start) & (analysis.spikes < stop)]
     axes.vlines(spikes, -0.7, -0.5, color="black", linewidth=0.8, label="spikes")
@@ -139,14 +140,6 @@ def _draw_strip(axes: Axes, analysis: Analysis, colours: Mapping[str, str]) -> N
     if analysis.recording.derived:
         said.append(f"computed from other leads: {', '.join(analysis.recording.derived)}")
     axes.set_xlabel("   ·   ".join(said))
-
-
-def _absence(lead: Floats) -> str:
-    """Why a row of the strip is empty."""
-    samples = np.flatnonzero(np.isfinite(lead))
-    if not len(samples):
-        return "not used"
-    return f"recorded from {samples[0] / SAMPLES:.1f} to {samples[-1] / SAMPLES:.1f} s"
 
 
 def _without_artefacts(level: Floats, time: Floats, spikes: Floats) -> tuple[Floats, bool]:
@@ -214,10 +207,11 @@ def _class_legend(figure: SubFigure, analysis: Analysis, colours: Mapping[str, s
     """Legend of the strip's colours and marks."""
     chosen = [known for known in analysis.classes if known.label == analysis.chosen]
     others = [known for known in analysis.classes if known.label != analysis.chosen]
-    handles: list[tuple[Any, str]] = [
-        (Line2D([], [], color=colours[known.label], linewidth=2.2), _class_text(known))
-        for known in [*chosen, *others[: len(CLASSES)]]
-    ]
+    handles: list[tuple[Any, str]] = []
+    for known in [*chosen, *others[: len(CLASSES)]]:
+        text = f"{known.label} {known.count} beat{'s' if known.count != 1 else ''}"
+        text = style.short(f"{text}: {known.description}" if known.description else text)
+        handles.append((Line2D([], [], color=colours[known.label], linewidth=2.2), text))
     if rest := others[len(CLASSES) :]:
         text = f"{len(rest)} more classes, {sum(known.count for known in rest)} beats"
         handles.append((Line2D([], [], color=Colour.GREY, linewidth=2.2), text))
@@ -229,8 +223,3 @@ def _class_legend(figure: SubFigure, analysis: Analysis, colours: Mapping[str, s
     if len(analysis.spikes):
         handles.append((Line2D([], [], color="black", ls="none", marker="|"), "pacing spike"))
     style.legend(figure, handles, loc="outside lower left", ncols=3, fontsize=8)
-
-
-def _class_text(known: BeatClass) -> str:
-    count = f"{known.label} {known.count} beat{'s' if known.count != 1 else ''}"
-    return style.short(f"{count}: {known.description}" if known.description else count)

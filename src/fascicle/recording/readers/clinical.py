@@ -274,7 +274,8 @@ def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
 
     remarks: list[str] = []
     contents: dict[str, bytes] = {}
-    if _has_segments(path):
+    first, *lines = wfdb_lines(path) or [[""]]
+    if "/" in first[0] and all(len(line) == 2 for line in lines):  # about segments
         files = _segment_files(path)
     else:
         text, named, remarks = mended_wfdb(path)
@@ -327,12 +328,6 @@ def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
         provenance = {"checksums": said} | provenance
     stated = rate if raw["sampling_frequency_stated"] else None
     return RawRecording(channels, stated, provenance=with_remarks(provenance, remarks))
-
-
-def _has_segments(header: Path) -> bool:
-    """Whether the lines of a header are about segments: they have two words."""
-    first, *lines = wfdb_lines(header) or [[""]]
-    return "/" in first[0] and all(len(line) == 2 for line in lines)
 
 
 def _segment_files(header: Path) -> list[Path]:

@@ -93,7 +93,15 @@ def read_dicom(path: Path, sampling_rate: float | None) -> RawRecording:
         _drop_empty(groups, [multiplex_array(dataset, group.index) for group in groups])
     chosen = _chosen(groups, path)
     rate = chosen[0].rate or sampling_rate or math.nan
-    starts = _starts(chosen, path)
+    starts = [0]
+    if len(chosen) > 1:
+        offsets = np.array([group.start for group in chosen])
+        if not np.isfinite(offsets).all():
+            raise InputError(
+                f"{path}: its leads are in several waveforms without time offsets; export all "
+                "leads in one waveform"
+            )
+        starts = [int(start) for start in np.round(offsets - offsets.min())]
     length = max(start + group.samples for start, group in zip(starts, chosen, strict=True))
     channels: list[Channel] = []
     for start, group in zip(starts, chosen, strict=True):
@@ -192,19 +200,6 @@ def _join(groups: Sequence[_Group], path: Path) -> list[_Group]:
             chosen.append(group)
             found |= set(group.leads)
     return chosen
-
-
-def _starts(groups: Sequence[_Group], path: Path) -> list[int]:
-    """Return the first sample of each group on their common time."""
-    if len(groups) == 1:
-        return [0]
-    offsets = np.array([group.start for group in groups])
-    if not np.isfinite(offsets).all():
-        raise InputError(
-            f"{path}: its leads are in several waveforms without time offsets; export all leads in "
-            "one waveform"
-        )
-    return [int(start) for start in np.round(offsets - offsets.min())]
 
 
 def _joined_parts(channels: Sequence[Channel]) -> tuple[list[Channel], dict[str, str]]:

@@ -227,15 +227,11 @@ def settings_file(config: StudyConfig) -> list[str]:
         keys = [f"{key} = {value!r}" for key, value in numbers.items() if value is not None]
         priors.append(f'{each.name} = {{ prior = "{each.prior}", {", ".join(keys)} }}')
     return [
-        *(f"{name} = {_toml(value)}" for name, value in settings(config).items()),
+        *(f"{name} = {json.dumps(value)}" for name, value in settings(config).items()),
         "[parameters]",
         *(f"{name} = {value!r}" for name, value in fixed.items()),
         *priors,
     ]
-
-
-def _toml(value: Any) -> str:
-    return json.dumps(value) if isinstance(value, str | bool) else repr(value)
 
 
 def report_words(
