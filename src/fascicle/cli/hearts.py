@@ -494,9 +494,8 @@ def _fibre_angles(lv: str, rv: str) -> FibreAngles:
     for name, text in (("--lv-angles", lv), ("--rv-angles", rv)):
         values = _floats(text, 2)
         if values is None or max(map(abs, values)) > 90:
-            raise InputError(
-                f"{name} {text}: give two angles between -90 and 90 degrees, endocardium,epicardium"
-            )
+            needed = "two angles between -90 and 90 degrees, endocardium,epicardium"
+            raise InputError(f"{name} {text}: give {needed}")
         angles += map(math.radians, values)
     return FibreAngles(*angles)
 

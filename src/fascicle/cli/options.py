@@ -161,9 +161,8 @@ def fixed_values(fix: Sequence[str] | None, **named: float | None) -> dict[str, 
         try:
             items.append((f"--fix {item}", name.strip(), float(number)))
         except ValueError:
-            raise InputError(
-                f"--fix {item}: not a name and a number; write it like alpha=0.08"
-            ) from None
+            needed = "not a name and a number; write it like alpha=0.08"
+            raise InputError(f"--fix {item}: {needed}") from None
     values: dict[str, float] = {}
     for option, name, value in items:
         if name in values:

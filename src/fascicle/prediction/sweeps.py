@@ -84,10 +84,8 @@ def delays(scenario: Scenario, given: str) -> Sweep:
     if len(stimuli) < 2:
         raise InputError(f"{_called(scenario)}: {len(stimuli)} stimuli; a delay needs two of them")
     begin = min(stimulus.time for stimulus in stimuli[:-1])
-    moved = {
-        delay: _changed(scenario, stimuli[-1:], time=begin + delay) for delay in _numbers(given)
-    }
-    return Sweep(DELAY, moved)
+    last = stimuli[-1:]
+    return Sweep(DELAY, {d: _changed(scenario, last, time=begin + d) for d in _numbers(given)})
 
 
 def segments(scenario: Scenario, layer: str) -> Sweep:

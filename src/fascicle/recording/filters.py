@@ -115,15 +115,12 @@ def applied_filters(lowpass: float | None, mains: float | None) -> tuple[Filter,
     Cut-off (Hz) of a low-pass, where it halves amplitudes, and frequency (Hz) of the power-line
     interference that a notch removes.
     """
-    wanted = (  # of order 2, run forward and backward: 4 in effect
-        (FilterKind.LOW_PASS, lowpass, 2.0),
-        (FilterKind.NOTCH, mains, NOTCH_QUALITY),
-    )
-    return tuple(
-        Filter(kind, frequency, FilterOrigin.APPLIED, shape, TARGET_RATE)
-        for kind, frequency, shape in wanted
-        if frequency is not None
-    )
+    filters, by = [], FilterOrigin.APPLIED
+    if lowpass is not None:  # of order 2, run forward and backward: 4 in effect
+        filters.append(Filter(FilterKind.LOW_PASS, lowpass, by, 2.0, TARGET_RATE))
+    if mains is not None:
+        filters.append(Filter(FilterKind.NOTCH, mains, by, NOTCH_QUALITY, TARGET_RATE))
+    return tuple(filters)
 
 
 def resample(signal: Floats, sampling_rate: float) -> Floats:

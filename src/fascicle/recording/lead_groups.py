@@ -120,18 +120,14 @@ def stretches(recording: Recording) -> list[tuple[int, int]]:
     spans = {(first, stop) for first, stop in recording.spans[recording.recorded].tolist()}
     found: list[tuple[int, int]] = []
     for first, stop in sorted(sorted(spans), key=lambda one: one[1] - one[0]):  # longest last
-        same = [
-            k
-            for k, (begin, end) in enumerate(found)
-            if min(end, stop) - max(begin, first) >= 0.9 * (end - begin)
-        ]
-        if not same:
+        for k, (begin, end) in enumerate(found):
+            if min(end, stop) - max(begin, first) >= 0.9 * (end - begin):
+                if stop - first < (end - begin) / 0.9:
+                    # leads of one group, whose ends were digitised unevenly
+                    found[k] = (max(begin, first), min(end, stop))
+                break
+        else:
             found.append((first, stop))
-            continue
-        begin, end = found[same[0]]
-        if stop - first < (end - begin) / 0.9:
-            # leads of one group, whose ends were digitised unevenly
-            found[same[0]] = (max(begin, first), min(end, stop))
     return sorted(found)
 
 

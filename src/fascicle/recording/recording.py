@@ -256,8 +256,11 @@ def _check_gaps(recording: Recording) -> None:
         missing &= (sample >= first[:, None]) & (sample < stop[:, None])
     for row, gaps, begin, end in zip(present, missing, first, stop, strict=True):
         if gaps.any():
-            gap_free = [LEADS[k] for k in present[~missing.any(axis=1)]]
-            part = (0, 0) if one_by_one else _longest_run(np.asarray(~missing.any(axis=0)))
+            gap_free, part = [LEADS[k] for k in present[~missing.any(axis=1)]], [0, 0]
+            if not one_by_one:  # the longest run of samples without any
+                ends = np.diff(~missing.any(axis=0), prepend=False, append=False)
+                runs = np.flatnonzero(ends).reshape(-1, 2).tolist()
+                part = max(runs, key=lambda run: run[1] - run[0], default=part)
             lost = int(np.argmax(gaps))
             raise InputError(
                 f"{source}: lead {LEADS[row]} lacks {gaps.sum()} samples (first: sample {lost}, "
@@ -270,7 +273,7 @@ def _check_gaps(recording: Recording) -> None:
             )
 
 
-def _without_gaps(recording: Recording, gap_free: Collection[str], part: tuple[int, int]) -> str:
+def _without_gaps(recording: Recording, gap_free: Collection[str], part: Sequence[int]) -> str:
     """What to do about gaps: leads without any, and the longest part (samples) without any."""
     leads = [lead for lead in recording.measured_leads if lead in gap_free]
     begin, end = (sample / recording.sampling_rate for sample in part)
@@ -280,10 +283,3 @@ def _without_gaps(recording: Recording, gap_free: Collection[str], part: tuple[i
     if end - begin >= 2.0:  # s; less holds hardly a beat
         remedies.append(f"cut the recording to {begin:.3f} to {end:.3f} s, which has no gaps")
     return ", or ".join(remedies) or "give another recording"
-
-
-def _longest_run(true: Booleans) -> tuple[int, int]:
-    """First sample of the longest run of (n,) true ones and the one after its last."""
-    ends = np.flatnonzero(np.diff(true, prepend=False, append=False)).reshape(-1, 2)
-    first, stop = max(ends.tolist(), key=lambda run: run[1] - run[0], default=(0, 0))
-    return first, stop

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
-from fascicle.core.arrays import Floats, Integers
+from fascicle.core.arrays import Floats
 from fascicle.core.leads import LEADS
 from fascicle.recording.target import Target
 from fascicle.reporting import style
@@ -173,7 +173,12 @@ def draw_target(figure: Figure | SubFigure, target: Target) -> None:
         if target.used[lead]:
             band = mean[lead] - spread[lead], mean[lead] + spread[lead]
             axes.fill_between(target.time, *band, **BAND)
-            _draw_beats(axes, target, lead, drawn)
+            if count > 1:  # thinner lines for many beats
+                width, opacity = (0.45, 0.8) if len(drawn) <= 15 else (0.25, 0.5)
+                lines = [np.stack([target.time, beat], 1) for beat in target.beats[drawn, lead]]
+                looks = {"linewidths": width, "alpha": opacity, "zorder": 1.8}
+                beats = LineCollection(lines, colors=Colour.BLUE, **looks)
+                axes.add_collection(beats, autolim=False)
             axes.plot(target.time, mean[lead], color="black", label="mean")
         style.name_lead(axes, name if target.used[lead] else f"{name} not used")
         axes.set(xlim=(start, stop), ylim=limits)
@@ -226,15 +231,3 @@ def _draw_window(axes: Axes, target: Target) -> None:
         axes.axvline(end, color="black", linewidth=0.7, zorder=1.5)
     for end in target.global_qrs:
         axes.axvline(end, zorder=1.5, **GLOBAL_END)
-
-
-def _draw_beats(axes: Axes, target: Target, lead: int, drawn: Integers) -> None:
-    """Thin lines, thinner for many beats."""
-    if len(target.beats) > 1:
-        few = len(drawn) <= 15
-        lines = [np.stack([target.time, beat], axis=1) for beat in target.beats[drawn, lead]]
-        beats = LineCollection(
-            lines, colors=Colour.BLUE, linewidths=0.45 if few else 0.25, alpha=0.8 if few else 0.5,
-            zorder=1.8,
-        )  # fmt: skip
-        axes.add_collection(beats, autolim=False)

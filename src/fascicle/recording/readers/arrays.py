@@ -150,7 +150,14 @@ def _raw_recording(stored: Mapping[str, Any], path: Path, format: str) -> RawRec
     groups = list(_groups("", stored, []))
     places = {where: found for group in groups for where, found in _leads(group, path).items()}
     if not places:
-        raise _nothing_found(groups, path)
+        there = [f"'{name}' ({_size(a)})" for group in groups for name, a in group.arrays.items()]
+        there += [f"'{name}' (no numbers)" for group in groups for name in group.others]
+        # a record of a PhysioNet challenge
+        header = ", or give the WFDB header (.hea) of the record" * ("val" in groups[0].arrays)
+        raise InputError(
+            f"{path}: no leads (found: {', '.join(there[:4]) or 'nothing'}); name the arrays I, "
+            f"II, V1 to V6, or add a list 'leads' of names to one matrix{header}"
+        )
     if len(places) > 1:
         raise InputError(
             f"{path}: leads in {' and '.join(list(places)[:3])}; keep one recording in the file"
@@ -196,15 +203,3 @@ def _are_leads(names: Sequence[str]) -> bool:
 
 def _size(array: _Array) -> str:
     return " x ".join(str(length) for length in np.shape(array.numbers) if length != 1)
-
-
-def _nothing_found(groups: Sequence[_Group], path: Path) -> InputError:
-    """Say what is there instead of leads, and what to add."""
-    there = [f"'{name}' ({_size(a)})" for group in groups for name, a in group.arrays.items()]
-    there += [f"'{name}' (no numbers)" for group in groups for name in group.others]
-    # a record of a PhysioNet challenge
-    header = ", or give the WFDB header (.hea) of the record" * ("val" in groups[0].arrays)
-    return InputError(
-        f"{path}: no leads (found: {', '.join(there[:4]) or 'nothing'}); name the arrays I, II, V1 "
-        f"to V6, or add a list 'leads' of names to one matrix{header}"
-    )

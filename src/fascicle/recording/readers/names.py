@@ -185,9 +185,7 @@ def name_lists(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
 
 def fill_values(entries: Sequence[Entry]) -> tuple[float, ...]:
     """Return the numbers that mark missing samples."""
-    return tuple(
-        number for entry in entries if entry.key is Key.MISSING for number in entry.numbers
-    )
+    return tuple(x for entry in entries if entry.key is Key.MISSING for x in entry.numbers)
 
 
 def check_physical(entries: Sequence[Entry], path: Path) -> None:
