@@ -9,7 +9,7 @@ import pytest
 
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.recording.missing_metadata import missing_rate, missing_time_unit, missing_unit
+from fascicle.recording.recording import missing_rate, missing_time_unit, missing_unit
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")
 

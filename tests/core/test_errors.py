@@ -5,7 +5,7 @@ import pickle
 import pytest
 
 from fascicle.core.errors import InputError, given_in
-from fascicle.recording.missing_metadata import MissingMetadataError
+from fascicle.recording.recording import MissingMetadataError
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import pytest
 from fascicle.core import isolated
 from fascicle.core.errors import InputError
 from fascicle.core.isolated import read_isolated
-from fascicle.recording.missing_metadata import MissingMetadataError
+from fascicle.recording.recording import MissingMetadataError
 
 ARRAYS = {
     "numbers": np.arange(6.0).reshape(2, 3),

@@ -5,10 +5,9 @@ import pytest
 
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS, lead_matrix
-from fascicle.recording.missing_metadata import MissingMetadataError
 from fascicle.recording.pipeline import analyse, make_target
 from fascicle.recording.readers.read import read_recording
-from fascicle.recording.recording import Recording
+from fascicle.recording.recording import MissingMetadataError, Recording
 
 ONSET, OFFSET = -45.0, 55.0  # ms from the nominal R
 

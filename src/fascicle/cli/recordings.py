@@ -13,6 +13,7 @@ from typer import Argument, Option
 from fascicle.cli.options import FormatOption, lead_names
 from fascicle.cli.output import Result, TerminalProgress, print_row, print_table
 from fascicle.core.errors import InputError, OutputError
+from fascicle.core.ranges import digits
 from fascicle.recording.readers.formats import known_formats
 
 if TYPE_CHECKING:
@@ -177,12 +178,12 @@ def _check_row(finding: CheckResult) -> tuple[str, ...]:
     """Name, value, limit with the acceptable side, unit and outcome of a check."""
     check, unknown = finding.check, math.isnan(finding.value)
     fine = finding.severity.value == "ok"
-    limit = _figure(check.limit)
+    value, limit = ("-" if math.isnan(x) else digits(x) for x in (finding.value, check.limit))
     if not unknown and not math.isnan(check.limit):
         limit = ("≤ " if (finding.value < check.limit) == fine else "≥ ") + limit
     # the recording is too short for it, or lacks what it needs
     outcome = "not checked" if unknown and fine else finding.severity.value
-    return check.name, _figure(finding.value), limit, check.unit, outcome
+    return check.name, value, limit, check.unit, outcome
 
 
 def _result(analysis: Analysis) -> dict[str, object]:
@@ -244,15 +245,6 @@ def _print_target(target: Target) -> None:
         print_row("beat to beat", f"{spread:.3f} mV (mean standard deviation in the QRS)")
     for warning in target.provenance.get("warnings", "").splitlines():
         print(f"warning: {warning}", file=sys.stderr)
-
-
-def _figure(value: float) -> str:
-    """Four digits at most, or a dash for a value that is not known."""
-    if math.isnan(value):
-        return "-"
-    if abs(value) >= 1e6:
-        return f"{value:.1e}"
-    return f"{value:.4f}".rstrip("0").rstrip(".") if abs(value) < 100 else f"{value:.0f}"
 
 
 def _picture_path(out: Path, recording: Path, kind: str) -> Path:

@@ -118,12 +118,7 @@ class Patient:
 def fit_patient(patient: Patient, pool: Pool, progress: Progress | None = None) -> Outcome:
     """Fit a patient and write the report, or the reason of the failure.
 
-    A finished study of the same row is not changed.
-
-    Raises
-    ------
-    HeldError
-        If another process is fitting the patient.
+    A finished study of the same row is not changed. HeldError is that another process fits it.
     """
     with study_lock(patient.folder):
         began = time.monotonic()

@@ -40,12 +40,8 @@ def fit_on_workers(
 
     If a worker is lost, another one resumes its patient from the stored evaluations. A patient
     whose workers are lost, or whom another process is fitting, is tried `attempts` times, with a
-    `pause` (s) before every attempt but the first.
-
-    Raises
-    ------
-    InputError
-        If a worker does not see the folder of the cohort, or the scheduler is lost.
+    `pause` (s) before every attempt but the first. InputError is that a worker does not see the
+    folder of the cohort, or that the scheduler is lost.
     """
     waiting = deque((patient, 1) for patient in patients)  # with the number of the attempt
     running: dict[Any, tuple[Patient, int, str]] = {}  # patient, attempt, address

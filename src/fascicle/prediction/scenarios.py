@@ -199,12 +199,8 @@ def prior_networks(simulator: PointSimulator, progress: Progress | None = None) 
 def qrs_aligned(*predicted: Predicted) -> tuple[Floats, list[Floats]]:
     """ECGs of scenarios as the recorder would show them, aligned at the QRS onset.
 
-    Returns
-    -------
-    time : (t,) array
-        Time from QRS onset (ms).
-    ecgs : list of (n, 12 + k, t) arrays
-        Potentials (mV) of each scenario, up to the end of the longest QRS.
+    Times (t,) from there (ms), and potentials (n, 12 + k, t), mV, of each scenario, up to the end
+    of the longest QRS.
     """
     windows = [[qrs_window(beat.leads, STEP) for beat in each.beats] for each in predicted]
     longest = max(offset - onset for each in windows for onset, offset in each)

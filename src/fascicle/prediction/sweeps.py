@@ -50,11 +50,7 @@ def simulate_sweep(
     """Simulate a family of scenarios in some networks, evenly spread over a study's population.
 
     Scenarios that cannot be simulated, as of a segment without excitable tissue, are skipped.
-
-    Raises
-    ------
-    InputError
-        If the study has no network, or no scenario can be simulated.
+    InputError is that the study has no network, or that no scenario can be simulated.
     """
     check_population(fitted)
     some = fitted.networks(progress, chosen=evenly_spread(len(fitted.population), networks))

@@ -130,21 +130,14 @@ def cut_beats(group: LeadGroup, members: Integers, onset: float | None = None) -
     first = qrs_window(median, SAMPLING_STEP, not_before)[0]
     if onset is not None:
         first = min(max(before + round(onset / SAMPLING_STEP), 0), before + after)
-    knots = peaks - before + _isoelectric_start(median, first)
+    # The isoelectric level is that of the slowest samples, of 60 to 5 before the QRS: further back
+    # is the P wave; nearer, the first slope of the QRS is smoothed in.
+    earliest = max(first - 60, 0)
+    velocity = spatial_velocity(median, SAMPLING_STEP)[earliest : max(first - 5, earliest + KNOT)]
+    slowest = np.argmin(np.convolve(velocity, np.full(KNOT, 1 / KNOT), mode="valid"))
+    knots = peaks - before + int(earliest + slowest)
     beats = _detrended_beats(signal, knots, peaks, before, after)
     return AlignedBeats(beats, before, not_before)
-
-
-def _isoelectric_start(mean: Floats, onset: int) -> int:
-    """First of the `KNOT` slowest samples, of 60 to 5 before the QRS, of a mean beat (12, n).
-
-    Further back is the P wave; nearer, the first slope of the QRS is smoothed in.
-    """
-    earliest = max(onset - 60, 0)
-    stop = max(onset - 5, earliest + KNOT)
-    velocity = spatial_velocity(mean, SAMPLING_STEP)[earliest:stop]
-    speed = np.convolve(velocity, np.full(KNOT, 1 / KNOT), mode="valid")
-    return int(earliest + np.argmin(speed))
 
 
 def _detrended_beats(

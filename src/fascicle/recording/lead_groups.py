@@ -147,7 +147,11 @@ def _group(
     inside = np.round(inside * (TARGET_RATE / rate)).astype(np.int64)
     independent = signal[_independent(signal)]
     noise = noise_energy(independent)
-    peaks = _find_peaks(signal)
+    if signal.shape[1] < 1.5 * TARGET_RATE:  # one beat, as recorders print it
+        peaks = np.array([int(np.argmax(magnitude(detrended(signal))))])
+    else:
+        peaks, margin = r_peaks(signal, TARGET_RATE), 40.0 / SAMPLING_STEP  # ms from the ends
+        peaks = peaks[(peaks >= margin) & (peaks < signal.shape[1] - margin)]
     labels: tuple[str, ...] = ()
     if len(peaks):
         classes, peaks = cluster_morphology(independent, peaks, noise)
@@ -165,14 +169,6 @@ def complete_in(signal: Floats, first: int, stop: int) -> Floats:
 def _independent(signal: Floats) -> Integers:
     """Rows of the leads that are there and no combination of one another."""
     return independent_rows(np.asarray(np.isfinite(signal).all(axis=1), dtype=np.bool_))
-
-
-def _find_peaks(signal: Floats) -> Integers:
-    """R peaks of a signal (12, n), without those within 40 ms of its ends."""
-    if signal.shape[1] < 1.5 * TARGET_RATE:  # one beat, as recorders print it
-        return np.array([int(np.argmax(magnitude(detrended(signal))))])
-    peaks, margin = r_peaks(signal, TARGET_RATE), 40.0 / SAMPLING_STEP
-    return np.asarray(peaks[(peaks >= margin) & (peaks < signal.shape[1] - margin)])
 
 
 def _name_classes(

@@ -31,10 +31,14 @@ from fascicle.recording.detection import magnitude
 from fascicle.recording.filter_estimate import passed_filters
 from fascicle.recording.filters import SAMPLING_STEP, TARGET_RATE, Filter, resample
 from fascicle.recording.lead_groups import LeadGroup, complete_in, lead_groups, stretches
-from fascicle.recording.missing_metadata import MissingMetadataError
 from fascicle.recording.quality.check_result import CheckResult, Severity, listed
 from fascicle.recording.quality.checks import check_leads, check_mean_beat, check_recording
-from fascicle.recording.recording import CHECKSUMS_AGREE, Recording, with_remarks
+from fascicle.recording.recording import (
+    CHECKSUMS_AGREE,
+    MissingMetadataError,
+    Recording,
+    with_remarks,
+)
 from fascicle.recording.spikes import find_spikes, remove_spikes
 from fascicle.recording.target import Target
 from fascicle.recording.target_options import TargetOptions, check_window

@@ -86,15 +86,8 @@ def spike_tail(beat: Floats, end: int) -> Floats:
     One time constant for all leads. It is fitted to as much, 7 to 60 ms, of what follows the spike
     as it explains to 15 uV and 30 %; a QRS, which grows, is never explained.
 
-    Parameters
-    ----------
-    beat : (12, n) array
-        Mean beat without its spike, which ends at the sample `end`, potential (mV) every ms.
-
-    Returns
-    -------
-    (12, n) array
-        The tail (mV); zero where no exponential fits, and before the spike's end.
+    Of a mean beat (12, n), mV every ms, without its spike, which ends at the sample `end`. The tail
+    (12, n), mV, is zero where no exponential fits, and before the spike's end.
     """
     tail = np.zeros_like(beat)
     level = beat[:, max(end - 30, 0) : max(end - 10, 1)].mean(axis=1, keepdims=True)
@@ -105,9 +98,9 @@ def spike_tail(beat: Floats, end: int) -> Floats:
         for decay in np.geomspace(0.7, 40.0, 30):  # ms
             shape = np.exp(-since[: after.shape[1]] / decay)
             size = after @ shape / (shape @ shape)
-            fits.append((float(((after - np.outer(size, shape)) ** 2).sum()), size, decay))
-        left, size, decay = min(fits, key=lambda fit: fit[0])
-        residual = after - np.outer(size, np.exp(-since[: after.shape[1]] / decay))
+            residual = after - np.outer(size, shape)
+            fits.append((float((residual**2).sum()), size, decay, residual))
+        left, size, decay, residual = min(fits, key=lambda fit: fit[0])
         small = np.abs(uniform_filter1d(residual, 3, axis=1)).max() < 0.015  # mV
         if small and left < 0.3**2 * (after**2).sum():
             tail[:, end:] = np.outer(size, np.exp(-since / decay))

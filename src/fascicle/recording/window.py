@@ -376,8 +376,12 @@ def _isoelectric_from(
     """First sample after the core from which the leads keep to the line that they are slow on."""
     speed = velocity.speed(search.turning)
     end = core + _slow_after(speed, core, level, search.reach, step)
-    if search.sloping:
-        end = _before_t_wave(speed, core, end, step)
+    if search.sloping and end - core >= 2:
+        # Where a T wave follows the QRS at once, the leads never rest for 10 ms: slowest between
+        slowest = core + int(np.argmin(speed[core:end]))
+        t_wave = speed[slowest:end].max()
+        if 1.2 * speed[slowest] < t_wave < 0.06 * _highest(speed, step):
+            end = slowest
     start = end + round(5.0 / step)  # nearer, the slope of the QRS is smoothed in
     beyond = velocity.slope[:, start : start + round(search.trend / step)]
     if not beyond.shape[1]:
@@ -387,19 +391,6 @@ def _isoelectric_from(
         trend = np.clip(trend, -0.3 * level, 0.3 * level)
     relative = velocity.speed(search.turning, trend)
     return core + _slow_after(relative, core, level, search.reach, step)
-
-
-def _before_t_wave(speed: Floats, core: int, end: int, step: float) -> int:
-    """The sample between core and end from which on the leads move as in a T wave, or the end.
-
-    Where a T wave follows the QRS at once, they are never at rest for 10 ms, but slowest between.
-    """
-    if end - core < 2:
-        return end
-    slowest = core + int(np.argmin(speed[core:end]))
-    t_wave = speed[slowest:end].max()
-    between = 1.2 * speed[slowest] < t_wave < 0.06 * _highest(speed, step)
-    return slowest if between else end
 
 
 def _slow_after(speed: Floats, core: int, level: float, reach: float, step: float) -> int:

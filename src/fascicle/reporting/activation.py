@@ -69,15 +69,10 @@ def total_time(value: float) -> str:
 def activation_figure(heart: Heart, rows: Sequence[ActivationRow], what: str) -> Figure:
     """Draw activations of one heart, or other times, as isochrone bands, one row each.
 
-    All rows share the colours; all hearts share one spatial scale, all Purkinje networks another.
-
-    Returns
-    -------
-    Figure
-        In each row the views of `heart_views`, then each side's Purkinje network on its
-        endocardium, seen from that side through the near wall. The colour bar, labelled `what`,
-        spans the times of the hearts; earlier or later times of the Purkinje networks have the
-        colours of its pointed ends.
+    In each row are the views of `heart_views`, then each side's Purkinje network on its
+    endocardium, seen from that side through the near wall. All rows share the colours; all hearts
+    share one spatial scale, all Purkinje networks another. The colour bar, labelled `what`, spans
+    the times of the hearts; other times of the Purkinje networks have the colours of its ends.
     """
     views = heart_views(heart)
     sides = {tree.side for row in rows for tree, _ in row.trees}
@@ -97,7 +92,11 @@ def activation_figure(heart: Heart, rows: Sequence[ActivationRow], what: str) ->
             width, height = largest([view.box(e.vertices) for e, view in seen])
             its_size = np.array([1, shape]) * max(width, height / shape)
             for axes, (cavity, view) in zip(line[len(views) :], seen, strict=True):
-                _draw_cavity(axes, view, cavity, its_size)
+                walls, colour = (cavity.vertices, cavity.triangles), {"color": "#F1E9E4"}
+                far = Surface(*walls, colour)
+                near = Surface(walls[0], walls[1][:, ::-1], colour | {"opacity": 0.3})
+                draw_surfaces(axes, view, far, near, box=view.box(walls[0]), size=its_size)
+                axes.set_title(f"{cavity.side.upper()} Purkinje network")
                 for tree, times in row.trees:
                     if tree.side == cavity.side:
                         _draw_tree(axes, view, cavity, tree, times, norm)
@@ -150,15 +149,6 @@ def _coloured(heart: Heart, activation: Floats, norm: BoundaryNorm) -> list[Surf
     }  # fmt: skip
     parts = (reached, look), (~reached, {"color": Colour.LIGHT_GREY})
     return [Surface(heart.vertices, triangles[of], its) for of, its in parts if of.any()]
-
-
-def _draw_cavity(axes: Axes, view: View, endocardium: Endocardium, size: Floats) -> None:
-    """The far wall of a cavity, seen through the near one."""
-    vertices, triangles = endocardium.vertices, endocardium.triangles
-    far = Surface(vertices, triangles, {"color": "#F1E9E4"})
-    near = Surface(vertices, triangles[:, ::-1], {"color": "#F1E9E4", "opacity": 0.3})
-    draw_surfaces(axes, view, far, near, box=view.box(vertices), size=size)
-    axes.set_title(f"{endocardium.side.upper()} Purkinje network")
 
 
 def _draw_tree(

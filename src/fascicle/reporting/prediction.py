@@ -102,13 +102,7 @@ def write_sweep(fitted: FittedStudy, swept: Swept, name: str, index: str, out: P
 def draw_simulation(
     heart: Heart, simulation: Simulation, folder: Path, kind: str, time_zero: str
 ) -> list[Path]:
-    """Write ``ecg`` and ``activation``, pictures of one of the `KINDS`, into a simulation's folder.
-
-    Returns
-    -------
-    list of Path
-        What was written.
-    """
+    """Write ``ecg`` and ``activation``, pictures of one of the `KINDS`; returns the files."""
     time, leads = simulation.ecg["time"].to_numpy(), simulation.leads[None]
     group = EcgGroup("simulated", "network", time, leads, Colour.VERMILION)
     row = ActivationRow.of(total_time(simulation.total_activation_time), simulation)

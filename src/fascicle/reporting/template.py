@@ -18,15 +18,10 @@ from fascicle.reporting.style import Colour
 def template_figure(progress: Progress | None = None) -> tuple[Figure, dict[str, dict[str, float]]]:
     """Action potentials of the three cell types in a cable, and the template of the ECG.
 
-    The first time on a machine each cable takes seconds.
-
-    Returns
-    -------
-    figure : Figure
-        Left, whole action potentials with their APD90; right, the first 80 ms with the template.
-    table : dict of cell type to dict
-        ``resting_potential`` and ``overshoot`` (mV), ``max_upstroke`` (V/s), ``apd90`` (ms) and
-        ``conduction_velocity`` (m/s) of each.
+    The first time on a machine each cable takes seconds. Left, whole action potentials with their
+    APD90; right, the first 80 ms with the template. The table, by cell type, has
+    ``resting_potential`` and ``overshoot`` (mV), ``max_upstroke`` (V/s), ``apd90`` (ms) and
+    ``conduction_velocity`` (m/s).
     """
     templates, report = {}, progress if progress is not None else lambda *stage: None
     for done, cell in enumerate(CELLS):

@@ -12,10 +12,9 @@ from refusals import refused
 
 from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_LEADS, LEADS
-from fascicle.recording.missing_metadata import MissingMetadataError
 from fascicle.recording.pipeline import make_target
 from fascicle.recording.readers.read import read_recording
-from fascicle.recording.recording import Filters
+from fascicle.recording.recording import Filters, MissingMetadataError
 
 ROWS = [LEADS.index(lead) for lead in INDEPENDENT_LEADS]
 

@@ -331,12 +331,8 @@ def check_chest_leads(qrs: Floats, simultaneous: bool = True) -> CheckResult:
     misfit over the least that an exchange of neighbours or an inversion leaves. Limb leads take no
     part; reversed limb electrodes change no chest lead.
 
-    Parameters
-    ----------
-    qrs : (12, n) array
-        Mean QRS (mV), from the PR segment as zero; absent leads are NaN.
-    simultaneous : bool
-        Whether all leads were recorded at the same time.
+    Of a mean QRS (12, n), mV, from the PR segment as zero; absent leads are NaN. `simultaneous`
+    says whether all leads were recorded at the same time.
     """
     chest = qrs[len(LEADS) - len(CHEST_LEADS) : len(LEADS)]
     if not (simultaneous and np.isfinite(chest).all()):

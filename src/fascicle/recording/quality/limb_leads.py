@@ -26,7 +26,7 @@ WRONG_GAINS = (
 )
 REMAINING = 0.5  # share of a misfit that an explanation may leave, also of what the next one leaves
 
-# Einthoven, 1913; Goldberger, 1942: what is zero, lead by lead in the order of LIMB_LEADS.
+# What is zero, lead by lead in the order of LIMB_LEADS.
 CLASSIC = {
     "Einthoven I + III - II": (1.0, -1.0, 1.0, 0.0, 0.0, 0.0),
     "Goldberger aVR + (I + II)/2": (0.5, 0.5, 0.0, 1.0, 0.0, 0.0),
@@ -42,9 +42,6 @@ def check_identities(recording: Recording) -> list[CheckResult]:
     what is faster than about 37 Hz have been taken off each lead; it is fine up to 0.05 mV or 5 %
     of the limb leads' height. The first broken identity carries the explanation. Leads that were
     recorded one group after another are compared where they overlap.
-
-    References
-    ----------
     W. Einthoven, G. Fahr, A. de Waart, Pflügers Arch. 150:275 (1913); E. Goldberger, Am. Heart J.
     23:483 (1942).
     """
@@ -263,8 +260,6 @@ def check_reversal(recording: Recording, peaks: Integers, paced: bool = False) -
     not count; a rhythm that is `paced` or has no P wave is not judged. Reversed left arm and left
     leg look like a turned axis. The `peaks` (n_beats,) are samples of the R peaks.
 
-    References
-    ----------
     V. N. Batchvarov, M. Malik, A. J. Camm, Europace 9:1081 (2007); K. K. Ho, S. K. Ho, J.
     Electrocardiol. 34:161 (2001), on the P wave.
     """

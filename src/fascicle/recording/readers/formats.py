@@ -78,10 +78,7 @@ READERS = [
 def register_reader(reader: Reader) -> None:
     """Add a format to those that are read, in this process; it comes before the others.
 
-    Parameters
-    ----------
-    reader : Reader
-        Takes the place of one whose format has the same name.
+    It takes the place of one of the same name.
     """
     READERS[:] = [reader, *(other for other in READERS if other.format != reader.format)]
 

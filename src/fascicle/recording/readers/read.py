@@ -26,7 +26,6 @@ from fascicle.core.leads import (
 )
 from fascicle.core.ranges import check_items, check_kind, check_text, number
 from fascicle.recording import corrections
-from fascicle.recording.missing_metadata import missing_rate, missing_unit
 from fascicle.recording.readers.formats import READERS, reader_of
 from fascicle.recording.readers.names import additional_lead_name, lead_name, millivolts, same_unit
 from fascicle.recording.recording import (
@@ -39,6 +38,8 @@ from fascicle.recording.recording import (
     is_span,
     lead_spans,
     leave_out_pulses,
+    missing_rate,
+    missing_unit,
     with_remarks,
 )
 

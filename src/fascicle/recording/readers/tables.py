@@ -16,7 +16,6 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, one_line, printable
 from fascicle.core.leads import LEADS
-from fascicle.recording.missing_metadata import missing_rate, missing_time_unit
 from fascicle.recording.readers.names import (
     PER_SECOND,
     Entry,
@@ -32,7 +31,7 @@ from fascicle.recording.readers.names import (
     same_unit,
 )
 from fascicle.recording.readers.read import Channel, RawRecording, without_fill
-from fascicle.recording.recording import SHORTEST, with_remarks
+from fascicle.recording.recording import SHORTEST, missing_rate, missing_time_unit, with_remarks
 
 if TYPE_CHECKING:
     import pandas as pd
