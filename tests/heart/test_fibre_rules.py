@@ -192,7 +192,7 @@ def test_the_rv_has_angles_of_its_own(laplace):
     [
         (Label.BASE, "base"),
         (Label.EPICARDIUM, "epicardium"),
-        (Label.LV_ENDOCARDIUM, "LV endocardium"),
+        (Label.LV_ENDOCARDIUM, "lv endocardium"),
     ],
 )
 def test_a_missing_label_is_named(missing, named):

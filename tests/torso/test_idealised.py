@@ -171,7 +171,7 @@ def swapped(heart: Heart, *names: str) -> Heart:
 
 
 def test_has_nothing_against_a_patient(crtdemo: Heart) -> None:
-    assert electrode_warnings(crtdemo) == []
+    assert [*electrode_warnings(crtdemo)] == []
     check_not_mirrored("heart", crtdemo)
 
 
@@ -184,7 +184,7 @@ def test_has_nothing_against_a_patient(crtdemo: Heart) -> None:
     ],
 )
 def test_notices_swapped_electrodes(default_heart: Heart, names, message) -> None:
-    warnings = electrode_warnings(swapped(default_heart, *names))
+    warnings = list(electrode_warnings(swapped(default_heart, *names)))
     assert [w for w in warnings if w.startswith(message)]
     check_not_mirrored("heart", swapped(default_heart, *names))  # it is not the heart's fault
 

@@ -8,10 +8,9 @@ from block_heart import CUBE, HEART_CENTRE, LV, RV, block_heart, ellipsoid, lung
 
 from fascicle.core.errors import InputError
 from fascicle.heart.heart import TorsoTissue
-from fascicle.heart.labelled_surface import Label
 from fascicle.mesh.measures import intersections, signed_volumes
 from fascicle.mesh.topology import boundary_triangles
-from fascicle.torso.mesh import closed_cavity, mesh_torso
+from fascicle.torso.mesh import mesh_torso
 from fascicle.torso.surfaces import Surface, check_within
 
 CUBES = [np.prod(np.subtract(high, low)) for low, high in (LV, RV)]
@@ -65,11 +64,6 @@ def test_tissues_have_their_volumes(torso):
     assert volume_of(torso, TorsoTissue.LUNG) / 1e6 == pytest.approx(lungs, rel=1e-9)
     # the lid is known to the size of the tetrahedra, and those here are as large as the cubes
     assert volume_of(torso, TorsoTissue.BLOOD) == pytest.approx(sum(CUBES) * CUBE**3, rel=0.04)
-
-
-def test_closed_cavities_are_exact(heart):
-    for label, cubes in zip((Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM), CUBES, strict=True):
-        assert closed_cavity(heart, label).litres * 1e6 == pytest.approx(cubes * CUBE**3, rel=1e-12)
 
 
 def test_blood_lies_in_the_cavities(torso):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copyreg
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -32,13 +33,8 @@ class InputError(ValueError):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """How a process hands it over: whatever arguments a subclass takes."""
-        return _restored, (type(self), self.args, vars(self))
-
-
-def _restored(kind: type[InputError], args: tuple[Any, ...], state: dict[str, Any]) -> InputError:
-    error = kind.__new__(kind, *args)
-    vars(error).update(state)
-    return error
+        new = copyreg.__newobj__  # type: ignore[attr-defined]
+        return new, (type(self), *self.args), vars(self)
 
 
 class FileError(InputError):

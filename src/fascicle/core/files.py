@@ -20,7 +20,6 @@ from fascicle.core.ranges import shown
 
 CACHE_VARIABLE = "FASCICLE_CACHE"  # environment variable with another folder for the cache
 DISPOSABLE = ".fascicle-cache"  # what is in a folder of this name can be computed again
-DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _unfinished: set[Path] = set()  # temporary files and folders that are being written
 _outside_allowed = ContextVar("files may name files outside their folder", default=False)
 
@@ -109,7 +108,7 @@ def _replaced(path: Path, is_folder: bool) -> Iterator[Path]:
     except DiskFullError as error:
         raise DiskFullError(path, error.reason) from None
     except OSError as error:
-        if error.errno not in DISK_FULL:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             raise
         raise DiskFullError(path, os.strerror(error.errno)) from None
 

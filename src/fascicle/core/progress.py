@@ -14,7 +14,7 @@ from fascicle.core.ranges import shown
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bars
-    from rich.progress import Task, TaskID
+    from rich.progress import Task
 
 StageProgress = Callable[[int, int], None]  # progress callback of one stage: done, total
 Lines = Literal["lines"]  # asks for lines on standard error
@@ -105,7 +105,7 @@ class ProgressLines:
     def __init__(self, say: Callable[[str], None], first: float = 2.0, every: float = 10.0) -> None:
         self._say, self._first, self._every = say, first, every
         self._bars: Bars | None = None
-        self._tasks: dict[str, TaskID] = {}
+        self._tasks: dict[str, Task] = {}
         self._said: dict[str, float] = {}  # when (s) a stage was last spoken of
         self._over = threading.Event()
 
@@ -123,8 +123,9 @@ class ProgressLines:
             threading.Thread(target=self._speak, daemon=True).start()
         if stage not in self._tasks:
             name = stage_name(stage)
-            self._tasks[stage] = self._bars.add_task(name, total=total, message="", first=done)
-        task = self._task(stage)
+            self._bars.add_task(name, total=total, message="", first=done)
+            self._tasks[stage] = self._bars.tasks[-1]
+        task = self._tasks[stage]
         if done < task.completed:  # the stage of another patient
             self._bars.reset(task.id, first=done, message=message)
             self._said.pop(stage, None)
@@ -139,16 +140,11 @@ class ProgressLines:
             self._bars.live.transient = clear
             self._bars.stop()
 
-    def _task(self, stage: str) -> Task:
-        assert self._bars is not None
-        number = self._tasks[stage]
-        return next(task for task in self._bars.tasks if task.id == number)
-
     def _speak(self) -> None:
         """Say now and then how far the stages are that have not ended."""
         while not self._over.wait(self._first / 4):
-            for stage in [*self._tasks]:
-                task, now = self._task(stage), time.monotonic()
+            for stage, task in [*self._tasks.items()]:
+                now = time.monotonic()
                 wait = self._every if stage in self._said else self._first
                 since = self._said.get(stage, now - (task.elapsed or 0.0))
                 if not task.finished and now - since >= wait:

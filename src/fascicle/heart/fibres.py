@@ -36,7 +36,7 @@ from scipy.spatial import KDTree
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
-from fascicle.heart.labelled_surface import BASAL, Label, LabelledMesh
+from fascicle.heart.labelled_surface import BASAL, Label, LabelledMesh, missing_parts
 from fascicle.heart.laplace import QuadraticSpace, quadratic_space, solve_laplace
 from fascicle.mesh.measures import principal_axes, unit
 
@@ -107,16 +107,12 @@ def rule_based_fibres(
     endocardium and around them outside. An error if the surface lacks a label that the rule needs.
     """
     angles = angles if angles is not None else FibreAngles()
-    for what, labels in (
-        ("base", BASAL),
-        ("LV endocardium", (Label.LV_ENDOCARDIUM,)),
-        ("epicardium", (Label.EPICARDIUM,)),
-    ):
-        if not len(mesh.having(*labels)):
-            raise InputError(
-                f"{mesh.name}: no boundary triangle is labelled as {what}, which the fibres start "
-                "from; label the surface"
-            )
+    missing = {*missing_parts(mesh.labels)} - {Label.RV_ENDOCARDIUM.words}
+    if missing:
+        raise InputError(
+            f"{mesh.name}: no boundary triangle is labelled as {' or '.join(sorted(missing))}, "
+            "which the fibres start from; label the surface"
+        )
     progress(0, 3)
     space = quadratic_space(mesh.vertices, mesh.tetrahedra)
     potentials, gradients = wall_potentials(space, mesh)

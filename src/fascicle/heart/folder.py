@@ -51,6 +51,8 @@ FILES = {
     "torso": "torso.vtu",
     "action_potential": "action_potential.csv",
 }
+# What a heart folder holds, and may be written again
+OWN_FILES = {MANIFEST, PICTURE, LABELS_PICTURE, *FILES.values()}
 
 
 class _Strict(BaseModel):
@@ -248,18 +250,13 @@ def check_heart_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
         raise InputError(
             f"{folder}: holds files and is not a heart folder (no {MANIFEST}); give another --out"
         )
-    check_nothing_lost(folder, _own_files())
-
-
-def _own_files() -> set[str]:
-    """Files of a heart folder, which may be written again."""
-    return {MANIFEST, PICTURE, LABELS_PICTURE, *FILES.values()}
+    check_nothing_lost(folder, OWN_FILES)
 
 
 def write_heart(heart: Heart, folder: Path) -> None:
     """Write a heart folder, whole or not at all."""
     check_heart_folder(folder)
-    with atomic_folder(folder, disposable=_own_files()) as temporary:
+    with atomic_folder(folder, disposable=OWN_FILES) as temporary:
         write_mesh(heart, temporary / FILES["mesh"])
         for e in heart.endocardia:
             valves = {} if e.valves is None else {"valve": e.valves.astype(int)}

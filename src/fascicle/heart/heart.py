@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
@@ -120,10 +120,9 @@ class Heart:
     __repr__ = short_repr
 
     @property
-    def endocardia(self) -> Iterator[Endocardium]:
+    def endocardia(self) -> tuple[Endocardium, Endocardium]:
         """Left, then right."""
-        yield self.lv
-        yield self.rv
+        return self.lv, self.rv
 
     @property
     def electrode_names(self) -> tuple[str, ...]:

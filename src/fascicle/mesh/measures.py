@@ -94,15 +94,15 @@ def closed_by_fan(vertices: Floats, triangles: Integers) -> tuple[float, float]:
 
 
 def winding_number(vertices: Floats, triangles: Integers, points: Floats) -> Floats:
-    """How often an open surface, closed by a fan over its opening, goes round points (k, 3).
+    """How often a surface, closed by a fan over each opening, goes round points (k, 3).
 
     About 1 within and 0 outside, whichever way the triangles are turned.
     """
-    loop = boundary_loops(triangles)[0]
-    closed = np.vstack([vertices, vertices[loop].mean(axis=0)])
-    faces = np.vstack([triangles, fan(loop, len(vertices))])
-    points = np.ascontiguousarray(points)
-    return np.asarray(np.abs(igl.fast_winding_number(closed, faces, points)))
+    loops = boundary_loops(triangles)
+    closed = np.vstack([vertices, *(vertices[loop].mean(axis=0) for loop in loops)])
+    lids = [fan(loop, number) for number, loop in enumerate(loops, start=len(vertices))]
+    faces = np.vstack([triangles, *lids])
+    return np.asarray(np.abs(igl.fast_winding_number(closed, faces, np.ascontiguousarray(points))))
 
 
 def turned_outwards(vertices: Floats, triangles: Integers) -> Integers:
@@ -143,19 +143,14 @@ class Quality(NamedTuple):
     radius_ratios: Floats
     edges: Floats
 
-    @property
-    def sharp(self) -> float:
-        """Share of tetrahedra with a dihedral angle below 10 degrees."""
-        return float((self.angles < 10.0).mean())
-
     def __str__(self) -> str:
         return (
             f"{self.vertices} vertices, {len(self.volumes)} tetrahedra, "
             f"{self.volumes.sum() / 1000:.1f} ml, edges {self.edges.mean():.2f} mm "
             f"({self.edges.min():.2f} to {self.edges.max():.2f}), smallest dihedral angle "
             f"{self.angles.min():.1f} degrees (median {np.median(self.angles):.1f}; "
-            f"{self.sharp:.2%} below 10), radius ratio {self.radius_ratios.mean():.2f} "
-            f"(worst {self.radius_ratios.min():.2f})"
+            f"{(self.angles < 10.0).mean():.2%} below 10), radius ratio "
+            f"{self.radius_ratios.mean():.2f} (worst {self.radius_ratios.min():.2f})"
         )
 
 

@@ -55,7 +55,7 @@ def tetrahedralise(
     mesh.dim = 3
     count = 0
     for face, (vertices, triangles, inner, outer) in enumerate(interfaces, start=1):
-        mesh.AddPoints(as_float64(vertices))
+        mesh.AddPoints(np.ascontiguousarray(vertices, dtype=np.float64))
         index = mesh.Add(netgen.FaceDescriptor(bc=face, domin=inner, domout=outer, surfnr=face))
         mesh.AddElements(dim=2, index=index, data=as_int32(triangles + count), base=0)
         count += len(vertices)
@@ -127,7 +127,7 @@ def remeshed_triangles(
     import mmgpy
 
     # triangles are set twice, as only the second call takes their labels
-    mesh = mmgpy.MmgMeshS(as_float64(vertices), as_int32(triangles))
+    mesh = mmgpy.MmgMeshS(np.ascontiguousarray(vertices, dtype=np.float64), as_int32(triangles))
     mesh.set_triangles(as_int32(triangles), as_int32(labels))
     with signals_restored():
         mesh.remesh(**options, verbose=-1)
@@ -148,9 +148,9 @@ def remeshed_tetrahedra(
     """
     import mmgpy
 
-    mesh = mmgpy.MmgMesh3D(as_float64(vertices), as_int32(tetrahedra))
+    mesh = mmgpy.MmgMesh3D(np.ascontiguousarray(vertices, dtype=np.float64), as_int32(tetrahedra))
     mesh.set_mesh_size(vertices=len(vertices), tetrahedra=len(tetrahedra), triangles=len(triangles))
-    mesh.set_vertices(as_float64(vertices))
+    mesh.set_vertices(np.ascontiguousarray(vertices, dtype=np.float64))
     mesh.set_tetrahedra(as_int32(tetrahedra))
     mesh.set_triangles(as_int32(triangles), as_int32(labels))
     with signals_restored():
@@ -210,8 +210,3 @@ def marching_cubes(values: Floats) -> tuple[Floats, Integers]:
 def as_int32(array: Integers) -> NDArray[np.int32]:
     """Array in the type and memory order that the meshers need; Mmg misreads any other."""
     return np.ascontiguousarray(array, dtype=np.int32)
-
-
-def as_float64(array: Floats) -> Floats:
-    """Positions likewise."""
-    return np.ascontiguousarray(array, dtype=np.float64)

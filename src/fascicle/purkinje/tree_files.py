@@ -37,7 +37,6 @@ from fascicle.mesh.measures import unit
 from fascicle.mesh.topology import components_of, merged_vertices
 from fascicle.purkinje.tree import PurkinjeTree
 
-TREE_FORMATS = (".vtu", ".vtp", ".vtk", *OPENCARP_FORMATS)
 FURTHEST_ROOT = 2.0  # mm, between the place given for a root and the tree's nearest node
 SAME_POINT = 1e-4  # mm; ends of polylines closer than this are one node (single precision)
 
@@ -106,7 +105,7 @@ def read_tree(
     """
     path = Path(path)
     purpose = f"{side.upper()} tree"
-    check_file(path, TREE_FORMATS, purpose)
+    check_file(path, (".vtu", ".vtp", ".vtk", *OPENCARP_FORMATS), purpose)
     is_opencarp = path.suffix.lower() in OPENCARP_FORMATS
     mesh = _read_opencarp_tree(path, purpose) if is_opencarp else read_mesh(path, purpose)
     segments, lengths = _segments(mesh)

@@ -164,11 +164,6 @@ def check_not_exchanged(name: str, heart: Heart) -> None:
         raise InputError(f"{name}: {warning}")
 
 
-def electrode_warnings(heart: Heart) -> list[str]:
-    """Electrodes that seem misplaced or exchanged: one line each, with what to do."""
-    return [*_order_warnings(heart), *_distance_warnings(heart)]
-
-
 def _order_warnings(heart: Heart) -> Iterator[str]:
     """Electrodes that are exchanged: left and right, above and below, or around the chest."""
     electrodes = heart.electrodes
@@ -203,8 +198,9 @@ def _order_warnings(heart: Heart) -> Iterator[str]:
             yield f"electrode {name} lies {where}; check its position"
 
 
-def _distance_warnings(heart: Heart) -> Iterator[str]:
-    """Electrodes nearer to the heart, or further away, than the skin of the chest can be."""
+def electrode_warnings(heart: Heart) -> Iterator[str]:
+    """Electrodes that seem misplaced or exchanged: one line each, with what to do."""
+    yield from _order_warnings(heart)
     distance, _ = cKDTree(heart.vertices).query(heart.electrode_positions)
     for name, d in zip(heart.electrode_names, distance, strict=True):
         if d < 10:  # mm: ribs lie between

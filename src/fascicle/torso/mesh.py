@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import igl
 import numpy as np
 
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.heart import Heart, Torso, TorsoTissue
 from fascicle.heart.labelled_surface import Label, LabelledMesh, labelled_mesh
-from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.measures import signed_volumes, winding_number
 from fascicle.mesh.meshing import NOTHING, Interface, tetrahedralise
-from fascicle.mesh.topology import boundary_loops, fan, without_unused_vertices
+from fascicle.mesh.topology import without_unused_vertices
 from fascicle.torso.electrode_sites import FARTHEST
 from fascicle.torso.idealised import idealised_torso
 from fascicle.torso.lead_fields import place_electrodes
@@ -81,25 +80,15 @@ def mesh_torso(
     tissues = np.where(domains == around, int(TorsoTissue.OTHER), int(TorsoTissue.LUNG))
     centres = vertices[tetrahedra].mean(axis=1)
     for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM):
-        cavity = closed_cavity(mesh, label)
-        low, high = cavity.vertices.min(axis=0), cavity.vertices.max(axis=0)
+        endocardium = mesh.having(label)
+        lined = mesh.vertices[endocardium]
+        low, high = lined.min(axis=(0, 1)), lined.max(axis=(0, 1))
         in_box = ((centres >= low) & (centres <= high)).all(axis=1)
         near = np.flatnonzero((domains == around) & in_box)
-        winding = igl.fast_winding_number(*cavity, np.ascontiguousarray(centres[near]))
-        tissues[near[winding > 0.5]] = TorsoTissue.BLOOD
+        within = winding_number(mesh.vertices, endocardium, centres[near]) > 0.5
+        tissues[near[within]] = TorsoTissue.BLOOD
     used = np.unique(mesh.triangles)
     added = vertices[len(used) :]
     number = np.concatenate([used, len(mesh.vertices) + np.arange(len(added))])
     progress(2, 2)
     return Torso(np.concatenate([mesh.vertices, added]), number[tetrahedra], tissues)
-
-
-def closed_cavity(mesh: LabelledMesh, label: Label) -> Surface:
-    """An endocardium with a lid over each of its openings, a fan; normals out of the cavity."""
-    endocardium = mesh.having(label)
-    vertices, triangles = [mesh.vertices], [endocardium]
-    for number, loop in enumerate(boundary_loops(endocardium), start=len(mesh.vertices)):
-        vertices.append(mesh.vertices[loop].mean(axis=0, keepdims=True))
-        triangles.append(fan(loop, number))
-    kept, inwards = without_unused_vertices(np.concatenate(vertices), np.concatenate(triangles))
-    return Surface(kept, np.ascontiguousarray(inwards[:, ::-1]))
