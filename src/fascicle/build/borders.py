@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from typing import NamedTuple
 
 import igl
 import numpy as np
@@ -208,11 +207,11 @@ def cut_along_borders(surface: LabelledSurface, edge_length: float = NARROWEST) 
             ]
             away, _ = cKDTree(surface.vertices[np.concatenate(rims)]).query(surface.vertices)
             level = np.minimum(level, away / max(NARROWEST, edge_length) - 1)
-        cut = cut_at_zero(graph.vertices, graph.triangles, level)
-        before = surface.labels[cut.parent]
+        vertices, triangles, parent, side = cut_at_zero(graph.vertices, graph.triangles, level)
+        before = surface.labels[parent]
         outside = np.where(before == part, Label.BASE, before)
-        labels = np.where(cut.side > 0, part, np.where(cut.side < 0, outside, before))
-        surface = LabelledSurface(cut.vertices, cut.triangles, labels, surface.name)
+        labels = np.where(side > 0, part, np.where(side < 0, outside, before))
+        surface = LabelledSurface(vertices, triangles, labels, surface.name)
     return surface
 
 
@@ -237,21 +236,15 @@ def _level(graph: DualGraph, inside: Booleans) -> Floats:
     return np.asarray(level)
 
 
-class CutSurface(NamedTuple):
-    """A surface none of whose triangles (m, 3) lies on both sides of a line.
+def cut_at_zero(
+    vertices: Floats, triangles: Integers, values: Floats
+) -> tuple[Floats, Integers, Integers, Integers]:
+    """Divide the triangles that the zero level of a function, given at the vertices, crosses.
 
-    The old vertices come first. `parent` (m,) is the triangle that each is part of, `side` (m,) 1
-    where the function is positive, -1 where negative, 0 where all corners are on the line.
+    The old vertices come first. Of each triangle (m, 3) follow which it is part of (m,), and its
+    side (m,): 1 where the function is positive, -1 where negative, 0 where all corners are on the
+    line.
     """
-
-    vertices: Floats
-    triangles: Integers
-    parent: Integers
-    side: Integers
-
-
-def cut_at_zero(vertices: Floats, triangles: Integers, values: Floats) -> CutSurface:
-    """Divide the triangles that the zero level of a function, given at the vertices, crosses."""
     near = 0.15  # of an edge; a line that passes a vertex so near is led through it
     values = values.copy()
     edges, _ = unique_edges(triangles)
@@ -277,7 +270,7 @@ def cut_at_zero(vertices: Floats, triangles: Integers, values: Floats) -> CutSur
     cut = np.concatenate(parts)
     signs = np.concatenate([np.sign(values), np.zeros(len(added))]).astype(np.int64)
     side = np.sign(signs[cut].sum(axis=1))
-    return CutSurface(np.concatenate([vertices, added]), cut, np.concatenate(parent), side)
+    return np.concatenate([vertices, added]), cut, np.concatenate(parent), side
 
 
 def _divided(corners: list[int], on_edge: dict[tuple[int, int], int]) -> list[list[int]]:

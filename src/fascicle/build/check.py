@@ -17,7 +17,7 @@ from fascicle.heart.fibres import placeholder
 from fascicle.heart.heart import Heart, TorsoTissue
 from fascicle.heart.labelled_surface import Label, LabelledMesh, labelled_mesh
 from fascicle.mesh.measures import Quality, closed_by_fan, quality, signed_volumes, unit
-from fascicle.purkinje.chart import Chart
+from fascicle.purkinje.chart import Chart, stretch
 from fascicle.torso.electrode_sites import electrode_warnings
 from fascicle.torso.lead_fields import is_up_to_date
 
@@ -157,10 +157,11 @@ def _endocardium_rows(heart: Heart, charts: Mapping[str, Chart]) -> list[tuple[s
 
 def _largest_stretch(endocardium: Endocardium, chart: Chart) -> float:
     """Largest ratio of a chart's stretches but at valve openings, where no network grows."""
-    if endocardium.valves is None:
-        return float(chart.distortion.max())
-    openings = endocardium.triangles[endocardium.valves]
-    return float(chart.distortion[~np.isin(chart.triangles, openings).any(axis=1)].max())
+    stretched = stretch(chart.metric)
+    if endocardium.valves is not None:
+        openings = endocardium.triangles[endocardium.valves]
+        stretched = stretched[~np.isin(chart.triangles, openings).any(axis=1)]
+    return float(stretched.max())
 
 
 def _torso_rows(heart: Heart) -> list[tuple[str, str]]:

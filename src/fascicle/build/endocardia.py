@@ -128,7 +128,11 @@ def cleaned_labels(vertices: Floats, triangles: Integers, labels: Integers) -> I
     for _ in range(20):  # each round leaves less to do; real surfaces need two or three
         before = labels.copy()
         _remove_small_components(labels, across, length, area)
-        _remove_spurs(labels, across)
+        for label in BASAL:
+            around = np.zeros(len(labels), dtype=np.int64)
+            for here, there in ((0, 1), (1, 0)):
+                np.add.at(around, across[:, here], labels[across[:, there]] == label)
+            labels[(around >= 2) & ~np.isin(labels, BASAL)] = label
         for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM):
             _split_non_manifold_vertices(labels, triangles, edges, across, label)
         if (labels == before).all():
@@ -154,15 +158,6 @@ def _remove_small_components(
     small = (areas < 0.05 * whole[of_piece]) & border.any(axis=1)
     small &= ~np.isin(of_piece, BASAL) | ((border > 0).sum(axis=1) == 1)
     labels[:] = np.where(small, border.argmax(axis=1), of_piece)[piece]
-
-
-def _remove_spurs(labels: Integers, across: Integers) -> None:
-    """Give triangles that reach into the base with two edges its label, in place."""
-    for label in BASAL:
-        around = np.zeros(len(labels), dtype=np.int64)
-        for here, there in ((0, 1), (1, 0)):
-            np.add.at(around, across[:, here], labels[across[:, there]] == label)
-        labels[(around >= 2) & ~np.isin(labels, BASAL)] = label
 
 
 def _split_non_manifold_vertices(

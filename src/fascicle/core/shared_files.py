@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import pickle
-from functools import lru_cache
 from pathlib import Path
-from threading import Lock
 from typing import Any, NamedTuple
 
 from fascicle.core.errors import FileError
-
-_READING = Lock()
+from fascicle.core.threads import made_once
 
 
 class SharedFile(NamedTuple):
@@ -28,17 +25,8 @@ def write_shared(path: Path, content: object) -> SharedFile:
     return SharedFile(path, hashlib.sha256(pickled).hexdigest())
 
 
-def read_shared(file: SharedFile) -> Any:
-    """Read it; what this process has read last is remembered.
-
-    FileError is that it was changed: to unpickle what somebody else wrote would run their code.
-    """
-    with _READING:  # threads of a worker begin together, and one heart is enough for all
-        return _read(file)
-
-
-@lru_cache(4)  # a model, and the recordings it is compared with, of two studies
 def _read(file: SharedFile) -> Any:
+    """Read it; FileError is that it was changed: to unpickle it could then run another's code."""
     pickled = file.path.read_bytes()
     found = hashlib.sha256(pickled).hexdigest()
     if found != file.digest:
@@ -47,3 +35,8 @@ def _read(file: SharedFile) -> Any:
             f"{found[:12]}, not {file.digest[:12]}); see who else writes to the temporary folder"
         )
     return pickle.loads(pickled)  # noqa: S301 - of `write_shared`
+
+
+# What this process has read last is remembered: a model, and the recordings it is compared with, of
+# two studies. Threads of a worker begin together, and one heart is enough for all.
+read_shared = made_once(_read, 4)

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, given_in
@@ -55,27 +55,21 @@ FILES = {
 OWN_FILES = {MANIFEST, PICTURE, LABELS_PICTURE, *FILES.values()}
 
 
-class _Strict(BaseModel):
-    """Unknown keys are errors."""
-
-    model_config = ConfigDict(extra="forbid")
-
-
-class Seeds(_Strict):
+class Seeds(BaseModel, extra="forbid"):
     """Vertices of an endocardium: where its bundle starts, and where it heads for."""
 
     root: int
     direction: int
 
 
-class LeadFieldKeys(_Strict):
+class LeadFieldKeys(BaseModel, extra="forbid"):
     """What the lead fields in the mesh were computed from; see `fascicle.torso.lead_fields`."""
 
     heart: str
     torso: str
 
 
-class Manifest(_Strict):
+class Manifest(BaseModel, extra="forbid"):
     """Contents of `heart.toml`; file names are relative to the folder."""
 
     format: Literal["fascicle heart 1"]
@@ -132,8 +126,8 @@ def load_heart(path: Path | str) -> Heart:
             for side, file in surfaces.items()
         },
         seeds={
-            side: (seeds.root, seeds.direction)
-            for side, seeds in (("lv", manifest.lv), ("rv", manifest.rv))
+            "lv": (manifest.lv.root, manifest.lv.direction),
+            "rv": (manifest.rv.root, manifest.rv.direction),
         },
         electrodes=named_by(path, manifest.electrodes),
         name=manifest.name,

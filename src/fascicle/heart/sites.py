@@ -88,19 +88,14 @@ def places(heart: Heart) -> Places:
     in_septum = (wall == Wall.SEPTUM) & (height < 1)
     septal = unit(heart.volumes[in_septum] @ unit(around[in_septum]))
     angle = np.arctan2(around @ np.cross(septal, down), around @ septal)
-    segment = np.where(wall == Wall.RV, RIGHT, _segment(height, angle))
-    return Places(segment, wall, depth, height, angle)
-
-
-def _segment(height: Floats, angle: Floats) -> Integers:
-    """Numbers of the left ventricle's segments at these coordinates."""
     turn = angle / (2 * np.pi)
     # sixths from the middle of the septum over the anterior wall; the septum is in the middle of
     # the first quarter
     sixth = np.array([2, 1, 6, 5, 4, 3])[np.floor(6 * turn).astype(int) % 6]
     quarter = np.array([14, 13, 16, 15])[np.floor(4 * turn + 0.5).astype(int) % 4]
     third = np.floor(3 * height)
-    return np.select([third < 1, third < 2, third < 3], [sixth, 6 + sixth, quarter], APEX)
+    left = np.select([third < 1, third < 2, third < 3], [sixth, 6 + sixth, quarter], APEX)
+    return Places(np.where(wall == Wall.RV, RIGHT, left), wall, depth, height, angle)
 
 
 class CoordinateSite(Table, table="stimulus.site", once=True):

@@ -33,11 +33,6 @@ class Chart(NamedTuple):
     neighbours: Integers
     metric: Floats
 
-    @property
-    def distortion(self) -> Floats:
-        """Ratio of the largest to the smallest stretch of each triangle, 1 where conformal."""
-        return stretch(self.metric)
-
 
 def build_chart(endocardium: Endocardium) -> Chart:
     """Map an endocardium to the unit disk.
@@ -88,7 +83,7 @@ def build_chart(endocardium: Endocardium) -> Chart:
 def stretch(metric: Floats) -> Floats:
     """Ratio of the largest to the smallest stretch for each metric (m, 3), shape (m,).
 
-    Infinite where a triangle is a line.
+    1 where a triangle is mapped conformally, infinite where it is a line.
     """
     g11, g12, g22 = metric.T
     mean, half = (g11 + g22) / 2, np.hypot((g11 - g22) / 2, g12)

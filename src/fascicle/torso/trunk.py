@@ -106,25 +106,20 @@ class TrunkSize:
         """Girth of the chest (cm)."""
         return self.chest if self.chest is not None else 14.7 * sqrt(self.weight / self.height)
 
-    @property
-    def flatness(self) -> float:
-        """Depth by width of the chest."""
-        return self.depth * 0.70
-
     @cached_property
     def half_width(self) -> float:
         """Half the width of the chest's outline at the level of V1 (mm)."""
         angle = np.linspace(0, 2 * np.pi, 721)
         outline = np.stack([np.cos(angle), np.sin(angle)])
         outline = np.sign(outline) * np.abs(outline) ** (2 / SQUARENESS)
-        outline[1] *= self.flatness
+        outline[1] *= self.depth * 0.70
         perimeter = np.linalg.norm(np.diff(outline), axis=0).sum()
         return float(10 * self.girth / perimeter)
 
     @property
     def half_depth(self) -> float:
         """Half the depth of the chest's outline at the level of V1 (mm)."""
-        return self.flatness * self.half_width
+        return self.depth * 0.70 * self.half_width
 
     def level(self, fraction: float) -> float:
         """Height z in the torso frame (mm) of a fraction of the standing height; V1's is 0."""
