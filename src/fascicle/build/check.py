@@ -221,12 +221,10 @@ def _lead_field_warnings(heart: Heart) -> list[str]:
     known = heart.lead_fields
     if known is None or is_up_to_date(heart, Conduction()):
         return []
+    then = "they are solved again when needed"
     if heart.torso is None:
-        return [
-            f"{heart.name}: its lead fields are not for these electrodes and fibres, and there is "
-            "no torso to compute new ones in: it cannot be simulated; build it again"
-        ]
-    return [f"{heart.name}: its lead fields are out of date; they are solved again when needed"]
+        then = "without a torso to compute new ones in, it cannot be simulated: build it again"
+    return [f"{heart.name}: its lead fields are not for these electrodes and fibres; {then}"]
 
 
 def _fibre_warnings(heart: Heart, free_wall: HelixAngles) -> list[str]:

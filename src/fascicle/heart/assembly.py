@@ -182,7 +182,7 @@ def _sheets(mesh: MeshFile) -> Floats | None:
     if values is None:
         return None
     name = f"{mesh.path} ('sheet')"
-    if values.ndim != 2 or values.shape[1] != 3:
+    if values.shape[1:] != (3,):
         raise InputError(f"{name}: sheets must be vectors of three numbers; correct or remove it")
     check_fibres(name, values, mesh.points, mesh.cells[TETRAHEDRON])
     return values
