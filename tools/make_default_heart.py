@@ -34,10 +34,10 @@ from numpy.typing import NDArray
 
 from fascicle.build.build_heart import heart_of
 from fascicle.build.labelled_files import Anatomy
+from fascicle.build.meshing import mesh_surface
 from fascicle.build.segmentation import Segmentation, SegmentationLabels
 from fascicle.build.segmentation_surface import surface_from_segmentation
 from fascicle.build.torso import TorsoOptions, in_torso
-from fascicle.build.meshing import mesh_surface
 from fascicle.heart.endocardium import ChosenSeed
 from fascicle.heart.folder import write_heart
 from fascicle.heart.heart import Heart, LeadFields
