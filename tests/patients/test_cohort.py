@@ -237,6 +237,6 @@ def test_names_cannot_write_the_page(tmp_path, table):
 def test_outcomes_of_another_version_are_made_again(tmp_path, table):
     (one,) = read_table(table("anna"), tmp_path)
     one.failed("x")
-    content = json.loads(one.outcome_file.read_text()) | {"unknown": 1}
-    one.outcome_file.write_text(json.dumps(content))
+    content = json.loads((one.folder / "outcome.json").read_text()) | {"unknown": 1}
+    (one.folder / "outcome.json").write_text(json.dumps(content))
     assert one.outcome.status is Status.NOT_DONE

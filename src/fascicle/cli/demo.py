@@ -8,7 +8,6 @@ from typing import Any
 
 from fascicle.core.progress import Progress
 from fascicle.forward.primitives import His
-from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenarios
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import predict
@@ -37,20 +36,6 @@ def demo_recording() -> Path:
     return Path(str(get_testdata_file("waveform_ecg.dcm", download=False)))
 
 
-def blocked_scenarios() -> dict[str, Scenario]:
-    """A left bundle branch block, and three pacings of a heart that has it.
-
-    His bundle pacing captures both branches below the block; the others do not.
-    """
-    scenarios = read_scenarios([BLOCK, *PACINGS])
-    for name, scenario in scenarios.items():
-        if name != "his-pacing":
-            scenarios[name] = scenario.mapped(
-                lambda p: replace(p, left=0.0) if isinstance(p, His) else p
-            )
-    return scenarios
-
-
 def run_demo(
     out: Path, progress: Progress, *, free_gain: bool
 ) -> tuple[Analysis, FittedStudy, dict[str, Predicted]]:
@@ -66,7 +51,14 @@ def run_demo(
     settings = SETTINGS | {"free_gain": free_gain}
     fitted = fit("default", analysis.target, out / "study", progress=progress, **settings)
     networks = fitted.networks(progress)
-    predicted = predict(fitted, blocked_scenarios(), progress, networks)
+    # His bundle pacing captures both branches below the block; the other pacings do not.
+    scenarios = read_scenarios([BLOCK, *PACINGS])
+    for name, scenario in scenarios.items():
+        if name != "his-pacing":
+            scenarios[name] = scenario.mapped(
+                lambda p: replace(p, left=0.0) if isinstance(p, His) else p
+            )
+    predicted = predict(fitted, scenarios, progress, networks)
     write_prediction(fitted, predicted, out / "pacings", progress=progress)
     write_report(fitted, networks, predicted, out / "report.html", ["png"], BLOCK)
     return analysis, fitted, predicted

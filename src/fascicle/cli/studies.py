@@ -6,7 +6,7 @@ import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from typer import Argument, Option
@@ -84,14 +84,12 @@ def study_compare(
     for number, (folder, each) in enumerate(zip(studies, fitted, strict=True), 1):
         print(f"{number}  {folder}: {each.verdict}")
     values = [_parameters(each) for each in fitted]
-    lines = [["", *(f"{number}" for number in range(1, len(studies) + 1)), ""]]
-    rows: dict[str, list[list[float] | None]] = {}
+    lines = [["", *map(str, range(1, len(studies) + 1)), ""]]
+    rows: dict[str, list[Any]] = {}
     apart: dict[str, float] = {}
     for name in dict.fromkeys(name for each in values for name in each):
         found = [each.get(name) for each in values]
-        rows[name] = [
-            None if one is None else np.percentile(one, [50, 5, 95]).tolist() for one in found
-        ]
+        rows[name] = [one if one is None else np.percentile(one, [50, 5, 95]) for one in found]
         line = [name, *("-" if one is None else interval(one, ".3g") for one in found), ""]
         first, second, *others = found
         if first is not None and second is not None and not others:
@@ -103,14 +101,11 @@ def study_compare(
         lines.append(line)
     print_table(lines)
     print("medians (90 % of the networks)")
-    return {
-        "studies": [
-            {"folder": folder, "verdict": each.verdict, "best_loss_mV2": each.population.best_loss}
-            for folder, each in zip(studies, fitted, strict=True)
-        ],
-        "median_5_95_%": rows,
-        "standard_deviations_apart": apart,
-    }
+    of_each = [
+        {"folder": folder, "verdict": each.verdict, "best_loss_mV2": each.population.best_loss}
+        for folder, each in zip(studies, fitted, strict=True)
+    ]
+    return {"studies": of_each, "median_5_95_%": rows, "standard_deviations_apart": apart}
 
 
 @study_app.command("export")
@@ -208,11 +203,8 @@ def cohort(
     if missing:
         print(f"{missing} not fitted: the reasons are in {out / RESULTS}")
     print(page.as_uri())
-    result = {
-        "folder": out,
-        "page": page,
-        "patients": [outcome.model_dump(mode="json") for outcome in found],
-    }
+    each = [outcome.model_dump(mode="json") for outcome in found]
+    result = {"folder": out, "page": page, "patients": each}
     if missing:
         raise NotAllDoneError(result)
     return result

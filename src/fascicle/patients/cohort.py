@@ -88,7 +88,13 @@ def outcomes(
     table, folder = as_path(table, "table"), as_path(out, "folder").absolute()
     patients = read_table(table, folder)
     mine = part_of(patients, only)
-    _check_folder(folder)
+    check_writable(folder / PAGE)
+    written = (PATIENTS, STUDIES, PAGE, RESULTS)
+    foreign = [path.name for path in folder.iterdir() if path.name not in written]
+    if foreign and not (folder / PATIENTS).is_dir():
+        raise OutputError(
+            f"{folder}: holds '{foreign[0]}' and is not a cohort; give another folder (--out)"
+        )
     try:
         refused = {patient.name: patient.check() for patient in mine}
         yield from (outcome for outcome in refused.values() if outcome is not None)
@@ -97,17 +103,6 @@ def outcomes(
             yield outcome
     finally:
         write_overview(folder, table, patients)
-
-
-def _check_folder(folder: Path) -> None:
-    """Refuse a folder that holds other files and no cohort."""
-    check_writable(folder / PAGE)
-    written = (PATIENTS, STUDIES, PAGE, RESULTS)
-    foreign = [path.name for path in folder.iterdir() if path.name not in written]
-    if foreign and not (folder / PATIENTS).is_dir():
-        raise OutputError(
-            f"{folder}: holds '{foreign[0]}' and is not a cohort; give another folder (--out)"
-        )
 
 
 def _fitted(

@@ -31,6 +31,7 @@ from fascicle.study.space import PARAMETERS, read_settings
 from fascicle.study.study import is_finished
 
 PATIENTS, STUDIES = "patients", "studies"  # folders of a cohort
+OUTCOME = "outcome.json"  # in a patient's folder
 NEEDED = ("patient", "heart", "recording")  # columns
 
 
@@ -62,21 +63,16 @@ class Patient:
         return self.cohort / PATIENTS / self.name
 
     @property
-    def outcome_file(self) -> Path:
-        """File of the patient's outcome."""
-        return self.folder / "outcome.json"
-
-    @property
     def outcome(self) -> Outcome:
         """Stored outcome; `NOT_DONE` if there is none, or one of another version."""
         try:
-            return Outcome.model_validate_json(self.outcome_file.read_text(encoding="utf-8"))
+            return Outcome.model_validate_json((self.folder / OUTCOME).read_text(encoding="utf-8"))
         except (FileNotFoundError, ValidationError):
             return Outcome(patient=self.name, status=Status.NOT_DONE)
 
     def ended(self, outcome: Outcome) -> Outcome:
         """Store the patient's outcome."""
-        write_text(self.outcome_file, outcome.model_dump_json(indent=2) + "\n")
+        write_text((self.folder / OUTCOME), outcome.model_dump_json(indent=2) + "\n")
         return outcome
 
     def failed(self, reason: str, error_file: Path | None = None) -> Outcome:
@@ -126,7 +122,7 @@ def fit_patient(patient: Patient, pool: Pool, progress: Progress | None = None) 
             inputs = _inputs(patient)
             if _is_done(patient, inputs):
                 return patient.outcome
-            for old in ("outcome.json", "error.txt"):
+            for old in (OUTCOME, "error.txt"):
                 (patient.folder / old).unlink(missing_ok=True)
             fitted = fit_inputs(inputs, patient.study, progress, pool)
             report(fitted, out=patient.report, progress=progress)

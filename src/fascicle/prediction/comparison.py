@@ -18,7 +18,6 @@ from fascicle.prediction.scenarios import INTRINSIC
 from fascicle.recording.window import OFFSET_ERROR, ONSET_ERROR
 
 SIGNED = ("lv_rv_delay",)
-INTERVAL = (5, 95)  # percentiles
 FEWEST = 20  # independent networks below which no correlation is reported
 # Further measurements, with their standard deviations: an ECG during right ventricular pacing, with
 # the uncertainty of its QRS window; electrograms of the intrinsic beat, with some 5 ms for the
@@ -88,7 +87,7 @@ class Comparison:
     @property
     def interval(self) -> tuple[float, float]:
         """5th and 95th percentile of the reduction."""
-        low, high = np.percentile(self.reductions, INTERVAL)
+        low, high = np.percentile(self.reductions, (5, 95))
         return float(low), float(high)
 
     def __str__(self) -> str:
@@ -102,12 +101,7 @@ class Comparison:
 
         Squared rank correlations, adjusted for the effective number of networks, the largest first;
         empty below `FEWEST`. Strongly correlated parameters each have the shared part; joint
-        effects of several parameters are in none.
-
-        Parameters
-        ----------
-        parameters : mapping of name to (n,) array
-            Values in the networks.
+        effects of several parameters are in none. `parameters` has the values (n,) in the networks.
         """
         if self.effective < FEWEST:
             return []
@@ -120,17 +114,8 @@ class Comparison:
         """Share of the reduction's variance, in ranks, that a further measurement would remove.
 
         The squared rank correlation of the measured index with the reduction, times the
-        measurement's reliability.
-
-        Parameters
-        ----------
-        predicted : mapping of name to Predicted
-            Scenarios in the same networks; of `MEASURABLE`, those that are among them.
-
-        Returns
-        -------
-        list of (scenario, index, share)
-            The most useful first.
+        measurement's reliability: scenario, index and share, the most useful first, of those of
+        `MEASURABLE` that are among the scenarios, by name, in the same networks.
         """
         found = []
         for (scenario, index), error in MEASURABLE.items():

@@ -130,21 +130,14 @@ def check_figure(heart: Heart, check: HeartCheck) -> Figure:
         _draw_fibres(axes, View(name, view.axes, view.centre), heart, part, step, box, size)
     scale_bar(hearts[0], 20)
     front, left, helix, thickness = lower.subplots(1, 4, width_ratios=(1, 1, 1.1, 1.1))
-    for axes, camera in zip((front, left), torso_views(heart.electrodes), strict=True):
-        _draw_torso(axes, camera, heart)
+    to_left, back, up = torso_axes(heart.electrodes)
+    centre = (heart.electrodes.min(axis=0) + heart.electrodes.max(axis=0)) / 2
+    seen = np.array([to_left, up, back]), np.array([back, up, -to_left])
+    for axes, rows, where in zip((front, left), seen, ("front", "left"), strict=True):
+        _draw_torso(axes, View(f"torso, from the {where}", rows, centre), heart)
     _plot_helix(helix, check)
     _plot_thickness(thickness, check)
     return figure
-
-
-def torso_views(electrodes: Floats) -> tuple[View, View]:
-    """Cameras in front and on the left of the torso, from the electrodes (9, 3) (mm) alone."""
-    left, back, up = torso_axes(electrodes)
-    centre = (electrodes.min(axis=0) + electrodes.max(axis=0)) / 2
-    return (
-        View("torso, from the front", np.array([left, up, back]), centre),
-        View("torso, from the left", np.array([back, up, -left]), centre),
-    )
 
 
 def _draw_seeds(axes: Axes, view: View, heart: Heart, box: Floats, size: Floats) -> None:

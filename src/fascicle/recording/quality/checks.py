@@ -98,11 +98,9 @@ def check_recording(
 
 def measured(recording: Recording) -> dict[str, Floats]:
     """Samples (mV) of each lead over its own time; computed leads are left out."""
-    spans = recording.spans
-    return {
-        lead: recording.signal[LEADS.index(lead), slice(*spans[LEADS.index(lead)])]
-        for lead in recording.measured_leads
-    }
+    kept = recording.measured_leads
+    rows = zip(LEADS, recording.signal, recording.spans, strict=True)
+    return {lead: x[first:stop] for lead, x, (first, stop) in rows if lead in kept}
 
 
 def _check_flatness(recording: Recording) -> list[CheckResult]:

@@ -84,15 +84,6 @@ def meaning(fitted: FittedStudy) -> list[str]:
     return said
 
 
-def correlations(fitted: FittedStudy) -> list[str]:
-    """Which parameters are strongly correlated in the posterior."""
-    return [
-        f"{parameter_name(pair.first)} and {parameter_name(pair.second)} are strongly correlated "
-        f"in the posterior (rank correlation {pair.rank_correlation:.2f})."
-        for pair in fitted.statements.correlated
-    ]
-
-
 def prediction(
     name: str, predicted: Mapping[str, Predicted], against: str, caution: Caution | None
 ) -> str:

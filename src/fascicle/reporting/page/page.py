@@ -32,7 +32,6 @@ from fascicle.prediction.scenarios import (
 from fascicle.reporting.names import MEASURES, index_label
 from fascicle.reporting.page.content import (
     commands,
-    correlations,
     held,
     learnt,
     meaning,
@@ -176,7 +175,7 @@ def _content(
         "warnings": said.warnings,
         "constrained": [each for each in said.parameters if each.constrained],
         "unidentifiable": [each for each in said.parameters if not each.constrained],
-        "correlations": correlations(fitted),
+        "correlated": said.correlated,
         "predictions": [
             (name, prediction(name, predicted, against, said.caution)) for name in predicted
         ],
