@@ -40,10 +40,7 @@ class NotAllDoneError(Exception):
 def every_command(command: Callable[..., Result]) -> Callable[..., None]:
     """Give a command the options that every one has, and print its result as JSON for --json.
 
-    Parameters
-    ----------
-    command : callable
-        Prints its result for people, and returns it for programs.
+    The command prints its result for people, and returns it for programs.
     """
 
     @functools.wraps(command)

@@ -35,12 +35,9 @@ def print_simulation(simulation: Simulation, summary: Mapping[str, Any]) -> None
     captured = simulation.coupled.captured
     if len(captured):
         print_row("stimuli", f"{captured.sum()} of {len(captured)} captured the myocardium")
-    if summary["unreached_vertices"]:
-        print_row(
-            "never reached",
-            f"{summary['unreached_vertices']} vertices, {summary['unreached_volume_ml']} ml: left "
-            "out of the ECG",
-        )
+    if count := summary["unreached_vertices"]:
+        volume = summary["unreached_volume_ml"]
+        print_row("never reached", f"{count} vertices, {volume} ml: left out of the ECG")
 
 
 def print_fit(fitted: FittedStudy, summary: Mapping[str, Any]) -> None:
@@ -98,11 +95,9 @@ def _print_agreement(summary: Mapping[str, Any]) -> None:
     for key, measure in MEASURES.items():
         if key in summary:
             of, how = summary[key]["networks"], f"; {measure.meaning}" if measure.meaning else ""
-            print_row(
-                measure.name,
-                f"recorded {summary[key]['recorded']:.0f} {measure.unit}, networks "
-                f"{of['median']:.0f} ({of['5 %']:.0f} to {of['95 %']:.0f}){how}",
-            )
+            recorded = f"recorded {summary[key]['recorded']:.0f} {measure.unit}"
+            networks = f"networks {of['median']:.0f} ({of['5 %']:.0f} to {of['95 %']:.0f}){how}"
+            print_row(measure.name, f"{recorded}, {networks}")
 
 
 def _print_posterior(posterior: Posterior, fitted: FittedStudy) -> None:

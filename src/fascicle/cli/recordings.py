@@ -149,11 +149,9 @@ def print_analysis(analysis: Analysis) -> None:
     from fascicle.recording.beats import Unused
 
     recording = analysis.recording
-    print_row(
-        "recording",
-        f"{Path(recording.source).name}, {recording.provenance.get('format', 'in memory')}, "
-        f"{recording.duration:.1f} s at {recording.sampling_rate:g} Hz",
-    )
+    name, format = Path(recording.source).name, recording.provenance.get("format", "in memory")
+    length = f"{recording.duration:.1f} s at {recording.sampling_rate:g} Hz"
+    print_row("recording", f"{name}, {format}, {length}")
     for what, parts in (
         ("computed leads", recording.derived),
         ("additional leads", tuple(recording.additional)),
@@ -224,20 +222,15 @@ def _print_target(target: Target) -> None:
     print_row("filters", "; ".join(map(str, target.filters)) or "none known")
     rate = f" at {target.heart_rate:.0f} per minute" if target.heart_rate is not None else ""
     print_row("beats", f"{len(target.beats)} used{rate}")
-    width_sd = float(np.hypot(target.onset_sd, target.offset_sd))
-    print_row(
-        "QRS",
-        f"{target.qrs_duration:.0f} ± {width_sd:.0f} ms, from {target.qrs_onset:.0f} ± "
-        f"{target.onset_sd:.0f} to {target.qrs_offset:.0f} ± {target.offset_sd:.0f} ms about R "
-        "(all leads together)",
-    )
-    (first, last), (first_sd, last_sd) = target.global_qrs, target.global_qrs_sd
-    print_row(
-        "global QRS",
-        f"{target.global_qrs_duration:.0f} ± {np.hypot(first_sd, last_sd):.0f} ms, from "
-        f"{first:.0f} ± {first_sd:.0f} to {last:.0f} ± {last_sd:.0f} ms about R "
-        "(outermost leads, as clinics measure it)",
-    )
+    window = (target.qrs_onset, target.qrs_offset), (target.onset_sd, target.offset_sd)
+    for name, (first, last), (first_sd, last_sd), how in (
+        ("QRS", *window, "all leads together"),
+        ("global QRS", target.global_qrs, target.global_qrs_sd,
+         "outermost leads, as clinics measure it"),
+    ):  # fmt: skip
+        width = f"{last - first:.0f} ± {np.hypot(first_sd, last_sd):.0f} ms"
+        ends = f"{first:.0f} ± {first_sd:.0f} to {last:.0f} ± {last_sd:.0f} ms about R"
+        print_row(name, f"{width}, from {ends} ({how})")
     if target.noise is not None:
         print_row("noise", f"{target.noise:.3g} mV, as stated")
     else:

@@ -55,9 +55,8 @@ def strip_span(analysis: Analysis) -> tuple[float, float]:
     length = min(max(duration, 2.5), 10.0)
     times = np.array([beat.time for beat in analysis.beats if beat.used])
     starts = np.arange(0.0, max(duration - length, 0.0) + 0.5)
-    shown = [int(((times >= start) & (times < start + length)).sum()) for start in starts]
-    enough = 0.8 * max(shown)
-    start = next(start for start, count in zip(starts, shown, strict=True) if count >= enough)
+    shown = np.array([((times >= start) & (times < start + length)).sum() for start in starts])
+    start = starts[np.argmax(shown >= 0.8 * shown.max())]
     return float(start), float(start + length)
 
 

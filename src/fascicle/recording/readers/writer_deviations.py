@@ -24,15 +24,14 @@ SCP_SAMPLES = (0, 2, 3, 4, 5, 6)  # sections of SCP-ECG that the samples rest on
 
 def mended(data: bytes) -> tuple[bytes, ET.Element | None, list[str]]:
     """A file as ecgdatakit takes it, its root if it is XML, and what was mended, in a line each."""
+    content, remarks = data, list[str]()
     if data[16:22] == b"SCPECG":
         content, remarks = _mended_scp(data)
-        return content, None, remarks
-    if data[:8].strip(b" \0") == b"0" and data[252:256].strip(b" \0").isdigit():
+    elif data[:8].strip(b" \0") == b"0" and data[252:256].strip(b" \0").isdigit():
         content, remarks = _mended_edf(data)
-        return content, None, remarks
-    if data.lstrip(b"\xef\xbb\xbf\xff\xfe \t\r\n\0").startswith(b"<"):
+    elif data.lstrip(b"\xef\xbb\xbf\xff\xfe \t\r\n\0").startswith(b"<"):
         return _mended_xml(data)
-    return data, None, []
+    return content, None, remarks
 
 
 def _point(number: str) -> str:
@@ -142,9 +141,8 @@ def _mend_aecg(sequences: ET.Element) -> list[str]:
         text = number.get("value", "")
         if (new := _point(text)) != text:
             number.set("value", new)
-            remarks.append(
-                f"deviates from HL7 aECG: '{printable(text[:40])}' is read as {new[:40]}"
-            )
+            what = f"'{printable(text[:40])}' is read as {new[:40]}"
+            remarks.append(f"deviates from HL7 aECG: {what}")
     for code in sequences.iterfind("component/sequence/code"):
         if lead := lead_name(code.get("code", "")):
             code.set("code", f"MDC_ECG_LEAD_{lead.upper()}")
@@ -152,12 +150,9 @@ def _mend_aecg(sequences: ET.Element) -> list[str]:
         per_second = PER_SECOND.get(plain_unit(step.get("unit", "")), 0.0)
         step.set("unit", {1.0: "s", 1e3: "ms", 1e6: "us"}.get(per_second, ""))
     if not any(step.get("unit") and step.get("value") for step in steps):
-        component = ET.Element("component")
-        sequence = ET.SubElement(component, "sequence")
-        ET.SubElement(sequence, "code", code="TIME_RELATIVE")
-        value = ET.SubElement(sequence, "value")
-        ET.SubElement(value, "increment", value=f"{1 / UNKNOWN_RATE:g}", unit="s")
-        sequences.insert(0, component)  # the first counts
+        one = f'<increment value="{1 / UNKNOWN_RATE:g}" unit="s"/>'
+        sequence = f'<sequence><code code="TIME_RELATIVE"/><value>{one}</value></sequence>'
+        sequences.insert(0, ET.fromstring(f"<component>{sequence}</component>"))  # the first counts
     return remarks
 
 
