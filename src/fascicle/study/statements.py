@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import Enum, StrEnum
@@ -122,10 +123,11 @@ class ParameterStatement:
         if self.along_fibre is not None:
             speed = "{:.2f} m/s ({:.2f}–{:.2f}) along the fibre, ".format(*self.along_fibre)
         how = "constrained by" if self.constrained else "not identifiable from"
-        return (
-            f"{self.median:.3g}{unit} (90 % CrI {self.lower:.3g}–{self.upper:.3g}{alone}), "
-            f"{speed}{how} the ECG"
-        )
+        # two digits of the width, which more draws would change, and all numbers alike
+        decimals = max(0, 1 - math.floor(math.log10(max(self.upper - self.lower, 1e-9))))
+        each = (f"{value:.{decimals}f}" for value in (self.median, self.lower, self.upper))
+        median, lower, upper = each
+        return f"{median}{unit} (90 % CrI {lower}–{upper}{alone}), {speed}{how} the ECG"
 
 
 @dataclass(frozen=True)
