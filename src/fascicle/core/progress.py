@@ -21,14 +21,11 @@ Lines = Literal["lines"]  # asks for lines on standard error
 
 
 class Progress(Protocol):
-    """Progress callback of a run with several stages.
+    """Progress callback of a run with several stages, which `stage_name` lists.
 
-    The stages of a posterior are "prior" (networks of the prior), "stored" (evaluations of an
-    earlier run that are gone through again) and "sampling", whose total is a maximum; that of
-    `simulate_prior` is "prior simulations"; those of the paper's method "initial", "optimisation",
-    "rejection" (networks accepted), and within it "draws" (uniform draws of a round). Before them
-    come "compilation" and "preparation" of a large heart, after them "networks"; "workers" while a
-    cluster has none or does not answer.
+    Besides these there are "sampling" of a posterior, whose total is a maximum, and "prior
+    simulations". "draws" are within "rejection"; "workers" is while a cluster has none or does not
+    answer.
     """
 
     def __call__(self, stage: str, done: int, total: int, message: str) -> None:

@@ -260,9 +260,9 @@ def by_rule(
         sheet = np.cos(beta) * aside - np.sin(beta) * across[k]
         fibre_tensor += potentials[k, :, None, None] * _lines(fibre)
         sheet_tensor += potentials[k, :, None, None] * _lines(sheet)
-    fibre = _principal(fibre_tensor)
+    fibre = np.linalg.eigh(fibre_tensor)[1][:, :, -1]  # the direction of the largest eigenvalue
     across_fibre = np.eye(3) - _lines(fibre)
-    sheet = _principal(across_fibre @ sheet_tensor @ across_fibre)
+    sheet = np.linalg.eigh(across_fibre @ sheet_tensor @ across_fibre)[1][:, :, -1]
     wall, depth = wall_and_depth(potentials)
     # row by `Wall`: how out of each surface's ventricle goes with out of the wall's
     sides = np.array([(1.0, 0.0, 1.0), (0.0, 1.0, 1.0), (1.0, -1.0, 0.0)])
@@ -304,11 +304,6 @@ def _frame(out: Floats, baseward: Floats) -> tuple[Floats, Floats]:
     """Directions around the ventricle, e_c, and along it, e_l, for the one out of it, e_t."""
     along = unit(baseward - _dot(baseward, out)[:, None] * out)
     return np.cross(along, out), along
-
-
-def _principal(tensors: Floats) -> Floats:
-    """Direction of the largest eigenvalue of each symmetric tensor (m, 3, 3)."""
-    return np.asarray(np.linalg.eigh(tensors)[1][:, :, -1])
 
 
 def _lines(vectors: Floats) -> Floats:
