@@ -221,7 +221,7 @@ def test_what_the_ecg_constrains(done):
     assert root_time.contraction > 0.98
     assert (root_time.upper - root_time.lower) / 2 == pytest.approx(1.645 * 2.5, rel=0.35)
     assert re.fullmatch(
-        r"-3\d\.\d ms \(90 % CrI -4\d\.\d–-3\d\.\d\), constrained by the ECG", str(root_time)
+        r"-3\d\.\d ms \(90 % CrI -4\d\.\d to -3\d\.\d\), constrained by the ECG", str(root_time)
     )
     assert said_of(done[1]).correlated == ()
     assert said_of(SimpleNamespace()).caution is None  # a population of the paper's method

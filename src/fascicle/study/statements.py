@@ -127,7 +127,8 @@ class ParameterStatement:
         decimals = max(0, 1 - math.floor(math.log10(max(self.upper - self.lower, 1e-9))))
         each = (f"{value:.{decimals}f}" for value in (self.median, self.lower, self.upper))
         median, lower, upper = each
-        return f"{median}{unit} (90 % CrI {lower}–{upper}{alone}), {speed}{how} the ECG"
+        to = " to " if self.lower < 0 else "–"
+        return f"{median}{unit} (90 % CrI {lower}{to}{upper}{alone}), {speed}{how} the ECG"
 
 
 @dataclass(frozen=True)
