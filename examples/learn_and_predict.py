@@ -28,7 +28,8 @@ print(f"{len(target.beats)} beats, QRS {target.global_qrs_duration:.0f} ms (oute
 _ = fascicle.plot.target(target)
 
 # %% [markdown]
-# The fit. Without `effective` it draws 300 networks; started again with the same folder, it goes on.
+# The fit. Without `effective` it draws 300 networks; started again with the same folder, it goes
+# on.
 
 # %%
 study = fascicle.fit("default", target, folder / "study", effective=20)

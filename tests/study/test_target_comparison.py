@@ -1,18 +1,23 @@
 """What the inference sees: evaluations, in order, however many workers."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import xarray as xr
 
+from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.simulation import Signals
 from fascicle.heart.conduction import Conduction
-from fascicle.recording.filters import Filter, FilterKind, FilterOrigin, combined_gain
+from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
 from fascicle.recording.target import Target
+from fascicle.study.fitted import FittedStudy
 from fascicle.study.pool import Threads
+from fascicle.study.settings import FitSettings
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.target_comparison import TargetComparison, evaluate, networks
 from fascicle.torso.lead_fields import key_of
@@ -203,7 +208,7 @@ def ringing(default_model, truth):
     leads = default_model.simulate(truth).leads
     sharp = np.pad(leads, ((0, 0), (300, 300)))
     size = sharp.shape[1]
-    gain = combined_gain([lowpass], np.fft.rfftfreq(size, 1e-3))
+    gain = lowpass.gain(np.fft.rfftfreq(size, 1e-3))
     beat = np.fft.irfft(gain * np.fft.rfft(sharp), size)
     time = np.arange(size) - 300.0
     end = 300.0 + leads.shape[1]
@@ -227,3 +232,42 @@ def test_ringing_is_explained_by_the_filter_and_not_without(default_model, truth
     assert np.abs(recorded).max() > 0.02  # mV
     np.testing.assert_allclose(predicted(knowing, leads)[:, before], recorded, atol=1e-3)
     assert np.abs(predicted(unaware, leads)[:, before]).max() < 1e-6
+
+
+@pytest.fixture(scope="module")
+def study(default_model, target):
+    simulator = PointSimulator(default_model, NETWORK_SPACE, {}, Threads(2))
+    on_disk = SimpleNamespace(folder="study", config=FitSettings())
+    return FittedStudy(on_disk, simulator, (TargetComparison(target),), None)
+
+
+def test_draws_of_ones_own(study, truth):
+    draws = {name: [[truth[name], truth[name]]] for name in NETWORK_SPACE.names}
+    draws["root_time"] = [[-40.0, truth["root_time"]]]
+    table = xr.Dataset({name: (("chain", "draw"), values) for name, values in draws.items()})
+    for given in (table, SimpleNamespace(posterior=table)):
+        own = study.with_draws(given)
+        assert own.population.best["root_time"] == truth["root_time"]
+        assert own.population.losses[1] == pytest.approx(12 * NOISE**2 / 5, rel=0.1)
+        assert own.population.losses[0] > 10 * own.population.losses[1]
+        simulated = own.networks()[0].simulation
+        np.testing.assert_array_equal(
+            simulated.activation,
+            study.simulator.model.simulate(truth | {"root_time": -40.0}).activation,
+        )
+        assert own.verdict.startswith("2 networks of your own, which were not compared")
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"cv": None}, "^draws: there is no 'cv', which the study learns; add it$"),
+        ({"cv": [2.0, 3.0]}, "^draws: 1 or 2 values; give equally many of each, and one$"),
+        ({"cv": [-1.0]}, "'cv' is -1 mm/ms"),
+        ({"lv_fascicle_length_1": [300.0]}, r"number 0 gives no network \(LV fascicle 1 leaves"),
+    ],
+)
+def test_draws_that_are_refused(study, truth, changed, words):
+    draws = {name: [truth[name]] for name in NETWORK_SPACE.names} | changed
+    with pytest.raises(InputError, match=words):
+        study.with_draws({name: values for name, values in draws.items() if values is not None})

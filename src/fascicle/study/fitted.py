@@ -15,7 +15,9 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, ValueRefusedError
 from fascicle.core.files import as_path, atomic_folder, check_folder, write_text
 from fascicle.core.progress import Progress, stage_progress
+from fascicle.core.quantities import checked
 from fascicle.core.ranges import check_count, short_repr, shown
+from fascicle.forward.simulation import Simulation
 from fascicle.inference.evaluation import Evaluation, best_of
 from fascicle.study.activation_maps import nearest_to_median
 from fascicle.study.evaluations import Stage
@@ -157,6 +159,48 @@ class FittedStudy:
             simulated.append(network)
             report(len(simulated), len(chosen))
         return simulated
+
+    def with_draws(self, draws: Any) -> FittedStudy:
+        """The same study with networks of your own, as of another sampler, in place of its.
+
+        Parameters
+        ----------
+        draws : mapping, table or InferenceData
+            Every parameter that the study learns, and perhaps other quantities, by name, (n,) each,
+            in their units: a dict, a table of pandas, or ArviZ's InferenceData (`posterior`).
+
+        Returns
+        -------
+        FittedStudy
+            For `fascicle.predict`, `fascicle.report` and all else that takes a study. There is no
+            verdict on whether it fits.
+
+        Raises
+        ------
+        InputError
+            If a parameter is missing or impossible, or a draw gives no network.
+        """
+        table = getattr(draws, "posterior", draws)
+        values = {str(name): np.asarray(table[name], dtype=float).ravel() for name in table}
+        if missing := [name for name in self.simulator.space.names if name not in values]:
+            raise InputError(f"draws: there is no '{missing[0]}', which the study learns; add it")
+        counts = sorted({len(column) for column in values.values()})
+        if len(counts) > 1 or not counts[0]:
+            raise InputError(
+                f"draws: {' or '.join(map(str, counts))} values; give equally many of each, and one"
+            )
+        rows = [
+            checked({name: column[k] for name, column in values.items()}) for k in range(counts[0])
+        ]
+        recording, losses = self.recordings[0], []
+        found = self.simulator.of_parameters(rows, recording.scenario)
+        for number, outcome in enumerate(found):
+            if not isinstance(outcome, Simulation):
+                raise InputError(f"draws: number {number} gives no network ({outcome.reason})")
+            losses.append(recording.align(outcome.leads).loss)
+        best = int(np.argmin(losses))
+        population = Population(values, np.array(losses), rows[best], losses[best])
+        return replace(self, population=population, checks=None, gains=None)
 
     def export(
         self,

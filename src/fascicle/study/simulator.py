@@ -55,7 +55,13 @@ class PointSimulator:
         self, points: Iterable[Floats], scenario: Scenario | None = None
     ) -> Iterator[Simulation | InvalidTree | InvalidTorso]:
         """Simulate points, in order."""
-        items = [(self.parameters(point), scenario) for point in points]
+        return self.of_parameters([self.parameters(point) for point in points], scenario)
+
+    def of_parameters(
+        self, parameters: Iterable[Mapping[str, float]], scenario: Scenario | None = None
+    ) -> Iterator[Simulation | InvalidTree | InvalidTorso]:
+        """Simulate networks, in order."""
+        items = [({**self.fixed, **each}, scenario) for each in parameters]
         return self.pool.map(_simulate, items, self.model)
 
     def from_backend(self, points: Sequence[Floats]) -> list[Signals | str | None]:

@@ -173,8 +173,10 @@ class Statements:
     def networks_called(self) -> str:
         """How many networks there are, and what they are."""
         count = f"{len(self._result.population)} networks"
-        paper = self._result.settings.method == "paper"
-        return f"{count}, a population and not a posterior" if paper else count
+        if self._result.settings.method == "paper":
+            return f"{count}, a population and not a posterior"
+        own = not isinstance(self._result.population, Posterior)
+        return f"{count} of your own, which were not compared with the ECG" if own else count
 
     @property
     def converged(self) -> bool | None:
