@@ -309,7 +309,7 @@ def check_mean_beat(qrs: Floats, simultaneous: bool = True) -> tuple[CheckResult
     `simultaneous` says that all leads were recorded at the same time.
     """
     fastest = float(spatial_velocity(qrs, SAMPLING_STEP).max())
-    if fastest >= SPEED.limit:
+    if not fastest < SPEED.limit:
         return SPEED.found(fastest), check_chest_leads(qrs, simultaneous)
     message = (
         f"the fastest part of the beat moves by {fastest:.4f} mV/ms, slower than any QRS "
