@@ -311,4 +311,7 @@ def test_the_file_is_whole_inference_data(done, tmp_path):
     assert {frozenset(each) for each in kinds} == {
         frozenset({"branch_length"}), frozenset({"branch_length", "anisotropy_ratio"})
     }  # fmt: skip
-    assert read_checks(path)[0] == checks
+    found, gains, ecgs = read_checks(path)
+    assert found == checks
+    np.testing.assert_allclose(ecgs[0], ecg, rtol=1e-6)
+    np.testing.assert_array_equal(gains, drawn[0])

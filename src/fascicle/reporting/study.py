@@ -56,13 +56,14 @@ def drawings(
     suffixes = ["", *(f"-{count}" for count in counts[1:])]
     called = [f"Recording {count}" if len(counts) > 1 else "Recording" for count in counts]
     drawn: dict[str, Drawing] = {}
+    torso = ", each with the gain and in the torso that were drawn with it" if fitted.ecgs else ""
     for number, recording in enumerate(fitted.recordings):
         its = fitted.networks(recording=number) if number else networks
         agreed = agreement(recording.target, its)
         drawn[f"ecg{suffixes[number]}"] = Drawing(
             _ecg(recording.target, its, agreed),
-            f"{called[number]}: QRS of its beats and of the networks. Lines are means, bands hold "
-            "90 % of the beats or networks. Time is counted from the R peak.",
+            f"{called[number]}: QRS of its beats and of the networks{torso}. Lines are means, bands "
+            "hold 90 % of the beats or networks. Time is counted from the R peak.",
             agreed,
         )
     drawn["activation"] = Drawing(

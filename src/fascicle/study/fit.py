@@ -251,14 +251,16 @@ def _completed(
     rng = np.random.default_rng([fitted.study.config.seed, PREDICTION])
     for number, each in enumerate(fitted.recordings):
         its = networks if number == 0 else fitted.networks(progress, number)
-        agreements.append(agreement(each.target, its))
         if each.likelihood is not None:
             found = predict_recording(each.target, each.likelihood, its, rng)
             error = [emulated[number].error(its), emulated[number].emulator.report["error"]]
             predictions.append(replace(found, checks=replace(found.checks, emulator=error)))
+            its = [replace(n, predicted=ecg) for n, ecg in zip(its, found.ecg, strict=True)]
+        agreements.append(agreement(each.target, its))
     if predictions:
         checks = Checks.joined([each.checks for each in predictions])
-        fitted = replace(fitted, checks=checks, gains=predictions[0].gains)
+        ecgs = tuple(each.ecg for each in predictions)
+        fitted = replace(fitted, checks=checks, gains=predictions[0].gains, ecgs=ecgs)
     reports = [dict(each.emulator.report) for each in emulated]
     write_results(fitted, networks, agreements, predictions, reports)
     return fitted

@@ -49,6 +49,9 @@ class FittedStudy:
         How a posterior agrees with its recordings.
     gains : (n,) array, optional
         Factor on the ECG of each network of a posterior, drawn given the first recording.
+    ecgs : tuple of (n, 12 + k, n_time) arrays
+        Of a posterior, ECGs of the networks for each recording: with shift, gain and torso drawn
+        given the recording (mV).
     """
 
     study: Study
@@ -57,6 +60,7 @@ class FittedStudy:
     population: Population
     checks: Checks | None = None
     gains: Floats | None = None
+    ecgs: tuple[Floats, ...] = ()
 
     __repr__ = short_repr
 
@@ -154,8 +158,11 @@ class FittedStudy:
         learnt = [self.population.parameters(k) for k in chosen]
         simulated: list[Network] = []
         for network in networks(self.simulator, self.recordings[recording], learnt):
+            k = chosen[len(simulated)]
             if self.gains is not None and recording == 0:
-                network = replace(network, drawn_gain=float(self.gains[chosen[len(simulated)]]))
+                network = replace(network, drawn_gain=float(self.gains[k]))
+            if self.ecgs:
+                network = replace(network, predicted=self.ecgs[recording][k])
             simulated.append(network)
             report(len(simulated), len(chosen))
         return simulated
@@ -200,7 +207,7 @@ class FittedStudy:
             losses.append(recording.align(outcome.leads).loss)
         best = int(np.argmin(losses))
         population = Population(values, np.array(losses), rows[best], losses[best])
-        return replace(self, population=population, checks=None, gains=None)
+        return replace(self, population=population, checks=None, gains=None, ecgs=())
 
     def export(
         self,

@@ -348,11 +348,21 @@ def read_population(path: Path) -> Population:
         ) from None
 
 
-def read_checks(path: Path) -> tuple[Checks | None, Floats | None]:
-    """How a posterior compares with its recordings, and its gains (n,); None of the paper's."""
+def read_checks(path: Path) -> tuple[Checks | None, Floats | None, tuple[Floats, ...]]:
+    """How a posterior compares with its recordings, its gains (n,), and its ECGs for each.
+
+    ECGs have shape (n, 12 + k, n_time) (mV). None of the paper's.
+    """
     stats = load_netcdf(path, "sample_stats")
-    gains = stats["gain"].to_numpy().ravel() if "gain" in stats else None
-    checks = stats.attrs.get("checks")
-    if checks is None and gains is not None:
+    if "gain" not in stats:
+        return None, None, ()
+    if "checks" not in stats.attrs:
         raise InputError(f"{path}: of an earlier version; fit again, into another folder")
-    return None if checks is None else Checks(**json.loads(checks)), gains
+    predictive = load_netcdf(path, "posterior_predictive")
+    names = sorted(str(name) for name in predictive.data_vars if str(name).startswith("ecg_model"))
+    ecgs = (predictive[name].to_numpy().astype(float) for name in names)
+    return (
+        Checks(**json.loads(stats.attrs["checks"])),
+        stats["gain"].to_numpy().ravel(),
+        tuple(each.reshape(-1, *each.shape[2:]) for each in ecgs),
+    )
