@@ -62,8 +62,8 @@ def drawings(
         agreed = agreement(recording.target, its)
         drawn[f"ecg{suffixes[number]}"] = Drawing(
             _ecg(recording.target, its, agreed),
-            f"{called[number]}: QRS of its beats and of the networks{torso}. Lines are means, bands "
-            "hold 90 % of the beats or networks. Time is counted from the R peak.",
+            f"{called[number]}: QRS of its beats and of the networks{torso}. Lines are means, "
+            "bands hold 90 % of the beats or networks. Time is counted from the R peak.",
             agreed,
         )
     drawn["activation"] = Drawing(

@@ -238,13 +238,44 @@ def learn(
     learnt, rest = np.split(examples.points, [len(space)], axis=1)
     values = space.columns(learnt) | averaged.columns(rest)
     values.pop("gain", None)  # a factor on the ECG
-    ends = {p.name: (p.lower, p.upper) for p in (*space.parameters, *averaged.space.parameters)}
     tissues, names = tissue_inputs(averaged, plain_ratio)[averaged.tissue(rest)], tuple(values)
     raw = _raw(names, values, tissues)
-    centre, scale = raw.mean(axis=0), raw.std(axis=0) + 1e-9
+    _refuse(examples, names, raw)
+    made, count = examples.feasible, max(2, round(2 * HIGHEST * examples.ecgs.shape[2]))
+    begin = np.flatnonzero(~examples.held_out[made])
+    cosines = _cosines(examples.ecgs, count)
+    mean = cosines[begin].mean(axis=0)
+    flat = (cosines[begin] - mean).reshape(len(begin), -1)
+    components = np.linalg.svd(flat[:6000], full_matrices=False)[2][:COMPONENTS]
+    unit = float((flat @ components.T).std())
+    emulator = EcgEmulator(
+        names, raw.mean(axis=0), raw.std(axis=0) + 1e-9, (), Network(()), mean,
+        components.reshape(-1, *mean.shape), unit, examples.ecgs.shape[2], np.empty(0),
+        np.empty(0), {},
+    )  # fmt: skip
+
+    def lesson(values: Mapping[str, Floats], ecgs: NDArray[np.float32]) -> tuple[Singles, Floats]:
+        apart = (_cosines(ecgs, count) - mean).reshape(len(ecgs), -1)
+        return emulator.inputs(values, tissues[made][begin]), apart @ components.T / unit
+
+    here = {name: value[made][begin] for name, value in values.items()}
+    ends = {p.name: (p.lower, p.upper) for p in (*space.parameters, *averaged.space.parameters)}
+    lessons = [lesson(here, examples.ecgs[begin])]
+    clocks = {"cv", "root_time"} < {*names} and bool({*FASTER[:2]} & {*names})
+    for _ in range(COPIES if same_on_any_clock and clocks else 0):
+        lessons.append(lesson(*_on_another_clock(here, ends, examples.ecgs[begin], rng)))
+    seen, wanted = (np.concatenate(each).astype(np.float32) for each in zip(*lessons, strict=True))
+    every, free = emulator.inputs(values, tissues), ~examples.held_out
+    known = made[free][:, None].astype(np.float32)
+    *networks, validity = _trained(seen, wanted, every[free], known, rng, progress)
+    emulator = replace(emulator, networks=tuple(networks), validity=validity)
+    return _with_what_is_left(emulator, examples, count, every)
+
+
+def _refuse(examples: Examples, names: tuple[str, ...], raw: Floats) -> None:
+    """Refuse examples from which nothing can be learnt, or not of every quantity."""
     made, held_out = examples.feasible, examples.held_out[examples.feasible]
-    begin = np.flatnonzero(~held_out)
-    if len(begin) < FEWEST or not held_out.any():
+    if (~held_out).sum() < FEWEST or not held_out.any():
         raise InputError(
             f"only {made.sum()} of {len(made)} networks of the prior fit this heart; check the "
             "heart, narrow the ranges of the lengths, or give more prior_simulations"
@@ -255,27 +286,16 @@ def learn(
             f"prior_simulations of {10 * PART} or more, or fix it"
         )
 
-    count = max(2, round(2 * HIGHEST * examples.ecgs.shape[2]))
-    cosines = _cosines(examples.ecgs, count)
-    mean = cosines[begin].mean(axis=0)
-    flat = (cosines[begin] - mean).reshape(len(begin), -1)
-    components = np.linalg.svd(flat[:6000], full_matrices=False)[2][:COMPONENTS]
-    unit = float((flat @ components.T).std())
 
-    def scores(given: Floats) -> Floats:
-        return np.asarray((given - mean).reshape(len(given), -1) @ components.T / unit)
-
-    feasible = {name: value[made] for name, value in values.items()}
-    inputs, outputs = [raw[made][begin]], [scores(cosines[begin])]
-    here = {name: value[begin] for name, value in feasible.items()}
-    clocks = {"cv", "root_time"} < {*names} and bool({*FASTER[:2]} & {*names})
-    for _ in range(COPIES if same_on_any_clock and clocks else 0):
-        others, ecgs = _on_another_clock(here, ends, examples.ecgs[begin], rng)
-        inputs.append(_raw(names, others, tissues[made][begin]))
-        outputs.append(scores(_cosines(ecgs, count)))
-    seen = ((np.concatenate(inputs) - centre) / scale).astype(np.float32)
-    wanted = np.concatenate(outputs).astype(np.float32)
-    every = ((raw - centre) / scale).astype(np.float32)
+def _trained(
+    seen: Singles,
+    wanted: Singles,
+    every: Singles,
+    known: Singles,
+    rng: np.random.Generator,
+    progress: Progress | None,
+) -> list[Network]:
+    """Networks of the components, and last that of whether there is a network."""
     steps = max(200, EPOCHS * len(seen) // BATCH)
     report, done = stage_progress(progress, "training"), [0] * (NETWORKS + 1)
 
@@ -285,21 +305,13 @@ def learn(
             report(sum(done), steps * (NETWORKS + 1))
 
         if number == NETWORKS:
-            known = examples.feasible[:, None][~examples.held_out].astype(np.float32)
-            given = every[~examples.held_out]
             return train(
-                given, known, rng, width=64, steps=steps, probability=True, progress=reported
+                every, known, rng, width=64, steps=steps, probability=True, progress=reported
             )
         return train(seen, wanted, rng, steps=steps, progress=reported)
 
     with ThreadPoolExecutor(2) as pool:
-        *networks, validity = pool.map(train_one, range(NETWORKS + 1), rng.spawn(NETWORKS + 1))
-    shape = len(components), *mean.shape
-    emulator = EcgEmulator(
-        names, centre, scale, tuple(networks), validity, mean, components.reshape(shape), unit,
-        examples.ecgs.shape[2], np.empty(0), np.empty(0), {},
-    )  # fmt: skip
-    return _with_what_is_left(emulator, examples, count, every)
+        return list(pool.map(train_one, range(NETWORKS + 1), rng.spawn(NETWORKS + 1)))
 
 
 def _cosines(ecgs: NDArray[np.float32], count: int) -> Floats:
