@@ -120,6 +120,6 @@ def train(
             size = np.sqrt(square / (1 - MOMENTS[1] ** step)) + 1e-8
             change = mean / (1 - MOMENTS[0] ** step) / size
             weight -= (rate * (change + DECAY * (weight.ndim == 2) * weight)).astype(np.float32)
-        if step % 50 == 0:
+        if step % 50 == 0 or step == steps:
             progress(step)
     return Network(weights)
