@@ -1,7 +1,6 @@
 """What a likelihood takes from a target, and posterior predictive checks, on made-up networks."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +18,7 @@ from fascicle.forward.simulation import SimulatedBeat
 from fascicle.recording.target import Target
 from fascicle.study.agreement import frontal_axis
 from fascicle.study.predictive import BEST, LEVEL, Checks, predict_recording
+from fascicle.study.target_comparison import Network
 
 QRS, TIME = 80, np.arange(-100.0, 160.0)
 FIRST = 10.0  # sample of the simulations' first activation
@@ -63,10 +63,8 @@ def likelihood(recorded):
 def network(factor=1.0):
     """A network whose leads are the simulation's times so much."""
     leads = simulated() * factor
-    return SimpleNamespace(
-        predicted=placed(leads, FIRST - 60, len(TIME)),
-        simulation=SimulatedBeat(leads, 0.0, np.array([FIRST, 85.0]), ()),
-    )
+    simulation = SimulatedBeat(leads, 0.0, np.array([FIRST, 85.0]), ())
+    return Network({}, simulation, placed(leads, FIRST - 60, len(TIME)), 1.0, 1.0)
 
 
 def predict(recorded, networks=None):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -176,7 +176,8 @@ def _checks(
         unexplained[k] = left[k].sum() if each.unexplained is None else each.unexplained
     leads = {target.leads[row]: _rarer(left[:, k], error[:, k]) for k, row in enumerate(rows)}
     leads[ALL_LEADS] = _rarer(left.sum(axis=1), error.sum(axis=1))
-    found, spread = agreement(target, networks), float(np.hypot(*target.global_qrs_sd))
+    own = [replace(n, predicted=each.ecg) for n, each in zip(networks, drawn, strict=True)]
+    found, spread = agreement(target, own), float(np.hypot(*target.global_qrs_sd))
     measured = {
         name: [found.recorded[key], *found.percentiles(key)]
         for name, (key, _) in MEASURED.items()
