@@ -25,9 +25,9 @@ granted.
 
 With `--wrong` each truth is fitted again with wrong inputs (`wrong_inputs`): gain 3, a chest lead
 inverted, two electrodes exchanged, α beyond its range by half of that end, half of the beats
-ectopic, and a truth of `--other-heart`, another person's; each with as few particles as a fit
-begins with, whether it converges or not. How many of each are called a poor fit is printed, and how
-many of the right ones, which are false alarms.
+ectopic, and a truth of `--other-heart`, another person's; each with the one batch of particles that
+a fit begins with, whether it converges or not. How many of each are called a poor fit is printed,
+and how many of the right ones, which are false alarms.
 
 Of the parameters and of four predictions: the total activation time; that with both roots fired
 together, which no ECG of the fit has shown; where along the heart's longest axis the activation
@@ -381,12 +381,12 @@ def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, A
             other = other_person(given.other_heart)
             others["another heart"] = record(truth_of(*other, rng)[1])
         result["wrong"] = {}
-        most, posterior.MOST_PARTICLES = posterior.MOST_PARTICLES, posterior.PARTICLES
+        most, posterior.MOST_BATCHES = posterior.MOST_BATCHES, 1
         for name, wrong in wrong_inputs(target, rng, others).items():
             comparison = compared(wrong, emulator, gain_sd)
             its = fit(simulator, comparison, settings, number, rng, emulator)[2]
             result["wrong"][name] = judged(its)
-        posterior.MOST_PARTICLES = most
+        posterior.MOST_BATCHES = most
     return result | {"seconds": seconds}
 
 

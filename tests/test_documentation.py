@@ -8,7 +8,7 @@ import pytest
 
 import fascicle
 from fascicle.forward.likelihood import SHARES
-from fascicle.study.posterior import MOST_PARTICLES, PARTICLES
+from fascicle.study.posterior import MOST_BATCHES, PARTICLES
 from fascicle.study.prior_simulations import BODIES
 from fascicle.study.settings import FitSettings
 from fascicle.study.space import NOT_KNOWN
@@ -64,7 +64,7 @@ def test_the_posterior_s_page_states_the_numbers_of_the_code():
     least, most = 100 * SHARES[[0, -1]]
     assert f"{FitSettings().prior_simulations:,} networks" in page
     assert f"{PARTICLES} particles" in page
-    assert f"up to {MOST_PARTICLES}." in page
+    assert f"up to {MOST_BATCHES} batches" in page
     assert f"log-uniform, {least:.0f} to {most:.0f} % of the recorded QRS" in page
     assert f"{BODIES} torsos" in page
     table = (DOCS / "quantities.md").read_text(encoding="utf-8").partition("## What is averaged")[2]

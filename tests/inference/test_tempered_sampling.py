@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from fascicle.inference.tempered_sampling import agreement, temper
+from fascicle.inference.tempered_sampling import agreement, pooled, temper
 
 CENTRE = np.array([0.8, -0.5, 0.3])  # of the likelihood, along the directions it is narrow in
 SD = np.array([0.05, 0.1, 0.4])  # of the posterior along them
@@ -72,6 +72,24 @@ def test_shares_of_two_modes_and_the_sample_size_they_leave():
     said = np.mean([run.effective for run in found])
     assert 0.4 * scattered < said < 2.5 * scattered
     assert said < 0.8 * 400
+    together = pooled(found)
+    assert len(together.points) == 400
+    assert (together.points[:, 0] < 0.5).mean() == pytest.approx(0.7, abs=0.04)
+    assert together.log_evidence == pytest.approx(exact, abs=0.12)
+    assert together.effective > 8 * said
+
+
+def test_pooled_runs_weigh_their_evidence(runs):
+    one, other = (
+        replace(runs[k], points=np.full((1000, 2), 0.25 + k), log_evidence=e, effective=n)
+        for k, (e, n) in enumerate([(np.log(3), 50.0), (0.0, 10.0)])
+    )
+    both = pooled([one, other])
+    assert np.unique(both.points[:, 0], return_counts=True)[1].tolist() == [750, 250]
+    assert both.log_evidence == pytest.approx(np.log(2))
+    assert both.effective == pytest.approx(1 / (0.75**2 / 50 + 0.25**2 / 10))
+    assert both.evaluations == runs[0].evaluations + runs[1].evaluations
+    assert pooled([runs[2]]).points.tobytes() == runs[2].points.tobytes()
 
 
 def test_half_of_the_prior_without_a_likelihood():

@@ -28,7 +28,7 @@ def as_many_particles_as_on_workers(monkeypatch):
     from fascicle.study import posterior
 
     monkeypatch.setattr(posterior, "PARTICLES", 600)
-    monkeypatch.setattr(posterior, "MOST_PARTICLES", 9600)
+    monkeypatch.setattr(posterior, "MOST_BATCHES", 16)
 
 
 @pytest.fixture(scope="module")

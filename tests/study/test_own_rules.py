@@ -22,7 +22,7 @@ def target():
 def test_the_example_of_the_documentation(target, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("fascicle.study.posterior.PARTICLES", 60)  # each takes a millisecond
-    monkeypatch.setattr("fascicle.study.posterior.MOST_PARTICLES", 60)
+    monkeypatch.setattr("fascicle.study.posterior.MOST_BATCHES", 1)
     write_target(target, tmp_path / "target.nc")
     names = example("Likelihood")
     fitted = names["fitted"]

@@ -24,7 +24,7 @@ free inference in Bayesian inverse problems", Phys. Sci. Forum 9(1), 2023; A. Le
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -263,6 +263,28 @@ class _Fit:
         proposed = self.mean + np.sqrt(1 - length**2) * (scores - self.mean) + length * noise
         farther = np.log((freedom + distance(proposed)) / (freedom + before))
         return proposed, 0.5 * (freedom + dimension) * farther
+
+
+def pooled(batches: Sequence[SamplingRun]) -> SamplingRun:
+    """Independent runs as one, each with the weight of its evidence.
+
+    Points are as many as of one of them, equally weighted and of all. With these weights integrals
+    of the posterior that is not normalised are unbiased, however few particles each run has.
+    """
+    logs = np.array([each.log_evidence for each in batches])
+    log_sum, count = float(logsumexp(logs)), len(batches[0].points)
+    weights = np.exp(logs - log_sum)
+    # so evenly spaced that no point is taken twice
+    ends = np.cumsum(np.repeat(weights / count, count))
+    chosen = np.searchsorted(ends, (np.arange(count) + 0.5) / count * ends[-1])
+    effective = 1 / float((weights**2 / [each.effective for each in batches]).sum())
+    return SamplingRun(
+        np.concatenate([each.points for each in batches])[chosen],
+        np.concatenate([each.log_likelihoods for each in batches])[chosen],
+        log_sum - float(np.log(len(batches))),
+        sum(each.evaluations for each in batches),
+        effective,
+    )
 
 
 EVIDENCE_APART = 1.0  # of the log-evidences; more, and one run has missed a mode

@@ -18,14 +18,15 @@ from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress
 from fascicle.core.threads import one_thread
 from fascicle.inference.evaluation import Evaluation, best_of
-from fascicle.inference.tempered_sampling import SamplingRun, State, agreement, temper
+from fascicle.inference.tempered_sampling import SamplingRun, State, agreement, pooled, temper
 from fascicle.study.evaluations import Journal, Stage
 from fascicle.study.population import Posterior
 from fascicle.study.settings import FitSettings
 from fascicle.study.space import AveragedOver
 
 RUNS = 2
-PARTICLES, MOST_PARTICLES = 600, 9600  # of a run, at first and where runs do not agree
+PARTICLES = 600  # of a batch
+MOST_BATCHES = 16  # that a run is pooled of, where runs do not agree
 
 Emulated = Callable[[Floats], Floats]  # log-likelihoods (n,) of points (n, d), of one recording
 
@@ -108,17 +109,20 @@ class PosteriorFit:
         return enough and agreement(*runs).converged
 
     def _sample(self, recordings: int) -> list[SamplingRun]:
-        """Make the runs, with more particles until they agree."""
-        sample = one_thread(self._runs)  # about both: each would give the other's threads back
-        # twice as many as are drawn from a run, since some give no network
-        count = max(PARTICLES, self.settings.effective)
+        """Make the runs, of more and more batches of particles until they agree."""
+        sample = one_thread(self._batches)  # about both: each would give the other's threads back
+        batches: list[list[SamplingRun]] = []
         while True:
-            runs: list[SamplingRun] = sample(recordings, count)
-            if self._agree(runs) or count >= MOST_PARTICLES:
+            batches.append(sample(recordings, len(batches)))
+            runs = [pooled(each) for each in zip(*batches, strict=True)]
+            if self._agree(runs) or len(batches) >= MOST_BATCHES:
                 return runs
-            count *= 2
 
-    def _runs(self, recordings: int, count: int) -> list[SamplingRun]:
+    def _batches(self, recordings: int, number: int) -> list[SamplingRun]:
+        """A batch of each run."""
+        # twice as many particles as are drawn from a run, since some give no network
+        count = max(PARTICLES, self.settings.effective)
+
         def log_likelihoods(points: Floats) -> Floats:
             each = [emulated(points) for emulated in self.emulated[:recordings]]
             return np.asarray(np.sum(each, axis=0))
@@ -126,17 +130,18 @@ class PosteriorFit:
         states: dict[int, State] = {}
         dimension = len(self.space) + len(self.averaged)
 
-        def one(number: int) -> SamplingRun:
+        def one(run: int) -> SamplingRun:
             def reported(state: State) -> None:
-                states[number] = state
-                self._report(states, recordings, count)
+                states[run] = state
+                self._report(states, recordings, count * (number + 1))
 
-            rng = self._rng(number, recordings)
+            # the first numbers are those of the first batches, and of draws
+            rng = self._rng(run if number == 0 else 4 * RUNS * number + run, recordings)
             try:
-                run: SamplingRun = temper(log_likelihoods, dimension, rng, count, reported)
+                found: SamplingRun = temper(log_likelihoods, dimension, rng, count, reported)
             except ValueError as error:  # hardly any point has a likelihood, by one's own rule
                 raise InputError(f"{error}, and the likelihood") from None
-            return run
+            return found
 
         with ThreadPoolExecutor(RUNS) as pool:
             return list(pool.map(one, range(RUNS)))
