@@ -143,7 +143,8 @@ def test_candidates_that_are_better_than_the_best():
 
 def test_networks_are_called_what_they_are():
     assert fitted().verdict == "30 networks, a population and not a posterior"
-    assert fitted(method="posterior").verdict == "30 networks"
+    own = "30 networks of your own, which were not compared with the ECG"
+    assert fitted(method="posterior").verdict == own
 
 
 def test_regions_that_count_as_healthy():
