@@ -27,7 +27,7 @@ from benchmarks.fuzzing.mutations import mutated
 from benchmarks.fuzzing.seeds import Seed, packed, unpacked
 from fascicle.core.errors import InputError
 
-SECONDS = 10.0
+SECONDS = 60.0
 MEMORY = 2e9  # bytes
 SEED = 2024
 
