@@ -306,8 +306,10 @@ class ForwardModel:
 
     def _made_tissue(self, conduction: Conduction) -> Tissue:
         """Tissue of these speeds, with the α of the model's own."""
-        myocardium, build = self.myocardium, partial(build_myocardium, self.heart, conduction)
-        if conduction in self._kept - {self.conduction}:
+        build = partial(build_myocardium, self.heart, conduction)
+        if conduction == self.conduction:
+            myocardium = self.myocardium
+        elif conduction in self._kept:
             myocardium = cached(
                 self.heart,
                 conduction,
@@ -317,7 +319,7 @@ class ForwardModel:
                 lambda arrays: build(table=TravelTimeTable(**arrays)),
                 most=TISSUES,
             )
-        elif conduction != self.conduction:
+        else:
             myocardium = build()
         return Tissue(
             myocardium,

@@ -254,16 +254,17 @@ def learn(
         np.empty(0), {},
     )  # fmt: skip
 
-    def lesson(values: Mapping[str, Floats], ecgs: NDArray[np.float32]) -> tuple[Singles, Floats]:
-        apart = (_cosines(ecgs, count) - mean).reshape(len(ecgs), -1)
+    def lesson(values: Mapping[str, Floats], ecgs: Floats) -> tuple[Singles, Floats]:
+        apart = (ecgs - mean).reshape(len(ecgs), -1)
         return emulator.inputs(values, tissues[made][begin]), apart @ components.T / unit
 
     here = {name: value[made][begin] for name, value in values.items()}
     ends = {p.name: (p.lower, p.upper) for p in (*space.parameters, *averaged.space.parameters)}
-    lessons = [lesson(here, examples.ecgs[begin])]
+    lessons = [lesson(here, cosines[begin])]
     clocks = {"cv", "root_time"} < {*names} and bool({*FASTER[:2]} & {*names})
     for _ in range(COPIES if same_on_any_clock and clocks else 0):
-        lessons.append(lesson(*_on_another_clock(here, ends, examples.ecgs[begin], rng)))
+        others, ecgs = _on_another_clock(here, ends, examples.ecgs[begin], rng)
+        lessons.append(lesson(others, _cosines(ecgs, count)))
     seen, wanted = (np.concatenate(each).astype(np.float32) for each in zip(*lessons, strict=True))
     every, free = emulator.inputs(values, tissues), ~examples.held_out
     known = made[free][:, None].astype(np.float32)
