@@ -89,7 +89,7 @@ from fascicle.reporting.style import new_figure, save
 from fascicle.study import paper, posterior
 from fascicle.study.ecg_emulator import EcgEmulator
 from fascicle.study.evaluations import Database, Journal
-from fascicle.study.heart_emulator import made_emulator, prior_of, simulate_prior
+from fascicle.study.heart_emulator import made_emulator, simulate_prior, usual_prior
 from fascicle.study.likelihood import EmulatedLikelihood, likelihood_of
 from fascicle.study.pool import Threads
 from fascicle.study.population import Population, Posterior
@@ -257,12 +257,13 @@ def prepared(heart_path: str, method: Method, count: int) -> tuple[Any, ...]:
     threadpool_limits(1)
     heart = fascicle.load_heart(heart_path)
     model = ForwardModel(heart)
-    space, fixed = study_space(method, {}, heart)
     averaged, prior, emulator = AveragedOver(), None, None
     if method == "posterior":
-        averaged = AveragedOver.of(space, fixed, heart)
-        prior = prior_of(PointSimulator(model, space, fixed, averaged=averaged), heart.folder)
+        prior = usual_prior(model, heart.folder)
+        space, fixed, averaged = prior.space, prior.fixed, prior.averaged
         emulator = made_emulator(prior, count, Threads(1))
+    else:
+        space, fixed = study_space(method, {}, heart)
     centred = heart.vertices - heart.vertices.mean(axis=0)
     axis = centred @ np.linalg.svd(centred[::50], full_matrices=False)[2][0]
     return PointSimulator(model, space, fixed, averaged=averaged), prior, emulator, axis
