@@ -287,7 +287,7 @@ def test_the_file_is_whole_inference_data(done, tmp_path):
     checks = Checks(0.92, {"QRS duration": 0.03, "V1": 0.4}, {"QRS duration": [191, 131, 148, 161]})
     target = SimpleNamespace(time=time, mean=ecg[0], beats=ecg[:5], leads=LEADS)
     path = tmp_path / "posterior.nc"
-    prediction = Prediction(ecg, ecg + 1, *drawn, checks)
+    prediction = Prediction(ecg, ecg + 1, *drawn, checks, None)
     write_population(path, posterior, SPACE, [target], [prediction], {"verdict": "converged"})
     data = az.from_netcdf(path)
     assert set(data.groups()) == {

@@ -251,12 +251,13 @@ def _completed(
     rng = np.random.default_rng([fitted.study.config.seed, PREDICTION])
     for number, each in enumerate(fitted.recordings):
         its = networks if number == 0 else fitted.networks(progress, number)
-        if each.likelihood is not None:
+        if each.likelihood is None:
+            agreements.append(agreement(each.target, its))
+        else:
             found = predict_recording(each.target, each.likelihood, its, rng)
             error = [emulated[number].error(its), emulated[number].emulator.report["error"]]
             predictions.append(replace(found, checks=replace(found.checks, emulator=error)))
-            its = [replace(n, predicted=ecg) for n, ecg in zip(its, found.ecg, strict=True)]
-        agreements.append(agreement(each.target, its))
+            agreements.append(found.agreement)
     if predictions:
         checks = Checks.joined([each.checks for each in predictions])
         ecgs = tuple(each.ecg for each in predictions)

@@ -20,7 +20,7 @@ from fascicle.core.ranges import short_repr
 from fascicle.forward.likelihood import Likelihood, Replicate
 from fascicle.forward.simulation import Signals
 from fascicle.recording.target import Target
-from fascicle.study.agreement import agreement, frontal_axis
+from fascicle.study.agreement import Agreement, agreement, frontal_axis
 from fascicle.study.settings import FitSettings
 from fascicle.study.target_comparison import Network
 
@@ -142,6 +142,7 @@ class Prediction:
     shifts: Floats  # of the first activation from the recorded onset (ms)
     discrepancies: Floats  # σ (mV)
     checks: Checks
+    agreement: Agreement  # of `ecg` with the recording
 
     __repr__ = short_repr
 
@@ -152,19 +153,19 @@ def predict_recording(
     """Draw what n networks of a posterior predict for a recording, and compare it with that."""
     drawn = [likelihood.predictive(Signals.of(each.simulation), rng) for each in networks]
     ecg, noisy = (np.array([getattr(each, name) for each in drawn]) for name in ("ecg", "noisy"))
+    found = agreement(target, [replace(n, predicted=e) for n, e in zip(networks, ecg, strict=True)])
     return Prediction(
         ecg,
         noisy,
         np.array([each.gain for each in drawn]),
         np.array([each.shift for each in drawn]),
         np.array([each.discrepancy for each in drawn]),
-        _checks(target, networks, drawn, getattr(likelihood, "gain_sd", FitSettings().gain_sd)),
+        _checks(target, found, drawn, getattr(likelihood, "gain_sd", FitSettings().gain_sd)),
+        found,
     )
 
 
-def _checks(
-    target: Target, networks: Sequence[Network], drawn: Sequence[Replicate], gain_sd: float
-) -> Checks:
+def _checks(target: Target, found: Agreement, drawn: Sequence[Replicate], gain_sd: float) -> Checks:
     rows, window = independent_rows(target.used), target.qrs_samples
     left, error = np.empty((2, len(drawn), len(rows)))
     unexplained = np.empty(len(drawn))
@@ -176,8 +177,7 @@ def _checks(
         unexplained[k] = left[k].sum() if each.unexplained is None else each.unexplained
     leads = {target.leads[row]: _rarer(left[:, k], error[:, k]) for k, row in enumerate(rows)}
     leads[ALL_LEADS] = _rarer(left.sum(axis=1), error.sum(axis=1))
-    own = [replace(n, predicted=each.ecg) for n, each in zip(networks, drawn, strict=True)]
-    found, spread = agreement(target, own), float(np.hypot(*target.global_qrs_sd))
+    spread = float(np.hypot(*target.global_qrs_sd))
     measured = {
         name: [found.recorded[key], *found.percentiles(key)]
         for name, (key, _) in MEASURED.items()
