@@ -89,12 +89,14 @@ from fascicle.reporting.style import new_figure, save
 from fascicle.study import paper, posterior
 from fascicle.study.ecg_emulator import EcgEmulator
 from fascicle.study.evaluations import Database, Journal
+from fascicle.study.fit import REFINEMENT
 from fascicle.study.heart_emulator import made_emulator, simulate_prior, usual_prior
 from fascicle.study.likelihood import EmulatedLikelihood, likelihood_of
 from fascicle.study.pool import Threads
 from fascicle.study.population import Population, Posterior
 from fascicle.study.predictive import AXIS, DURATION, Checks, predict_recording
 from fascicle.study.prior_simulations import PriorSimulations
+from fascicle.study.refined_emulator import refined_emulators
 from fascicle.study.settings import FitSettings, Method
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import AveragedOver, study_space
@@ -353,11 +355,11 @@ def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, A
     begun = time.perf_counter()
     if of_paper:
         target = synthetic_target(simulation.leads, rng, BEATS_OF_THE_PAPER)
-        comparison = TargetComparison(target)
+        comparison, its = TargetComparison(target), emulator
     else:
         target = record(simulation)
-        comparison = compared(target, emulator, gain_sd)
-    population, networks, checks = fit(simulator, comparison, settings, number, rng, emulator)
+        comparison, its = compared(target, simulator, emulator, gain_sd, number)
+    population, networks, checks = fit(simulator, comparison, settings, number, rng, its)
     seconds = time.perf_counter() - begun
     result: dict[str, Any] = {"networks": len(population)}
     if networks:
@@ -384,9 +386,9 @@ def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, A
         result["wrong"] = {}
         most, posterior.MOST_BATCHES = posterior.MOST_BATCHES, 1
         for name, wrong in wrong_inputs(target, rng, others).items():
-            comparison = compared(wrong, emulator, gain_sd)
-            its = fit(simulator, comparison, settings, number, rng, emulator)[2]
-            result["wrong"][name] = judged(its)
+            comparison, its = compared(wrong, simulator, emulator, gain_sd, number)
+            found = fit(simulator, comparison, settings, number, rng, its)[2]
+            result["wrong"][name] = judged(found)
         posterior.MOST_BATCHES = most
     return result | {"seconds": seconds}
 
@@ -415,9 +417,16 @@ def ectopic() -> Scenario:
     return scenario
 
 
-def compared(target: Target, emulator: EcgEmulator, gain_sd: float) -> TargetComparison:
+def compared(
+    target: Target, simulator: PointSimulator, emulator: EcgEmulator, gain_sd: float, number: int
+) -> tuple[TargetComparison, EcgEmulator]:
+    """A recording and its likelihood, and the emulator that is trained on for it."""
+    first = EmulatedLikelihood(simulator, emulator, likelihood_of(target, emulator, gain_sd))
+    rng = np.random.default_rng([number, REFINEMENT])
+    with tempfile.TemporaryDirectory() as folder:
+        (emulator,) = refined_emulators([first], [None], Path(folder), rng)
     likelihood = likelihood_of(target, emulator, gain_sd)
-    return TargetComparison(target, likelihood=likelihood, free_gain=True)
+    return TargetComparison(target, likelihood=likelihood, free_gain=True), emulator
 
 
 def fit(
@@ -437,7 +446,7 @@ def fit(
         return population, networks, None
     checks = predict_recording(recording.target, likelihood, networks, rng).checks
     error = EmulatedLikelihood(simulator, emulator, likelihood).error(networks)
-    return population, networks, replace(checks, emulator=[error, emulator.report["error"]])
+    return population, networks, replace(checks, emulator=[error, emulator.expected_error])
 
 
 def places(

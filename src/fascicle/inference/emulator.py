@@ -80,6 +80,8 @@ def train(
     width: int = 256,
     blocks: int = 3,
     steps: int = 3000,
+    begin: Network | None = None,
+    rate: float = RATE,
     probability: bool = False,
     progress: Callable[[int], None] = lambda done: None,
 ) -> Network:
@@ -91,17 +93,22 @@ def train(
         Size of the hidden layers, and how many of them are residual.
     steps : int
         Of `BATCH` examples each.
+    begin : Network, optional
+        To train on; by default its weights are drawn.
+    rate : float
+        Of the steps, at most.
     probability : bool
         Whether outputs are 0 or 1, of which the network gives the log odds; else the mean squared
         error is made small.
     progress : callable
         Called now and then with the steps that are done.
     """
+    weights: tuple[Singles, ...] = () if begin is None else tuple(w.copy() for w in begin.weights)
     sizes = [inputs.shape[1], *[width] * (blocks + 1), outputs.shape[1]]
-    weights: tuple[Singles, ...] = ()
-    for before, after in pairwise(sizes):
+    for before, after in pairwise(sizes if begin is None else ()):
         first = rng.standard_normal((before, after)) / np.sqrt(before)
         weights += (first.astype(np.float32), np.zeros(after, np.float32))
+    warming = min(200, steps / 3)
     means, squares = ([np.zeros_like(w) for w in weights] for _ in range(2))
     order = np.empty(0, int)
     for step in range(1, steps + 1):
@@ -112,14 +119,14 @@ def train(
         found = kept[-1][0] @ weights[-2] + weights[-1]
         wanted = outputs[batch]
         slope = expit(found) - wanted if probability else found - wanted
-        rate = RATE * min(1.0, step / 200) * 0.5 * (1 + np.cos(np.pi * step / steps))
+        now = rate * min(1.0, step / warming) * 0.5 * (1 + np.cos(np.pi * step / steps))
         gradients = _gradients(weights, kept, slope / np.float32(len(batch)))
         for weight, gradient, mean, square in zip(weights, gradients, means, squares, strict=True):
             mean += (1 - MOMENTS[0]) * (gradient - mean)
             square += (1 - MOMENTS[1]) * (gradient**2 - square)
             size = np.sqrt(square / (1 - MOMENTS[1] ** step)) + 1e-8
             change = mean / (1 - MOMENTS[0] ** step) / size
-            weight -= (rate * (change + DECAY * (weight.ndim == 2) * weight)).astype(np.float32)
+            weight -= (now * (change + DECAY * (weight.ndim == 2) * weight)).astype(np.float32)
         if step % 50 == 0 or step == steps:
             progress(step)
     return Network(weights)

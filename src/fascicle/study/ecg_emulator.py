@@ -24,13 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct, idct
 
-from fascicle.core.arrays import Floats, Integers
+from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, LEADS, limb_leads_from
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.threads import one_thread
-from fascicle.inference.emulator import BATCH, Network, Singles, train
+from fascicle.inference.emulator import BATCH, RATE, Network, Singles, train
 from fascicle.study.prior_simulations import BEFORE, BODIES, PART, Examples
 from fascicle.study.space import AveragedOver
 
@@ -41,7 +41,10 @@ MODES = 4  # of the body
 FEWEST = 50  # networks to learn from
 COPIES = 4  # of an example at other speeds
 EPOCHS = 12  # times that every example is seen
+ROUNDS = 20  # and one of a posterior
+FOLDS = 4  # of the examples of a posterior: each is held out once
 FASTER = ("alpha", "fibre_speed", "cv")  # c times as high
+SMALL = ("mean", "components", "bodies", "left", "left_by_bodies")  # in single precision
 SOONER = ("root_time", "anterograde_delay", "retrograde_delay", "his_time")  # c times as short
 
 
@@ -66,9 +69,11 @@ class EcgEmulator:
     bodies : (k, 8 + a, 8 + a) array
         What another body adds to the independent leads: matrices, each with a factor that is
         standard normal over random bodies.
-    left : (h, q) array
-        Components of what emulator and these do not say of held-out ECGs in random bodies, each
-        over the norm of its emulated ECG.
+    left : (q, q) array
+        What emulator and these do not say of held-out ECGs in random bodies, each over the norm of
+        its emulated ECG: components, whose outer products add up to the mean one.
+    left_by_bodies : (q, q) array
+        The same of what `bodies` do not say of simulated ECGs.
     report : mapping of str to float
         Of held-out networks: share of the variance that it gives, root mean square error over that
         of the ECGs, in the plain body, by lead and in random bodies; how often it is right about
@@ -86,6 +91,7 @@ class EcgEmulator:
     length: int
     bodies: Floats
     left: Floats
+    left_by_bodies: Floats
     report: Mapping[str, float]
 
     @property
@@ -98,6 +104,11 @@ class EcgEmulator:
             f"held-out ECGs: R² {report['r_squared']:.2f}, {report['error']:.0%} off ({least:.0%} "
             f"{best[6:]} to {most:.0%} {worst[6:]}; {report['error_in_bodies']:.0%} in bodies)"
         )
+
+    @property
+    def expected_error(self) -> float:
+        """Root mean square error that a posterior's networks should have, over that of the ECGs."""
+        return self.report.get("error_of_posterior", self.report["error"])
 
     def scores(self, inputs: Singles) -> Singles:
         """Components (n, q) in `unit` of inputs (n, p) that `inputs` has made."""
@@ -112,6 +123,17 @@ class EcgEmulator:
         """Inputs (n, p) of quantities (n,) by name, and of tissues (n, t) (`tissue_inputs`)."""
         raw = _raw(self.names, values, tissues)
         return np.asarray((raw - self.centre) / self.scale, dtype=np.float32)
+
+    def cosines(self, scores: NDArray[Any]) -> Floats:
+        """ECGs (n, 8 + k, f) in cosines, of scores (n, q)."""
+        return np.asarray(self.mean + np.tensordot(self.unit * scores, self.components, 1))
+
+    def root_of(self, errors: Floats, emulated: Floats) -> Floats:
+        """Components (q, q) of errors over the norms of emulated ECGs, as `left` has them."""
+        flat = self.components.reshape(len(self.components), -1)
+        norms = np.sqrt((emulated**2).sum(axis=(1, 2)))
+        rows = errors.reshape(len(errors), -1) @ flat.T / norms[:, None]
+        return _root(rows / np.sqrt(len(rows)))
 
     @cached_property
     def series(self) -> Floats:
@@ -134,7 +156,7 @@ class EcgEmulator:
 
     @cached_property
     def left_leads(self) -> Floats:
-        """What the emulator does not say, (h, 12 + k, length), of ECGs of unit norm."""
+        """What the emulator does not say, (q, 12 + k, length), of ECGs of unit norm."""
         return _in_time(np.einsum("hq,qlf->hlf", self.left, self.components), self.length)
 
     def arrays(self) -> dict[str, Any]:
@@ -149,7 +171,7 @@ class EcgEmulator:
                         found[f"{each.name} {n} {k:02d}"] = weight.astype(np.float16)
             elif each.name == "report":
                 found |= {f"report {name}": number for name, number in value.items()}
-            elif each.name in ("mean", "components", "bodies", "left"):
+            elif each.name in SMALL:
                 found[each.name] = value.astype(np.float32)
             else:
                 found[each.name] = value
@@ -159,7 +181,7 @@ class EcgEmulator:
     def from_arrays(cls, arrays: Mapping[str, Any]) -> EcgEmulator:
         """The inverse of `arrays`."""
         parts = {n: np.asarray(arrays[n]) for n in ("centre", "scale")}
-        parts |= {n: np.asarray(arrays[n], float) for n in ("mean", "components", "bodies", "left")}
+        parts |= {name: np.asarray(arrays[name], float) for name in SMALL}
         networks: dict[str, list[Singles]] = {}
         for name in sorted(arrays):
             if name.startswith(("networks ", "validity ")):
@@ -251,7 +273,7 @@ def learn(
     emulator = EcgEmulator(
         names, raw.mean(axis=0), raw.std(axis=0) + 1e-9, (), Network(()), mean,
         components.reshape(-1, *mean.shape), unit, examples.ecgs.shape[2], np.empty(0),
-        np.empty(0), {},
+        np.empty(0), np.empty(0), {},
     )  # fmt: skip
 
     def lesson(values: Mapping[str, Floats], ecgs: Floats) -> tuple[Singles, Floats]:
@@ -351,16 +373,16 @@ def _with_what_is_left(
 ) -> EcgEmulator:
     """The same with what held-out ECGs have beside the emulated ones, and a report."""
     held_out = examples.held_out
-    scores = emulator.scores(inputs[held_out & examples.feasible]) * emulator.unit
-    flat = emulator.components.reshape(len(emulator.components), -1)
-    emulated = emulator.mean + (scores @ flat).reshape(-1, *emulator.mean.shape)
-    norms = np.sqrt((emulated**2).sum(axis=(1, 2)))
+    emulated = emulator.cosines(emulator.scores(inputs[held_out & examples.feasible]))
     in_bodies = _cosines(examples.in_bodies, count)
     true = _cosines(examples.ecgs[held_out[examples.feasible]], count)
     bodies, factors = _body_modes(true, in_bodies, examples.bodies)
-    added = np.einsum("hk,kab,hbf->haf", factors[examples.bodies], bodies, emulated)
-    errors_in_bodies = in_bodies - emulated - added
-    left = errors_in_bodies.reshape(len(in_bodies), -1) @ flat.T / norms[:, None]
+    mixed = np.einsum("hk,kab->hab", factors[examples.bodies], bodies) + np.eye(true.shape[1])
+    errors_in_bodies = in_bodies - mixed @ emulated
+    left, left_by_bodies = (
+        emulator.root_of(errors, emulated)
+        for errors in (errors_in_bodies, in_bodies - mixed @ true)
+    )
     errors, squares = ((true - emulated) ** 2).sum(axis=2), (true**2).sum(axis=2)
     spread = ((true - true.mean(axis=0)) ** 2).sum()
     odds, there = emulator.validity(inputs[held_out])[:, 0], examples.feasible[held_out]
@@ -374,7 +396,61 @@ def _with_what_is_left(
     leads = [*INDEPENDENT_LEADS, *map(str, range(errors.shape[1] - len(INDEPENDENT_LEADS)))]
     for lead, error, square in zip(leads, errors.sum(axis=0), squares.sum(axis=0), strict=True):
         report[f"error_{lead}"] = float(np.sqrt(error / square))
-    return replace(emulator, bodies=bodies, left=left, report=report)
+    return replace(emulator, bodies=bodies, left=left, left_by_bodies=left_by_bodies, report=report)
+
+
+@one_thread
+def trained_on(
+    emulator: EcgEmulator,
+    inputs: Singles,
+    ecgs: NDArray[np.float32],
+    usual: Singles,
+    rng: np.random.Generator,
+) -> EcgEmulator:
+    """Train the networks on, where a posterior lies; what is left is then what is left there.
+
+    Parameters
+    ----------
+    inputs, ecgs : (n, p) and (n, 8 + k, length) arrays
+        Of networks of the posterior.
+    usual : (n, p) array
+        Inputs all over the prior, where the outputs are to stay as they are.
+    """
+    kept = min(ecgs.shape[2], emulator.length)
+    ecgs = np.pad(ecgs[:, :, :kept], ((0, 0), (0, 0), (0, emulator.length - kept)))
+    true = _cosines(ecgs, emulator.mean.shape[1])
+    flat = emulator.components.reshape(len(emulator.components), -1)
+    scores = (true - emulator.mean).reshape(len(true), -1) @ flat.T / emulator.unit
+
+    def on(network: Network, chosen: Booleans, rng: np.random.Generator) -> Network:
+        seen = np.concatenate([inputs[chosen], usual])
+        wanted = np.concatenate([scores[chosen].astype(np.float32), network(usual)])
+        steps = ROUNDS * len(seen) // BATCH
+        return train(seen, wanted, rng, steps=steps, begin=network, rate=RATE / 2)
+
+    fold = np.arange(len(inputs)) % FOLDS
+    each = [fold != k for k in range(FOLDS)] + [np.ones(len(inputs), bool)]
+    asked = [(network, chosen) for chosen in each for network in emulator.networks]
+    with ThreadPoolExecutor(2) as pool:
+        found = list(pool.map(on, *zip(*asked, strict=True), rng.spawn(len(asked))))
+    count, emulated = len(emulator.networks), np.empty_like(true)
+    for k in range(FOLDS):
+        others = replace(emulator, networks=tuple(found[k * count : (k + 1) * count]))
+        emulated[fold == k] = others.cosines(others.scores(inputs[fold == k]))
+    local = emulator.root_of(true - emulated, emulated)
+    error = np.sqrt(((true - emulated) ** 2).sum() / (true**2).sum())
+    return replace(
+        emulator,
+        networks=tuple(found[-count:]),
+        left=_root(np.concatenate([local, emulator.left_by_bodies])),
+        report={**emulator.report, "error_of_posterior": float(error)},
+    )
+
+
+def _root(rows: Floats) -> Floats:
+    """Rows, as many as columns, whose outer products add up to the same."""
+    values, vectors = np.linalg.eigh(rows.T @ rows)
+    return np.asarray(np.sqrt(np.maximum(values, 0))[:, None] * vectors.T)
 
 
 def _body_modes(plain: Floats, in_bodies: Floats, numbers: Integers) -> tuple[Floats, Floats]:

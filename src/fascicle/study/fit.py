@@ -42,6 +42,7 @@ from fascicle.study.recordings import (
     read_recordings,
     write_recordings,
 )
+from fascicle.study.refined_emulator import refined_emulators
 from fascicle.study.results import write_results
 from fascicle.study.settings import FitSettings, checked_settings
 from fascicle.study.simulator import PointSimulator
@@ -52,7 +53,7 @@ from fascicle.study.target_comparison import TargetComparison, evaluate
 GivenStudy = FittedStudy | Path | str  # a study, or its folder
 
 HEART = "heart"  # in the study's folder
-PREDICTION = 2  # numbers the random generator of predictions
+PREDICTION, REFINEMENT = 2, 3  # number the random generators
 
 
 def fit(
@@ -255,7 +256,7 @@ def _completed(
             agreements.append(agreement(each.target, its))
         else:
             found = predict_recording(each.target, each.likelihood, its, rng)
-            error = [emulated[number].error(its), emulated[number].emulator.report["error"]]
+            error = [emulated[number].error(its), emulated[number].emulator.expected_error]
             predictions.append(replace(found, checks=replace(found.checks, emulator=error)))
             agreements.append(found.agreement)
     if predictions:
@@ -301,21 +302,30 @@ def _emulated(
     """The recordings with their likelihoods, and these by emulators of the heart."""
     config, given = inputs.config, inputs.heart.folder
     kept = given if given is not None and os.access(given, os.W_OK) else folder / HEART
-    emulators: dict[str, EcgEmulator] = {}
-    found, emulated = [], []
-    for number, (each, digest) in enumerate(zip(recordings, config.scenarios, strict=True)):
-        if digest not in emulators:
-            scenario = None if each.scenario is None else (each.scenario, digest)
-            count = config.prior_simulations
-            emulators[digest] = emulator_of(simulator, count, kept, progress, scenario)
-        emulator = emulators[digest]
-        if inputs.likelihoods is None:
-            likelihood: Likelihood = likelihood_of(each.target, emulator, _gain_sd(config))
-        else:
-            likelihood = inputs.likelihoods[number]
-        found.append(replace(each, likelihood=likelihood))
-        emulated.append(EmulatedLikelihood(simulator, emulator, likelihood))
-    return tuple(found), emulated
+    scenarios = [
+        None if each.scenario is None else (each.scenario, digest)
+        for each, digest in zip(recordings, config.scenarios, strict=True)
+    ]
+    count, made = config.prior_simulations, dict[str, EcgEmulator]()
+    for scenario, digest in zip(scenarios, config.scenarios, strict=True):
+        if digest not in made:
+            made[digest] = emulator_of(simulator, count, kept, progress, scenario)
+
+    def by(emulators: Sequence[EcgEmulator]) -> list[EmulatedLikelihood]:
+        targets, gain_sd = [each.target for each in recordings], _gain_sd(config)
+        pairs = [*zip(targets, emulators, strict=True)]
+        likelihoods = inputs.likelihoods or [likelihood_of(*pair, gain_sd) for pair in pairs]
+        return [
+            EmulatedLikelihood(simulator, *both)
+            for both in zip(emulators, likelihoods, strict=True)
+        ]
+
+    emulated = by([made[digest] for digest in config.scenarios])
+    if inputs.likelihoods is None:
+        rng = np.random.default_rng([config.seed, REFINEMENT])
+        emulated = by(refined_emulators(emulated, scenarios, folder, rng, progress))
+    pairs = zip(recordings, emulated, strict=True)
+    return tuple(replace(one, likelihood=its.likelihood) for one, its in pairs), emulated
 
 
 def _gain_sd(config: StudyConfig) -> float:

@@ -62,7 +62,7 @@ def made_emulator(
     prior: PriorSimulations, count: int, pool: Pool, progress: Progress | None = None
 ) -> EcgEmulator:
     """The emulator that was learnt from so many prior simulations, which are made if need be."""
-    cache, key = ArrayCache(prior.cache.folder, EMULATOR), f"{prior.content} {count}"
+    cache, key = ArrayCache(prior.cache.folder, EMULATOR), f"{count} of {prior.content}"
     arrays: Mapping[str, Any] | None = cache.read(key)
     if arrays is None:
         prior.simulate(count, pool, progress)

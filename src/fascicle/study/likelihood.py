@@ -24,6 +24,7 @@ from fascicle.forward.likelihood import (
 )
 from fascicle.forward.loss import placed
 from fascicle.forward.simulation import Signals
+from fascicle.inference.emulator import Singles
 from fascicle.recording.target import Target
 from fascicle.study.ecg_emulator import EcgEmulator, tissue_inputs
 from fascicle.study.prior_simulations import BEFORE
@@ -40,7 +41,7 @@ def likelihood_of(target: Target, emulator: EcgEmulator, gain_sd: float) -> QrsL
     size = np.sqrt((target.qrs[rows] ** 2).sum())
     left = size * emulator.left_leads[:, rows, BEFORE - MARGIN :][:, :, : len(modes)]
     seen = (left @ modes[: left.shape[2]]).reshape(len(left), -1)
-    known = beat_noise(target) + seen.T @ seen / max(len(seen), 1)
+    known = beat_noise(target) + seen.T @ seen
     outside = separable(lead_pattern(left), discrepancy_in_time(len(modes)), modes)
     return QrsLikelihood(target, known, outside, gain_sd, emulator.bodies_of_all_leads)
 
@@ -57,20 +58,24 @@ class EmulatedLikelihood:
 
     def __call__(self, points: Floats) -> Floats:
         """Log-likelihoods (n,) of points (n, d)."""
-        simulator, emulator = self.simulator, self.emulator
-        learnt, rest = np.split(points, [len(simulator.space)], axis=1)
-        values: dict[str, Floats] = {n: np.full(len(points), v) for n, v in simulator.fixed.items()}
-        values |= simulator.space.columns(learnt) | simulator.averaged.columns(rest)
-        inputs = emulator.inputs(values, self._tissues[simulator.averaged.tissue(rest)])
-        gain = values.get("gain", np.ones(len(points)))
-        scores: Any = emulator.scores(inputs)
+        inputs, gain = self.inputs(points)
+        scores: Any = self.emulator.scores(inputs)
         if isinstance(self.likelihood, QrsLikelihood):
             ones = np.ones((len(scores), 1), scores.dtype)
             factors = gain.astype(scores.dtype)[:, None] * np.concatenate([ones, scores], axis=1)
             found = self.likelihood.of_sums(self._parts, np.ascontiguousarray(factors.T))
         else:
             found = self._one_by_one(scores, gain)
-        return np.asarray(found + emulator.log_validity(inputs))
+        return np.asarray(found + self.emulator.log_validity(inputs))
+
+    def inputs(self, points: Floats) -> tuple[Singles, Floats]:
+        """Inputs (n, p) of the emulator at points, and gains (n,)."""
+        simulator = self.simulator
+        learnt, rest = np.split(points, [len(simulator.space)], axis=1)
+        values: dict[str, Floats] = {n: np.full(len(points), v) for n, v in simulator.fixed.items()}
+        values |= simulator.space.columns(learnt) | simulator.averaged.columns(rest)
+        inputs = self.emulator.inputs(values, self._tissues[simulator.averaged.tissue(rest)])
+        return inputs, values.get("gain", np.ones(len(points)))
 
     def error(self, networks: Sequence[Network]) -> float:
         """Root mean square of what is emulated falsely of networks' ECGs, over that of the ECGs."""

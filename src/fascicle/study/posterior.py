@@ -6,7 +6,7 @@ do. All that is reported of a posterior comes from networks that were simulated.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -122,38 +122,55 @@ class PosteriorFit:
         """A batch of each run."""
         # twice as many particles as are drawn from a run, since some give no network
         count = max(PARTICLES, self.settings.effective)
-
-        def log_likelihoods(points: Floats) -> Floats:
-            each = [emulated(points) for emulated in self.emulated[:recordings]]
-            return np.asarray(np.sum(each, axis=0))
-
-        states: dict[int, State] = {}
-        dimension = len(self.space) + len(self.averaged)
-
-        def one(run: int) -> SamplingRun:
-            def reported(state: State) -> None:
-                states[run] = state
-                self._report(states, recordings, count * (number + 1))
-
-            # the first numbers are those of the first batches, and of draws
-            rng = self._rng(run if number == 0 else 4 * RUNS * number + run, recordings)
-            try:
-                found: SamplingRun = temper(log_likelihoods, dimension, rng, count, reported)
-            except ValueError as error:  # hardly any point has a likelihood, by one's own rule
-                raise InputError(f"{error}, and the likelihood") from None
-            return found
-
-        with ThreadPoolExecutor(RUNS) as pool:
-            return list(pool.map(one, range(RUNS)))
-
-    def _report(self, states: dict[int, State], recordings: int, count: int) -> None:
-        if self.progress is None or len(states) < RUNS:
-            return
-        said = f"{RUNS} runs of {count}"
+        # the first numbers are those of the first batches, and of draws
+        first = 0 if number == 0 else 4 * RUNS * number
+        said = f"{RUNS} runs of {count * (number + 1)}"
         if len(self.emulated) > 1:
             said += ", first recording alone" if recordings == 1 else ", all recordings"
-        evidences = " and ".join(f"{states[k].log_evidence:.1f}" for k in range(RUNS))
-        # steps of the temperature take alike long on a logarithmic scale
-        coldest = min(state.temperature for state in states.values())
-        done = round(100 * (1 + np.log10(max(coldest, 1e-3)) / 3))
-        self.progress("sampling", max(1, done), 100, f"{said}, log evidence {evidences}")
+        return sampled(
+            self.emulated[:recordings],
+            len(self.space) + len(self.averaged),
+            [self._rng(first + run, recordings) for run in range(RUNS)],
+            count,
+            said,
+            self.progress,
+        )
+
+
+def sampled(
+    emulated: Sequence[Emulated],
+    dimension: int,
+    rngs: Sequence[np.random.Generator],
+    count: int,
+    said: str,
+    progress: Progress | None,
+) -> list[SamplingRun]:
+    """Sample the posterior of recordings by runs of so many particles, one of each generator."""
+    states: dict[int, State] = {}
+
+    def log_likelihoods(points: Floats) -> Floats:
+        return np.asarray(np.sum([each(points) for each in emulated], axis=0))
+
+    def one(run: int, rng: np.random.Generator) -> SamplingRun:
+        def reported(state: State) -> None:
+            states[run] = state
+            _report(states, len(rngs), said, progress)
+
+        try:
+            found: SamplingRun = temper(log_likelihoods, dimension, rng, count, reported)
+        except ValueError as error:  # hardly any point has a likelihood, by one's own rule
+            raise InputError(f"{error}, and the likelihood") from None
+        return found
+
+    with ThreadPoolExecutor(len(rngs)) as pool:
+        return list(pool.map(one, range(len(rngs)), rngs))
+
+
+def _report(states: Mapping[int, State], runs: int, said: str, progress: Progress | None) -> None:
+    if progress is None or len(states) < runs:
+        return
+    evidences = " and ".join(f"{states[k].log_evidence:.1f}" for k in range(runs))
+    # steps of the temperature take alike long on a logarithmic scale
+    coldest = min(state.temperature for state in states.values())
+    done = round(100 * (1 + np.log10(max(coldest, 1e-3)) / 3))
+    progress("sampling", max(1, done), 100, f"{said}, log evidence {evidences}")

@@ -8,6 +8,7 @@ not at all, so that the simulation may be interrupted at any time.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -78,6 +79,7 @@ class PriorSimulations:
     fixed: Mapping[str, float]
     cache: ArrayCache  # in the heart's folder
     scenario: tuple[Scenario, str] | None = None  # with its digest
+    drawn: Floats | None = None  # points of a posterior, in place of the prior's
 
     @cached_property
     def content(self) -> str:
@@ -85,7 +87,8 @@ class PriorSimulations:
         known = growth_and_conduction(self.model.heart, self.model.rules)
         about = self.space.parameters, self.averaged, sorted(self.fixed.items())
         digest = "" if self.scenario is None else self.scenario[1]
-        return f"{self.model.heart.digest} {about} {sorted(known.items())} {digest}"
+        drawn = "" if self.drawn is None else hashlib.sha256(self.drawn.tobytes()).hexdigest()
+        return f"{self.model.heart.digest} {about} {sorted(known.items())} {digest}{drawn}"
 
     def covers(
         self, space: ParameterSpace, averaged: AveragedOver, fixed: Mapping[str, float]
@@ -116,6 +119,8 @@ class PriorSimulations:
         What the speeds of the tissue depend on is the same in all of a part: a tissue takes
         seconds.
         """
+        if self.drawn is not None:
+            return self.drawn[number * PART : (number + 1) * PART]
         dimension = len(self.space) + len(self.averaged)
         points = np.random.default_rng([SEED, number]).random((PART, dimension))
         for k, name in enumerate(self.space.names):
@@ -133,6 +138,7 @@ class PriorSimulations:
         for point in self.points(number):
             values = {**self.fixed, **self.space.from_unit(point[:count])}
             values |= self.averaged.values(point[count:])
+            values.pop("gain", None)  # a factor on the ECG
             if usual and rng.random() < 1 / 3:
                 values |= {p.name: float(p.from_unit(np.array(rng.random()))) for p in third}
             found.append(values)
@@ -144,9 +150,10 @@ class PriorSimulations:
         missing = [number for number in range(end) if not self._file(number).is_file()]
         if not missing:
             return
-        report = stage_progress(progress, "prior simulations")
-        bodies = []
-        if not torso_values(dict.fromkeys(self.space.names, np.nan)):  # else each has its own body
+        of = "prior" if self.drawn is None else "posterior"
+        report, bodies = stage_progress(progress, f"{of} simulations"), []
+        # else each has its own body, or none is wanted
+        if self.drawn is None and not torso_values(dict.fromkeys(self.space.names, np.nan)):
             bodies = random_bodies(self.model, np.random.default_rng([SEED, 0, 2]), BODIES)
         rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(self.model.heart.leads))]
         scenario = None if self.scenario is None else self.scenario[0]

@@ -1,0 +1,73 @@
+"""Emulators that are trained on with simulations where the posterior of the recordings lies.
+
+An emulator of the prior is as exact there as on average, and what it does not say is that of
+networks of all kinds. Networks of a first posterior, simulated, make it more exact where it
+matters, and show what it does not say there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fascicle.core.array_cache import ArrayCache
+from fascicle.core.files import DISPOSABLE
+from fascicle.core.progress import Progress
+from fascicle.core.quantities import Changes, quantity
+from fascicle.core.threads import one_thread
+from fascicle.forward.scenario import Scenario
+from fascicle.study.ecg_emulator import EcgEmulator, trained_on
+from fascicle.study.likelihood import EmulatedLikelihood
+from fascicle.study.posterior import PARTICLES, RUNS, sampled
+from fascicle.study.prior_simulations import PART, PriorSimulations
+
+SIMULATED = 2 * PART  # networks of the first posterior
+
+
+def refined_emulators(
+    emulated: Sequence[EmulatedLikelihood],
+    scenarios: Sequence[tuple[Scenario, str] | None],
+    folder: Path,
+    rng: np.random.Generator,
+    progress: Progress | None = None,
+) -> list[EcgEmulator]:
+    """Train emulators on where the posterior lies that they give together.
+
+    Where a quantity of the tissue is learnt they stay as they are: each network has a tissue of its
+    own, which takes seconds.
+
+    Parameters
+    ----------
+    emulated, scenarios : sequences
+        Of each recording: likelihood, and scenario with its digest.
+    folder : Path
+        Of a study, in which the simulations are kept.
+
+    Returns
+    -------
+    list of EcgEmulator
+        Of each recording; one of the same scenario is the same.
+    """
+    simulator = emulated[0].simulator
+    if any(quantity(name).changes is Changes.TISSUE for name in simulator.space.names):
+        return [each.emulator for each in emulated]
+    sample = one_thread(sampled)  # about both: each would give the other's threads back
+    said = f"{RUNS} runs of {PARTICLES}, to refine the emulator"
+    dimension, cache = simulator.dimension, ArrayCache(folder / DISPOSABLE, "posterior")
+    runs = sample(emulated, dimension, rng.spawn(RUNS), PARTICLES, said, progress)
+    points = rng.permutation(np.concatenate([run.points for run in runs]))[:SIMULATED]
+    usual, found = rng.random(points.shape), dict[str, EcgEmulator]()
+    for each, scenario in zip(emulated, scenarios, strict=True):
+        digest = "" if scenario is None else scenario[1]
+        if digest not in found:
+            simulations = PriorSimulations(
+                simulator.model, simulator.space, simulator.averaged, simulator.fixed, cache,
+                scenario, points,
+            )  # fmt: skip
+            simulations.simulate(len(points), simulator.pool, progress)
+            examples = simulations.examples(len(points))
+            inputs, others = (each.inputs(p)[0] for p in (points[examples.feasible], usual))
+            found[digest] = trained_on(each.emulator, inputs, examples.ecgs, others, rng)
+    return [found["" if scenario is None else scenario[1]] for scenario in scenarios]
