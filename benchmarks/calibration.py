@@ -422,9 +422,9 @@ def compared(
 ) -> tuple[TargetComparison, EcgEmulator]:
     """A recording and its likelihood, and the emulator that is trained on for it."""
     first = EmulatedLikelihood(simulator, emulator, likelihood_of(target, emulator, gain_sd))
-    rng = np.random.default_rng([number, REFINEMENT])
+    rng, count = np.random.default_rng([number, REFINEMENT]), int(emulator.report["networks"])
     with tempfile.TemporaryDirectory() as folder:
-        (emulator,) = refined_emulators([first], [None], Path(folder), rng)
+        (emulator,) = refined_emulators([first], [None], count, Path(folder), rng)
     likelihood = likelihood_of(target, emulator, gain_sd)
     return TargetComparison(target, likelihood=likelihood, free_gain=True), emulator
 

@@ -1,6 +1,7 @@
 """Prior simulations: what is stored, how it goes on, for whom it serves, and the emulator of it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,11 +18,13 @@ from fascicle.forward.loss import placed
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import write_heart
-from fascicle.study import ecg_emulator, heart_emulator
+from fascicle.study import ecg_emulator, heart_emulator, refined_emulator
 from fascicle.study import prior_simulations as tested
-from fascicle.study.heart_emulator import emulator_of, simulate_prior
+from fascicle.study.heart_emulator import emulator_of, made_emulator, simulate_prior
+from fascicle.study.likelihood import EmulatedLikelihood
 from fascicle.study.pool import Threads
 from fascicle.study.prior_simulations import BEFORE, PriorSimulations
+from fascicle.study.refined_emulator import refined_emulators
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import AveragedOver, study_space
 
@@ -248,3 +251,36 @@ def test_a_heart_in_a_folder_that_cannot_be_written_to(model, tmp_path, monkeypa
 def test_numbers_that_make_no_sense(tmp_path):
     with pytest.raises(InputError, match="networks is 0"):
         simulate_prior("default", 0)
+
+
+def test_an_emulator_is_refined_with_draws_of_the_posterior(prior, model, tmp_path, monkeypatch):
+    """Of the study's own draws, which are kept with it; not where each has a tissue of its own."""
+    monkeypatch.setattr(refined_emulator, "SHARE", PART / COUNT)
+    monkeypatch.setattr(refined_emulator, "PARTICLES", 60)
+    emulator = made_emulator(prior, COUNT, Threads(1))
+    simulator = PointSimulator(model, prior.space, prior.fixed, averaged=prior.averaged)
+    root_time = prior.space.names.index("root_time")
+    emulated = SimpleNamespace(
+        simulator=simulator,
+        emulator=emulator,
+        inputs=EmulatedLikelihood(simulator, emulator, None).inputs,
+    )
+
+    class Emulated(SimpleNamespace):
+        def __call__(self, points):
+            return -0.5 * ((points[:, root_time] - 0.5) / 0.02) ** 2
+
+    given = Emulated(**vars(emulated))
+    pool = Counting()
+    given.simulator = replace(simulator, pool=pool)
+    both = [given, given], [None, None], COUNT
+    first, again = refined_emulators(*both, tmp_path, np.random.default_rng(0))
+    assert first is again
+    assert pool.sent == PART
+    assert first.expected_error != emulator.expected_error
+    (_,) = (tmp_path / DISPOSABLE).glob("posterior-*.npz")
+    refined_emulators(*both, tmp_path, np.random.default_rng(0))
+    assert pool.sent == PART  # found
+    space, fixed = study_space("posterior", {"anisotropy_ratio": "free"}, model.heart)
+    given.simulator = replace(simulator, space=space, fixed=fixed)
+    assert refined_emulators([given], [None], COUNT, tmp_path, None) == [emulator]

@@ -42,7 +42,7 @@ from fascicle.study.recordings import (
     read_recordings,
     write_recordings,
 )
-from fascicle.study.refined_emulator import refined_emulators
+from fascicle.study.refined_emulator import MOST, refined_emulators
 from fascicle.study.results import write_results
 from fascicle.study.settings import FitSettings, checked_settings
 from fascicle.study.simulator import PointSimulator
@@ -196,9 +196,10 @@ def read_inputs(
     of_posterior: dict[str, Any] = {}
     if settings.method == "posterior":
         averaged = AveragedOver.of(space, fixed, heart)
+        more = {"body_modes": MODES, "refining_networks": MOST}
         named = {"name": ", ".join(type(one).__qualname__ for one in likelihoods or ())}
         of_posterior = {
-            "likelihood": constants() | {"body_modes": MODES} if likelihoods is None else named,
+            "likelihood": constants() | more if likelihoods is None else named,
             "averaged": averaged.space.parameters,
             "tissues": averaged.tissues,
         }
@@ -323,7 +324,7 @@ def _emulated(
     emulated = by([made[digest] for digest in config.scenarios])
     if inputs.likelihoods is None:
         rng = np.random.default_rng([config.seed, REFINEMENT])
-        emulated = by(refined_emulators(emulated, scenarios, folder, rng, progress))
+        emulated = by(refined_emulators(emulated, scenarios, count, folder, rng, progress))
     pairs = zip(recordings, emulated, strict=True)
     return tuple(replace(one, likelihood=its.likelihood) for one, its in pairs), emulated
 

@@ -150,7 +150,7 @@ class PriorSimulations:
         missing = [number for number in range(end) if not self._file(number).is_file()]
         if not missing:
             return
-        of = "prior" if self.drawn is None else "posterior"
+        of, total = ("prior", end * PART) if self.drawn is None else ("posterior", len(self.drawn))
         report, bodies = stage_progress(progress, f"{of} simulations"), []
         # else each has its own body, or none is wanted
         if self.drawn is None and not torso_values(dict.fromkeys(self.space.names, np.nan)):
@@ -159,12 +159,12 @@ class PriorSimulations:
         scenario = None if self.scenario is None else self.scenario[0]
         for number in missing:
             items = [(values, scenario) for values in self.parameters(number)]
-            drawn = np.random.default_rng([SEED, number, 3]).integers(BODIES, size=PART)
+            drawn = np.random.default_rng([SEED, number, 3]).integers(BODIES, size=len(items))
             ecgs: list[Floats] = []
             others: list[Floats] = []
-            feasible = np.zeros(PART, bool)
+            feasible = np.zeros(len(items), bool)
             for k, outcome in enumerate(pool.map(_beat, items, self.model)):
-                report(number * PART + k + 1, end * PART)
+                report(number * PART + k + 1, total)
                 if outcome is None:
                     continue
                 feasible[k] = True

@@ -21,14 +21,15 @@ from fascicle.forward.scenario import Scenario
 from fascicle.study.ecg_emulator import EcgEmulator, trained_on
 from fascicle.study.likelihood import EmulatedLikelihood
 from fascicle.study.posterior import PARTICLES, RUNS, sampled
-from fascicle.study.prior_simulations import PART, PriorSimulations
+from fascicle.study.prior_simulations import PriorSimulations
 
-SIMULATED = 2 * PART  # networks of the first posterior
+MOST, SHARE = 1000, 1 / 16  # networks that are simulated: at most, and of the prior's
 
 
 def refined_emulators(
     emulated: Sequence[EmulatedLikelihood],
     scenarios: Sequence[tuple[Scenario, str] | None],
+    count: int,
     folder: Path,
     rng: np.random.Generator,
     progress: Progress | None = None,
@@ -42,6 +43,8 @@ def refined_emulators(
     ----------
     emulated, scenarios : sequences
         Of each recording: likelihood, and scenario with its digest.
+    count : int
+        Networks of the prior that they have learnt from.
     folder : Path
         Of a study, in which the simulations are kept.
 
@@ -57,7 +60,8 @@ def refined_emulators(
     said = f"{RUNS} runs of {PARTICLES}, to refine the emulator"
     dimension, cache = simulator.dimension, ArrayCache(folder / DISPOSABLE, "posterior")
     runs = sample(emulated, dimension, rng.spawn(RUNS), PARTICLES, said, progress)
-    points = rng.permutation(np.concatenate([run.points for run in runs]))[:SIMULATED]
+    points = rng.permutation(np.concatenate([run.points for run in runs]))
+    points = points[: min(MOST, round(SHARE * count))]
     usual, found = rng.random(points.shape), dict[str, EcgEmulator]()
     for each, scenario in zip(emulated, scenarios, strict=True):
         digest = "" if scenario is None else scenario[1]
