@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fascicle.build.check import check_heart
+from fascicle.core.leads import INDEPENDENT_LEADS
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import check_population
 from fascicle.recording.target import Target
@@ -20,7 +21,7 @@ from fascicle.reporting.heart import check_figure
 from fascicle.reporting.names import MEASURES
 from fascicle.reporting.parameters import convergence_figure, pair_figure, prior_figure
 from fascicle.reporting.scenarios import index_figure
-from fascicle.reporting.style import Colour, mark, save
+from fascicle.reporting.style import Colour, mark, new_figure, save
 from fascicle.study.activation_maps import activation_maps
 from fascicle.study.agreement import Agreement, agreement
 from fascicle.study.fitted import FittedStudy
@@ -91,6 +92,13 @@ def drawings(
     for number, recording in enumerate(fitted.recordings):
         text = f"{called[number]}: its beats and the QRS window of the fit."
         drawn[f"recording{suffixes[number]}"] = Drawing(target_figure(recording.target), text)
+    for suffix, name, report in zip(suffixes, called, fitted.emulator_reports, strict=False):
+        text = (
+            f"{name}: what the emulator does not say of a simulated QRS, for held-out networks of "
+            "the prior, and for those of a first posterior that it was trained on with, each "
+            "left out once (root mean square over that of the QRS)."
+        )
+        drawn[f"emulator{suffix}"] = Drawing(emulator_figure(report), text)
     drawn["convergence"] = Drawing(
         loss_figure(fitted),
         "Mismatch of every evaluation, in order. A network on the broken line matches the "
@@ -117,6 +125,22 @@ def loss_figure(fitted: FittedStudy) -> Figure:
     records = fitted.study.records()
     losses = np.array([record.evaluation.loss for record in records])
     return convergence_figure(losses, [record.stage for record in records], fitted.null_loss)
+
+
+def emulator_figure(report: Mapping[str, float]) -> Figure:
+    """Draw the errors of an emulator, of all leads and of each."""
+    figure = new_figure(6.0, 2.6)
+    axes = figure.subplots()
+    kinds = {"error": ("prior", Colour.GREY), "error_of_posterior": ("posterior", Colour.ORANGE)}
+    for k, (kind, (label, colour)) in enumerate(kinds.items()):
+        leads = {"all": kind} | {lead: f"{kind}_{lead}" for lead in INDEPENDENT_LEADS}
+        heights = [100 * report[key] for key in leads.values() if key in report]
+        axes.bar(np.arange(len(heights)) + 0.4 * (k - 0.5), heights, 0.4, color=colour, label=label)
+    axes.set_xticks(range(len(leads)), list(leads))
+    axes.set_xlabel("lead")
+    axes.set_ylabel("error of the emulator (%)")
+    axes.legend(title="networks of the")
+    return figure
 
 
 def recorded_ecg_figure(fitted: FittedStudy, recording: int, networks: Sequence[Network]) -> Figure:

@@ -383,19 +383,16 @@ def _with_what_is_left(
         emulator.root_of(errors, emulated)
         for errors in (errors_in_bodies, in_bodies - mixed @ true)
     )
-    errors, squares = ((true - emulated) ** 2).sum(axis=2), (true**2).sum(axis=2)
+    errors, squares = ((true - emulated) ** 2).sum(), (true**2).sum()
     spread = ((true - true.mean(axis=0)) ** 2).sum()
     odds, there = emulator.validity(inputs[held_out])[:, 0], examples.feasible[held_out]
     report = {
         "networks": float(len(examples.points)),
-        "r_squared": 1 - float(errors.sum() / max(spread, 1e-12)),
-        "error": float(np.sqrt(errors.sum() / squares.sum())),
-        "error_in_bodies": float(np.sqrt((errors_in_bodies**2).sum() / squares.sum())),
+        "r_squared": 1 - float(errors / max(spread, 1e-12)),
+        "error_in_bodies": float(np.sqrt((errors_in_bodies**2).sum() / squares)),
         "validity": float(((odds > 0) == there).mean()),
+        **_errors("error", true, emulated),
     }
-    leads = [*INDEPENDENT_LEADS, *map(str, range(errors.shape[1] - len(INDEPENDENT_LEADS)))]
-    for lead, error, square in zip(leads, errors.sum(axis=0), squares.sum(axis=0), strict=True):
-        report[f"error_{lead}"] = float(np.sqrt(error / square))
     return replace(emulator, bodies=bodies, left=left, left_by_bodies=left_by_bodies, report=report)
 
 
@@ -440,13 +437,21 @@ def trained_on(
         others = replace(emulator, networks=tuple(found[k * count : (k + 1) * count]))
         emulated[fold == k] = others.cosines(others.scores(inputs[fold == k]))
     local = emulator.root_of(true - emulated, emulated)
-    error = np.sqrt(((true - emulated) ** 2).sum() / (true**2).sum())
     return replace(
         emulator,
         networks=tuple(found[-count:]),
         left=_root(np.concatenate([local, emulator.left_by_bodies])),
-        report={**emulator.report, "error_of_posterior": float(error)},
+        report={**emulator.report, **_errors("error_of_posterior", true, emulated)},
     )
+
+
+def _errors(name: str, true: Floats, emulated: Floats) -> dict[str, float]:
+    """Root mean square errors over that of the ECGs, of all leads and of each."""
+    errors, squares = ((each**2).sum(axis=(0, 2)) for each in (true - emulated, true))
+    leads = [*INDEPENDENT_LEADS, *map(str, range(len(errors) - len(INDEPENDENT_LEADS)))]
+    found = {name: float(np.sqrt(errors.sum() / squares.sum()))}
+    each = zip(leads, np.sqrt(errors / squares), strict=True)
+    return found | {f"{name}_{lead}": float(error) for lead, error in each}
 
 
 def _root(rows: Floats) -> Floats:

@@ -113,6 +113,13 @@ class FittedStudy:
         return 1 - self.population.best_loss / self.null_loss
 
     @property
+    def emulator_reports(self) -> list[dict[str, float]]:
+        """What a posterior's emulators do not say, of each recording (`EcgEmulator.report`)."""
+        path = self.folder / "summary.json"
+        written = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+        return list(written.get("emulators", ()))
+
+    @property
     def null_loss(self) -> float:
         """Loss of an ECG that is zero everywhere (mV²)."""
         return null_loss(self.recordings)
