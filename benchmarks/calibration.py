@@ -421,12 +421,19 @@ def compared(
     target: Target, simulator: PointSimulator, emulator: EcgEmulator, gain_sd: float, number: int
 ) -> tuple[TargetComparison, EcgEmulator]:
     """A recording and its likelihood, and the emulator that is trained on for it."""
-    first = EmulatedLikelihood(simulator, emulator, likelihood_of(target, emulator, gain_sd))
+
+    def emulated_by(emulators: list[EcgEmulator]) -> list[EmulatedLikelihood]:
+        likelihoods = [likelihood_of(target, each, gain_sd) for each in emulators]
+        return [
+            EmulatedLikelihood(simulator, *each)
+            for each in zip(emulators, likelihoods, strict=True)
+        ]
+
     rng, count = np.random.default_rng([number, REFINEMENT]), int(emulator.report["networks"])
     with tempfile.TemporaryDirectory() as folder:
-        (emulator,) = refined_emulators([first], [None], count, Path(folder), rng)
-    likelihood = likelihood_of(target, emulator, gain_sd)
-    return TargetComparison(target, likelihood=likelihood, free_gain=True), emulator
+        found = refined_emulators([emulator], emulated_by, [None], count, Path(folder), rng)
+    likelihood = emulated_by(found)[0].likelihood
+    return TargetComparison(target, likelihood=likelihood, free_gain=True), found[0]
 
 
 def fit(

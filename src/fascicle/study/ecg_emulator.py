@@ -403,6 +403,7 @@ def trained_on(
     ecgs: NDArray[np.float32],
     usual: Singles,
     rng: np.random.Generator,
+    latest: int,
 ) -> EcgEmulator:
     """Train the networks on, where a posterior lies; what is left is then what is left there.
 
@@ -410,13 +411,13 @@ def trained_on(
     ----------
     inputs, ecgs : (n, p) and (n, 8 + k, length) arrays
         Of networks of the posterior.
+    latest : int
+        The last ones, each of which is held out once.
     usual : (n, p) array
         Inputs all over the prior, where the outputs are to stay as they are.
     """
-    if len(inputs) < FOLDS:
+    if latest < FOLDS:
         return emulator
-    kept = min(ecgs.shape[2], emulator.length)
-    ecgs = np.pad(ecgs[:, :, :kept], ((0, 0), (0, 0), (0, emulator.length - kept)))
     true = _cosines(ecgs, emulator.mean.shape[1])
     flat = emulator.components.reshape(len(emulator.components), -1)
     scores = (true - emulator.mean).reshape(len(true), -1) @ flat.T / emulator.unit
@@ -428,6 +429,7 @@ def trained_on(
         return train(seen, wanted, rng, steps=steps, begin=network, rate=RATE / 2)
 
     fold = np.arange(len(inputs)) % FOLDS
+    fold[:-latest] = FOLDS
     each = [fold != k for k in range(FOLDS)] + [np.ones(len(inputs), bool)]
     asked = [(network, chosen) for chosen in each for network in emulator.networks]
     with ThreadPoolExecutor(2) as pool:
@@ -436,6 +438,7 @@ def trained_on(
     for k in range(FOLDS):
         others = replace(emulator, networks=tuple(found[k * count : (k + 1) * count]))
         emulated[fold == k] = others.cosines(others.scores(inputs[fold == k]))
+    true, emulated = true[-latest:], emulated[-latest:]
     local = emulator.root_of(true - emulated, emulated)
     return replace(
         emulator,

@@ -321,10 +321,11 @@ def _emulated(
             for both in zip(emulators, likelihoods, strict=True)
         ]
 
-    emulated = by([made[digest] for digest in config.scenarios])
+    emulators = [made[digest] for digest in config.scenarios]
     if inputs.likelihoods is None:
         rng = np.random.default_rng([config.seed, REFINEMENT])
-        emulated = by(refined_emulators(emulated, scenarios, count, folder, rng, progress))
+        emulators = refined_emulators(emulators, by, scenarios, count, folder, rng, progress)
+    emulated = by(emulators)
     pairs = zip(recordings, emulated, strict=True)
     return tuple(replace(one, likelihood=its.likelihood) for one, its in pairs), emulated
 

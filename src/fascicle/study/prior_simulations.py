@@ -181,8 +181,11 @@ class PriorSimulations:
                 compress=True,
             )  # fmt: skip
 
-    def examples(self, count: int) -> Examples:
-        """What so many networks give; they must be there."""
+    def examples(self, count: int, length: int | None = None) -> Examples:
+        """What so many networks give; they must be there.
+
+        ECGs have so many samples, by default as many as the longest.
+        """
         parts = []
         for number in range(-(-count // PART)):
             part = self.cache.read(f"{self.content} {number}")
@@ -192,7 +195,8 @@ class PriorSimulations:
                 )
             parts.append(part)
         k = slice(HELD_OUT - 1, None, HELD_OUT)
-        length = max(int(np.diff(part["ecg_ends"], prepend=0).max(initial=1)) for part in parts)
+        if length is None:
+            length = max(int(np.diff(part["ecg_ends"], prepend=0).max(initial=1)) for part in parts)
         return Examples(
             np.concatenate([self.points(number) for number in range(len(parts))]),
             np.concatenate([part["feasible"] for part in parts]),
