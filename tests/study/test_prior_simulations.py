@@ -1,7 +1,7 @@
 """Prior simulations: what is stored, how it goes on, for whom it serves, and the emulator of it."""
 
 from dataclasses import replace
-from types import SimpleNamespace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -240,6 +240,7 @@ def test_a_heart_in_a_folder_that_cannot_be_written_to(model, tmp_path, monkeypa
     with pytest.raises(InputError, match="heart: cannot be written to; copy the heart"):
         simulate_prior(folder, COUNT)
     target = fascicle.make_target(fascicle.read_recording(demo_recording()))
+    monkeypatch.setattr("fascicle.study.posterior.MOST_BATCHES", 1)
     fitted = fascicle.fit(folder, target, out, prior_simulations=100, effective=20)
     kept = {file.name.partition("-")[0] for file in (out / "heart" / DISPOSABLE).iterdir()}
     assert {"prior", "emulator"} <= kept
@@ -257,30 +258,32 @@ def test_an_emulator_is_refined_with_draws_of_the_posterior(prior, model, tmp_pa
     """Of the study's own draws, which are kept with it; not where each has a tissue of its own."""
     monkeypatch.setattr(refined_emulator, "SHARE", PART / COUNT)
     monkeypatch.setattr(refined_emulator, "PARTICLES", 60)
-    emulator = made_emulator(prior, COUNT, Threads(1))
-    simulator = PointSimulator(model, prior.space, prior.fixed, averaged=prior.averaged)
-    root_time = prior.space.names.index("root_time")
-    emulated = SimpleNamespace(
-        simulator=simulator,
-        emulator=emulator,
-        inputs=EmulatedLikelihood(simulator, emulator, None).inputs,
-    )
+    emulator, pool = made_emulator(prior, COUNT, Threads(1)), Counting()
+    simulator = PointSimulator(model, prior.space, prior.fixed, pool, averaged=prior.averaged)
+    root_time, seen = prior.space.names.index("root_time"), []
 
-    class Emulated(SimpleNamespace):
+    class Emulated(EmulatedLikelihood):
         def __call__(self, points):
             return -0.5 * ((points[:, root_time] - 0.5) / 0.02) ** 2
 
-    given = Emulated(**vars(emulated))
-    pool = Counting()
-    given.simulator = replace(simulator, pool=pool)
-    both = [given, given], [None, None], COUNT
-    first, again = refined_emulators(*both, tmp_path, np.random.default_rng(0))
+        def inputs(self, points):
+            seen.append(points)
+            return super().inputs(points)
+
+    def emulated_by(emulators, simulator=simulator):
+        return [Emulated(simulator, each, None) for each in emulators]
+
+    given = [emulator, emulator], emulated_by, [None, None], COUNT, tmp_path
+    first, again = refined_emulators(*given, np.random.default_rng(0))
     assert first is again
     assert pool.sent == PART
+    drawn, usual, *_ = seen
+    assert drawn[:, root_time].std() < 0.04 < usual[:, root_time].std()
     assert first.expected_error != emulator.expected_error
-    (_,) = (tmp_path / DISPOSABLE).glob("posterior-*.npz")
-    refined_emulators(*both, tmp_path, np.random.default_rng(0))
+    assert len([*(tmp_path / DISPOSABLE).glob("posterior-*.npz")]) == refined_emulator.ROUNDS
+    found = refined_emulators(*given, np.random.default_rng(0))[0]
     assert pool.sent == PART  # found
+    assert_array_equal(found.left, first.left)
     space, fixed = study_space("posterior", {"anisotropy_ratio": "free"}, model.heart)
-    given.simulator = replace(simulator, space=space, fixed=fixed)
-    assert refined_emulators([given], [None], COUNT, tmp_path, None) == [emulator]
+    by = partial(emulated_by, simulator=replace(simulator, space=space, fixed=fixed))
+    assert refined_emulators([emulator], by, [None], COUNT, tmp_path, None) == [emulator]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from fascicle.core.array_cache import ArrayCache
 from fascicle.core.errors import InputError
-from fascicle.core.files import as_path
+from fascicle.core.files import DISPOSABLE, as_path
 from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.quantities import torso_values
 from fascicle.core.ranges import check_kind
@@ -21,6 +22,7 @@ from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.likelihood import Likelihood, constants
 from fascicle.forward.model import Backend, ForwardModel, usable
 from fascicle.forward.preparation import share_prepared
+from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import as_heart, load_heart, write_heart
 from fascicle.heart.heart import Heart
@@ -47,7 +49,7 @@ from fascicle.study.results import write_results
 from fascicle.study.settings import FitSettings, checked_settings
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import AveragedOver, growth_and_conduction, study_space
-from fascicle.study.study import Study, StudyConfig, check_same, check_study_folder
+from fascicle.study.study import MAY_CHANGE, Study, StudyConfig, check_same, check_study_folder
 from fascicle.study.target_comparison import TargetComparison, evaluate
 
 GivenStudy = FittedStudy | Path | str  # a study, or its folder
@@ -301,33 +303,58 @@ def _emulated(
     progress: Progress | None,
 ) -> tuple[tuple[TargetComparison, ...], list[EmulatedLikelihood]]:
     """The recordings with their likelihoods, and these by emulators of the heart."""
-    config, given = inputs.config, inputs.heart.folder
-    kept = given if given is not None and os.access(given, os.W_OK) else folder / HEART
+    config = inputs.config
     scenarios = [
         None if each.scenario is None else (each.scenario, digest)
         for each, digest in zip(recordings, config.scenarios, strict=True)
     ]
-    count, made = config.prior_simulations, dict[str, EcgEmulator]()
-    for scenario, digest in zip(scenarios, config.scenarios, strict=True):
-        if digest not in made:
-            made[digest] = emulator_of(simulator, count, kept, progress, scenario)
+    targets, gain_sd = [each.target for each in recordings], _gain_sd(config)
 
     def by(emulators: Sequence[EcgEmulator]) -> list[EmulatedLikelihood]:
-        targets, gain_sd = [each.target for each in recordings], _gain_sd(config)
         pairs = [*zip(targets, emulators, strict=True)]
         likelihoods = inputs.likelihoods or [likelihood_of(*pair, gain_sd) for pair in pairs]
-        return [
-            EmulatedLikelihood(simulator, *both)
-            for both in zip(emulators, likelihoods, strict=True)
-        ]
+        both = zip(emulators, likelihoods, strict=True)
+        return [EmulatedLikelihood(simulator, *each) for each in both]
 
-    emulators = [made[digest] for digest in config.scenarios]
+    emulators = _emulators(simulator, scenarios, inputs, folder, progress)
     if inputs.likelihoods is None:
+        count = config.prior_simulations
         rng = np.random.default_rng([config.seed, REFINEMENT])
-        emulators = refined_emulators(emulators, by, scenarios, count, folder, rng, progress)
+        refine = partial(refined_emulators, emulators, by, scenarios, count, folder, rng, progress)
+        emulators = _kept(folder, config, refine)
     emulated = by(emulators)
     pairs = zip(recordings, emulated, strict=True)
     return tuple(replace(one, likelihood=its.likelihood) for one, its in pairs), emulated
+
+
+def _emulators(
+    simulator: PointSimulator,
+    scenarios: Sequence[tuple[Scenario, str] | None],
+    inputs: Inputs,
+    folder: Path,
+    progress: Progress | None,
+) -> list[EcgEmulator]:
+    """Emulators of the prior for each recording, kept with the heart if its folder allows that."""
+    given, count = inputs.heart.folder, inputs.config.prior_simulations
+    place = given if given is not None and os.access(given, os.W_OK) else folder / HEART
+    made: dict[str, EcgEmulator] = {}
+    for scenario, digest in zip(scenarios, inputs.config.scenarios, strict=True):
+        if digest not in made:
+            made[digest] = emulator_of(simulator, count, place, progress, scenario)
+    return [made[digest] for digest in inputs.config.scenarios]
+
+
+def _kept(
+    folder: Path, config: StudyConfig, refine: Callable[[], list[EcgEmulator]]
+) -> list[EcgEmulator]:
+    """Refined emulators of each recording, as they are kept in the folder of a study."""
+    cache = ArrayCache(folder / DISPOSABLE, "refined")
+    same = config.model_dump_json(exclude={*MAY_CHANGE})
+    keys = [f"{number} of {same}" for number in range(len(config.scenarios))]
+    if any(cache.read(key) is None for key in keys):
+        for key, emulator in zip(keys, refine(), strict=True):
+            cache.write(key, emulator.arrays())
+    return [EcgEmulator.from_arrays(cache.read(key) or {}) for key in keys]
 
 
 def _gain_sd(config: StudyConfig) -> float:
