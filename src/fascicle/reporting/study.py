@@ -139,7 +139,8 @@ def emulator_figure(report: Mapping[str, float]) -> Figure:
     axes.set_xticks(range(len(leads)), list(leads))
     axes.set_xlabel("lead")
     axes.set_ylabel("error of the emulator (%)")
-    axes.legend(title="networks of the")
+    axes.margins(y=0.25)
+    axes.legend(title="networks of the", loc="upper left", ncols=2)
     return figure
 
 
