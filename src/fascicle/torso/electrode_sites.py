@@ -217,10 +217,8 @@ def electrode_warnings(heart: Heart) -> Iterator[str]:
 
 def _leftwards(electrodes: Floats) -> tuple[Floats, Floats]:
     """Unit vectors to the patient's left, by the limb and by the chest electrodes."""
-    return (
-        unit(electrodes[Electrode.LA] - electrodes[Electrode.RA]),
-        unit(electrodes[Electrode.V5] - electrodes[Electrode.V1]),
-    )
+    limbs = electrodes[Electrode.LA] - electrodes[Electrode.RA]
+    return unit(limbs), unit(electrodes[Electrode.V5] - electrodes[Electrode.V1])
 
 
 def _upwards(electrodes: Floats) -> Floats:

@@ -52,10 +52,8 @@ class TorsoFrame:
 
 def endocardial_surfaces(mesh: LabelledMesh) -> tuple[Surface, Surface]:
     """Left and right."""
-    return (
-        Surface(mesh.vertices, mesh.having(Label.LV_ENDOCARDIUM)),
-        Surface(mesh.vertices, mesh.having(Label.RV_ENDOCARDIUM)),
-    )
+    lv, rv = mesh.having(Label.LV_ENDOCARDIUM), mesh.having(Label.RV_ENDOCARDIUM)
+    return Surface(mesh.vertices, lv), Surface(mesh.vertices, rv)
 
 
 def heart_axes(lv: Surface, rv: Surface) -> Floats:

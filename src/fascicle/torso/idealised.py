@@ -177,12 +177,9 @@ class FittedTrunk:
     @cached_property
     def _displacement(self) -> RBFInterpolator:
         """The least-norm displacement; its inverse multiquadrics fall off over 80 mm."""
+        moved = self.on_skin - self.electrodes
         return RBFInterpolator(
-            self.electrodes,
-            self.on_skin - self.electrodes,
-            kernel="inverse_multiquadric",
-            epsilon=1 / 80.0,
-            degree=-1,
+            self.electrodes, moved, kernel="inverse_multiquadric", epsilon=1 / 80.0, degree=-1
         )
 
     def undeformed(self, points: Floats) -> Floats:

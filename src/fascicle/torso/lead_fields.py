@@ -105,17 +105,10 @@ def key_of(heart: Heart, conduction: Conduction) -> str:
     The torso itself is left out, so that a heart can carry its lead fields without it.
     """
     c = conduction
-    conductivities = [
-        c.intracellular_l, c.intracellular_t, c.extracellular_l, c.extracellular_t,
-        c.body, c.lung, c.blood,
-    ]  # fmt: skip
-    return digest_of(
-        heart.vertices,
-        heart.tetrahedra,
-        heart.fibres,
-        heart.electrode_positions,
-        np.array(conductivities),
-    )
+    of_muscle = c.intracellular_l, c.intracellular_t, c.extracellular_l, c.extracellular_t
+    conductivities = np.array([*of_muscle, c.body, c.lung, c.blood])
+    of_heart = heart.vertices, heart.tetrahedra, heart.fibres, heart.electrode_positions
+    return digest_of(*of_heart, conductivities)
 
 
 def lead_fields(
@@ -181,11 +174,8 @@ def assemble_stiffness(vertices: Floats, tetrahedra: Integers, conductivity: Flo
     def conductance(u, v, w):  # type: ignore[no-untyped-def]
         return dot(mul(w["sigma"], u.grad), v.grad)
 
-    mesh = MeshTet(
-        np.ascontiguousarray(vertices.T) / MM_PER_CM,
-        np.ascontiguousarray(tetrahedra.T),
-        validate=False,
-    )
+    points = np.ascontiguousarray(vertices.T) / MM_PER_CM
+    mesh = MeshTet(points, np.ascontiguousarray(tetrahedra.T), validate=False)
     # one quadrature point, as gradients are constant in an element
     basis = Basis(mesh, ElementTetP1(), intorder=1)
     sigma = np.ascontiguousarray(np.moveaxis(conductivity, 0, 2))[..., None]

@@ -79,12 +79,10 @@ def read_torso_surfaces(
     An error if a file cannot be read, holds no surface, or one that is open, in several pieces, not
     in mm or not where a torso's or a lung's is.
     """
-    read = TorsoSurfaces(
-        _read_surface(Path(skin), "torso", SKIN_EDGE),
-        tuple(_read_surface(Path(lung), "lung", LUNG_EDGE) for lung in lungs),
-    )
-    check_within(mesh, read.skin, read.lungs, [str(skin), *map(str, lungs)])
-    return read
+    outer = _read_surface(Path(skin), "torso", SKIN_EDGE)
+    inner = tuple(_read_surface(Path(lung), "lung", LUNG_EDGE) for lung in lungs)
+    check_within(mesh, outer, inner, [str(skin), *map(str, lungs)])
+    return TorsoSurfaces(outer, inner)
 
 
 def _read_surface(path: Path, purpose: str, edge: float) -> Surface:

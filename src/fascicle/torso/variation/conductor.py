@@ -60,18 +60,15 @@ class TorsoState:
             for axis in ("left", "posterior", "up")
         ]
         tissues = ("body", "lung", "blood")  # in the order of `TorsoTissue`
-        conductivities = [values.get(f"{tissue}_conductivity", 1.0) for tissue in tissues]
-        muscle = values.get("myocardium_conductivity", 1.0)
+        ratios = np.array([values.get(f"{tissue}_conductivity", 1.0) for tissue in tissues])
         together = values.get("chest_electrodes_up", 0.0)
         chest = [
             (values.get(f"v{k}_left", 0.0), values.get(f"v{k}_up", 0.0) + together)
             for k in range(1, 7)
         ]
-        return cls(
-            np.array([*pose, values.get("chest_size", 1.0)]),
-            np.array([factor / muscle for factor in conductivities]),
-            np.array(chest),
-        )
+        geometry = np.array([*pose, values.get("chest_size", 1.0)])
+        muscle = values.get("myocardium_conductivity", 1.0)
+        return cls(geometry, ratios / muscle, np.array(chest))
 
 
 def torso_axes(electrodes: Floats) -> Floats:
@@ -126,11 +123,8 @@ class Morph:
         """J = I + (y(x) − x)⊗∇w + w(∇y − I) for the skin's motion y, shape (m, 3, 3)."""
         away = motion(self.centres) - self.centres
         strain = motion.size * motion.rotation.T - np.eye(3)
-        return np.asarray(
-            np.eye(3)
-            + away[:, :, None] * self.slope[:, None, :]
-            + self.share[:, None, None] * strain
-        )
+        sheared = np.eye(3) + away[:, :, None] * self.slope[:, None, :]
+        return np.asarray(sheared + self.share[:, None, None] * strain)
 
     def determinants(self, motion: SkinMotion) -> Floats:
         """|J| (m,): what becomes of volumes, at or below 0 where heart and skin touch."""
