@@ -140,8 +140,11 @@ class Simulator:
         self._launch("grow", 2 * count, 0, given)
         self._launch("attach", count, 0, given)
         simulated = self._array("site_count", np.int32, count) >= 0
-        nodes = self._array("node_count", np.int32, count)[simulated]
-        self._solve(count, self._vertices + int(nodes.max(initial=0)), given)
+        in_trees = self._array("node_count", np.int32, count)[simulated]
+        nodes = self._vertices + int(in_trees.max(initial=0))
+        waiting, both = _waiting(nodes), _waiting(nodes) + 8 * nodes
+        shared = both <= self.device.shared_bytes  # times are if they fit
+        self._launch("solve", count, both if shared else waiting, given, times_are_shared=shared)
         first, last = (self._array(name, np.float64, count) for name in ("first", "last"))
         simulated &= (first < np.inf) & (last < LATEST)
         return Results(
@@ -164,13 +167,6 @@ class Simulator:
     def nodes(self, number: int, side: int, size: int) -> NDArray[np.void]:
         """The nodes, an array of NODE, of one of their trees; `Results.sizes` says how many."""
         return self._part("nodes", NODE, (len(SIDES) * number + side) * MOST_GROWN, size)
-
-    def _solve(self, count: int, nodes: int, given: Mapping[str, NDArray[Any]]) -> None:
-        """Solve the coupled problem; times are shared by the threads of a block if they fit."""
-        waiting, times = _waiting(nodes), 8 * nodes
-        shared = waiting + times <= self.device.shared_bytes
-        size = waiting + times if shared else waiting
-        self._launch("solve", count, size, given, times_are_shared=shared)
 
     def _channels(
         self, simulated: Booleans, last: Floats, given: Mapping[str, NDArray[Any]]
@@ -257,23 +253,15 @@ def _bytes(most_nodes: int) -> dict[str, int]:
         "nodes": 2 * MOST_GROWN * node,
         "sprouts": 2 * MOST_SPROUTS * SPROUT_BYTES,
         "moves": 2 * 2 * MOST_SPROUTS * MOVE_BYTES,
-        "grown": 2 * integer,
-        "status": 2 * integer,
+        **dict.fromkeys(("grown", "status", "junctions", "root"), 2 * integer),
         "missing": 2 * number,
         "ends": 2 * node,
-        "children": 2 * MOST_GROWN * integer,
-        "place": 2 * MOST_GROWN * integer,
+        **dict.fromkeys(("children", "place"), 2 * MOST_GROWN * integer),
         "sites": MOST_SITES * SITE.itemsize,
-        "site_count": integer,
-        "junctions": 2 * integer,
-        "node_count": integer,
-        "up": MOST_TREE_NODES * integer,
-        "first_child": MOST_TREE_NODES * integer,
-        "next_child": MOST_TREE_NODES * integer,
+        **dict.fromkeys(("site_count", "node_count"), integer),
+        **dict.fromkeys(("up", "first_child", "next_child"), MOST_TREE_NODES * integer),
         "up_length": MOST_TREE_NODES * number,
-        "root": 2 * integer,
         "seen": CORNERS * MOST_SITES * number,
         "time": most_nodes * number,
-        "first": number,
-        "last": number,
+        **dict.fromkeys(("first", "last"), number),
     }

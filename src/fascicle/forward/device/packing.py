@@ -96,8 +96,7 @@ def _charts(prepared: Prepared) -> dict[str, Any]:
 
 
 def _ecg(electrocardiograph: Electrocardiograph, order: Integers) -> dict[str, Any]:
-    number = np.empty(len(order), dtype=np.int64)
-    number[order] = np.arange(len(order))
+    number = np.argsort(order)  # its inverse
     corners = number[electrocardiograph.corners]
     start, source = grouped(corners.ravel(), len(order))  # CORNERS·tetrahedron + corner
     assert CORNERS == 4, "the kernel takes the corner from the two lowest bits"

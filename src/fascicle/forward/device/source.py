@@ -15,109 +15,63 @@ from fascicle.kernels.growth import NODE
 Bytes = NDArray[np.uint8]
 
 # Files, each after those that it uses; `block.cuh`, which a test replaces, comes before all
-FILES = (
-    "local_solver.cuh",
-    "network.cuh",
-    "rays.cuh",
-    "growth.cuh",
-    "attach.cuh",
-    "solve.cuh",
-    "ecg.cuh",
-)
+FILES = ("local_solver", "network", "rays", "growth", "attach", "solve", "ecg")
 
 # The members of the two structures that every kernel gets. Each takes eight bytes, so that the
 # layout is the same on both sides.
 HEART = {
     # the mesh: `fascicle.kernels.arrays.EikonalMesh`
     "vertices": "long long",
-    "positions": "const double*",
-    "corners": "const int*",
-    "cells": "const double*",
-    "solver": "const double*",
-    "star_start": "const int*",
-    "star": "const int*",
+    **dict.fromkeys(("positions", "cells", "solver", "link_time"), "const double*"),
+    **dict.fromkeys(("corners", "star_start", "star", "link_start", "link"), "const int*"),
     "least": "const float*",
-    "link_start": "const int*",
-    "link": "const int*",
-    "link_time": "const double*",
     "slowness": "double",
     "band": "double",  # nodes later than the earliest by up to this are taken with it (ms)
     # `fascicle.kernels.arrays.TravelTimeTable`
-    "row_start": "const int*",
-    "row_vertex": "const int*",
+    **dict.fromkeys(("row_start", "row_vertex"), "const int*"),
     "row_square": "const float*",
     "basis": "const double*",
     "site_reach": "double",  # sites further from each other have no ray (mm)
     # boundary triangles; their element is -1 where it does not conduct
-    "surface": "const int*",
-    "surface_element": "const int*",
-    "surface_row": "const int*",
+    **dict.fromkeys(("surface", "surface_element", "surface_row"), "const int*"),
     "surface_opposite": "const int*",
     # charts, and the boundary triangles that can be nearest to a point of each of their triangles
     **{
         f"{side}_{name}": kind
-        for side in ("lv", "rv")
-        for name, kind in {
-            "points": "const double*",
-            "vertices": "const double*",
-            "triangles": "const int*",
-            "neighbours": "const int*",
-            "metric": "const double*",
-            "near_start": "const int*",
-            "near": "const int*",
+        for kind, names in {
+            "const double*": ("points", "vertices", "metric"),
+            "const int*": ("triangles", "neighbours", "near_start", "near"),
         }.items()
+        for side in ("lv", "rv")
+        for name in names
     },
     # the ECG: `fascicle.forward.ecg.electrocardiogram.Electrocardiograph`
-    "source_corners": "const int*",
+    **dict.fromkeys(("source_corners", "source_start", "source"), "const int*"),
     "source_weights": "const float*",
-    "source_start": "const int*",
-    "source": "const int*",
     "response": "const double*",
-    "response_first": "long long",
-    "response_length": "long long",
-    "bins_per_step": "long long",
+    **dict.fromkeys(("response_first", "response_length", "bins_per_step"), "long long"),
     "bin_width": "double",
 }
 BATCH = {
     # room of each tree or network
-    "most_grown": "long long",
-    "most_sprouts": "long long",
-    "most_sites": "long long",
-    "most_tree_nodes": "long long",
-    "most_nodes": "long long",
-    "most_bins": "long long",
-    "most_samples": "long long",
-    "times_are_shared": "long long",
-    "bins_are_shared": "long long",
+    **dict.fromkeys(("most_grown", "most_sprouts", "most_sites", "most_tree_nodes"), "long long"),
+    **dict.fromkeys(("most_nodes", "most_bins", "most_samples"), "long long"),
+    **dict.fromkeys(("times_are_shared", "bins_are_shared"), "long long"),
     # of each tree
     "plans": "const Plan*",
-    "nodes": "Node*",
+    **dict.fromkeys(("nodes", "ends"), "Node*"),
     "sprouts": "Sprout*",
     "moves": "Move*",
-    "grown": "int*",
-    "status": "int*",
+    **dict.fromkeys(("grown", "status"), "int*"),
     "missing": "double*",
-    "ends": "Node*",
     # of each network
-    "children": "int*",
-    "place": "int*",
-    "sites": "Site*",
-    "site_count": "int*",
-    "junctions": "int*",
-    "node_count": "int*",
-    "up": "int*",
-    "first_child": "int*",
-    "next_child": "int*",
-    "up_length": "double*",
-    "root": "int*",
-    "seen": "double*",
     "beats": "const Beat*",
-    "time": "double*",
-    "first": "double*",
-    "last": "double*",
+    "sites": "Site*",
+    **dict.fromkeys(("children", "place", "site_count", "junctions", "node_count"), "int*"),
+    **dict.fromkeys(("up", "first_child", "next_child", "root"), "int*"),
+    **dict.fromkeys(("up_length", "seen", "time", "first", "last"), "double*"),
     "samples": "const int*",
-    "bins": "double*",
-    "channels": "double*",
+    **dict.fromkeys(("bins", "channels"), "double*"),
 }
 
 # What the structures of the source are in Python
@@ -168,7 +122,7 @@ def source(block: str | None = None) -> str:
     parts = [block if block is not None else (here / "block.cuh").read_text(encoding="utf-8")]
     parts += [f"struct {name};" for name in SIZES]
     parts += [_declared("Heart", HEART), _declared("Batch", BATCH)]
-    parts += [(here / name).read_text(encoding="utf-8") for name in FILES]
+    parts += [(here / f"{name}.cuh").read_text(encoding="utf-8") for name in FILES]
     parts += [f'static_assert(sizeof({n}) == {size}, "{n}");' for n, size in SIZES.items()]
     return "\n".join(parts) + "\n"
 
