@@ -128,12 +128,8 @@ class ForwardModel:
     ) -> None:
         check_kind(conduction, (Conduction, NoneType), "conduction", "a fascicle.Conduction")
         check_kind(rules, (GrowthRules, NoneType), "rules", "fascicle.GrowthRules")
-        check_kind(
-            action_potential,
-            (ActionPotential, NoneType),
-            "action_potential",
-            "a function of time with a 'span'",
-        )
+        template = "a function of time with a 'span'"
+        check_kind(action_potential, (ActionPotential, NoneType), "action_potential", template)
         check_kind(prepared, (Prepared, NoneType), "prepared", "what 'prepare' made of the heart")
         check_progress(progress)
         heart = as_heart(heart)
@@ -160,10 +156,8 @@ class ForwardModel:
 
     def keep_tissues(self, tissues: Iterable[Mapping[str, float]]) -> None:
         """Keep in the heart's folder what is prepared of these tissues, quantities by name."""
-        for tissue in tissues:
-            self._kept.add(
-                replace(self.conduction.with_values(tissue), alpha=self.conduction.alpha)
-            )
+        own = self.conduction
+        self._kept.update(replace(own.with_values(tissue), alpha=own.alpha) for tissue in tissues)
 
     def grow(self, parameters: Mapping[str, float]) -> tuple[PurkinjeTree, ...] | InvalidTree:
         """Grow both trees, left first, or say which one does not fit.
@@ -294,15 +288,8 @@ class ForwardModel:
         times = coupled.myocardium
         check_activation(times)
         leads = self._leads(times, tissue, values)
-        return Simulation(
-            leads,
-            first_sample(times),
-            times,
-            beat.trees,
-            coupled,
-            beat.capture_groups,
-            lead_names=self.heart.leads,
-        )
+        onset, groups, names = first_sample(times), beat.capture_groups, self.heart.leads
+        return Simulation(leads, onset, times, beat.trees, coupled, groups, lead_names=names)
 
     def _made_tissue(self, conduction: Conduction) -> Tissue:
         """Tissue of these speeds, with the α of the model's own."""
@@ -425,10 +412,7 @@ class ForwardModel:
             return list(executor.map(lambda p: self.simulate(p, scenario), networks))
         with TemporaryDirectory(prefix="fascicle-") as folder:
             file = write_shared(Path(folder) / "model", self)
-            futures = [
-                executor.submit(_simulate_elsewhere, file, network, scenario)
-                for network in networks
-            ]
+            futures = [executor.submit(_simulate_elsewhere, file, p, scenario) for p in networks]
             return [future.result() for future in futures]
 
     def __reduce__(self) -> tuple[Any, ...]:

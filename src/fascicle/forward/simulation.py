@@ -49,15 +49,10 @@ class SimulatedBeat:
     @cached_property
     def ecg(self) -> xr.DataArray:
         """All leads (mV) with their names: dimensions ``lead`` and ``time`` (ms)."""
+        time = self.onset + np.arange(self.leads.shape[1]) * STEP
+        coords = {"lead": list(self.lead_names), "time": time}
         ecg = xr.DataArray(
-            self.leads,
-            coords={
-                "lead": list(self.lead_names),
-                "time": self.onset + np.arange(self.leads.shape[1]) * STEP,
-            },
-            dims=("lead", "time"),
-            name="ecg",
-            attrs={"units": "mV"},
+            self.leads, coords=coords, dims=("lead", "time"), name="ecg", attrs={"units": "mV"}
         )
         ecg["time"].attrs["units"] = "ms"
         return ecg

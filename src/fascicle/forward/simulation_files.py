@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Floats
@@ -132,12 +131,9 @@ def _check_side(path: Path, heart: Heart, tree: PurkinjeTree) -> None:
 def summary(heart: Heart, simulation: Simulation, inputs: dict[str, object]) -> dict[str, Any]:
     """A few numbers about a simulation of `simulate_inputs`, as written to `summary.json`."""
     sides: dict[str, object] = {}
+    coupled = simulation.coupled
     for tree, times, retrograde, distance in zip(
-        simulation.trees,
-        simulation.coupled.trees,
-        simulation.coupled.retrograde,
-        simulation.coupled.junction_distances,
-        strict=True,
+        simulation.trees, coupled.trees, coupled.retrograde, coupled.junction_distances, strict=True
     ):
         fired = np.isfinite(times[tree.junctions])
         sides[tree.side] = {
@@ -158,7 +154,7 @@ def summary(heart: Heart, simulation: Simulation, inputs: dict[str, object]) -> 
         "total_activation_time_ms": round(simulation.total_activation_time, 3),
         "unreached_vertices": int(simulation.unreached.sum()),
         "unreached_volume_ml": round(unreached_volume(heart, simulation), 4),
-        "his_bundle_ms": _fired(simulation.coupled.his),
+        "his_bundle_ms": _fired(coupled.his),
         "trees": sides,
     }
 
@@ -194,10 +190,7 @@ def write_beat(folder: Path, heart: Heart, simulation: Simulation) -> None:
     retrograde, 0 not activated) and ``site``, their row in `sites.csv`.
     """
     coupled = simulation.coupled
-    points: dict[str, NDArray[Any]] = {
-        "activation": simulation.activation,
-        "origin": coupled.origin,
-    }
+    points: dict[str, Any] = {"activation": simulation.activation, "origin": coupled.origin}
     cells = cell_arrays(heart)
     file = folder / "activation.vtu"
     write_grid(file, heart.vertices, heart.tetrahedra, TETRAHEDRON, points, cells)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,7 +115,6 @@ def prepare_response(
         report = stage_progress(progress, "torso response", ONCE)
         return build_response(conductor, np.random.default_rng(SEED), report)
 
-    def restored(arrays: Mapping[str, Any]) -> TorsoResponse:
-        return TorsoResponse(**arrays)
-
-    return cached(heart, conduction, "body", make, TorsoResponse.arrays, restored)
+    return cached(
+        heart, conduction, "body", make, TorsoResponse.arrays, lambda a: TorsoResponse(**a)
+    )

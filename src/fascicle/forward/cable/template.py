@@ -23,10 +23,8 @@ from fascicle.kernels.cable import CellModel
 from fascicle.kernels.ten_tusscher import CELLS
 
 # All the code that decides the content of a template, for the names of its files
-SOURCES = [
-    Path(__file__),
-    *(Path(str(module.__file__)) for module in (ten_tusscher, kernels, cable_module)),
-]
+MODULES = ten_tusscher, kernels, cable_module
+SOURCES = [Path(__file__), *(Path(str(module.__file__)) for module in MODULES)]
 UNTIL = 60.0  # ms after the upstroke
 TAPER = 10.0  # ms over which the window fades U′ out
 
@@ -207,7 +205,8 @@ def stored_template(cell: str) -> CableTemplate:
     that decide the content, and of this package's version. A damaged or unwritable cache only means
     that it is computed again. Types are ``"endocardial"``, ``"midmyocardial"``, ``"epicardial"``.
     """
-    cache, key = ArrayCache(user_cache(), "template"), _key(cell)
+    content = b"".join([cell.encode(), *(source.read_bytes() for source in SOURCES)])
+    cache, key = ArrayCache(user_cache(), "template"), hashlib.sha256(content).hexdigest()
     stored = cache.read(key)
     if stored is not None:
         return CableTemplate(cell, stored["times"], stored["potentials"], float(stored["speed"]))
@@ -215,10 +214,3 @@ def stored_template(cell: str) -> CableTemplate:
     arrays = {"times": made.times, "potentials": made.potentials, "speed": made.speed}
     cache.keep(key, arrays)
     return made
-
-
-def _key(cell: str) -> str:
-    content = hashlib.sha256(cell.encode())
-    for source in SOURCES:
-        content.update(source.read_bytes())
-    return content.hexdigest()

@@ -285,10 +285,8 @@ def solve(
     solve_trees(in_trees, forest)
     front.nodes["time"][vertices:] = in_trees
     sources = sites.node[np.isfinite(in_trees[sites.node - vertices])]
-    sites = sites._replace(
-        anterograde=_site_delays(coupling, anterograde_delay),
-        retrograde=_site_delays(coupling, retrograde_delay),
-    )
+    there, back = (_site_delays(coupling, d) for d in (anterograde_delay, retrograde_delay))
+    sites = sites._replace(anterograde=there, retrograde=back)
     sweep(front, sources, mesh, forest, sites)
     return _activation(coupling, front, stimulus_times)
 

@@ -158,8 +158,7 @@ def build_myocardium(
     if gradients is None:
         gradients = barycentric_gradients(heart.vertices, heart.tetrahedra)
     order = reverse_cuthill_mckee(_links(heart.edges, len(heart.vertices)), symmetric_mode=True)
-    number = np.empty(len(order), dtype=np.int64)
-    number[order] = np.arange(len(order))
+    number = np.argsort(order)  # its inverse
     vertices, renumbered = np.ascontiguousarray(heart.vertices[order]), number[heart.tetrahedra]
     place = np.argsort(renumbered.min(axis=1), kind="stable")
     corners = np.ascontiguousarray(renumbered[place], dtype=np.int32)

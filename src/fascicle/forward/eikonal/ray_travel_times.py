@@ -68,16 +68,8 @@ def build_travel_time_table(
                 progress(done, len(triangles))
     row = np.full(len(surface), -1, dtype=np.int32)
     row[triangles] = np.arange(len(triangles))
-    start = np.cumsum(np.concatenate(sizes))
-    return TravelTimeTable(
-        row,
-        opposite.astype(np.int8),
-        start,
-        np.concatenate(found),
-        np.concatenate(squares),
-        reach,
-        LONGEST,
-    )
+    rows = np.cumsum(np.concatenate(sizes)), np.concatenate(found), np.concatenate(squares)
+    return TravelTimeTable(row, opposite.astype(np.int8), *rows, reach, LONGEST)
 
 
 def _how_far(centres: Floats, vertices: KDTree) -> float:
