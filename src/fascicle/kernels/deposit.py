@@ -77,13 +77,6 @@ def _jumps(a, b, c, d):
     )  # fmt: skip
 
 
-@allocating_kernel(inline="always")
-def _closest(a, b, c, d):
-    """Smallest distance between two of four times."""
-    first = min(abs(b - a), abs(c - a), abs(d - a))
-    return min(first, abs(c - b), abs(d - b), abs(d - c))
-
-
 @allocating_kernel(error_model="numpy")
 def deposit(time, corners, weights, origin, width, bins):
     """Histogram of |e|·(Gᵢ∇τ·∇Z) over activation time, shape (bins, 8).
@@ -113,7 +106,8 @@ def deposit(time, corners, weights, origin, width, bins):
             continue
         # |e|·(Gᵢ∇τ·∇Z) in each channel is the sum of these times weights[e]
         later = (b - a, c - a, d - a)
-        if _closest(a, b, c, d) > GAP:
+        closest = min(abs(b - a), abs(c - a), abs(d - a), abs(c - b), abs(d - b), abs(d - c))
+        if closest > GAP:
             jumps = _jumps(a, b, c, d)
             add_to_rows(at_vertex, (i, j, k, l), jumps, weights, 3 * e, later)
         else:

@@ -83,9 +83,9 @@ def repulsion(tip, nearest, metric, values):
 
 
 @kernel(inline="always")
-def _norm(metric, triangle, a, b):
-    """√(dᵀGd) for d = (a, b): physical length per unit of disk."""
-    return math.sqrt(
+def _square(metric, triangle, a, b):
+    """Squared length (mm²) of d = (a, b), dᵀGd, in the metric of a triangle."""
+    return (
         metric[triangle, 0] * a * a
         + 2.0 * metric[triangle, 1] * a * b
         + metric[triangle, 2] * b * b
@@ -101,9 +101,8 @@ def walk(u, v, triangle, a, b, length, chart):
     """
     points, _, triangles, neighbours, metric = chart
     while True:
-        speed = _norm(metric, triangle, a, b)
-        reach = length / speed
-        exit_edge, nearest = -1, reach
+        speed = math.sqrt(_square(metric, triangle, a, b))
+        exit_edge, nearest = -1, length / speed
         for k in range(3):
             p = triangles[triangle, (k + 1) % 3]
             q = triangles[triangle, (k + 2) % 3]
@@ -129,17 +128,6 @@ def _cell(x):
     return min(max(int((x + 1.0) * 0.5 * GRID), 0), GRID - 1)
 
 
-@kernel(inline="always")
-def _square(u, v, node, metric, triangle):
-    """Squared distance (mm²) from (u, v) to a node in the metric of a triangle."""
-    x, y = u - node.u, v - node.v
-    return (
-        metric[triangle, 0] * x * x
-        + 2.0 * metric[triangle, 1] * x * y
-        + metric[triangle, 2] * y * y
-    )
-
-
 @kernel()
 def _nearest(point, kin, nearest, nodes, head, metric):
     """Nearest foreign node of a point and its squared distance in its triangle's metric (mm²).
@@ -160,7 +148,7 @@ def _nearest(point, kin, nearest, nodes, head, metric):
             while k >= 0:
                 node = nodes[k]
                 is_kin = k == start or node.branch == own or (node.branch == sister and k >= unseen)
-                square = _square(u, v, node, metric, triangle)
+                square = _square(metric, triangle, u - node.u, v - node.v)
                 if square < best_square and not is_kin:
                     best, best_square = k, square
                 k = node.following
@@ -235,18 +223,10 @@ def _nearest_to_branch(point, kin, beside, nodes, head, metric):
     # parent does, and nothing when the tree starts here
     guess = beside if beside != start else nodes[start].parent
     u, v, triangle = point
-    bound = _square(u, v, nodes[guess], metric, triangle) if guess >= 0 else np.inf
+    bound = np.inf
+    if guess >= 0:
+        bound = _square(metric, triangle, u - nodes[guess].u, v - nodes[guess].v)
     return _nearest(point, kin, (guess, bound), nodes, head, metric)
-
-
-@allocating_kernel()
-def _fork(tips, heading, angle):
-    """Two branches from every tip: where they end, their headings, and that they live."""
-    end = np.repeat(tips, 2)
-    toward = np.empty((len(end), 2))
-    for k in range(len(end)):
-        toward[k] = _turned(heading[k // 2], angle if k % 2 == 0 else -angle)
-    return end, toward, np.ones(len(end), np.bool_)
 
 
 @allocating_kernel()
@@ -292,7 +272,11 @@ def make_grow(term: Callable[..., tuple[float, float]], cache: bool) -> Any:
         Returns the tree, and the tips and headings of the branches that lived.
         """
         metric, step = chart.metric, rules.step
-        end, toward, alive = _fork(tips, heading, rules.branch_angle)
+        end, toward = np.repeat(tips, 2), np.empty((2 * len(tips), 2))
+        alive = np.ones(len(end), np.bool_)
+        for k in range(len(end)):
+            angle = rules.branch_angle if k % 2 == 0 else -rules.branch_angle
+            toward[k] = _turned(heading[k // 2], angle)
         too_near = (rules.clearance * step) ** 2
         for segment in range(rules.segments):
             tree = _with_room(tree, len(end))
@@ -309,7 +293,7 @@ def make_grow(term: Callable[..., tuple[float, float]], cache: bool) -> Any:
                     best, square = _nearest_to_branch(
                         (u, v, t), kin, end[k ^ 1], nodes, head, metric
                     )
-                    scale = _norm(metric, t, a, b)
+                    scale = math.sqrt(_square(metric, t, a, b))
                     a, b = a / scale, b / scale
                     near = 0.0, 0.0, np.inf
                     if best >= 0 and square > 0.0:
