@@ -247,7 +247,11 @@ def select_beats(
         raise InputError(
             f"{source}: there is no beat {wrong[0]}; {count} beats were found, numbered from 1"
         )
-    label = _target_class(groups, options)
+    label = options.beat_class if options.beat_class is not None else "A"
+    if options.beats is not None:  # the class of most of them
+        every = [label for group in groups for label in group.labels]
+        labels = [label for k, label in enumerate(every) if k + 1 in options.beats]
+        label = max(sorted(set(labels), key=by_name), key=labels.count)
     _check_classes(source, groups, options, label)
     reasons = [
         _reasons(group, options, label, first) for group, first in zip(groups, firsts, strict=False)
@@ -282,15 +286,6 @@ def select_beats(
 def by_name(label: str) -> tuple[int, str]:
     """Key that sorts Z before A2."""
     return len(label), label
-
-
-def _target_class(groups: Sequence[LeadGroup], options: TargetOptions) -> str:
-    """Class of the target: the one that was chosen, or that of most of the beats that were."""
-    if options.beats is not None:
-        every = [label for group in groups for label in group.labels]
-        labels = [label for k, label in enumerate(every) if k + 1 in options.beats]
-        return max(sorted(set(labels), key=by_name), key=labels.count)
-    return options.beat_class if options.beat_class is not None else "A"
 
 
 def _reasons(

@@ -1,7 +1,4 @@
-"""From a recording to its target, with everything that was found on the way.
-
-Recording -> beats of each group of leads -> those chosen, aligned and detrended -> `Target`.
-"""
+"""From a recording to its target, with everything that was found on the way."""
 
 from __future__ import annotations
 
@@ -55,7 +52,6 @@ from fascicle.recording.window import (
 # R. Rijnbeek et al., J. Electrocardiol. 47:914, 2014), and hypertrophy adds to that.
 USUAL_QRS = (0.5, 5.0)
 POSSIBLE_QRS = (0.3, 6.0)  # what is outside may be a wrong gain or unit, and is asked
-AMPLITUDE_SAID = {"choice_unit", "shared_gain"}  # notes on what the user has said
 
 
 @dataclass(frozen=True)
@@ -202,8 +198,8 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
     findings += check_mean_beat(target.qrs[: len(LEADS)], recording.simultaneous)
     warnings = _warnings(recording, target, beats, label, options, findings)
     if warnings:
-        notes = target.provenance | {"warnings": "\n".join(warnings)}
-        target = replace(target, provenance=notes)
+        notes = {"warnings": "\n".join(warnings)}
+        target = replace(target, provenance=target.provenance | notes)
     return Analysis(
         recording=recording,
         signal=_recorded_signal(recording),
@@ -258,9 +254,8 @@ def _check_amplitude(recording: Recording, height: float) -> list[str]:
         )
     if usual or "source_sha256" not in notes:
         return []
-    if not likely and not AMPLITUDE_SAID & set(notes):
-        gains = recording.digits_per_millivolt
-        gain = ""
+    if not likely and not {"choice_unit", "shared_gain"} & set(notes):
+        gains, gain = recording.digits_per_millivolt, ""
         if gains is not None and np.isfinite(gains).any():
             gain = f" (--shared-gain --digits-per-mv, in place of {np.nanmedian(gains):g})"
         raise MissingMetadataError(
@@ -279,7 +274,6 @@ def _check_amplitude(recording: Recording, height: float) -> list[str]:
 def _cut(
     source: str, group: LeadGroup, beats: Sequence[Beat], options: TargetOptions, label: str
 ) -> AlignedBeats:
-    """Cut out the beats of one group that are used."""
     members = np.flatnonzero([beat.used for beat in beats])
     if not len(members):
         of_class = [beat for beat in beats if beat.label == label]
@@ -305,7 +299,6 @@ def _recorded_signal(recording: Recording) -> Floats:
 
 
 def _classes(groups: Sequence[LeadGroup]) -> tuple[BeatClass, ...]:
-    """Classes of all groups, the most frequent first."""
     of_label: dict[str, list[LeadGroup]] = {}
     for group in groups:
         for label in group.labels:
@@ -324,7 +317,6 @@ def _target(
     label: str,
     filters: tuple[Filter, ...],
 ) -> Target:
-    """Make the target of aligned beats: their window, and everything that decided them."""
     source, count = recording.source, len(aligned.beats)
     if count == 1 and options.noise is None:
         message = (
@@ -397,7 +389,6 @@ def _window(
 def _provenance(
     recording: Recording, beats: Sequence[Beat], n_used: int, options: TargetOptions
 ) -> dict[str, str]:
-    """Text about everything that decided the target."""
     notes = {
         "source": recording.source,
         "sampling_rate_hz": f"{recording.sampling_rate:g}",
@@ -424,7 +415,6 @@ def _warnings(
     options: TargetOptions,
     findings: Sequence[CheckResult],
 ) -> list[str]:
-    """Collect what the user should know."""
     warnings = [one.message for one in findings if one.severity is Severity.WARNING and one.message]
     if not recording.simultaneous:
         middles = [(first + stop) // 2 for first, stop in stretches(recording)]

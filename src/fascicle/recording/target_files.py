@@ -37,11 +37,10 @@ NUMBERS = {  # attribute of the file: field of the target, and whether it is alw
 
 def write_target(target: Target, path: str | Path) -> None:
     """Write a target as netCDF-4, whole or not at all; a file that exists is replaced."""
-    dataset = _to_dataset(target)
     path = Path(path)
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the name of a file, such as target.nc")
-    write_bytes(path, dataset.to_netcdf(engine="h5netcdf"))
+    write_bytes(path, _to_dataset(target).to_netcdf(engine="h5netcdf"))
 
 
 def as_target(given: Target | Path | str) -> Target:
@@ -72,8 +71,7 @@ def read_target(path: str | Path) -> Target:
     for problem in _problems(dataset):
         raise InputError(f"{path}: {problem}; make the target again with 'fascicle target'")
     attributes = {str(key): value for key, value in dataset.attrs.items()}
-    numbers: dict[str, Any] = {"heart_rate": None}
-    numbers |= {
+    numbers: dict[str, Any] = {"heart_rate": None} | {
         name: float(attributes[key]) for key, (name, _) in NUMBERS.items() if key in attributes
     }
     return Target(
@@ -91,7 +89,6 @@ def read_target(path: str | Path) -> Target:
 
 
 def _to_dataset(target: Target) -> xr.Dataset:
-    """Build the dataset with units on everything."""
     import xarray as xr
 
     qrs_time = target.time[target.qrs_samples]
@@ -215,8 +212,7 @@ def _problems(dataset: xr.Dataset) -> Iterator[str]:
     attributes = dataset.attrs
     if attributes.get("format") != FORMAT:
         yield f"not a target (format is {attributes.get('format')!r})"
-    if attributes.get("format_version") != FORMAT_VERSION:
-        number = attributes.get("format_version")
+    if (number := attributes.get("format_version")) != FORMAT_VERSION:
         yield f"target of format version {number}, this fascicle reads {FORMAT_VERSION}"
     missing = [name for name in ("beats", "lead", "time") if name not in dataset.variables]
     needed = [*(name for name, (_, always) in NUMBERS.items() if always), "filters"]

@@ -71,7 +71,6 @@ def _together(recording: Recording) -> list[tuple[list[int], slice]]:
 
 
 def _check_group(recording: Recording, rows: list[int], time: slice) -> list[CheckResult]:
-    """Check one set of leads over the samples that they have in common."""
     leads = _detrended(recording.signal[rows, time], recording.sampling_rate)
     leads = leads[:, :: max(leads.shape[1] // 30_000, 1)]  # relations hold at each sample
     labels, zeros = _identities(rows)

@@ -89,7 +89,6 @@ def read_matlab(path: Path, sampling_rate: float | None) -> RawRecording:
 
 
 def _stored(node: h5py.Group, depth: int = 0) -> dict[str, Any]:
-    """Read a group: its attributes, datasets and groups."""
     import h5py
 
     found: dict[str, Any] = _attributes(node)

@@ -303,7 +303,11 @@ def _by_lead(
     leads: dict[str, Channel] = {}
     ignored = []
     for channel in raw.channels:
-        lead = channel.lead if channel.lead is not None else _name_of(channel.name, wanted)
+        lead = channel.lead or lead_name(channel.name) or additional_lead_name(channel.name)
+        if lead is None and wanted is not None:
+            # without its unit
+            name = re.sub(r"[ _(\[]+[num]?v[)\]]?$", "", channel.name.strip().casefold())
+            lead = next((each for each in wanted if each.casefold() == name), None)
         repeated = wanted is None and lead in leads and lead not in LEADS
         if lead is None or repeated or (wanted is not None and lead not in wanted):
             ignored.append(printable(channel.name))
@@ -315,15 +319,6 @@ def _by_lead(
         else:
             leads[lead] = channel
     return leads, ignored
-
-
-def _name_of(channel: str, wanted: Sequence[str] | None) -> str | None:
-    """Name of the lead that a channel is; None if it is none."""
-    lead = lead_name(channel) or additional_lead_name(channel)
-    if lead is None and wanted is not None:
-        name = re.sub(r"[ _(\[]+[num]?v[)\]]?$", "", channel.strip().casefold())  # its unit
-        lead = next((each for each in wanted if each.casefold() == name), None)
-    return lead
 
 
 def _moves(channel: Channel) -> bool:

@@ -107,9 +107,8 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
         unit = _unit(value, columns, metadata, path)
         return _read_long(path, place, times[0], value, unit, missing, said)
     numbers = np.array([column.numbers(path) for column in [*leads, *times]])
-    kept = np.full(numbers.shape[1], True)
-    if times:
-        kept = ~np.isnan(numbers).all(axis=0)  # spreadsheets end with empty rows
+    # spreadsheets end with empty rows
+    kept = ~np.isnan(numbers).all(axis=0) if times else np.full(numbers.shape[1], True)
     numbers = numbers[:, kept]
     known = _agreed_rate(path, said)
     rates: dict[str, float | None] = {
@@ -224,7 +223,6 @@ def _one_header(text: str) -> str:
 
 
 def _column(spelt: str, names: Sequence[str], cells: pd.Series) -> _Column:
-    """Tell what a column holds from its name."""
     name, unit = spelt[:100].strip(), None  # bounds what matching takes
     renamed = re.fullmatch(r"(.+)\.\d+", name)  # by pandas, of a column that is there twice
     name = renamed[1] if renamed and renamed[1] in names else name
@@ -362,11 +360,7 @@ def _read_long(
 
 
 def _without_strips(
-    channels: Sequence[Channel],
-    rhythm: Sequence[bool],
-    rate: float,
-    others: Sequence[str],
-    format: str,
+    channels: Sequence[Channel], rhythm: Sequence[bool], rate: float, rest: Sequence[str], kind: str
 ) -> RawRecording:
     """Choose between a lead and a rhythm strip of it: on paper, the longer one serves."""
     seconds = [np.isfinite(without_fill(channel, rate)).sum() / rate for channel in channels]
@@ -382,5 +376,5 @@ def _without_strips(
         )
         name = f"{channels[other].name} (left out)"
         chosen[other] = replace(channels[other], name=name, lead=None)
-    chosen += [Channel(name, np.empty(0)) for name in others]
-    return RawRecording(chosen, rate, format, provenance=choices)
+    chosen += [Channel(name, np.empty(0)) for name in rest]
+    return RawRecording(chosen, rate, kind, provenance=choices)

@@ -218,7 +218,6 @@ def mended_wfdb(header: Path) -> tuple[str, list[Path], list[str]]:
 
 
 def _signal_file(header: Path, name: str, alone: bool) -> Path:
-    """The file that a header means by a name."""
     wanted = re.split(r"[\\/]", name)[-1]
     files = sorted(header.parent.iterdir(), key=lambda file: file.name != wanted)
     alike = [file for file in files if file.name.casefold() == wanted.casefold()]
