@@ -152,16 +152,11 @@ def _coloured(heart: Heart, activation: Floats, norm: BoundaryNorm) -> list[Surf
 
 
 def _draw_tree(
-    axes: Axes,
-    view: View,
-    endocardium: Endocardium,
-    tree: PurkinjeTree,
-    times: Floats,
-    norm: BoundaryNorm,
+    axes: Axes, view: View, wall: Endocardium, tree: PurkinjeTree, times: Floats, norm: BoundaryNorm
 ) -> None:
     """Segments on the far wall drawn opaque, those on the near wall faint."""
-    centres = cKDTree(endocardium.vertices[endocardium.triangles].mean(axis=1))
-    normals = triangle_normals(endocardium.vertices, endocardium.triangles)
+    centres = cKDTree(wall.vertices[wall.triangles].mean(axis=1))
+    normals = triangle_normals(wall.vertices, wall.triangles)
     child = np.flatnonzero(tree.parents >= 0)
     far = view.facing(normals[centres.query(tree.nodes[child])[1]])
     ends = view.project(tree.nodes[np.stack([tree.parents[child], child], axis=1)])[..., :2]

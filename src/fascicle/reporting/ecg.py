@@ -191,7 +191,6 @@ def draw_target(figure: Figure | SubFigure, target: Target) -> None:
 
 
 def _handles(target: Target, drawn: int) -> list[tuple[Any, str]]:
-    """Artists of the legend, each with its text."""
     count = len(target.beats)
     mean, band = Line2D([], [], color="black"), Patch(**BAND)
     handles: list[tuple[Any, str]] = [(mean, "mean"), (band, "± 1 SD from beat to beat")]

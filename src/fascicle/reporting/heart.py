@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -114,20 +116,19 @@ def check_figure(heart: Heart, check: HeartCheck) -> Figure:
     angles through the walls; wall thickness.
     """
     view = heart_views(heart)["anterior"]
-    size = largest([view.box(heart.vertices)])
+    box = view.box(heart.vertices)
+    size = largest([box])
     above = 4 * float(size[1] / size[0]) + 0.75  # inch
     figure = style.new_figure(12.0, above + 3.8, heart.name)
     upper, lower = np.asarray(figure.subfigures(2, 1, height_ratios=(above, 3.8)))
     hearts = upper.subplots(1, 3)
-    box = view.box(heart.vertices)
     _draw_seeds(hearts[0], view, heart, box, size)
     cavities = np.isin(check.mesh.labels, ENDOCARDIA)
     epicardium = check.mesh.labels == Label.EPICARDIUM
-    for axes, part, name, step in (
-        (hearts[1], epicardium, "fibres, epicardium", 1),
-        (hearts[2], cavities, "fibres, endocardia, front half", -1),
-    ):
-        _draw_fibres(axes, View(name, view.axes, view.centre), heart, part, step, box, size)
+    _draw_fibres(hearts[1], view, heart, epicardium, 1, box, size)
+    hearts[1].set_title("fibres, epicardium")
+    _draw_fibres(hearts[2], view, heart, cavities, -1, box, size)
+    hearts[2].set_title("fibres, endocardia, front half")
     scale_bar(hearts[0], 20)
     front, left, helix, thickness = lower.subplots(1, 4, width_ratios=(1, 1, 1.1, 1.1))
     to_left, back, up = torso_axes(heart.electrodes)
@@ -166,9 +167,8 @@ def _draw_fibres(
     vertices = heart.vertices
     triangles, owner = (of_boundary[part] for of_boundary in heart.boundary)
     faces = triangles[:, ::step]
-    draw_surfaces(
-        axes, view, Surface(vertices, faces, {"color": Colour.LIGHT_GREY}), box=box, size=size
-    )
+    surface = Surface(vertices, faces, {"color": Colour.LIGHT_GREY})
+    draw_surfaces(axes, view, surface, box=box, size=size)
     visible = np.flatnonzero(view.facing(triangle_normals(vertices, faces)))
     visible = visible[:: 1 + len(visible) // 1500]
     middle = view.project(vertices[faces[visible]].mean(axis=1))[:, :2]
@@ -203,15 +203,12 @@ def _draw_torso(axes: Axes, view: View, heart: Heart) -> None:
     away = {"RA": (-9, 4), "LA": (9, 4), "V1": (0, 5), "V2": (-11, 0), "V3": (-9, -9)}
     away |= {"V4": (2, -12), "V5": (0, 5), "V6": (6, -11)}
     shown: list[Floats] = []
+    looks: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "fontsize": "small"}
     for name, place in zip(names, screen, strict=True):
         covered = [other for other in shown if np.linalg.norm(place - other) < 25.0]  # mm
-        if name not in ELECTRODES and covered:
-            continue
-        shown.append(place)
-        axes.annotate(
-            name, place, away.get(name, (0, 5)), textcoords="offset points", ha="center",
-            fontsize="small",
-        )  # fmt: skip
+        if name in ELECTRODES or not covered:
+            shown.append(place)
+            axes.annotate(name, place, away.get(name, (0, 5)), **looks)
     scale_bar(axes, 100)
 
 

@@ -171,7 +171,6 @@ def convergence_figure(losses: Floats, stages: Sequence[str], null: float) -> Fi
 
 
 def _draw_stages(axes: Axes, stages: Sequence[str]) -> None:
-    """Shade and name each stretch of one stage."""
     first = 0.5
     for index, (name, run) in enumerate(groupby(stages)):
         last = first + len(list(run))

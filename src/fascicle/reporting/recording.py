@@ -203,15 +203,13 @@ def _number_beats(axes: Axes, analysis: Analysis, colours: Mapping[str, str]) ->
 
 
 def _class_legend(figure: SubFigure, analysis: Analysis, colours: Mapping[str, str]) -> None:
-    """Legend of the strip's colours and marks."""
-    chosen = [known for known in analysis.classes if known.label == analysis.chosen]
-    others = [known for known in analysis.classes if known.label != analysis.chosen]
+    ranked = sorted(analysis.classes, key=lambda known: known.label != analysis.chosen)
     handles: list[tuple[Any, str]] = []
-    for known in [*chosen, *others[: len(CLASSES)]]:
+    for known in ranked[: 1 + len(CLASSES)]:
         text = f"{known.label} {known.count} beat{'s' if known.count != 1 else ''}"
         text = style.short(f"{text}: {known.description}" if known.description else text)
         handles.append((Line2D([], [], color=colours[known.label], linewidth=2.2), text))
-    if rest := others[len(CLASSES) :]:
+    if rest := ranked[1 + len(CLASSES) :]:
         text = f"{len(rest)} more classes, {sum(known.count for known in rest)} beats"
         handles.append((Line2D([], [], color=Colour.GREY, linewidth=2.2), text))
     box: dict[str, Any] = {"linestyle": "none", "marker": "s", "color": Colour.BLUE}

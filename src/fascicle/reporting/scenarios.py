@@ -100,7 +100,6 @@ def spread_figure(heart: Heart, predicted: Mapping[str, Predicted]) -> Figure:
 
 
 def _with_intrinsic(predicted: Mapping[str, Predicted], name: str) -> tuple[Predicted, Predicted]:
-    """The intrinsic beat and a scenario."""
     check_text(name, "name of a scenario")
     if name not in predicted:
         raise InputError(f"'{name}' was not predicted; there are {', '.join(predicted)}")

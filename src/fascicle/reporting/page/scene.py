@@ -69,7 +69,6 @@ def scene(heart: Heart, predicted: Mapping[str, Predicted]) -> dict[str, Any]:
 
 
 def _fields(found: Predicted, shown: Integers) -> list[dict[str, Any]]:
-    """Values at the visible vertices."""
     extremes = found.extremes()
     fields = [
         (f"activation_{which}", f"network of {which} total activation time", "ms", "time",
