@@ -128,14 +128,10 @@ def build(
     charts = {e.side: build_chart(e) for e in heart.endocardia}
     barycentric = barycentric_gradients(heart.vertices, heart.tetrahedra)
     electrocardiograph = build_electrocardiograph(
-        heart.tetrahedra,
-        barycentric,
-        heart.volumes,
-        conduction.intracellular(heart.fibres),
+        heart.tetrahedra, barycentric, heart.volumes, conduction.intracellular(heart.fibres),
         _lead_field_gradients(heart, conduction, barycentric, progress),
-        action_potential,
-        [*heart.additional_electrodes],
-    )
+        action_potential, [*heart.additional_electrodes],
+    )  # fmt: skip
     report = stage_progress(progress, "preparation", ONCE)
     myocardium = build_myocardium(heart, conduction, report, barycentric)
     return Prepared(charts, _seeds(heart, charts), myocardium, electrocardiograph)

@@ -13,7 +13,6 @@ from typing import Annotated, Any, cast
 import numpy as np
 from pydantic import BeforeValidator
 
-from fascicle.core.arrays import Booleans
 from fascicle.core.declared import (
     CaptureRadius,
     Delay,
@@ -114,10 +113,7 @@ class SlowConduction(Primitive, table="slow_conduction"):
 
     def apply(self, beat: Beat) -> None:
         """Multiply the speeds of its segments."""
-        tree = beat.tree(self.tree)
-        beat.slow(tree, self._segments(beat, tree), self.speed)
-
-    def _segments(self, beat: Beat, number: int) -> Booleans:
+        number = beat.tree(self.tree)
         tree = beat.trees[number]
         chosen = tree.parents >= 0  # no segment ends in the root
         if self.part is not None:
@@ -137,7 +133,7 @@ class SlowConduction(Primitive, table="slow_conduction"):
                     f"slow conduction in the {tree.side} tree: no segment{of_part} ends in the "
                     f"sphere at {self.centre}; the nearest ends {nearest:.1f} mm from its centre"
                 )
-        return chosen
+        beat.slow(number, chosen, self.speed)
 
 
 class InactiveRoot(Primitive, table="inactive_root"):

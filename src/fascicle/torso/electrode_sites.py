@@ -203,16 +203,11 @@ def electrode_warnings(heart: Heart) -> Iterator[str]:
     yield from _order_warnings(heart)
     distance, _ = cKDTree(heart.vertices).query(heart.electrode_positions)
     for name, d in zip(heart.electrode_names, distance, strict=True):
+        where, remedy = f"electrode {name} is {d:.0f} mm from the heart", "check its position"
         if d < 10:  # mm: ribs lie between
-            yield (
-                f"electrode {name} is {d:.0f} mm from the heart, nearer than skin can be; check "
-                "its position"
-            )
+            yield f"{where}, nearer than skin can be; {remedy}"
         if d > 350 and name.startswith("V"):
-            yield (
-                f"electrode {name} is {d:.0f} mm from the heart, further than any chest is wide; "
-                "check its position and the units (mm)"
-            )
+            yield f"{where}, further than any chest is wide; {remedy} and the units (mm)"
 
 
 def _leftwards(electrodes: Floats) -> tuple[Floats, Floats]:

@@ -130,9 +130,8 @@ def axes_of_electrodes(electrodes: Floats, sites: Floats) -> Floats:
     The columns (3, 3) in the heart's coordinates, for electrodes (9, 3) there and sites (9, 3) in
     the torso frame: the rotation of least squares (Kabsch 1976, Acta Cryst A32:922-923).
     """
-    rotation, _ = Rotation.align_vectors(
-        electrodes - electrodes.mean(axis=0), sites - sites.mean(0)
-    )
+    around = electrodes - electrodes.mean(axis=0)
+    rotation, _ = Rotation.align_vectors(around, sites - sites.mean(axis=0))
     return np.asarray(rotation.as_matrix())
 
 

@@ -238,8 +238,7 @@ def lungs_of(
     them would have less than the `smallest` volume (litres).
     """
     lungs = []
-    for side, dome_level in (("left", 0.710), ("right", 0.717)):  # of the diaphragm's top
-        sign = 1 if side == "left" else -1
+    for side, sign, dome_level in (("left", 1, 0.710), ("right", -1, 0.717)):  # the diaphragm's
         lung = _lung(size, excluded, sign, dome_level, undeformed)
         if lung is None or lung.litres < smallest:
             raise InputError(

@@ -23,8 +23,7 @@ from fascicle.kernels.cable import CellModel
 from fascicle.kernels.ten_tusscher import CELLS
 
 # All the code that decides the content of a template, for the names of its files
-MODULES = ten_tusscher, kernels, cable_module
-SOURCES = [Path(__file__), *(Path(str(module.__file__)) for module in MODULES)]
+SOURCES = [Path(__file__), *(Path(str(m.__file__)) for m in (ten_tusscher, kernels, cable_module))]
 UNTIL = 60.0  # ms after the upstroke
 TAPER = 10.0  # ms over which the window fades U′ out
 

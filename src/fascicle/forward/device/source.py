@@ -100,14 +100,8 @@ BEAT = np.dtype(
     ]
 )
 SPROUT_BYTES, MOVE_BYTES = 32, 40
-SIZES = {
-    "Node": NODE.itemsize,
-    "Plan": PLAN.itemsize,
-    "Site": SITE.itemsize,
-    "Beat": BEAT.itemsize,
-    "Sprout": SPROUT_BYTES,
-    "Move": MOVE_BYTES,
-}
+SIZES = {"Node": NODE.itemsize, "Plan": PLAN.itemsize, "Site": SITE.itemsize}
+SIZES |= {"Beat": BEAT.itemsize, "Sprout": SPROUT_BYTES, "Move": MOVE_BYTES}
 
 
 def source(block: str | None = None) -> str:

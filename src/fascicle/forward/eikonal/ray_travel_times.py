@@ -51,25 +51,24 @@ def build_travel_time_table(
     vertices = KDTree(mesh.vertices)
     centres = mesh.vertices[surface[triangles]].mean(axis=1)
     reach = _how_far(centres, vertices)
-    sizes, found = [np.zeros(1, np.int64)], [np.empty(0, np.int32)]
-    squares = [np.empty((0, len(POINTS)), np.float32)]
+    none = np.zeros(1, np.int64), np.empty(0, np.int32), np.empty((0, len(POINTS)), np.float32)
+    found = [none]
     begin, done = time.monotonic(), 0
     # at a time, which bounds the memory
     chunks = [triangles[first : first + 256] for first in range(0, len(triangles), 256)]
     with ThreadPoolExecutor(blas_threads()) as pool:
-        for size, vertex, square in pool.map(
+        for rows in pool.map(
             lambda chunk: _rows(mesh, owner[chunk], opposite[chunk], vertices, reach), chunks
         ):
-            sizes.append(size)
-            found.append(vertex)
-            squares.append(square)
-            done += len(size)
+            found.append(rows)
+            done += len(rows[0])
             if time.monotonic() - begin > 1.0:  # s
                 progress(done, len(triangles))
     row = np.full(len(surface), -1, dtype=np.int32)
     row[triangles] = np.arange(len(triangles))
-    rows = np.cumsum(np.concatenate(sizes)), np.concatenate(found), np.concatenate(squares)
-    return TravelTimeTable(row, opposite.astype(np.int8), *rows, reach, LONGEST)
+    sizes, vertex, square = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    start, opposite = np.cumsum(sizes), opposite.astype(np.int8)
+    return TravelTimeTable(row, opposite, start, vertex, square, reach, LONGEST)
 
 
 def _how_far(centres: Floats, vertices: KDTree) -> float:
