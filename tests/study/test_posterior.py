@@ -183,7 +183,7 @@ BEST = "% of the QRS explained by the best 5% of networks"
         (Checks(0.879, {}), f"poor fit: 87{BEST}, less than 88%", Caution.POOR_FIT),
         (
             Checks(
-                0.9, {"QRS duration": 0.0315, "V1": 0.06}, {"QRS duration": [191, 131, 148, 161]}
+                0.9, {"QRS duration": 0.0315, "V1": 0.12}, {"QRS duration": [191, 131, 148, 161]}
             ),
             "poor fit: QRS duration 191 ms recorded, 148 (131–161) simulated",
             Caution.POOR_FIT,
