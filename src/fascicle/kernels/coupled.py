@@ -16,16 +16,13 @@ def solve_trees(time, forest):
     c|∇τ·t| = 1 along each segment (the paper's equation `eikotree`): up the tree, then down.
     As in the sweep, what is earlier by rounding alone is left.
     """
-    nodes = len(forest.order)
-    for k in range(nodes - 1, -1, -1):
-        node = forest.order[k]
+    for node in forest.order[::-1]:
         parent = forest.parent[node]
         if parent >= 0:
             arrival = time[node] + forest.time[node]
             if arrival < time[parent] - SETTLED:
                 time[parent] = arrival
-    for k in range(nodes):
-        node = forest.order[k]
+    for node in forest.order:
         parent = forest.parent[node]
         if parent >= 0:
             arrival = time[parent] + forest.time[node]

@@ -1,8 +1,4 @@
-"""Which beats make the target: cut out, aligned at R and detrended, of one group or several.
-
-A straight line is taken from each beat. What is left of a drift that is none, as when an electrode
-settles or is pushed, shows right after the QRS, where beats of one shape have one ST segment.
-"""
+"""Which beats make the target: cut out, aligned at R and detrended, of one group or several."""
 
 from __future__ import annotations
 
@@ -166,9 +162,11 @@ def drifting_beats(
 ) -> dict[int, Drift]:
     """Find beats of one shape whose baseline drifts: right after the QRS they are off the others.
 
-    By more than 0.1 mV in a lead, and by more than eight robust standard deviations of the beats in
-    that lead, or in the median lead where that is larger. Of two neighbours the one that is further
-    off goes first, since the other's line may run through it. Parameters as of `cut_beats`.
+    A drift, as when an electrode settles or is pushed, need not be the straight line that was taken
+    off. They are off by more than 0.1 mV in a lead, and by more than eight robust standard
+    deviations of the beats in that lead, or in the median lead where that is larger. Of two
+    neighbours the one that is further off goes first, since the other's line may run through it.
+    Parameters as of `cut_beats`.
     """
     found: dict[int, Drift] = {}
     while len(members) >= 5:

@@ -82,11 +82,7 @@ def estimated_lowpass(signal: Floats, sampling_rate: float, r_peaks: Integers) -
             if fit is not None:
                 believed.append(fit)
     # A low-pass that is there is found about more than one centre.
-    agreeing = [
-        min(one, other)
-        for one, other in combinations(believed, 2)
-        if abs(one[1] / other[1] - 1) < 0.05
-    ]
+    agreeing = [min(a, b) for a, b in combinations(believed, 2) if abs(a[1] / b[1] - 1) < 0.05]
     if not agreeing:
         return None
     _, cutoff, order = min(agreeing)

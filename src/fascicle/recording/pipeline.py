@@ -172,10 +172,7 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
     spikes = find_spikes(recording.signal, rate)
     clean = recording
     if len(spikes):
-        more = {
-            lead: remove_spikes(values[None], spikes)[0]
-            for lead, values in recording.additional.items()
-        }
+        more = {lead: remove_spikes(x[None], spikes)[0] for lead, x in recording.additional.items()}
         clean = replace(recording, signal=remove_spikes(recording.signal, spikes), additional=more)
     try:
         groups = lead_groups(clean, spikes, options)

@@ -143,14 +143,12 @@ def check_figure(heart: Heart, check: HeartCheck) -> Figure:
 
 def _draw_seeds(axes: Axes, view: View, heart: Heart, box: Floats, size: Floats) -> None:
     """Far walls of the endocardia, with the root and direction of each bundle."""
-    colours = [LABELS[label][1] for label in ENDOCARDIA]
-    walls = [
-        Surface(e.vertices, e.triangles, {"color": colour, "opacity": 0.55})
-        for e, colour in zip(heart.endocardia, colours, strict=True)
-    ]
+    colours = (LABELS[label][1] for label in ENDOCARDIA)
+    pairs = list(zip(heart.endocardia, colours, strict=True))
+    walls = [Surface(e.vertices, e.triangles, {"color": c, "opacity": 0.55}) for e, c in pairs]
     draw_surfaces(axes, view, *walls, box=box, size=size)
     axes.set_title("endocardia and bundles (front)")
-    for endocardium, colour in zip(heart.endocardia, colours, strict=True):
+    for endocardium, colour in pairs:
         ends = endocardium.vertices[[endocardium.root, endocardium.direction]]
         root, towards = view.project(ends)[:, :2]
         axes.annotate("", towards, root, arrowprops={"arrowstyle": "-|>", "lw": 1.4})

@@ -23,15 +23,9 @@ from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import INTRINSIC, qrs_aligned
 from fascicle.prediction.sweeps import Swept
+from fascicle.reporting import scenarios
 from fascicle.reporting.activation import ActivationRow, activation_figure, total_time
 from fascicle.reporting.ecg import EcgGroup, ecg_figure
-from fascicle.reporting.scenarios import (
-    index_figure,
-    scenario_activation_figure,
-    scenario_ecg_figure,
-    spread_figure,
-    sweep_figure,
-)
 from fascicle.reporting.style import KINDS, Colour, mark, save
 from fascicle.study.activation_maps import since_first
 from fascicle.study.fitted import FittedStudy
@@ -62,15 +56,15 @@ def write_prediction(
         said = {"verdict": fitted.verdict, "caution": caution}
         content = {name: _summary(found, predicted[INTRINSIC]) for name, found in predicted.items()}
         write_text(folder / "summary.json", json.dumps(said | content, indent=2) + "\n")
-        save(mark(index_figure(predicted), caution), folder / f"indices.{kind}")
+        save(mark(scenarios.index_figure(predicted), caution), folder / f"indices.{kind}")
         for number, (name, found) in enumerate(predicted.items()):
             report(number, len(predicted))
             _write_scenario(folder / name, found, heart)
             both = {each: predicted[each] for each in dict.fromkeys((INTRINSIC, name))}
             figures = (
-                scenario_ecg_figure(predicted, name),
-                scenario_activation_figure(heart, predicted, name),
-                spread_figure(heart, both),  # on one scale
+                scenarios.scenario_ecg_figure(predicted, name),
+                scenarios.scenario_activation_figure(heart, predicted, name),
+                scenarios.spread_figure(heart, both),  # on one scale
             )
             for stem, figure in zip(pictures, figures, strict=True):
                 save(mark(figure, caution), folder / name / f"{stem}.{kind}")
@@ -96,7 +90,8 @@ def write_sweep(fitted: FittedStudy, swept: Swept, name: str, index: str, out: P
     with atomic_folder(out) as folder:
         write_text(folder / "indices.csv", index_table(named))
         write_text(folder / "summary.json", json.dumps(content, indent=2) + "\n")
-        save(mark(sweep_figure(swept, index, name), content["caution"]), folder / "sweep.png")
+        figure = mark(scenarios.sweep_figure(swept, index, name), content["caution"])
+        save(figure, folder / "sweep.png")
 
 
 def draw_simulation(

@@ -76,10 +76,8 @@ def _check_group(recording: Recording, rows: list[int], time: slice) -> list[Che
     labels, zeros = _identities(rows)
     found, limit = _misfits(leads, zeros), _limit_of(leads)
     broken = np.flatnonzero(found > limit)
-    findings = [
-        Check(label, "mV", limit).found(float(value))
-        for label, value in zip(labels, found, strict=True)
-    ]
+    values = zip(labels, found.tolist(), strict=True)
+    findings = [Check(label, "mV", limit).found(value) for label, value in values]
     gains = _check_gains(recording, rows, leads, zeros)
     if not broken.size:
         return [*gains, *findings]

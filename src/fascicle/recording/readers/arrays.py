@@ -1,8 +1,4 @@
-"""HDF5 (netCDF-4 among them) and MATLAB files: named arrays, one a lead, or a matrix with names.
-
-These have no standard for ECGs. Nothing is guessed: leads, rate and unit must be declared under the
-names in `metadata`, once, or by the user.
-"""
+"""HDF5 (netCDF-4 among them) and MATLAB files: named arrays, one a lead, or a matrix with names."""
 
 from __future__ import annotations
 

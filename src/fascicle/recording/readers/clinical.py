@@ -68,14 +68,9 @@ def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
             raise InputError(f"{path}: {tag} differs between leads; export all over the same time")
     off = [lead.label for lead in leads if "LeadOff" in lead.annotations]
     remarks += [f"lead off: {', '.join(off)}"] if off else []
-    provenance = {"parser": f"ecgdatakit {version('ecgdatakit')}"}
-    return RawRecording(
-        _channels(record, path),
-        _rate(record, leads, root),
-        found["name"],
-        _filters(record, leads),
-        with_remarks(provenance, remarks),
-    )
+    provenance = with_remarks({"parser": f"ecgdatakit {version('ecgdatakit')}"}, remarks)
+    channels, rate = _channels(record, path), _rate(record, leads, root)
+    return RawRecording(channels, rate, found["name"], _filters(record, leads), provenance)
 
 
 @contextlib.contextmanager

@@ -134,12 +134,9 @@ def read_recording(
     if reader.isolated:
         # such as the signal file of a WFDB header
         others = path.parent.glob(f"{glob.escape(path.stem)}.*")
+        companions = tuple(other for other in others if other != path and other.is_file())
         raw: RawRecording = read_isolated(
-            read_raw,
-            path,
-            companions=tuple(other for other in others if other != path and other.is_file()),
-            format=reader.format,
-            sampling_rate=sampling_rate,
+            read_raw, path, companions=companions, format=reader.format, sampling_rate=sampling_rate
         )
     else:
         raw = read_raw(path, reader.format, sampling_rate)

@@ -150,12 +150,7 @@ def _with_rest_around(table: RawRecording) -> RawRecording:
 
 
 def _parsed(path: Path) -> tuple[list[_Column], list[Entry]]:
-    """Read the columns of a table, and what its comments declare.
-
-    Text with cells separated by tabs, semicolons or commas; lines that begin with ``#`` are
-    comments, the first other line names the columns. Numbers may have decimal commas where no
-    comma separates cells.
-    """
+    """Read the columns of a table, and what its comments declare."""
     import pandas as pd
 
     content = path.read_bytes()

@@ -30,15 +30,7 @@ from fascicle.prediction.scenarios import (
     with_intrinsic_beat,
 )
 from fascicle.reporting.names import MEASURES, index_label
-from fascicle.reporting.page.content import (
-    commands,
-    held,
-    learnt,
-    meaning,
-    prediction,
-    recordings,
-    settings,
-)
+from fascicle.reporting.page import content as words
 from fascicle.reporting.page.scene import scene
 from fascicle.reporting.prediction import latest_segments
 from fascicle.reporting.scenarios import SHOWN
@@ -171,13 +163,13 @@ def _content(
         "verdict": said.verdict,
         "trustworthy": said.converged and said.acceptable,
         "caution": said.caution,
-        "meaning": meaning(fitted),
+        "meaning": words.meaning(fitted),
         "warnings": said.warnings,
         "constrained": [each for each in said.parameters if each.constrained],
         "unidentifiable": [each for each in said.parameters if not each.constrained],
         "correlated": said.correlated,
         "predictions": [
-            (name, prediction(name, predicted, against, said.caution)) for name in predicted
+            (name, words.prediction(name, predicted, against, said.caution)) for name in predicted
         ],
         "measures": [each for each in MEASURES.values() if each.meaning],
         "columns": [index_label(index) for index in SHOWN],
@@ -186,15 +178,15 @@ def _content(
         "population": population,
         "furthest": furthest,  # parameter by which the two runs differ most, and how many SD
         "prior_simulations": config.prior_simulations,
-        "learnt": learnt(config),
-        "held": held(fitted),
+        "learnt": words.learnt(config),
+        "held": words.held(fitted),
         "inputs": [
-            *settings(config).items(),
-            *recordings(fitted),
+            *words.settings(config).items(),
+            *words.recordings(fitted),
             ("heart (SHA-256)", config.heart),
             ("target (SHA-256)", ", ".join((config.target, *config.other_targets))),
         ],
-        "commands": commands(fitted, predicted, against),
+        "commands": words.commands(fitted, predicted, against),
     }
 
 
