@@ -85,11 +85,8 @@ def repulsion(tip, nearest, metric, values):
 @kernel(inline="always")
 def _square(metric, triangle, a, b):
     """Squared length (mm²) of d = (a, b), dᵀGd, in the metric of a triangle."""
-    return (
-        metric[triangle, 0] * a * a
-        + 2.0 * metric[triangle, 1] * a * b
-        + metric[triangle, 2] * b * b
-    )
+    g11, g12, g22 = metric[triangle, 0], metric[triangle, 1], metric[triangle, 2]
+    return g11 * a * a + 2.0 * g12 * a * b + g22 * b * b
 
 
 @kernel()
@@ -347,11 +344,8 @@ def lift(nodes, chart):
         qx, qy = points[q, 0] - points[p, 0], points[q, 1] - points[p, 1]
         rx, ry = points[r, 0] - points[p, 0], points[r, 1] - points[p, 1]
         area = qx * ry - qy * rx
-        second, third = (x * ry - y * rx) / area, (qx * y - qy * x) / area
+        b, c = (x * ry - y * rx) / area, (qx * y - qy * x) / area
+        a = 1.0 - b - c
         for d in range(3):
-            positions[n, d] = (
-                (1.0 - second - third) * vertices[p, d]
-                + second * vertices[q, d]
-                + third * vertices[r, d]
-            )
+            positions[n, d] = a * vertices[p, d] + b * vertices[q, d] + c * vertices[r, d]
     return positions

@@ -20,7 +20,6 @@ NOT_QUEUED, IN_BATCH = np.iinfo(np.int32).min, np.iinfo(np.int32).min + 1
 
 @kernel(inline="always")
 def _unlink(node, nodes, queue):
-    """Take a node out of its list."""
     before, after = nodes[node].before, nodes[node].after
     if before >= 0:
         nodes[before].after = after

@@ -33,11 +33,8 @@ def travel(cells, t, x, y, z):
 @kernel(inline="always")
 def gradient(cells, t, corner):
     """Gradient of a corner's barycentric coordinate (1/mm); it points away from its face."""
-    return (
-        cells[t, GRADIENT_X + corner],
-        cells[t, GRADIENT_Y + corner],
-        cells[t, GRADIENT_Z + corner],
-    )
+    x, y, z = GRADIENT_X + corner, GRADIENT_Y + corner, GRADIENT_Z + corner
+    return cells[t, x], cells[t, y], cells[t, z]
 
 
 @kernel(inline="always", error_model="numpy")

@@ -22,14 +22,12 @@ POINTS = np.array(
      [0.5, 0.5, 0.0], [0.5, 0.0, 0.5], [0.0, 0.5, 0.5]]
 ) * (1.0 - 3.0 * INSET) + INSET  # fmt: skip
 
-
 # Row i: what a², b², c², ab, ac and bc of a point (a, b, c) add to the weight of each of the six
 BASIS = np.linalg.inv(POINTS[:, [0, 1, 2, 0, 0, 1]] * POINTS[:, [0, 1, 2, 1, 2, 2]])
 
 
 @kernel(inline="always")
 def _row(positions, i):
-    """Row i of an array of positions."""
     return positions[i, 0], positions[i, 1], positions[i, 2]
 
 

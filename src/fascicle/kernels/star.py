@@ -200,7 +200,6 @@ def _lay_out_faces(n, room, mesh, around):
 
 @kernel(error_model="numpy")
 def _delays(f):
-    """Delay of each face of a block."""
     for i in range(LANES):
         products = (
             f[i], f[LANES + i], f[2 * LANES + i],
