@@ -266,18 +266,17 @@ def select_beats(
         used = [k for k, reason in enumerate(why) if reason is None]
         for k in used[fewest:] if fewest else ():
             why[k] = Unused.SURPLUS
-    beats = [
-        tuple(
+    beats = []
+    for group, first, why, drift in zip(groups, firsts, reasons, drifts, strict=False):
+        found = zip(group.times, group.labels, group.intervals, why, strict=True)
+        own = [
             Beat(first + k, float(time), one, float(interval), reason, drift.get(k))
-            for k, (time, one, interval, reason) in enumerate(
-                zip(group.times, group.labels, group.intervals, why, strict=True)
-            )
-        )
-        for group, first, why, drift in zip(groups, firsts, reasons, drifts, strict=False)
-    ]
-    for beat in (beat for own in beats for beat in own):
-        if beat.number in (options.beats or ()) and beat.cut_off:
-            raise InputError(f"{source}: beat {beat.number} is {beat.why_unused}; name others")
+            for k, (time, one, interval, reason) in enumerate(found)
+        ]
+        for beat in own:
+            if beat.number in (options.beats or ()) and beat.cut_off:
+                raise InputError(f"{source}: beat {beat.number} is {beat.why_unused}; name others")
+        beats.append(tuple(own))
     return beats, label
 
 

@@ -108,7 +108,5 @@ def _changed(
     """Recording with a new signal, its computed leads computed again, and a note."""
     signal, derived = derive_limb_leads(signal, kept)
     before = recording.provenance.get(what)
-    note = {what: how if before is None else f"{before}, {how}"}
-    return replace(
-        recording, signal=signal, derived=derived, provenance=recording.provenance | note
-    )
+    notes = recording.provenance | {what: how if before is None else f"{before}, {how}"}
+    return replace(recording, signal=signal, derived=derived, provenance=notes)

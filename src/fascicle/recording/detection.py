@@ -79,9 +79,8 @@ def _usual_height(x: Floats, rate: float) -> Floats:
     """Median over stretches of 2 s, which nearly always hold a beat, of the largest x (..., n)."""
     width = min(round(2.0 * rate), x.shape[-1])
     starts = range(0, x.shape[-1] - width + 1, max(width // 2, 1))
-    return np.asarray(
-        np.median([x[..., start : start + width].max(axis=-1) for start in starts], axis=0)
-    )
+    largest = [x[..., start : start + width].max(axis=-1) for start in starts]
+    return np.asarray(np.median(largest, axis=0))
 
 
 def _agreement(slopes: Floats, rate: float) -> Floats:

@@ -52,8 +52,7 @@ def passed_filters(
     else:
         found = estimated_lowpass(recording.signal, recording.sampling_rate, r_peaks)
         filters = [] if found is None else [found]
-    if recording.filters.notch is not None:
-        notch = recording.filters.notch
+    if (notch := recording.filters.notch) is not None:
         filters.append(Filter(FilterKind.NOTCH, notch, FilterOrigin.FILE, NOTCH_QUALITY))
     return (*filters, *applied_filters(options.lowpass, options.notch))
 

@@ -134,7 +134,6 @@ def stretches(recording: Recording) -> list[tuple[int, int]]:
 def _group(
     recording: Recording, spikes: Integers, first: int, stop: int, options: TargetOptions
 ) -> LeadGroup:
-    """Cut out the leads that are there over all of a stretch, and find their beats."""
     rate = recording.sampling_rate
     signal = resample(complete_in(recording.signal, first, stop), rate)
     additional = np.empty((0, signal.shape[1]))
@@ -335,9 +334,8 @@ def _best_shifts(wide: Floats, template: Floats) -> Integers:
     """Samples, up to `LARGEST_SHIFT`, by which each beat correlates best with the template."""
     shifts = []
     for start in range(0, len(wide), 64):  # beats at a time, which bounds the memory
-        tries = np.lib.stride_tricks.sliding_window_view(
-            wide[start : start + 64], 2 * HALF_WIDTH + 1, axis=-1
-        )
+        some = wide[start : start + 64]
+        tries = np.lib.stride_tricks.sliding_window_view(some, 2 * HALF_WIDTH + 1, axis=-1)
         # The template has neither level nor slope, so those of the beats do not matter
         score = np.einsum("bcst,ct->bs", tries, template)
         shifts.append(np.argmax(score, axis=1) - LARGEST_SHIFT)
@@ -347,6 +345,5 @@ def _best_shifts(wide: Floats, template: Floats) -> Integers:
 def _shifted(wide: Floats, shifts: Integers) -> Floats:
     """Detrended beats (n_beats, n_leads, 2·HALF_WIDTH + 1) at the given shifts of `wide` ones."""
     first = LARGEST_SHIFT + shifts
-    return detrended(
-        np.stack([w[:, f : f + 2 * HALF_WIDTH + 1] for w, f in zip(wide, first, strict=True)])
-    )
+    beats = [w[:, f : f + 2 * HALF_WIDTH + 1] for w, f in zip(wide, first, strict=True)]
+    return detrended(np.stack(beats))

@@ -101,12 +101,9 @@ def draw_simulation(
     time, leads = simulation.ecg["time"].to_numpy(), simulation.leads[None]
     group = EcgGroup("simulated", "network", time, leads, Colour.VERMILION)
     row = ActivationRow.of(total_time(simulation.total_activation_time), simulation)
-    figures = {
-        "ecg": ecg_figure(
-            [group], "Simulated ECG", time_zero=time_zero, leads=simulation.lead_names
-        ),
-        "activation": activation_figure(heart, [row], f"activation (ms)\n0: {time_zero}"),
-    }
+    ecg = ecg_figure([group], "Simulated ECG", time_zero=time_zero, leads=simulation.lead_names)
+    activation = activation_figure(heart, [row], f"activation (ms)\n0: {time_zero}")
+    figures = {"ecg": ecg, "activation": activation}
     return [save(figure, folder / f"{stem}.{kind}") for stem, figure in figures.items()]
 
 

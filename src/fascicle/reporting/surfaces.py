@@ -163,6 +163,5 @@ def _plotter() -> Any:
         return None
     plotter.set_background("white")
     plotter.enable_anti_aliasing("msaa")
-    light = pyvista.Light(position=(-0.4, 0.5, 1.0), light_type="camera light")
-    plotter.add_light(light)
+    plotter.add_light(pyvista.Light(position=(-0.4, 0.5, 1.0), light_type="camera light"))
     return plotter

@@ -54,8 +54,7 @@ def _drawn(
     colours = (Colour.BLUE, Colour.GREY, Colour.VERMILION)
     for (cell, template), colour in zip(templates.items(), colours, strict=True):
         apd = table[cell]["apd90"]
-        name = f"{cell}, APD90 {apd:.0f} ms"
-        whole.plot(long, template.full(long), color=colour, label=name)
+        whole.plot(long, template.full(long), color=colour, label=f"{cell}, APD90 {apd:.0f} ms")
         whole.plot(apd, template.full(np.array(apd)), "o", color=colour)
         zoom.plot(brief, template.full(brief), color=colour, label=cell)
     used = default_template()

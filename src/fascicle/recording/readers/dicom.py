@@ -112,17 +112,15 @@ def read_dicom(path: Path, sampling_rate: float | None) -> RawRecording:
     provenance = {"multiplex_group": ", ".join(str(group.index + 1) for group in chosen)} | joined
     labels = [_text(group.item, "MultiplexGroupLabel") for group in chosen]
     provenance |= {"multiplex_group_label": ", ".join(filter(None, labels))} if any(labels) else {}
+    leads = [
+        channel
+        for group in chosen
+        for channel, (_, lead) in zip(group.channels, group.sources, strict=True)
+        if lead is not None
+    ]
     # the low frequency is where the pass band begins: that of the high-pass filter
-    bands = (
-        [
-            _number(channel, keyword)
-            for group in chosen
-            for channel, (_, lead) in zip(group.channels, group.sources, strict=True)
-            if lead is not None
-        ]
-        for keyword in ("FilterLowFrequency", "FilterHighFrequency", "NotchFilterFrequency")
-    )
-    filters = narrowest_passband(*bands)
+    keywords = ("FilterLowFrequency", "FilterHighFrequency", "NotchFilterFrequency")
+    filters = narrowest_passband(*([_number(lead, word) for lead in leads] for word in keywords))
     provenance = with_remarks(provenance, remarks)
     return RawRecording(channels, chosen[0].rate or None, filters=filters, provenance=provenance)
 

@@ -38,7 +38,6 @@ _BEHIND = (
 )
 _LEAD = re.compile(f"{_BEFORE}(?:{_NAMES}){_BEHIND}")
 
-
 PER_SECOND = (  # how many of a unit of time are a second
     dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0)
     | dict.fromkeys(("ms", "msec", "msecs", "millisecond", "milliseconds"), 1e3)

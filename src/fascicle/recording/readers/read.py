@@ -152,9 +152,8 @@ def read_recording(
     if digits_per_mv is not None and not shared_gain:
         raise InputError("--digits-per-mv is the gain of --shared-gain; give both or neither")
     if shared_gain:
-        recording = corrections.share_gain(
-            recording, 1000.0 if digits_per_mv is None else digits_per_mv
-        )
+        gain = 1000.0 if digits_per_mv is None else digits_per_mv
+        recording = corrections.share_gain(recording, gain)
     for lead in invert:
         recording = corrections.invert(recording, lead_name(lead) or lead)
     for text in swap:
