@@ -27,7 +27,7 @@ from fascicle.study.target_comparison import Network
 # What makes a fit poor: a recording that would be rare among those that the model gives, or a QRS
 # that not even the best networks explain. What a posterior's other networks explain shows how wide
 # it is, not how well the model fits.
-LEVEL = 0.1  # nominal chance to call a recording of the model rare; of truths, it is one in 100
+LEVEL = 0.1  # nominal chance to call a recording of the model rare; it happens less often
 BEST = 0.05  # share of the networks that are the best
 LEAST_EXPLAINED = 0.88  # share of the variance of the QRS that the best networks explain
 MOST_OFF = 1.5  # times the error of held-out ECGs, by which the emulator may be off the networks'
