@@ -41,7 +41,7 @@ MODES = 4  # of the body
 FEWEST = 50  # networks to learn from
 COPIES = 4  # of an example at other speeds
 EPOCHS = 12  # times that every example is seen
-ROUNDS = 20  # and one of a posterior
+EPOCHS_ON = 20  # and one of a posterior
 FOLDS = 4  # of the examples of a posterior: each is held out once
 FASTER = ("alpha", "fibre_speed", "cv")  # c times as high
 SMALL = ("mean", "components", "bodies", "left", "left_by_bodies")  # in single precision
@@ -425,7 +425,7 @@ def trained_on(
     def on(network: Network, chosen: Booleans, rng: np.random.Generator) -> Network:
         seen = np.concatenate([inputs[chosen], usual])
         wanted = np.concatenate([scores[chosen].astype(np.float32), network(usual)])
-        steps = ROUNDS * len(seen) // BATCH
+        steps = EPOCHS_ON * len(seen) // BATCH
         return train(seen, wanted, rng, steps=steps, begin=network, rate=RATE / 2)
 
     fold = np.arange(len(inputs)) % FOLDS
