@@ -314,7 +314,7 @@ def test_report(study, run):
     assert study.verdict in verdict
     assert [figure.rsplit("/", 1)[1] for figure in figures] == [
         "ecg.png", "activation.png", "activation-spread.png", "indices.png", "priors.png",
-        "pairs.png", "recording.png", "convergence.png", "heart.png",
+        "pairs.png", "recording.png", "emulator.png", "convergence.png", "heart.png",
     ]  # fmt: skip
     for figure in figures:
         with open(figure, "rb") as file:
