@@ -91,7 +91,7 @@ from fascicle.study.ecg_emulator import EcgEmulator
 from fascicle.study.evaluations import Database, Journal
 from fascicle.study.fit import REFINEMENT
 from fascicle.study.heart_emulator import made_emulator, simulate_prior, usual_prior
-from fascicle.study.likelihood import EmulatedLikelihood, likelihood_of
+from fascicle.study.likelihood import EmulatedLikelihood
 from fascicle.study.pool import Threads
 from fascicle.study.population import Population, Posterior
 from fascicle.study.predictive import AXIS, DURATION, Checks, predict_recording
@@ -421,18 +421,11 @@ def compared(
     target: Target, simulator: PointSimulator, emulator: EcgEmulator, gain_sd: float, number: int
 ) -> tuple[TargetComparison, EcgEmulator]:
     """A recording and its likelihood, and the emulator that is trained on for it."""
-
-    def emulated_by(emulators: list[EcgEmulator]) -> list[EmulatedLikelihood]:
-        likelihoods = [likelihood_of(target, each, gain_sd) for each in emulators]
-        return [
-            EmulatedLikelihood(simulator, *each)
-            for each in zip(emulators, likelihoods, strict=True)
-        ]
-
+    by = partial(EmulatedLikelihood.each, simulator=simulator, targets=[target], gain_sd=gain_sd)
     rng, count = np.random.default_rng([number, REFINEMENT]), int(emulator.report["networks"])
     with tempfile.TemporaryDirectory() as folder:
-        found = refined_emulators([emulator], emulated_by, [None], count, Path(folder), rng)
-    likelihood = emulated_by(found)[0].likelihood
+        found = refined_emulators([emulator], by, [None], count, Path(folder), rng)
+    likelihood = by(found)[0].likelihood
     return TargetComparison(target, likelihood=likelihood, free_gain=True), found[0]
 
 

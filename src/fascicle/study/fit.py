@@ -31,7 +31,7 @@ from fascicle.study.agreement import agreement
 from fascicle.study.ecg_emulator import MODES, EcgEmulator
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.heart_emulator import emulator_of
-from fascicle.study.likelihood import EmulatedLikelihood, likelihood_of
+from fascicle.study.likelihood import EmulatedLikelihood
 from fascicle.study.lock import refuse_held, study_lock
 from fascicle.study.pool import Pool, Threads, check_pool
 from fascicle.study.population import RESULT, read_checks, read_population
@@ -308,21 +308,20 @@ def _emulated(
         None if each.scenario is None else (each.scenario, digest)
         for each, digest in zip(recordings, config.scenarios, strict=True)
     ]
-    targets, gain_sd = [each.target for each in recordings], _gain_sd(config)
-
-    def by(emulators: Sequence[EcgEmulator]) -> list[EmulatedLikelihood]:
-        pairs = [*zip(targets, emulators, strict=True)]
-        likelihoods = inputs.likelihoods or [likelihood_of(*pair, gain_sd) for pair in pairs]
-        both = zip(emulators, likelihoods, strict=True)
-        return [EmulatedLikelihood(simulator, *each) for each in both]
-
     emulators = _emulators(simulator, scenarios, inputs, folder, progress)
-    if inputs.likelihoods is None:
-        count = config.prior_simulations
-        rng = np.random.default_rng([config.seed, REFINEMENT])
+    if inputs.likelihoods is not None:
+        given = zip(emulators, inputs.likelihoods, strict=True)
+        emulated = [EmulatedLikelihood(simulator, *each) for each in given]
+    else:
+        by = partial(
+            EmulatedLikelihood.each,
+            simulator=simulator,
+            targets=[each.target for each in recordings],
+            gain_sd=_gain_sd(config),
+        )
+        count, rng = config.prior_simulations, np.random.default_rng([config.seed, REFINEMENT])
         refine = partial(refined_emulators, emulators, by, scenarios, count, folder, rng, progress)
-        emulators = _kept(folder, config, refine)
-    emulated = by(emulators)
+        emulated = by(_kept(folder, config, refine))
     pairs = zip(recordings, emulated, strict=True)
     return tuple(replace(one, likelihood=its.likelihood) for one, its in pairs), emulated
 

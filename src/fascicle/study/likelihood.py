@@ -96,6 +96,20 @@ class EmulatedLikelihood:
             off, whole = off + ((true - gain * emulated) ** 2).sum(), whole + (true**2).sum()
         return float(np.sqrt(off / whole))
 
+    @classmethod
+    def each(
+        cls,
+        emulators: Sequence[EcgEmulator],
+        simulator: PointSimulator,
+        targets: Sequence[Target],
+        gain_sd: float,
+    ) -> list[EmulatedLikelihood]:
+        """Those of recordings, by an emulator of each."""
+        return [
+            cls(simulator, emulator, likelihood_of(target, emulator, gain_sd))
+            for emulator, target in zip(emulators, targets, strict=True)
+        ]
+
     def _one_by_one(self, scores: Floats, gains: Floats) -> Floats:
         """By a likelihood that takes one simulation at a time."""
         emulator, most = self.emulator, 10_000  # junctions, of which there are enough
