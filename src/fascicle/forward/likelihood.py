@@ -46,7 +46,7 @@ from fascicle.forward.simulation import Signals
 from fascicle.recording.target import Target, residual_covariance
 
 MARGIN = 40  # samples (ms) of silence on either side of the QRS
-STEP = 2  # ms between shifts
+STEP = 3  # ms between shifts
 HALF_PERIOD = 20.0  # ms; of the fastest cosine
 AFTER_ONSET = 3.0  # ms; SD of the first activation about the onset, besides the onset's own
 CORRELATED = (12.0, 4.0)  # ms; of the smooth and the rough half of the discrepancy

@@ -293,7 +293,7 @@ class ForwardModel:
 
     def _made_tissue(self, conduction: Conduction) -> Tissue:
         """Tissue of these speeds, with the α of the model's own."""
-        build = partial(build_myocardium, self.heart, conduction)
+        build = partial(build_myocardium, self.heart, conduction, like=self.myocardium)
         if conduction == self.conduction:
             myocardium = self.myocardium
         elif conduction in self._kept:

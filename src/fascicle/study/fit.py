@@ -320,7 +320,8 @@ def _emulated(
             gain_sd=_gain_sd(config),
         )
         count, rng = config.prior_simulations, np.random.default_rng([config.seed, REFINEMENT])
-        refine = partial(refined_emulators, emulators, by, scenarios, count, folder, rng, progress)
+        of_prior = by(emulators)
+        refine = partial(refined_emulators, of_prior, scenarios, count, folder, rng, progress)
         emulated = by(_kept(folder, config, refine))
     pairs = zip(recordings, emulated, strict=True)
     return tuple(replace(one, likelihood=its.likelihood) for one, its in pairs), emulated

@@ -147,17 +147,23 @@ def build_myocardium(
     progress: StageProgress = no_progress,
     gradients: Floats | None = None,
     table: TravelTimeTable | None = None,
+    like: Myocardium | None = None,
 ) -> Myocardium:
     """Precompute metric, squared travel times, adjacency and ray travel times of a heart.
 
     Vertices and elements are renumbered along the mesh, so that what is near in space is near in
     memory; `Myocardium.order` leads back. `progress` counts the triangles from which rays are
     traced, if that takes a while. `gradients` (m, 4, 3) are those of the barycentric coordinates in
-    the heart's tetrahedra (1/mm), `table` the ray travel times, if at hand.
+    the heart's tetrahedra (1/mm), `table` the ray travel times, if at hand; `like` is the heart's
+    of another conduction.
     """
     if gradients is None:
         gradients = barycentric_gradients(heart.vertices, heart.tetrahedra)
-    order = reverse_cuthill_mckee(_links(heart.edges, len(heart.vertices)), symmetric_mode=True)
+    if like is None:
+        links = _links(heart.edges, len(heart.vertices))
+        order = reverse_cuthill_mckee(links, symmetric_mode=True)
+    else:
+        order = like.order
     number = np.argsort(order)  # its inverse
     vertices, renumbered = np.ascontiguousarray(heart.vertices[order]), number[heart.tetrahedra]
     place = np.argsort(renumbered.min(axis=1), kind="stable")
@@ -168,27 +174,30 @@ def build_myocardium(
     cells, solver, least = _elements(
         vertices, corners, place, heart.fibres, gradients, conduction, whole_scale
     )
-    links = _edges(corners[conducts], solver[conducts, SQUARES:], len(vertices))
+    edges = _edges(corners[conducts], solver[conducts, SQUARES:], len(vertices))
     mesh = EikonalMesh(
         vertices,
         corners,
         cells,
         _face_neighbours(corners, conducts),
         aligned(solver),
-        *_stars(corners, conducts, least, *links),
-        *links,
+        *_stars(corners, conducts, least, *edges),
+        *edges,
         slowness=float(1 / (max(conduction.speeds) * np.sqrt(scale.max()))),
     )
-    surface, owner = boundary_triangles(corners)
-    tree = find_on_surface(vertices, surface)
-    endocardia = _triangles_at(heart, vertices, surface, tree)
-    endocardia = endocardia[conducts[owner[endocardia]]]
+    if like is None:
+        surface, owner = boundary_triangles(corners)
+        tree = find_on_surface(vertices, surface)
+        candidates = {
+            e.side: find_candidates(e.vertices[e.triangles], vertices, surface, tree)
+            for e in heart.endocardia
+        }
+    else:
+        surface, owner, tree, candidates = like.surface, like.owner, like.tree, like.candidates
     if table is None:
+        endocardia = _triangles_at(heart, vertices, surface, tree)
+        endocardia = endocardia[conducts[owner[endocardia]]]
         table = build_travel_time_table(mesh, surface, owner, endocardia, progress)
-    candidates = {
-        e.side: find_candidates(e.vertices[e.triangles], vertices, surface, tree)
-        for e in heart.endocardia
-    }
     return Myocardium(mesh, table, order, conducts, surface, owner, tree, candidates)
 
 
