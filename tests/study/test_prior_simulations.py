@@ -1,7 +1,6 @@
 """Prior simulations: what is stored, how it goes on, for whom it serves, and the emulator of it."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -270,20 +269,19 @@ def test_an_emulator_is_refined_with_draws_of_the_posterior(prior, model, tmp_pa
             seen.append(points)
             return super().inputs(points)
 
-    def emulated_by(emulators, simulator=simulator):
-        return [Emulated(simulator, each, None) for each in emulators]
+    def given(simulator=simulator, count=2):
+        return [Emulated(simulator, emulator, None)] * count, [None] * count, COUNT, tmp_path
 
-    given = [emulator, emulator], emulated_by, [None, None], COUNT, tmp_path
-    first, again = refined_emulators(*given, np.random.default_rng(0))
+    first, again = refined_emulators(*given(), np.random.default_rng(0))
     assert first is again
     assert pool.sent == PART
-    drawn, usual, *_ = seen
+    drawn, usual = seen
     assert drawn[:, root_time].std() < 0.04 < usual[:, root_time].std()
     assert first.expected_error != emulator.expected_error
-    assert len([*(tmp_path / DISPOSABLE).glob("posterior-*.npz")]) == refined_emulator.ROUNDS
-    found = refined_emulators(*given, np.random.default_rng(0))[0]
+    assert len([*(tmp_path / DISPOSABLE).glob("posterior-*.npz")]) == 1
+    found = refined_emulators(*given(), np.random.default_rng(0))[0]
     assert pool.sent == PART  # found
     assert_array_equal(found.left, first.left)
     space, fixed = study_space("posterior", {"anisotropy_ratio": "free"}, model.heart)
-    by = partial(emulated_by, simulator=replace(simulator, space=space, fixed=fixed))
-    assert refined_emulators([emulator], by, [None], COUNT, tmp_path, None) == [emulator]
+    free = given(replace(simulator, space=space, fixed=fixed), 1)
+    assert refined_emulators(*free, None) == [emulator]
