@@ -48,7 +48,7 @@ Array = NDArray[np.float64]
 
 TUNING, HELD_OUT = 0, 300_000  # first seeds
 KINDS = (
-    *5 * ("intrinsic",), "left-fascicle-1-block", "left-fascicle-2-block",
+    *5 * ("intrinsic",), "left-anterior-fascicular-block", "left-posterior-fascicular-block",
     *3 * ("left-bundle-branch-block",), *3 * ("right-bundle-branch-block",), "pvc-rv-outflow",
     *2 * ("rv-apical-pacing",), "rv-outflow-pacing", "rv-septal-pacing", "biventricular-pacing",
     "left-bundle-branch-pacing",

@@ -55,7 +55,7 @@ SECONDS = 10
 BEFORE, AFTER = 60, 340  # ms about the begin of a QRS in which it is
 PACED = ("rv-apical-pacing", "rv-outflow-pacing")
 SIMULATED = (
-    *4 * ("intrinsic",), *2 * ("left-fascicle-1-block",), "left-bundle-branch-block",
+    *4 * ("intrinsic",), *2 * ("left-anterior-fascicular-block",), "left-bundle-branch-block",
     "right-bundle-branch-block", "pvc-rv-outflow", *PACED,
 )  # fmt: skip
 SHAPED = (

@@ -222,6 +222,22 @@ class TestSlowConduction:
         assert 0 < chosen.sum() < ball.sum()
         assert slowed().sum() == len(tree.nodes) - 1
 
+    @pytest.mark.parametrize("fascicles", [2, 3])
+    def test_anterior_and_posterior_fascicles_lead_there(self, default_model, fascicles):
+        """As the angle of the nearest tissue about the long axis says, not by their numbers."""
+        third = {"lv_fascicle_length_3": 20.0, "lv_fascicle_angle_3": 0.2} if fascicles == 3 else {}
+        turned = {"lv_fascicle_angle_1": -0.6, "lv_fascicle_angle_2": 0.9}
+        heart, found = default_model.heart, default_model.sites.places
+        centres = heart.vertices[heart.tetrahedra].mean(axis=1)
+        for angles in (turned, dict(zip(turned, reversed(turned.values()), strict=True))):
+            tree, _ = default_model.grow(EXAMPLE_PARAMETERS | third | angles)
+            beat = case().beat([tree], [0.0], {}, default_model.sites)
+            around = {}
+            for name in ("anterior fascicle", "posterior fascicle"):
+                end = tree.nodes[np.flatnonzero(beat.part(0, name))[-1]]
+                around[name] = np.sin(found.angle[np.linalg.norm(centres - end, axis=1).argmin()])
+            assert around["anterior fascicle"] > 0.2 + around["posterior fascicle"]
+
     def test_a_block_in_the_middle_leaves_the_rest_to_the_myocardium(self, simulate, normal):
         """Nodes beyond a cut fascicle are late, but reached from their own ends."""
         cut = simulate(slow=(SlowConduction("lv", 0.0, "fascicle 1"),))

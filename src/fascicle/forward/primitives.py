@@ -97,7 +97,11 @@ class SlowConduction(Primitive, table="slow_conduction"):
 
     tree: Annotated[Name, '`"lv"`, `"rv"`, or the name of an additional tree']
     speed: Annotated[SpeedFactor, "factor on the speed; 0 blocks both directions"]
-    part: Annotated[Name | None, '`"bundle"`, `"fascicle 1"`, …; without it the whole tree'] = None
+    part: Annotated[
+        Name | None,
+        '`"bundle"`, `"fascicle 1"`, …, `"anterior fascicle"`, `"posterior fascicle"`; without it '
+        "the whole tree",
+    ] = None
     centre: Annotated[Point | None, "centre of a sphere: only segments that end in it"] = None
     radius: Annotated[Radius | None, "its radius"] = None
 

@@ -106,12 +106,24 @@ class Beat:
     def part(self, tree: int, name: str) -> Booleans:
         """Nodes that end a segment of a part of a tree, such as ``"bundle"``.
 
+        Of several fascicles the anterior and the posterior one are those whose ends lie furthest
+        to either side.
+
         Raises
         ------
         InputError
             If the tree has no such part.
         """
-        parts = self.trees[tree].parts
+        parts = {**self.trees[tree].parts}
+        fascicles = [own for name, own in parts.items() if name.startswith("fascicle")]
+        if len(fascicles) > 1:
+            heights = self.trees[tree].nodes @ self.sites.anterior
+            ends = [
+                heights[np.setdiff1d(np.flatnonzero(own), self.trees[tree].parents[own])[-1]]
+                for own in fascicles
+            ]
+            parts["anterior fascicle"] = fascicles[int(np.argmax(ends))]
+            parts["posterior fascicle"] = fascicles[int(np.argmin(ends))]
         if name not in parts:
             raise InputError(
                 f"the {self.trees[tree].side} tree has no part '{name}'; known: {', '.join(parts)}"

@@ -52,6 +52,7 @@ def tables() -> dict[str, type[Table]]:
 # Abbreviations for scenarios of the library, as `plain_name` gives them
 ALIASES = {
     "lbbb": "left-bundle-branch-block", "rbbb": "right-bundle-branch-block",
+    "lafb": "left-anterior-fascicular-block", "lpfb": "left-posterior-fascicular-block",
     "crt": "biventricular-pacing", "biv": "biventricular-pacing", "bivp": "biventricular-pacing",
     "bivcrt": "biventricular-pacing", "hbp": "his-pacing", "hisbundlepacing": "his-pacing",
     "nshbp": "his-pacing-nonselective", "lbbp": "left-bundle-branch-pacing",

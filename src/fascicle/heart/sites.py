@@ -131,6 +131,15 @@ class Sites:
         """Where in the ventricles each element lies, computed when first asked for."""
         return places(self.heart)
 
+    @cached_property
+    def anterior(self) -> Floats:
+        """Direction (3,) from the posterior wall to the anterior one.
+
+        It is across the left ventricle's long axis and the way to the right ventricle.
+        """
+        base, apex = long_axis(self.heart.lv.vertices, self.heart.lv.triangles)
+        return unit(np.cross(self.heart.rv.vertices.mean(axis=0) - base, apex - base))
+
     def position(self, site: str | CoordinateSite) -> tuple[float, float, float]:
         """Position of a site (mm): ventricular coordinates, or a name in any case.
 
@@ -226,9 +235,7 @@ class Sites:
             score = cKDTree(left.vertices).query(vertices)[0]
             first, last = 0.4, 0.6  # of the way from the opening to the apex
         else:
-            left_base, left_apex = long_axis(left.vertices, left.triangles)
-            # from the left ventricle to the right one, and down: the anterior wall is across
-            score = vertices @ np.cross(vertices.mean(axis=0) - left_base, left_apex - left_base)
+            score = vertices @ self.anterior
             first, last = 0.05, 0.25
         depth = (vertices - base) @ unit(apex - base) / np.linalg.norm(apex - base)
         allowed = (depth >= first) & (depth <= last)
