@@ -168,7 +168,7 @@ def test_failures_come_in_the_order_of_a_cardiologist():
         "QRS duration 191 ms recorded, 148 (131–161) simulated",
         "frontal axis -80° recorded, 30 (20–40) simulated",
         "V1, V4 not reproduced",
-        "60% of the QRS explained by the best 5% of networks, less than 88%",
+        "60% of the QRS explained by the best 5% of networks, less than 85%",
     ]
 
 
