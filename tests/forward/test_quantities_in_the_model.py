@@ -80,7 +80,7 @@ def test_times_regrow_no_tree_and_prepare_no_tissue(default_model, monkeypatch):
 def test_threads_build_each_tissue_once_and_two_at_a_time(default_model, monkeypatch):
     both, built = Barrier(2), []
 
-    def build(heart, conduction):
+    def build(heart, conduction, like):
         built.append(conduction)
         both.wait(timeout=20)  # s
         return default_model.myocardium
