@@ -15,8 +15,8 @@ from fascicle.forward.likelihood import (
 )
 from fascicle.forward.loss import placed
 from fascicle.forward.simulation import SimulatedBeat
+from fascicle.recording.criteria import frontal_axis
 from fascicle.recording.target import Target
-from fascicle.study.agreement import frontal_axis
 from fascicle.study.predictive import BEST, LEVEL, Checks, predict_recording
 from fascicle.study.target_comparison import Network
 

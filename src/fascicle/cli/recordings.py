@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import re
 import sys
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +19,7 @@ from fascicle.core.ranges import digits
 from fascicle.recording.readers.formats import known_formats
 
 if TYPE_CHECKING:
+    from fascicle.recording.criteria import Criterion
     from fascicle.recording.pipeline import Analysis
     from fascicle.recording.quality.check_result import CheckResult
     from fascicle.recording.target import Target
@@ -200,6 +203,7 @@ def _result(analysis: Analysis) -> dict[str, object]:
         "global_qrs_duration_ms": target.global_qrs_duration,
         "global_qrs_onset_sd_ms": target.global_qrs_sd[0],
         "global_qrs_offset_sd_ms": target.global_qrs_sd[1],
+        "conventional_criteria": [asdict(one) for one in target.conventional_criteria],
         "noise_mV": target.noise,
         "filters": [str(one) for one in target.filters],
         "checks": {
@@ -231,6 +235,7 @@ def _print_target(target: Target) -> None:
         width = f"{last - first:.0f} ± {np.hypot(first_sd, last_sd):.0f} ms"
         ends = f"{first:.0f} ± {first_sd:.0f} to {last:.0f} ± {last_sd:.0f} ms about R"
         print_row(name, f"{width}, from {ends} ({how})")
+    _print_criteria(target.conventional_criteria)
     if target.noise is not None:
         print_row("noise", f"{target.noise:.3g} mV, as stated")
     else:
@@ -238,6 +243,24 @@ def _print_target(target: Target) -> None:
         print_row("beat to beat", f"{spread:.3f} mV (mean standard deviation in the QRS)")
     for warning in target.provenance.get("warnings", "").splitlines():
         print(f"warning: {warning}", file=sys.stderr)
+
+
+def _print_criteria(criteria: Sequence[Criterion]) -> None:
+    """Print the conventional criteria that are met, and those that lack a lead."""
+    sources = dict.fromkeys(one.source for one in criteria)
+    met = {
+        source: [one for one in criteria if one.met and one.source == source] for source in sources
+    }
+    said = [
+        f"{'; '.join(one.name for one in found)} ({source})"
+        for source, found in met.items()
+        if found
+    ]
+    none = "none of the conventional criteria of bundle branch or fascicular block is met"
+    for text in said or [f"{none} ({', '.join(sources)})"]:
+        print_row("conventional criteria", text)
+    if undecided := [one.name for one in criteria if one.met is None]:
+        print_row("not decided", f"{'; '.join(undecided)}: leads are not used")
 
 
 def _picture_path(out: Path, recording: Path, kind: str) -> Path:

@@ -15,6 +15,7 @@ from fascicle.core.ranges import short_repr
 from fascicle.forward.ecg.electrocardiogram import STEP
 from fascicle.forward.eikonal.activation import Activation
 from fascicle.purkinje.tree import PurkinjeTree
+from fascicle.recording.criteria import Criterion, conventional_criteria
 from fascicle.recording.window import QrsWindows, qrs_windows
 
 LONGEST = 100_000.0  # ms that an activation may take; more is a mistake, and much memory
@@ -90,6 +91,13 @@ class SimulatedBeat:
         """Global QRS duration (ms), that of the outermost leads, by the rule for recordings."""
         onset, offset = self._qrs_windows.global_window
         return (offset - onset) * STEP
+
+    @property
+    def conventional_criteria(self) -> tuple[Criterion, ...]:
+        """What the conventional ECG criteria of conduction disturbances say, as of a recording."""
+        return conventional_criteria(
+            self.leads, *self._qrs_windows.global_window, names=self.lead_names
+        )
 
     @cached_property
     def _qrs_windows(self) -> QrsWindows:

@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.leads import LEADS
 from fascicle.core.ranges import short_repr
+from fascicle.recording.criteria import Criterion, conventional_criteria
 from fascicle.recording.filters import SAMPLING_STEP, Filter
 from fascicle.recording.window import qrs_windows, smoothing_against_ringing, window_uncertainty
 
@@ -133,6 +134,12 @@ class Target:
         """From the onset of the QRS in the outermost leads to its offset there (ms)."""
         onset, offset = self.global_qrs
         return offset - onset
+
+    @cached_property
+    def conventional_criteria(self) -> tuple[Criterion, ...]:
+        """What the conventional ECG criteria of conduction disturbances say of the mean beat."""
+        onset, offset = (round((end - self.time[0]) / SAMPLING_STEP) for end in self.global_qrs)
+        return conventional_criteria(self.mean, onset, offset, self.leads)
 
     @property
     def qrs_samples(self) -> slice:

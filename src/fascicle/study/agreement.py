@@ -10,6 +10,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import LIMB_LEADS
+from fascicle.recording.criteria import frontal_axis
 from fascicle.recording.target import Target
 from fascicle.study.target_comparison import Network
 
@@ -99,13 +100,6 @@ def agreement(target: Target, networks: Sequence[Network]) -> Agreement:
         known,
         {name: np.array(values, dtype=float) for name, values in found.items()},
     )
-
-
-def frontal_axis(ecg: Floats) -> float:
-    """Angle (degrees) of a QRS (12, n) in the frontal plane, from the areas in leads I and aVF."""
-    area = ecg.sum(axis=1)
-    # aVF is shorter than I by the factor √3/2 of augmented leads
-    return float(np.degrees(np.arctan2(2 / np.sqrt(3) * area[5], area[0])))
 
 
 def pearson(one: Floats, other: Floats) -> float:

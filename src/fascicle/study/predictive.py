@@ -19,8 +19,9 @@ from fascicle.core.leads import independent_rows
 from fascicle.core.ranges import short_repr
 from fascicle.forward.likelihood import Likelihood, Replicate
 from fascicle.forward.simulation import Signals
+from fascicle.recording.criteria import frontal_axis
 from fascicle.recording.target import Target
-from fascicle.study.agreement import Agreement, agreement, frontal_axis
+from fascicle.study.agreement import Agreement, agreement
 from fascicle.study.settings import FitSettings
 from fascicle.study.target_comparison import Network
 
