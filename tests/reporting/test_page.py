@@ -15,6 +15,7 @@ from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.forward.scenario import Scenario
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import Predicted, PredictedBeat
+from fascicle.recording.criteria import Criterion
 from fascicle.reporting.names import MEASURES
 from fascicle.reporting.page.content import meaning, prediction
 from fascicle.reporting.page.page import _safe, _template
@@ -235,6 +236,12 @@ def test_numbers_of_an_ecg_stand_in_its_tables():
     cells = re.findall('<td class="number">(.*?)</td>', text)
     assert cells == ["83%", "0.91", "59 degrees", "61 (50 to 71) degrees", "2 (1 to 3)"]
     assert "<td>apex (25%)</td>" in text
+
+
+def test_every_criterion_says_whether_it_is_met():
+    found = [Criterion(f"block {met}", met, "QRS 90 ms", "them") for met in (True, False, None)]
+    rows = re.findall("<th>block (.*?) \\(them\\)</th><td>(.*?)</td>", page(criteria=[found]))
+    assert rows == [("True", "yes"), ("False", "no"), ("None", "not decided")]
 
 
 def test_no_text_can_end_the_page_or_its_script():

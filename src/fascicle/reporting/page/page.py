@@ -112,6 +112,7 @@ def write_report(
     drawn = drawings(fitted, networks, predicted)
     content = {
         **_content(fitted, predicted, against),
+        "criteria": [each.target.conventional_criteria for each in fitted.recordings],
         "pictures": {name: picture(drawing) for name, drawing in drawn.items()},
         "scene": _safe(scene(fitted.simulator.model.heart, predicted)),
         "style": _file("style.css"),
