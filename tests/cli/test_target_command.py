@@ -66,11 +66,14 @@ def test_dicom(outside, run):
     (line,) = (line for line in ended.out.splitlines() if line.startswith("global QRS"))
     assert line.split()[2] == f"{target.global_qrs_duration:.0f}"
     assert "(outermost leads, as clinics measure it)" in line
+    assert "none of the conventional criteria of bundle branch or fascicular block" in ended.out
     assert sorted(path.suffix for path in outside.iterdir()) == [".nc", ".png"]
     assert (outside / "mein Ziel ♥.png").read_bytes().startswith(b"\x89PNG")
     assert "Einthoven" in ended.out
     said = json.loads(run("target", recording, "--out", outside / "t.nc", "--json").out)
     assert said["qrs_duration_ms"] == target.qrs_duration
+    criteria = {one["name"]: one["met"] for one in said["conventional_criteria"]}
+    assert criteria == {one.name: one.met for one in target.conventional_criteria}
     assert said["global_qrs_duration_ms"] == target.global_qrs_duration
     assert (said["global_qrs_onset_ms"], said["global_qrs_offset_ms"]) == target.global_qrs
 

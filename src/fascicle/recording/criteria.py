@@ -138,9 +138,11 @@ class _Beat:
 
     def r_peak(self, names: str, limit: str, met: Callable[[float], bool]) -> _Part:
         """R-peak time (ms)."""
-        return self.each(
-            names, limit, lambda lead: met(lead.r_peak), lambda lead: f"R peak {lead.r_peak:.0f} ms"
-        )
+
+        def say(lead: Qrs) -> str:
+            return "no R peak" if np.isnan(lead.r_peak) else f"R peak {lead.r_peak:.0f} ms"
+
+        return self.each(names, limit, lambda lead: met(lead.r_peak), say)
 
     def axis_within(self, low: float, high: float) -> _Part:
         """Frontal axis (degrees)."""
