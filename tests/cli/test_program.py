@@ -39,7 +39,7 @@ def test_every_setting_of_a_fit_is_an_option(run, monkeypatch):
         seen.append(FitSettings(**settings))
         raise InputError("stop here")
 
-    monkeypatch.setattr("fascicle.study.fit.fit", fit)
+    monkeypatch.setattr("fascicle.fit", fit)
     run("fit", "default", "t.nc", "--out", "s")
     changed = {
         "initial": 7, "steps": 0, "samples": 2, "seed": 3, "workers": 4, "draws": 50,

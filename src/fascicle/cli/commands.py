@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from typer import Argument, Option
 
+import fascicle
 from fascicle.cli.hearts import heart_app
 from fascicle.cli.interruption import resumable
 from fascicle.cli.options import (
@@ -27,25 +28,12 @@ from fascicle.cli.options import (
     with_scenario,
 )
 from fascicle.cli.output import Result, TerminalProgress, every_command, print_row, print_table
-from fascicle.cli.printing import (
-    comparison_result,
-    print_comparison,
-    print_fit,
-    print_prediction,
-    print_reductions,
-    print_simulation,
-    print_sweep,
-    print_verdict,
-)
 from fascicle.cli.recordings import print_analysis
 from fascicle.cli.recordings import target as target_command
 from fascicle.cli.studies import cohort as cohort_command
 from fascicle.cli.studies import study_app, written_summary
 from fascicle.core.errors import InputError
 from fascicle.core.ranges import within
-
-if TYPE_CHECKING:
-    from fascicle.forward.model import ForwardModel
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -62,9 +50,7 @@ app.add_typer(study_app, name="study")
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from fascicle import __version__
-
-        print(f"fascicle {__version__}")
+        print(f"fascicle {fascicle.__version__}")
         raise typer.Exit
 
 
@@ -127,25 +113,25 @@ def simulate(
     speed = 0.0                    # factor on the speed; 0 blocks
     ```
     """
+    from fascicle.cli.printing import print_simulation
     from fascicle.forward.compile_kernels import compile_kernels
-    from fascicle.forward.model import ForwardModel
     from fascicle.forward.scenario_files import find_scenario, read_scenario
     from fascicle.forward.simulation_files import simulate_inputs, write_simulation
-    from fascicle.heart.action_potential import read_action_potential
-    from fascicle.heart.conduction import Conduction
-    from fascicle.heart.folder import load_heart
     from fascicle.reporting.prediction import draw_simulation
 
     overrides = fixed_values(fix, cv=cv, root_time=root_time)
     case, regions = read_scenario(find_scenario(scenario)) if scenario is not None else (None, ())
-    template = read_action_potential(action_potential) if action_potential is not None else None
-    loaded = load_heart(heart)
+    table = action_potential
+    template = fascicle.read_action_potential(table) if table is not None else None
+    loaded = fascicle.load_heart(heart)
     with TerminalProgress() as progress:
 
-        def make_model() -> ForwardModel:
+        def make_model() -> fascicle.ForwardModel:
             compile_kernels(progress)
-            conduction = Conduction.of(loaded, regions)
-            return ForwardModel(loaded, conduction, action_potential=template, progress=progress)
+            conduction = fascicle.Conduction.of(loaded, regions)
+            return fascicle.ForwardModel(
+                loaded, conduction, action_potential=template, progress=progress
+            )
 
         simulation, inputs = simulate_inputs(make_model, params, lv_tree, rv_tree, overrides, case)
     if scenario is not None:
@@ -221,7 +207,7 @@ def fit(
     endocardial_layer = 1.5
     ```
     """
-    from fascicle.study.fit import fit as run_fit
+    from fascicle.cli.printing import print_fit
     from fascicle.study.space import PARAMETERS, read_settings
 
     given = read_settings(settings_file) if settings_file is not None else {}
@@ -230,11 +216,9 @@ def fit(
     with resumable(out), TerminalProgress() as progress:
         recordings: list[Any] = [with_scenario(target) for target in targets]
         if device is not None:
-            from fascicle.forward.device.backend import GpuBackend
-
-            given["backend"] = GpuBackend(device)
+            given["backend"] = fascicle.GpuBackend(device)
         pool = pool_at(scheduler, progress)
-        fitted = run_fit(
+        fitted = fascicle.fit(
             heart, recordings, out, parameters=learnt, progress=progress, pool=pool, **given
         )
     summary = written_summary(out)
@@ -264,17 +248,15 @@ def predict(
     and more (docs/predictions.md), twelve-lead ECGs as the recorder would show them, activation
     maps. Intervals are over the networks: they show what the ECG does not determine.
     """
-    from fascicle.forward.scenario_files import read_scenarios
-    from fascicle.prediction.scenarios import predict as predict_scenarios
+    from fascicle.cli.printing import print_prediction, print_verdict
     from fascicle.prediction.scenarios import prior_networks, simulate_scenarios
     from fascicle.reporting.prediction import write_prediction
-    from fascicle.study.fit import load_study
     from fascicle.study.population import Posterior
 
-    scenarios, prior = read_scenarios(scenario or ["his-pacing"]), None
+    scenarios, prior = fascicle.read_scenarios(scenario or ["his-pacing"]), None
     with TerminalProgress() as progress:
-        fitted = load_study(study, progress, pool_at(scheduler, progress))
-        predicted = predict_scenarios(fitted, scenarios, progress)
+        fitted = fascicle.load_study(study, progress, pool_at(scheduler, progress))
+        predicted = fascicle.predict(fitted, scenarios, progress)
         write_prediction(fitted, predicted, out, kind, progress)
         if isinstance(fitted.population, Posterior) and fitted.population.converged:
             networks = prior_networks(fitted.simulator, progress)
@@ -304,22 +286,18 @@ def compare(
     They are compared in each network of the population; 'intrinsic' is the intrinsic beat. All
     indices are shown, since they may disagree.
     """
-    from fascicle.forward.scenario_files import read_scenarios
+    from fascicle.cli.printing import comparison_result, print_comparison, print_verdict
     from fascicle.prediction.comparison import PACED
     from fascicle.prediction.index_names import check_index
-    from fascicle.prediction.scenarios import predict as predict_scenarios
-    from fascicle.study.fit import load_study
 
     check_index(index)
     within("threshold", threshold, "--threshold")
-    wanted = read_scenarios([first, second])
+    wanted = fascicle.read_scenarios([first, second])
     with TerminalProgress() as progress:
-        fitted = load_study(study, progress, pool_at(scheduler, progress))
-        measured = read_scenarios([PACED]) | wanted
-        predicted = predict_scenarios(fitted, measured, progress)
+        fitted = fascicle.load_study(study, progress, pool_at(scheduler, progress))
+        predicted = fascicle.predict(fitted, fascicle.read_scenarios([PACED]) | wanted, progress)
     print_verdict(fitted)
-    values = fitted.population.values
-    found = comparison_result(list(wanted), predicted, index, threshold, values)
+    found = comparison_result(list(wanted), predicted, index, threshold, fitted.population.values)
     print_comparison(predicted, found)
     return {"verdict": fitted.verdict, "caution": fitted.statements.caution_text} | found
 
@@ -355,14 +333,13 @@ def sweep(
 
         fascicle sweep STUDY biventricular-pacing --delay=-60:60:10 --out SWEEP
     """
-    from fascicle.forward.scenario_files import read_scenarios
+    from fascicle.cli.printing import print_sweep, print_verdict
     from fascicle.prediction.index_names import check_index
     from fascicle.prediction.sweeps import delays, radii, segments, simulate_sweep
     from fascicle.reporting.prediction import write_sweep
-    from fascicle.study.fit import load_study
 
     check_index(index)
-    ((name, case),) = read_scenarios([scenario]).items()
+    ((name, case),) = fascicle.read_scenarios([scenario]).items()
     ways = {delays: delay, segments: layer, radii: radius}
     asked = [(vary, how) for vary, how in ways.items() if how is not None]
     if len(asked) != 1:
@@ -370,7 +347,7 @@ def sweep(
     ((vary, how),) = asked
     family = vary(case, how)
     with TerminalProgress() as progress:
-        fitted = load_study(study, progress, pool_at(scheduler, progress))
+        fitted = fascicle.load_study(study, progress, pool_at(scheduler, progress))
         swept = simulate_sweep(fitted, family, networks, progress)
         write_sweep(fitted, swept, name, index, out)
     print_verdict(fitted)
@@ -421,14 +398,10 @@ def parameters() -> Result:
     print_table(rows)
     print("Groups that can be freed together (--free NAME): " + ", ".join(GROUPS))
     print("Fascicles are numbered 1 to at most 4; regions by their labels.")
+    shown = ("name", "unit", "default", "prior_range", "meaning")
     return [
-        {
-            "name": known.name,
-            "unit": known.unit,
-            "default": known.default,
-            "prior_range": None if known.is_integer else known.prior_range,
-            "meaning": known.meaning,
-        }
+        {key: getattr(known, key) for key in shown}
+        | ({"prior_range": None} if known.is_integer else {})
         for known in QUANTITIES.values()
     ]
 
@@ -465,15 +438,12 @@ def report(
     First the answer in words; then the recorded and the predicted ECG, a heart in 3-D with the
     activation of every scenario, the scenarios compared, parameters, convergence, inputs.
     """
-    from fascicle.forward.scenario_files import read_scenarios
     from fascicle.reporting.page.page import PACINGS
-    from fascicle.reporting.page.page import report as write_report
-    from fascicle.study.fit import load_study
 
-    kinds, wanted = figures or [], read_scenarios(scenario or PACINGS)
+    kinds, wanted = figures or [], fascicle.read_scenarios(scenario or PACINGS)
     with TerminalProgress() as progress:
-        fitted = load_study(study, progress, pool_at(scheduler, progress))
-        page, *drawn = write_report(fitted, wanted, out, progress, kinds, against)
+        fitted = fascicle.load_study(study, progress, pool_at(scheduler, progress))
+        page, *drawn = fascicle.report(fitted, wanted, out, progress, kinds, against)
     print_row("result", fitted.verdict)
     for path in (*drawn, page.resolve().as_uri()):
         print(path)
@@ -521,6 +491,7 @@ def demo(
 ) -> Result:
     """Do the whole job on the packaged heart and a real 12-lead ECG, in under two minutes."""
     from fascicle.cli.demo import BLOCK, demo_recording, run_demo
+    from fascicle.cli.printing import print_fit, print_prediction, print_reductions
 
     print("heart      packaged idealised adult heart")
     print(f"recording  {demo_recording().name}, the 12-lead ECG that comes with pydicom")

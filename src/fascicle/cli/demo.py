@@ -6,20 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import fascicle
+from fascicle import FittedStudy, His, Predicted
 from fascicle.core.progress import Progress
-from fascicle.forward.primitives import His
-from fascicle.forward.scenario_files import read_scenarios
-from fascicle.prediction.predicted import Predicted
-from fascicle.prediction.scenarios import predict
-from fascicle.recording.pipeline import Analysis, analyse
-from fascicle.recording.readers.read import read_recording
+from fascicle.recording.pipeline import Analysis
 from fascicle.recording.target_files import write_target
 from fascicle.reporting.page.page import PACINGS, write_report
 from fascicle.reporting.prediction import write_prediction
 from fascicle.reporting.recording import recording_figure
 from fascicle.reporting.style import save
-from fascicle.study.fit import fit
-from fascicle.study.fitted import FittedStudy
 
 # The paper's method with a fraction of its budget: every stage works, the numbers are not to be
 # trusted.
@@ -45,20 +40,20 @@ def run_demo(
     ``report.html``; run again, the study resumes. With `free_gain` simulations are scaled: the
     heart and torso are not the patient's.
     """
-    analysis = analyse(read_recording(demo_recording()))
+    analysis = fascicle.analyse(fascicle.read_recording(demo_recording()))
     write_target(analysis.target, out / "target.nc")
     save(recording_figure(analysis), out / "target.png")
     settings = SETTINGS | {"free_gain": free_gain}
-    fitted = fit("default", analysis.target, out / "study", progress=progress, **settings)
+    fitted = fascicle.fit("default", analysis.target, out / "study", progress=progress, **settings)
     networks = fitted.networks(progress)
     # His bundle pacing captures both branches below the block; the other pacings do not.
-    scenarios = read_scenarios([BLOCK, *PACINGS])
+    scenarios = fascicle.read_scenarios([BLOCK, *PACINGS])
     for name, scenario in scenarios.items():
         if name != "his-pacing":
             scenarios[name] = scenario.mapped(
                 lambda p: replace(p, left=0.0) if isinstance(p, His) else p
             )
-    predicted = predict(fitted, scenarios, progress, networks)
+    predicted = fascicle.predict(fitted, scenarios, progress, networks)
     write_prediction(fitted, predicted, out / "pacings", progress=progress)
     write_report(fitted, networks, predicted, out / "report.html", ["png"], BLOCK)
     return analysis, fitted, predicted

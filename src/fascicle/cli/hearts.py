@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer import Argument, Option
 
+import fascicle
 from fascicle.cli.options import (
     Command,
     HeartArgument,
@@ -34,9 +35,12 @@ if TYPE_CHECKING:
     from fascicle.purkinje.chart import Chart
 
 
-def _option(panel: str, text: str | None = None) -> Any:
-    """Describe an option in one of the panels of ``--help``."""
-    return Option(help=text, rich_help_panel=panel)
+def _anatomy(text: str) -> Any:
+    return Option(help=text, rich_help_panel="Anatomy")
+
+
+def _fibres(text: str | None = None) -> Any:
+    return Option(help=text, rich_help_panel="Fibres")
 
 
 AnatomyArgument = Annotated[
@@ -48,20 +52,17 @@ AnatomyArgument = Annotated[
 ]
 PartOption = Annotated[
     Path | None,
-    _option(
-        "Anatomy", "One of separate surfaces, which need not meet exactly; a missing base is made."
-    ),
+    _anatomy("One of separate surfaces, which need not meet exactly; a missing base is made."),
 ]
 RegionsOption = Annotated[
     str | None,
-    _option(
-        "Anatomy",
+    _anatomy(
         "Numbers of the ventricles in a mesh of a whole heart, as lv=1,rv=2,septum=7; a name may "
-        "come several times.",
+        "come several times."
     ),
 ]
 RegionArrayOption = Annotated[
-    str | None, _option("Anatomy", "Name of the file's array that holds the regions.")
+    str | None, _anatomy("Name of the file's array that holds the regions.")
 ]
 SEEDS = ("lv_root", "lv_direction", "rv_root", "rv_direction")
 
@@ -106,31 +107,26 @@ def heart_build(
     edge_length: Annotated[float, Option(help="Mean edge of the mesh (mm).")] = 2.0,
     labels: Annotated[
         str | None,
-        _option(
-            "Anatomy",
+        _anatomy(
             "Numbers in the file, as base=1,epicardium=2,lv=3,rv=4 (surfaces) or "
-            "lv=1,rv=2,myocardium=3,scar=4 (segmentations).",
+            "lv=1,rv=2,myocardium=3,scar=4 (segmentations)."
         ),
     ] = None,
     label_array: Annotated[
         str | None,
-        _option(
-            "Anatomy",
+        _anatomy(
             "Name of the file's array that holds them; by default 'label', 'class', 'surface' or "
-            "'boundary'.",
+            "'boundary'."
         ),
     ] = None,
-    labels_file: Annotated[
-        Path | None, _option("Anatomy", "Labels of an STL: one number per line.")
-    ] = None,
+    labels_file: Annotated[Path | None, _anatomy("Labels of an STL: one number per line.")] = None,
     regions: RegionsOption = None,
     region_array: RegionArrayOption = None,
     remesh: Annotated[
         bool,
-        _option(
-            "Anatomy",
+        _anatomy(
             "Remesh the inside of a tetrahedral mesh that has flat elements; its surface, fibres "
-            "and regions stay.",
+            "and regions stay."
         ),
     ] = False,
     lv_endocardium: PartOption = None,
@@ -139,22 +135,21 @@ def heart_build(
     base: PartOption = None,
     fibres: Annotated[
         Literal["rule", "file"] | None,
-        _option(
-            "Fibres",
+        _fibres(
             "Those of a rule or of the mesh's file; by default the file's, unless they are a "
-            "placeholder.",
+            "placeholder."
         ),
     ] = None,
     lv_angles: Annotated[
-        str, _option("Fibres", "Helix angles, endocardium,epicardium (degrees).")
+        str, _fibres("Helix angles, endocardium,epicardium (degrees).")
     ] = "60,-60",
-    rv_angles: Annotated[str, _option("Fibres")] = "90,-25",
+    rv_angles: Annotated[str, _fibres()] = "90,-25",
     electrodes: Annotated[
         Path | None,
-        _option(
-            "Torso",
-            "Nine electrodes, CSV name,x,y,z or JSON, to which the idealised torso is fitted; "
+        Option(
+            help="Nine electrodes, CSV name,x,y,z or JSON, to which the idealised torso is fitted; "
             "by default they are at its standard positions.",
+            rich_help_panel="Torso",
         ),
     ] = None,
     **around: Any,
@@ -280,8 +275,7 @@ def heart_import(
         labelled = labelled_mesh(heart)
         if not missing_parts(labelled.labels):
             check_sides(replace(labelled, name=f"{lv_endocardium}, {rv_endocardium}"))
-        report = stage_progress(progress, "coordinates")
-        heart, located = with_coordinates(heart, labelled, report)
+        heart, located = with_coordinates(heart, labelled, stage_progress(progress, "coordinates"))
         heart, notes = in_torso(heart, labelled, torso, progress)
     notes = (*about_fibres, *located, *notes)
     return _write_and_check(heart, out, notes, {"lv": lv_endocardium, "rv": rv_endocardium})
@@ -302,18 +296,17 @@ def heart_check(
     build' take them. docs/hearts.md explains the lines.
     """
     from fascicle.core.files import check_writable
-    from fascicle.heart.folder import PICTURE, load_heart
+    from fascicle.heart.folder import PICTURE
     from fascicle.reporting.style import check_picture
 
     if picture is not None:
         check_picture(picture)
-    loaded = load_heart(heart)
+    loaded = fascicle.load_heart(heart)
     if picture is None and Path(heart).is_dir():  # not for the packaged heart
         picture = Path(heart) / PICTURE
     if picture is not None:
         check_writable(picture, "--picture")
-    charts = _growable_charts(loaded, {"lv": heart, "rv": heart})
-    return _check(loaded, charts, picture)
+    return _check(loaded, _growable_charts(loaded, {"lv": heart, "rv": heart}), picture)
 
 
 @heart_app.command("refine")
@@ -326,10 +319,10 @@ def heart_refine(heart: HeartArgument, out: OutOption) -> Result:
     endocardia, electrodes and bundles stay. The torso is left out: the mesh holds the lead fields.
     """
     from fascicle.build.refinement import refined
-    from fascicle.heart.folder import MANIFEST, check_heart_folder, load_heart
+    from fascicle.heart.folder import MANIFEST, check_heart_folder
 
     check_heart_folder(out, [Path(heart) / MANIFEST])
-    coarse = load_heart(heart)
+    coarse = fascicle.load_heart(heart)
     with TerminalProgress() as progress:
         finer = refined(coarse, progress)
     found = _write_and_check(finer, out)
@@ -389,11 +382,11 @@ def heart_simulate_prior(
     makes them if they are missing. The command may be interrupted at any time: run again, it
     continues where it stopped; a larger number adds to what is stored.
     """
-    from fascicle.study.heart_emulator import simulate_prior
-
     with TerminalProgress() as progress:
         pool = pool_at(scheduler, progress)
-        folder = simulate_prior(heart, networks, workers=workers, progress=progress, pool=pool)
+        folder = fascicle.simulate_prior(
+            heart, networks, workers=workers, progress=progress, pool=pool
+        )
     print(f"prior simulations in {folder}")
     return {"prior_simulations": folder}
 
@@ -410,9 +403,8 @@ def heart_export(
 ) -> Result:
     """Write a heart for other software: mesh, fibres, sheets, regions, endocardia, electrodes."""
     from fascicle.build.export import export_heart
-    from fascicle.heart.folder import load_heart
 
-    export_heart(load_heart(heart), out, kind)
+    export_heart(fascicle.load_heart(heart), out, kind)
     print(f"written to {out}")
     return {"folder": out, "format": kind}
 
@@ -510,7 +502,6 @@ def _torso(options: Mapping[str, Any], electrodes: Path | None) -> TorsoOptions:
 
 
 def _seeds(options: Mapping[str, Any]) -> dict[str, tuple[ChosenSeed, ChosenSeed]]:
-    """Root and direction of the left and of the right bundle, as the options say."""
     lv, lv_to, rv, rv_to = (_seed(name, options[name]) for name in SEEDS)
     return {"lv": (lv, lv_to), "rv": (rv, rv_to)}
 

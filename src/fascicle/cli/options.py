@@ -7,18 +7,16 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import typer
 from typer import Argument, Option
 
+import fascicle
 from fascicle.core.errors import InputError, given_in
 from fascicle.core.progress import Progress
 from fascicle.prediction.index_names import COMPARED, INDICES
 from fascicle.study.settings import FitSettings
-
-if TYPE_CHECKING:
-    from fascicle.study.cluster import Cluster
 
 HeartArgument = Annotated[
     str, Argument(metavar="HEART", help="Heart folder, or 'default' for the packaged one.")
@@ -108,9 +106,8 @@ def fit_options(command: Command) -> Command:
         "method", "effective", "prior_simulations", "gain_sd", "seed", "workers",
         "fewest_junctions",
     )  # fmt: skip
-    rest = [name for name in FitSettings.model_fields if name not in first]
     options = []
-    for name in (*first, *rest):
+    for name in (*first, *(name for name in FitSettings.model_fields if name not in first)):
         field = FitSettings.model_fields[name]
         flags = ["--" + name.replace("_", "-"), *(["--gain"] if name == "free_gain" else [])]
         ends = {
@@ -140,15 +137,13 @@ def with_scenario(text: str) -> Path | tuple[Path, Path]:
     return Path(target), Path(scenario)
 
 
-def pool_at(scheduler: str | None, progress: Progress) -> Cluster | None:
+def pool_at(scheduler: str | None, progress: Progress) -> fascicle.Cluster | None:
     """Workers of the Dask scheduler at an address; None without an address."""
     if scheduler is None:
         return None
     if find_spec("distributed") is None:
         raise InputError("--scheduler needs Dask; install it: pip install distributed")
-    from fascicle.study.cluster import Cluster
-
-    return Cluster(scheduler, progress)
+    return fascicle.Cluster(scheduler, progress)
 
 
 def fixed_values(fix: Sequence[str] | None, **named: float | None) -> dict[str, float]:

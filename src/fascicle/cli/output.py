@@ -12,7 +12,6 @@ from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdo
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
@@ -210,10 +209,5 @@ class TerminalProgress(ProgressLines):
     def __enter__(self) -> TerminalProgress:
         return self  # the bars start with the first stage, so that an early error stands alone
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
         self.end(clear=isinstance(error, InputError))  # a refusal stands alone, in one line

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
+
+from fascicle import FittedStudy, Predicted, Simulation
 from fascicle.cli.output import print_row, print_table
-
-if TYPE_CHECKING:
-    from fascicle.core.arrays import Floats
-    from fascicle.forward.simulation import Simulation
-    from fascicle.prediction.predicted import Predicted
-    from fascicle.prediction.sweeps import Swept
-    from fascicle.study.fitted import FittedStudy
-    from fascicle.study.population import Posterior
+from fascicle.core.arrays import Floats
+from fascicle.heart.sites import SEGMENTS
+from fascicle.prediction.comparison import MEASURABLE, compare, missing_blocks
+from fascicle.prediction.index_names import COMPARED, INDICES
+from fascicle.prediction.sweeps import SEGMENT, Swept
+from fascicle.reporting.names import MEASURES, index_label, index_name
+from fascicle.study.population import Posterior
+from fascicle.study.statements import prediction_statement
 
 
 def print_simulation(simulation: Simulation, summary: Mapping[str, Any]) -> None:
     """Print times, how junctions were activated, and what was never reached."""
-    from fascicle.reporting.names import MEASURES
-
     print_row("total activation time", f"{simulation.total_activation_time:.1f} ms")
     for name in ("qrs_duration", "global_qrs_duration"):
         measure, value = MEASURES[f"{name}_ms"], getattr(simulation, name)
@@ -42,10 +43,6 @@ def print_simulation(simulation: Simulation, summary: Mapping[str, Any]) -> None
 
 def print_fit(fitted: FittedStudy, summary: Mapping[str, Any]) -> None:
     """Print verdict, match and constrained parameters of a study and its summary.json."""
-    import numpy as np
-
-    from fascicle.study.population import Posterior
-
     population = fitted.population
     print_row("result", fitted.verdict)
     for warning in fitted.warnings:
@@ -78,8 +75,6 @@ def print_fit(fitted: FittedStudy, summary: Mapping[str, Any]) -> None:
 
 def _print_agreement(summary: Mapping[str, Any]) -> None:
     """Print how well the mean ECG of the networks agrees with the recorded QRS."""
-    from fascicle.reporting.names import MEASURES
-
     if "explained_power" not in summary:  # a study of an older version
         return
     explained, correlation = summary["explained_power"], summary["correlation"]
@@ -126,9 +121,6 @@ def print_prediction(
     predicted: Mapping[str, Predicted], prior: Mapping[str, Predicted] | None = None
 ) -> None:
     """Print indices of scenarios; with those of the prior, whether the ECG determines them."""
-    from fascicle.reporting.names import MEASURES, index_label, index_name
-    from fascicle.study.statements import prediction_statement
-
     shown = ("qrs_duration", "global_qrs_duration", "total_activation_time")
     rows = [("scenario", *map(index_label, shown))]
     for name, found in predicted.items():
@@ -147,8 +139,6 @@ def print_prediction(
 
 def interval(values: Floats, digits: str = ".0f") -> str:
     """Median, and the 5th and 95th percentile."""
-    import numpy as np
-
     low, middle, high = (f"{value:{digits}}" for value in np.percentile(values, [5, 50, 95]))
     return f"{middle} ({low} to {high})"
 
@@ -166,8 +156,6 @@ def _print_capture(predicted: Mapping[str, Predicted]) -> None:
 
 def print_reductions(predicted: Mapping[str, Predicted], against: str) -> None:
     """Print by how much the scenarios after `against` shorten its total activation time."""
-    from fascicle.prediction.comparison import compare
-
     names = list(predicted)
     print(f"total activation time against {against}:")
     for name in names[names.index(against) + 1 :]:
@@ -177,10 +165,6 @@ def print_reductions(predicted: Mapping[str, Predicted], against: str) -> None:
 
 def print_comparison(predicted: Mapping[str, Predicted], result: Mapping[str, Any]) -> None:
     """Print what `comparison_result` gives: how probably the first scenario is better."""
-    from fascicle.prediction.comparison import MEASURABLE
-    from fascicle.prediction.index_names import INDICES
-    from fascicle.reporting.names import index_name
-
     names, index, threshold = result["scenarios"], result["index"], result["threshold"]
     _print_capture({name: predicted[name] for name in names})
     for said in result["warnings"]:
@@ -218,9 +202,6 @@ def comparison_result(
     `predicted` holds the two and the scenarios of further measurements, `parameters` the values of
     the networks; `threshold` is the least reduction that matters, in the unit of `index`.
     """
-    from fascicle.prediction.comparison import compare, missing_blocks
-    from fascicle.prediction.index_names import COMPARED
-
     one, other = (predicted[name] for name in names)
     compared = {name: compare(one, other, name) for name in COMPARED}
     chosen = compared[index]
@@ -252,12 +233,6 @@ def comparison_result(
 
 def print_sweep(swept: Swept, index: str) -> None:
     """Print an index of every scenario of a sweep, and how often each is the best."""
-    import numpy as np
-
-    from fascicle.heart.sites import SEGMENTS
-    from fascicle.prediction.sweeps import SEGMENT
-    from fascicle.reporting.names import index_label
-
     found, varied = swept.predicted, swept.varied
     values = np.array([each.indices[index] for each in found.values()])
     least = np.abs(values) == np.abs(values).min(axis=0)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
+import fascicle
 from fascicle.cli.options import FormatOption, lead_names
 from fascicle.cli.output import Result, TerminalProgress, print_row, print_table
 from fascicle.core.errors import InputError, OutputError
@@ -103,15 +104,12 @@ def target(
     Simulated ECGs pass the filters that the recording has passed: those that the file names or you
     state, otherwise a steep low-pass that shows in the spectrum, and --lowpass and --notch.
     """
-    from fascicle.recording.pipeline import analyse
-    from fascicle.recording.readers.read import read_recording
     from fascicle.recording.target_files import write_target
-    from fascicle.recording.target_options import TargetOptions
     from fascicle.reporting.recording import recording_figure
     from fascicle.reporting.style import save
 
     picture = _picture_path(out, recording, kind)
-    choices = TargetOptions(
+    choices = fascicle.TargetOptions(
         onset=onset,
         offset=offset,
         beat_class=beat_class,
@@ -124,10 +122,9 @@ def target(
     )
     with TerminalProgress() as progress:
         progress("recording", 0, 3, "reading")
-        wanted = None if leads is None else lead_names(leads)
-        read = read_recording(
+        read = fascicle.read_recording(
             recording,
-            leads=wanted,
+            leads=None if leads is None else lead_names(leads),
             sampling_rate=sampling_rate,
             unit=unit,
             shared_gain=shared_gain,
@@ -136,7 +133,7 @@ def target(
             swap=swap or (),
         )
         progress("recording", 1, 3, "beats")
-        analysis = analyse(read, choices)
+        analysis = fascicle.analyse(read, choices)
         progress("recording", 2, 3, "picture")
         save(recording_figure(analysis), picture)
         write_target(analysis.target, out)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer import Argument, Option
 
+import fascicle
 from fascicle.cli.interruption import resumable
 from fascicle.cli.options import OutOption, SchedulerOption, StudyArgument, pool_at
 from fascicle.cli.output import (
@@ -21,13 +22,11 @@ from fascicle.cli.output import (
     print_row,
     print_table,
 )
-from fascicle.cli.printing import interval, print_fit
 from fascicle.core.errors import InputError
 
 if TYPE_CHECKING:
     from fascicle.core.arrays import Floats
     from fascicle.patients.outcome import Outcome
-    from fascicle.study.fitted import FittedStudy
 
 study_app = typer.Typer(
     no_args_is_help=True, help="Show the results of finished studies, compare and export them."
@@ -44,16 +43,15 @@ def written_summary(folder: Path) -> dict[str, object]:
 @every_command
 def study_show(study: StudyArgument) -> Result:
     """Print the inputs and the results of a study, as 'fascicle fit' did at its end."""
-    from fascicle.study.fit import load_study
+    from fascicle.cli.printing import print_fit
 
     with TerminalProgress() as progress:
-        fitted = load_study(study, progress)
+        fitted = fascicle.load_study(study, progress)
     print_row("study", study)
     print_row("heart", fitted.simulator.model.heart.name)
     for number, recording in enumerate(fitted.recordings, 1):
         name = "recording" if len(fitted.recordings) == 1 else f"recording {number}"
-        source = recording.target.provenance.get("source", "in memory")
-        print_row(name, Path(source).name)
+        print_row(name, Path(recording.target.provenance.get("source", "in memory")).name)
     print_row("method", f"{fitted.study.config.method}, seed {fitted.study.config.seed}")
     summary = written_summary(study)
     print_fit(fitted, summary)
@@ -75,12 +73,12 @@ def study_compare(
     """
     import numpy as np
 
-    from fascicle.study.fit import load_study
+    from fascicle.cli.printing import interval
 
     if len(studies) < 2:
         raise InputError("give two or more studies to compare")
     with TerminalProgress() as progress:
-        fitted = [load_study(study, progress) for study in studies]
+        fitted = [fascicle.load_study(study, progress) for study in studies]
     for number, (folder, each) in enumerate(zip(studies, fitted, strict=True), 1):
         print(f"{number}  {folder}: {each.verdict}")
     values = [_parameters(each) for each in fitted]
@@ -131,10 +129,8 @@ def study_export(
     For openCARP each network has parameter files: 'cd OUT/NUMBER; openCARP +F eikonal.par'. The
     tables give simulators of mechanics the activation time of each node.
     """
-    from fascicle.study.fit import load_study
-
     with TerminalProgress() as progress:
-        summary = load_study(study, progress).export(out, to, networks, progress)
+        summary = fascicle.load_study(study, progress).export(out, to, networks, progress)
     if summary["caution"] is not None:
         print_row("caution", summary["caution"])
     count = len(summary["networks"])
@@ -143,7 +139,7 @@ def study_export(
     return {"folder": out, "format": to} | summary
 
 
-def _parameters(fitted: FittedStudy) -> Mapping[str, Floats]:
+def _parameters(fitted: fascicle.FittedStudy) -> Mapping[str, Floats]:
     """Values of each parameter in the networks; none if the runs have not converged."""
     from fascicle.study.population import Posterior
 
