@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
+from fascicle.core.leads import LEADS
 from fascicle.recording.pipeline import make_target
 from fascicle.recording.recording import GAP, bridge_gaps
 
@@ -27,7 +28,7 @@ def changes(seed: int) -> tuple[float, float, float]:
     margin, lost = 500, round(GAP / 1000 * recording.sampling_rate)  # samples; no beat cut off
     steepest = margin + int(np.argmax(np.abs(np.diff(signal[row, margin:-margin]))))
     signal[row, steepest - lost // 2 :][:lost] = np.nan
-    bridged, remarks = bridge_gaps(signal, recording.sampling_rate)
+    bridged, remarks = bridge_gaps(signal, recording.sampling_rate, LEADS)
     assert len(remarks) == 1
     after = make_target(replace(recording, signal=bridged))
     ends = (after.qrs_onset - before.qrs_onset, after.qrs_offset - before.qrs_offset)

@@ -20,8 +20,7 @@ from fascicle.recording.spikes import spike_tail
 from fascicle.recording.target_options import TargetOptions
 from fascicle.recording.window import qrs_window, spatial_velocity
 
-# Samples in which the isoelectric level of a beat is read: one period of 50 Hz
-KNOT = 20
+KNOT = 20  # samples in which the isoelectric level of a beat is read: one period of 50 Hz
 FEW_ALIKE = 0.7  # share of the beats that should be alike
 
 
@@ -107,7 +106,7 @@ def extent(group: LeadGroup) -> tuple[int, int]:
     return before, after
 
 
-def cut_beats(group: LeadGroup, members: Integers, onset: float | None = None) -> AlignedBeats:
+def cut_beats(group: LeadGroup, members: Integers, onset: float | None) -> AlignedBeats:
     """Cut out the beats `members` (n_beats,) of a group, and subtract their isoelectric lines.
 
     The twelve leads alone decide where these are, or the `onset` (ms from R) that the user gave.
@@ -157,9 +156,7 @@ def _detrended_beats(
     return np.asarray(beats - level[:, :, None] - slope[:, :, None] * since[:, None])
 
 
-def drifting_beats(
-    group: LeadGroup, members: Integers, onset: float | None = None
-) -> dict[int, Drift]:
+def drifting_beats(group: LeadGroup, members: Integers, onset: float | None) -> dict[int, Drift]:
     """Find beats of one shape whose baseline drifts: right after the QRS they are off the others.
 
     A drift, as when an electrode settles or is pushed, need not be the straight line that was taken
@@ -171,8 +168,7 @@ def drifting_beats(
     found: dict[int, Drift] = {}
     while len(members) >= 5:
         aligned = cut_beats(group, members, onset)
-        median = np.median(aligned.beats, axis=0)
-        end = qrs_window(median, SAMPLING_STEP, aligned.not_before)[1]
+        end = qrs_window(np.median(aligned.beats, axis=0), SAMPLING_STEP, aligned.not_before)[1]
         levels = aligned.beats[:, : len(LEADS), end : end + KNOT].mean(axis=2)
         off = np.asarray(levels - np.median(levels, axis=0))
         spread = 1.4826 * np.median(np.abs(off), axis=0)  # of a normal distribution
@@ -201,24 +197,23 @@ def combine(groups: Sequence[AlignedBeats]) -> AlignedBeats:
         return first
     there = [np.isfinite(group.beats[0, : len(LEADS)]).all(axis=1) for group in groups]
     shared = [there[0] & other for other in there]
-    shifts = [0]
+    r_peaks = [first.before]
     for group, both in zip(groups[1:], shared[1:], strict=True):
         a, b = first.mean[: len(LEADS)], group.mean[: len(LEADS)]
         x, y = (a[both], b[both]) if both.any() else (magnitude(a)[None], magnitude(b)[None])
-        shifts.append(_shift(x, y, first.before, group.before))
-    r_peaks = [group.before + shift for group, shift in zip(groups, shifts, strict=True)]
+        r_peaks.append(group.before + _shift(x, y, first.before, group.before))
     before = min(r_peaks)
     after = min(group.beats.shape[2] - r for group, r in zip(groups, r_peaks, strict=True))
     count = min(len(group.beats) for group in groups)
     together = np.full((count, first.beats.shape[1], before + after), np.nan)
-    spikes = [0]
+    not_before = 0
     for group, r in zip(groups, r_peaks, strict=True):
         beats = group.beats[:count, :, r - before : r + after]
         together = np.where(np.isnan(together), beats, together)
         if group.not_before:
-            spikes.append(group.not_before - r + before)
+            not_before = max(not_before, group.not_before - r + before)
     alone = not all(both.any() for both in shared)
-    return AlignedBeats(together, before, max(spikes), 10.0 if alone else 0.0)
+    return AlignedBeats(together, before, not_before, 10.0 if alone else 0.0)
 
 
 def _shift(x: Floats, y: Floats, x_peak: int, y_peak: int) -> int:
@@ -230,8 +225,7 @@ def _shift(x: Floats, y: Floats, x_peak: int, y_peak: int) -> int:
     margin = min(LARGEST_SHIFT, length // 3)
     core = x[:, margin : length - margin]
     tries = np.lib.stride_tricks.sliding_window_view(y, core.shape[1], axis=-1)
-    score = np.einsum("ct,cst->s", core, tries)
-    return int(np.argmax(score) - margin)
+    return int(np.argmax(np.einsum("ct,cst->s", core, tries)) - margin)
 
 
 def select_beats(
@@ -294,8 +288,7 @@ def _reasons(
     reasons: list[Unused | None] = []
     for number, (peak, one) in enumerate(zip(group.peaks, group.labels, strict=True), first_number):
         if peak < before or peak + after >= n_samples:
-            near_start = peak < n_samples / 2
-            reasons.append(Unused.CUT_OFF_START if near_start else Unused.CUT_OFF_END)
+            reasons.append(Unused.CUT_OFF_START if peak < n_samples / 2 else Unused.CUT_OFF_END)
         elif number in options.exclude:
             reasons.append(Unused.EXCLUDED)
         elif options.beats is not None:

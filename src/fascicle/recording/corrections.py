@@ -38,8 +38,7 @@ def share_gain(recording: Recording, digits_per_millivolt: float = 1000.0) -> Re
             f"leave out --shared-gain, or use the others alone: --leads {','.join(kept)}"
         )
     signal = recording.signal * (gains / digits_per_millivolt)[:, None]
-    shared = np.full(len(LEADS), digits_per_millivolt)
-    changed = replace(recording, digits_per_millivolt=shared)
+    changed = replace(recording, digits_per_millivolt=np.full(len(LEADS), digits_per_millivolt))
     return _changed(changed, signal, kept, "shared_gain", f"{digits_per_millivolt:g} per mV")
 
 
@@ -68,7 +67,7 @@ def swap(recording: Recording, first: str, second: str) -> Recording:
     """
     names = f"{first}-{second}"
     if {first, second} <= set(ELECTRODES[:3]) and first != second:
-        signal, kept = _limb_electrodes_swapped(recording, first, second)
+        signal, kept = _limb_swapped(recording, first, second)
     elif {first, second} <= set(recording.measured_leads) and first != second:
         signal, kept = recording.signal[_order(LEADS, first, second)], recording.measured_leads
     else:
@@ -80,9 +79,7 @@ def swap(recording: Recording, first: str, second: str) -> Recording:
     return _changed(gainless, signal, kept, "swapped", names)
 
 
-def _limb_electrodes_swapped(
-    recording: Recording, first: str, second: str
-) -> tuple[Floats, Sequence[str]]:
+def _limb_swapped(recording: Recording, first: str, second: str) -> tuple[Floats, Sequence[str]]:
     """Signal with each limb lead taken from the one that was recorded in its place."""
     limb = lead_matrix()[: len(LIMB_LEADS)]
     recorded, signal = recording.measured_leads, recording.signal.copy()

@@ -166,9 +166,8 @@ def _tops(height: Floats, marks: Integers, rate: float) -> Integers:
     """Sample at which the smoothed height is largest within 0.1 s of each mark."""
     smooth = gaussian_filter1d(height, 0.012 * rate)  # merges the notches of one QRS
     reach = round(0.1 * rate)
-    first = np.maximum(marks - reach, 0)
     tops = [
         start + int(np.argmax(smooth[start : mark + reach]))
-        for start, mark in zip(first, marks, strict=True)
+        for start, mark in zip(np.maximum(marks - reach, 0), marks, strict=True)
     ]
     return np.unique(np.array(tops, dtype=np.int64))

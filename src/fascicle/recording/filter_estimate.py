@@ -8,10 +8,12 @@ parabola above it. Gentle filters look like the spectrum of a smooth QRS and are
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from itertools import combinations
 
 import numpy as np
+from scipy.optimize import least_squares
+from scipy.signal.windows import blackmanharris
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
@@ -63,8 +65,7 @@ def estimated_lowpass(signal: Floats, sampling_rate: float, r_peaks: Integers) -
     Of a signal (n_leads, n), mV, at a rate (Hz), with beats at the samples `r_peaks` (n_beats,). It
     is the Butterworth low-pass that describes the fall best; its order need not be whole.
     """
-    found = _beat_spectrum(signal, sampling_rate, r_peaks)
-    if found is None:
+    if (found := _beat_spectrum(signal, sampling_rate, r_peaks)) is None:
         return None
     frequency, level = _levels(*found, sampling_rate)
     believed = []
@@ -77,46 +78,41 @@ def estimated_lowpass(signal: Floats, sampling_rate: float, r_peaks: Integers) -
         here, its = frequency[near], level[near]
         fall = its - np.interp(1.4 * here, here, its)
         if fall[1.4 * here <= here[-1]].max(initial=0.0) > 15.0:  # dB
-            fit = _fit(frequency[near], level[near], centre)
-            if fit is not None:
-                believed.append(fit)
+            believed.append(_fit(frequency[near], level[near], centre))
     # A low-pass that is there is found about more than one centre.
-    agreeing = [min(a, b) for a, b in combinations(believed, 2) if abs(a[1] / b[1] - 1) < 0.05]
+    fits = combinations(filter(None, believed), 2)
+    agreeing = [min(a, b) for a, b in fits if abs(a[1] / b[1] - 1) < 0.05]
     if not agreeing:
         return None
     _, cutoff, order = min(agreeing)
     return Filter(FilterKind.LOW_PASS, cutoff, FilterOrigin.ESTIMATED, order)
 
 
-def _beat_spectrum(
-    signal: Floats, sampling_rate: float, r_peaks: Integers
-) -> tuple[Floats, Floats] | None:
+def _beat_spectrum(signal: Floats, rate: float, r_peaks: Integers) -> tuple[Floats, Floats] | None:
     """Frequencies (Hz) and mean energy (mV² s²) over beats and leads; None without a whole beat."""
-    size = round(sampling_rate / RESOLUTION)
-    before, after = round(0.25 * sampling_rate), round(0.45 * sampling_rate)  # s about R
+    size = round(rate / RESOLUTION)
+    before, after = round(0.25 * rate), round(0.45 * rate)  # s about R
     energies = []
     for peak in r_peaks[:: max(len(r_peaks) // 30, 1)]:  # more do not make it smoother
         start, stop = max(peak - before, 0), min(peak + after, signal.shape[1])
         beat = signal[:, start:stop]
         beat = beat[np.isfinite(beat).all(axis=1)]
-        if stop - start < 0.35 * sampling_rate or not len(beat):  # shorter ones blur the spectrum
+        if stop - start < 0.35 * rate or not len(beat):  # shorter ones blur the spectrum
             continue
         along = np.linspace(0.0, 1.0, stop - start)
         beat = beat - beat[:, :1] - along * (beat[:, -1:] - beat[:, :1])
-        spectrum = np.fft.rfft(beat * _taper(peak - start, stop - start, sampling_rate), size)
+        spectrum = np.fft.rfft(beat * _taper(peak - start, stop - start, rate), size)
         energies.append((np.abs(spectrum) ** 2).mean(axis=0))
     if not energies:
         return None
-    frequency = np.asarray(np.fft.rfftfreq(size, 1 / sampling_rate), dtype=np.float64)
-    return frequency, np.asarray(np.mean(energies, axis=0)) / sampling_rate**2
+    frequency = np.asarray(np.fft.rfftfreq(size, 1 / rate), dtype=np.float64)
+    return frequency, np.asarray(np.mean(energies, axis=0)) / rate**2
 
 
-def _taper(peak: int, size: int, sampling_rate: float) -> Floats:
+def _taper(peak: int, size: int, rate: float) -> Floats:
     """Weights (size,), 1 about R, that fall to 0 at both ends by halves of a Blackman-Harris."""
-    from scipy.signal.windows import blackmanharris
-
-    rise = max(peak - round(0.04 * sampling_rate), 1)  # s about R without a taper: the QRS
-    fall = max(size - 1 - peak - round(0.06 * sampling_rate), 1)
+    rise = max(peak - round(0.04 * rate), 1)  # s about R without a taper: the QRS
+    fall = max(size - 1 - peak - round(0.06 * rate), 1)
     ends = np.ones(size)
     ends[:rise] = blackmanharris(2 * rise + 1)[:rise]
     ends[-fall:] *= blackmanharris(2 * fall + 1)[-fall:]
@@ -206,15 +202,10 @@ def _power_sum(level: Floats, other: Floats) -> Floats:
 
 
 def _least_cost(
-    residuals: Callable[[Floats], Floats],
-    starts: Sequence[Sequence[float]],
-    lowest: Sequence[float],
-    highest: Sequence[float],
+    residuals: Callable[[Floats], Floats], starts: list[list[float]], *limits: list[float]
 ) -> tuple[float, Floats]:
     """Robust cost and parameters of the best fit from several starts."""
-    from scipy.optimize import least_squares
-
-    lower, upper = np.array(lowest), np.array(highest)
+    lower, upper = np.array(limits)
     inside = 1e-6 * (upper - lower)
     fits = [
         least_squares(

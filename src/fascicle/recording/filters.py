@@ -136,8 +136,7 @@ def resample(signal: Floats, sampling_rate: float) -> Floats:
         ratio = exact.limit_denominator(20_000)
     if ratio == 1:
         return signal.copy()
-    up, down = ratio.numerator, ratio.denominator
-    return np.asarray(resample_poly(signal, up, down, axis=-1, padtype="line"))
+    return np.asarray(resample_poly(signal, *ratio.as_integer_ratio(), axis=-1, padtype="line"))
 
 
 def coarse(signal: Floats, rate: float) -> tuple[Floats, float]:

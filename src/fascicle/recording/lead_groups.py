@@ -135,13 +135,11 @@ def _group(
     recording: Recording, spikes: Integers, first: int, stop: int, options: TargetOptions
 ) -> LeadGroup:
     rate = recording.sampling_rate
-    signal = resample(complete_in(recording.signal, first, stop), rate)
-    additional = np.empty((0, signal.shape[1]))
-    if recording.additional:
-        more = np.array([*recording.additional.values()])
-        additional = resample(complete_in(more, first, stop), rate)
+    every = np.array([*recording.signal, *recording.additional.values()])
+    every = resample(complete_in(every, first, stop), rate)
     for one in applied_filters(options.lowpass, options.notch):
-        signal, additional = one.apply(signal), one.apply(additional)
+        every = one.apply(every)
+    signal, additional = every[: len(LEADS)], every[len(LEADS) :]
     inside = spikes[(spikes[:, 0] >= first) & (spikes[:, 0] < stop)] - first
     inside = np.round(inside * (TARGET_RATE / rate)).astype(np.int64)
     independent = signal[_independent(signal)]
@@ -293,33 +291,28 @@ def noise_energy(signal: Floats) -> float:
 
 def _largest_class(wide: Floats, noise: float) -> tuple[Integers, Integers]:
     """Members of the largest class among the beats, and the shift of every beat."""
-    unshifted = _shifted(wide, np.zeros(len(wide), dtype=np.int64))
-    template = unshifted[_central(wide, unshifted, noise)]
-    members = np.arange(len(wide))
-    founders = 1
+    template, members = _central(wide, noise), np.zeros(1, dtype=np.int64)
     for _ in range(3):
         shift = _best_shifts(wide, template)
         moved = _shifted(wide, shift)
-        difference = _difference(moved, template, noise * (1 + 1 / founders), noise)
+        difference = _difference(moved, template, noise * (1 + 1 / len(members)), noise)
         members = np.flatnonzero(difference < ALIKE)
         if not members.size:  # the template is a beat, so this is a beat of noise alone
             members = np.array([int(np.argmin(difference))])
         template = np.median(moved[members], axis=0)
-        founders = len(members)
     return members, shift
 
 
-def _central(wide: Floats, unshifted: Floats, noise: float) -> int:
+def _central(wide: Floats, noise: float) -> Floats:
     """Find the beat, of 40 at most, that resembles most others."""
-    candidates = np.unique(np.linspace(0, len(wide) - 1, 40).round().astype(int))
-    alike = np.zeros(len(candidates))
-    for k, candidate in enumerate(candidates):
-        template = unshifted[candidate]
-        moved = _shifted(wide[candidates], _best_shifts(wide[candidates], template))
-        difference = _difference(moved, template, 2 * noise, noise)
+    wide = wide[np.unique(np.linspace(0, len(wide) - 1, 40).round().astype(int))]
+    candidates, alike = _shifted(wide, np.zeros(len(wide), dtype=np.int64)), []
+    for candidate in candidates:
+        moved = _shifted(wide, _best_shifts(wide, candidate))
+        difference = _difference(moved, candidate, 2 * noise, noise)
         # as many as possible, and of equally many the most alike
-        alike[k] = (difference < ALIKE).sum() - np.clip(difference, 0, ALIKE).mean()
-    return int(candidates[np.argmax(alike)])
+        alike.append((difference < ALIKE).sum() - np.clip(difference, 0, ALIKE).mean())
+    return np.asarray(candidates[np.argmax(alike)])
 
 
 def _difference(beats: Floats, template: Floats, expected: float, noise: float) -> Floats:
@@ -337,8 +330,7 @@ def _best_shifts(wide: Floats, template: Floats) -> Integers:
         some = wide[start : start + 64]
         tries = np.lib.stride_tricks.sliding_window_view(some, 2 * HALF_WIDTH + 1, axis=-1)
         # The template has neither level nor slope, so those of the beats do not matter
-        score = np.einsum("bcst,ct->bs", tries, template)
-        shifts.append(np.argmax(score, axis=1) - LARGEST_SHIFT)
+        shifts.append(np.argmax(np.einsum("bcst,ct->bs", tries, template), axis=1) - LARGEST_SHIFT)
     return np.concatenate(shifts)
 
 

@@ -193,11 +193,7 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
             f"{source}: {error}; leave bad leads out by --leads, or give a cleaner recording"
         ) from error
     findings += check_mean_beat(target.qrs[: len(LEADS)], recording.simultaneous)
-    warnings = _warnings(recording, target, beats, label, options, findings)
-    if warnings:
-        notes = {"warnings": "\n".join(warnings)}
-        target = replace(target, provenance=target.provenance | notes)
-    return Analysis(
+    found = Analysis(
         recording=recording,
         signal=_recorded_signal(recording),
         beats=beats,
@@ -207,6 +203,10 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
         target=target,
         chosen=label,
     )
+    if warnings := _warnings(found, options):
+        notes = target.provenance | {"warnings": "\n".join(warnings)}
+        found = replace(found, target=replace(target, provenance=notes))
+    return found
 
 
 def _refuse(findings: Sequence[CheckResult], recording: Recording) -> None:
@@ -287,8 +287,7 @@ def _recorded_signal(recording: Recording) -> Floats:
     ratio = TARGET_RATE / recording.sampling_rate
     signal = np.full((len(LEADS), round(recording.signal.shape[1] * ratio)), np.nan)
     for first, stop in stretches(recording):
-        native = complete_in(recording.signal, first, stop)
-        recorded = resample(native, recording.sampling_rate)
+        recorded = resample(complete_in(recording.signal, first, stop), recording.sampling_rate)
         start = round(first * ratio)
         place = signal[:, start : start + recorded.shape[1]]
         place[:] = np.where(np.isnan(place), recorded[:, : place.shape[1]], place)
@@ -296,14 +295,10 @@ def _recorded_signal(recording: Recording) -> Floats:
 
 
 def _classes(groups: Sequence[LeadGroup]) -> tuple[BeatClass, ...]:
-    of_label: dict[str, list[LeadGroup]] = {}
-    for group in groups:
-        for label in group.labels:
-            of_label.setdefault(label, []).append(group)
-    return tuple(
-        BeatClass(label, len(of_label[label]), of_label[label][0].describe(label))
-        for label in sorted(of_label, key=by_name)
-    )
+    counts = Counter(label for group in groups for label in group.labels)
+    first = {label: group for group in reversed(groups) for label in group.labels}
+    labels = sorted(counts, key=by_name)
+    return tuple(BeatClass(label, counts[label], first[label].describe(label)) for label in labels)
 
 
 def _target(
@@ -397,22 +392,15 @@ def _provenance(
         "qrs_onset_from": "detected" if options.onset is None else "given",
         "qrs_offset_from": "detected" if options.offset is None else "given",
     }
-    if recording.derived:
-        notes["derived_leads"] = ", ".join(recording.derived)
-    if recording.ignored:
-        notes["ignored_channels"] = ", ".join(recording.ignored)
+    lists = {"derived_leads": recording.derived, "ignored_channels": recording.ignored}
+    notes |= {name: ", ".join(found) for name, found in lists.items() if found}
     return recording.provenance | notes | options.described()
 
 
-def _warnings(
-    recording: Recording,
-    target: Target,
-    beats: Sequence[Beat],
-    label: str,
-    options: TargetOptions,
-    findings: Sequence[CheckResult],
-) -> list[str]:
-    warnings = [one.message for one in findings if one.severity is Severity.WARNING and one.message]
+def _warnings(found: Analysis, options: TargetOptions) -> list[str]:
+    recording, target, beats = found.recording, found.target, found.beats
+    warned = [finding for finding in found.findings if finding.severity is Severity.WARNING]
+    warnings = [finding.message for finding in warned if finding.message]
     if not recording.simultaneous:
         middles = [(first + stop) // 2 for first, stop in stretches(recording)]
         strips = np.array(LEADS)[np.isfinite(recording.signal[:, middles]).all(axis=1)]
@@ -430,7 +418,7 @@ def _warnings(
         warnings.append(f"{rate:.0f} beats per minute; is the sampling rate right?")
     if len(target.beats) == 2:
         warnings.append("two beats show little of how beats vary; give a longer recording")
-    alike = sum(beat.label == label for beat in beats)
+    alike = sum(beat.label == found.chosen for beat in beats)
     if options.beats is None and _alternate(beats):
         warnings.append(
             "beats of two classes alternate: every second one is ectopic, or twice as many were "
@@ -438,7 +426,7 @@ def _warnings(
         )
     elif options.beats is None and alike < FEW_ALIKE * len(beats):
         warnings.append(
-            f"only {alike} of {len(beats)} beats are of class {label}; look at the rhythm"
+            f"only {alike} of {len(beats)} beats are of class {found.chosen}; look at the rhythm"
         )
     spread = float(np.nanmean(magnitude(target.standard_deviation[:, target.qrs_samples])))
     height = float(magnitude(target.qrs).max())

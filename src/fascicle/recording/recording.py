@@ -163,9 +163,7 @@ def check_extent(samples: int, sampling_rate: float, source: str) -> None:
         )
 
 
-def bridge_gaps(
-    signal: Floats, rate: float, leads: Sequence[str] = LEADS
-) -> tuple[Floats, list[str]]:
+def bridge_gaps(signal: Floats, rate: float, leads: Sequence[str]) -> tuple[Floats, list[str]]:
     """Interpolate a few lost samples of leads (n_leads, n), and cut off ragged ends.
 
     A cubic spline bridges gaps of at most `GAP` where no more than 1 % of the lead is lost. Where
@@ -204,17 +202,15 @@ def leave_out_pulses(signal: Floats, rate: float) -> tuple[Floats, list[str]]:
     """
     there = signal[np.isfinite(signal).any(axis=1)]
     apart = np.flatnonzero(~(np.ptp(there, axis=0) <= 0.01))  # mV
-    begin, end = 0, signal.shape[1]
-    if len(there) < 3 or len(apart) < end / 2:
+    n = signal.shape[1]
+    if len(there) < 3 or len(apart) < n / 2:
         return signal, []
-    first, last = int(apart[0]), int(apart[-1]) + 1
-    if first > 0 and np.ptp(there[0, :first]) >= 0.5:  # mV; pulses are of 1 mV
-        begin = first
-    if last < end and np.ptp(there[0, last:]) >= 0.5:
-        end = last
-    cut = [(0, begin)] * (begin > 0) + [(end, signal.shape[1])] * (end < signal.shape[1])
+    ends = (0, int(apart[0])), (int(apart[-1]) + 1, n)
+    # mV; pulses are of 1 mV
+    cut = [(a, b) for a, b in ends if a < b and np.ptp(there[0, a:b]) >= 0.5]
     pulses = [f"{first / rate:.3f} to {stop / rate:.3f} s" for first, stop in cut]
     notes = [f"calibration pulse left out: {', '.join(pulses)}"] if pulses else []
+    begin, end = (ends[0][1] if ends[0] in cut else 0), (ends[1][0] if ends[1] in cut else n)
     return signal[:, begin:end], notes
 
 
@@ -229,8 +225,8 @@ def lead_spans(signal: Floats) -> Integers:
     finite = np.isfinite(signal)
     first = np.argmax(finite, axis=1)
     stop = finite.shape[1] - np.argmax(finite[:, ::-1], axis=1)
-    there = np.asarray(finite.any(axis=1))
-    return np.where(there[:, None], np.stack([first, stop], axis=1), 0)
+    there = finite.any(axis=1, keepdims=True)
+    return np.where(there, np.stack([first, stop], axis=1), 0)
 
 
 def is_span(values: Floats, least: int) -> bool:

@@ -69,9 +69,8 @@ def find_spikes(signal: Floats, sampling_rate: float) -> Integers:
 def remove_spikes(signal: Floats, spikes: Integers) -> Floats:
     """Signal (12, n) with a straight line across each spike (k, 2), in every lead there."""
     without = signal.copy()
-    last = signal.shape[1] - 1
     for first, stop in spikes:
-        before, after = max(int(first) - 1, 0), min(int(stop), last)
+        before, after = max(int(first) - 1, 0), min(int(stop), signal.shape[1] - 1)
         share = np.linspace(0, 1, after - before + 1)
         ends = without[:, [before, after]]
         line = ends[:, :1] + share * (ends[:, 1:] - ends[:, :1])
@@ -169,12 +168,11 @@ def _given_by_a_pacemaker(
         left = np.setdiff1d(left, members)
         first = np.diff(tops[members], prepend=-signal.shape[1]) > 20 * reach  # of pairs
         events = members[first]
-        before = _before_beats(after[events], usual, striking[events])
         regular = _at_fixed_rate(tops[events], reach)
         if len(events) >= 6:  # three in each of two chambers
             for chamber in (slice(0, None, 2), slice(1, None, 2)):
                 regular[chamber] |= _at_fixed_rate(tops[events][chamber], reach)
-        paced = regular | before
+        paced = regular | _before_beats(after[events], usual, striking[events])
         # what follows a spike near the end is not known
         judged = tops[events] + 62 * reach < signal.shape[1]
         accepted[members] = judged.any() and paced[judged].mean() > 0.5

@@ -212,19 +212,18 @@ def _correlation(scores: Floats) -> tuple[Floats, float]:
     return shrunk / np.outer(root, root), weight
 
 
-def repeated(target: Target, rng: np.random.Generator, count: int = 10) -> Target:
-    """Target with `count` beats as if its single one, of stated noise, had been recorded often.
+def repeated(target: Target, rng: np.random.Generator) -> Target:
+    """Target of ten beats, as if its single one, of stated noise, had been recorded often.
 
     Their mean is the recorded beat.
     """
     assert target.noise is not None
-    noise = smooth_noise(rng, (count, *target.beats.shape[1:]), target.noise)
+    noise = smooth_noise(rng, (10, *target.beats.shape[1:]), target.noise)
     noise -= noise.mean(axis=0)
     return replace(target, beats=target.beats + noise, noise=None)
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, ...], sd: float) -> Floats:
     """Noise of standard deviation `sd` (mV), smooth along the last axis, time, over some ms."""
-    white = rng.standard_normal(shape)
-    smooth = gaussian_filter1d(white, 4.0 / SAMPLING_STEP, axis=-1)  # ms
+    smooth = gaussian_filter1d(rng.standard_normal(shape), 4.0 / SAMPLING_STEP, axis=-1)  # ms
     return np.asarray(smooth * (sd / smooth.std()))

@@ -206,8 +206,7 @@ def _interference(values: Floats, rate: float, mains: float) -> float:
     It is the power of the lines less that of the spectrum next to them, by pieces of 4 s.
     """
     n = min(len(values), round(4.0 * rate))
-    window = np.hanning(n)
-    frequency, density = welch(values, rate, window=window, noverlap=0, scaling="density")
+    frequency, density = welch(values, rate, window=np.hanning(n), noverlap=0, scaling="density")
     # scaled so that of a sine of amplitude A the sum over its line is A²
     spectrum = 2 * density * rate / n
     power = 0.0
@@ -316,8 +315,7 @@ def check_mean_beat(qrs: Floats, simultaneous: bool = True) -> tuple[CheckResult
         f"({SPEED.limit:g} or more): a T or P wave was probably taken for the beat; look at the "
         "picture, choose another class by --class, or give a recording with QRS complexes"
     )
-    chest = CHEST.found(np.nan, "not checked: no QRS", Severity.FINE)
-    return SPEED.found(fastest, message), chest
+    return SPEED.found(fastest, message), CHEST.found(np.nan, "not checked: no QRS", Severity.FINE)
 
 
 def check_chest_leads(qrs: Floats, simultaneous: bool = True) -> CheckResult:

@@ -239,8 +239,7 @@ def _factors(leads: Floats, zeros: Floats) -> Floats | None:
         return None
     unit = leads / size[:, None]
     # the squared misfits as a quadratic form of the factors
-    form = (zeros.T @ zeros) * (unit @ unit.T)
-    values, vectors = np.linalg.eigh(form)
+    values, vectors = np.linalg.eigh((zeros.T @ zeros) * (unit @ unit.T))
     factors = vectors[:, 0] / size
     factors = factors if factors.sum() > 0 else -factors
     if factors.min() <= 0 or values[1] * REMAINING <= values[0]:

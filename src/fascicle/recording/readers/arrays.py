@@ -64,8 +64,7 @@ def read_hdf5(path: Path, sampling_rate: float | None) -> RawRecording:
         if str(file.attrs.get("format", "")) == "fascicle target":
             raise InputError(f"{path}: is a target already; give the recording it is made of")
         stored = _stored(file)
-    is_matlab = path.suffix.lower() == ".mat"
-    return _raw_recording(stored, path, "MATLAB 7.3" if is_matlab else "HDF5")
+    return _raw_recording(stored, path, "MATLAB 7.3" if path.suffix.lower() == ".mat" else "HDF5")
 
 
 def read_matlab(path: Path, sampling_rate: float | None) -> RawRecording:
@@ -182,9 +181,8 @@ def _leads(group: _Group, path: Path) -> dict[str, tuple[list[Channel], list[Ent
             )
         rows, count = values if len(names[0]) == len(values) else values.T, len(names[0])
         units = [declared_unit(metadata, path, lead, (k, count)) for k, lead in enumerate(names[0])]
-        missing = fill_values(metadata)
         leads = zip(names[0], rows, units, strict=True)
-        channels = [Channel(*each, missing=missing) for each in leads]
+        channels = [Channel(*each, missing=fill_values(metadata)) for each in leads]
         found[f"'{name}' of {group.name}"] = (channels, metadata)
     if _are_leads([vector.name for vector in vectors]):
         found[f"arrays named after leads of {group.name}"] = (vectors, said)

@@ -20,16 +20,9 @@ from typing import Any
 import numpy as np
 
 from fascicle.core.errors import InputError, one_line, printable
+from fascicle.recording.readers import writer_deviations as deviations
 from fascicle.recording.readers.names import lead_name
 from fascicle.recording.readers.read import Channel, RawRecording, narrowest_passband, sha256_of
-from fascicle.recording.readers.writer_deviations import (
-    NO_RHYTHM,
-    UNKNOWN_RATE,
-    mended,
-    mended_wfdb,
-    scp_samples_are_right,
-    wfdb_lines,
-)
 from fascicle.recording.recording import CHECKSUMS_AGREE, Filters, with_remarks
 
 # what the library says that touches no sample: dates, its own rounding, averaged beats of SCP-ECG
@@ -47,7 +40,7 @@ def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
     from ecgdatakit.parsing.parser import FileParser
 
     data = path.read_bytes()
-    content, root, mends = mended(data)
+    content, root, mends = deviations.mended(data)
     with _copy(path, {path.name: content} if content != data else {}) as copy:
         found = FileParser.detect_format(path) or FileParser.detect_format(copy)
         if found is None:
@@ -55,7 +48,7 @@ def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
                 f"{path}: damaged, or of a kind that is not read; export it as HL7 aECG or DICOM"
             )
         record, remarks, wrong = _parsed(found["parser_class"], path, copy)
-    if NO_RHYTHM in mends and record.median_beats:
+    if deviations.NO_RHYTHM in mends and record.median_beats:
         record.leads = record.median_beats
     remarks += [*mends, *_check_one_recording(record.source_format, path, data, root)]
     if wrong and not _samples_are_right(record.source_format, data, root):
@@ -88,7 +81,7 @@ def _copy(path: Path, contents: Mapping[str, bytes]) -> Iterator[Path]:
 def _samples_are_right(source_format: str, data: bytes, root: ET.Element | None) -> bool:
     """Whether no checksum of the samples is wrong; 0 is one that was not written."""
     if source_format == "scp_ecg":
-        return scp_samples_are_right(data)
+        return deviations.scp_samples_are_right(data)
     if source_format == "ge_muse_xml" and root is not None:
         return not any((sum_.text or "").strip().strip("0") for sum_ in root.iter("LeadDataCRC32"))
     return source_format == "ishne_holter" and data[8:10] == bytes(2)
@@ -194,8 +187,7 @@ def _channels(record: Any, path: Path) -> list[Channel]:
         is_ishne = record.source_format == "ishne_holter"  # which marks faults by the lowest digit
         missing = (lead.resolution * -(2.0**15) + lead.offset,) if is_ishne else ()
         unit = printable(lead.resolution_unit or lead.adc_resolution_unit) or None
-        gain = 1 / lead.resolution
-        channels.append(Channel(name, values, unit, standard, gain, missing))
+        channels.append(Channel(name, values, unit, standard, 1 / lead.resolution, missing))
         if standard is not None:
             starts.append(int(lead.annotations.get("start_sample", 1)))
     if len(set(starts)) < 2:
@@ -214,13 +206,13 @@ def _rate(record: Any, leads: Sequence[Any], root: ET.Element | None) -> float |
         return None
     if record.source_format == "hl7_aecg":
         rate = float(raw["rhythm_time"]["sampling_rate_exact"])
-        return None if rate == UNKNOWN_RATE else rate
+        return None if rate == deviations.UNKNOWN_RATE else rate
     if record.source_format == "scp_ecg":
         return float(1e6 / raw["rhythm_sample_interval_us"])
     if record.source_format == "mfer":
         return float(raw["sampling_rates"][record.leads.index(first)])
     if record.source_format == "ge_muse_xml" and root is not None:
-        return None if (rate := _muse_rate(root)) == UNKNOWN_RATE else rate
+        return None if (rate := _muse_rate(root)) == deviations.UNKNOWN_RATE else rate
     return float(raw.get("exact_sampling_rates", {}).get(first.label, first.sampling_rate))
 
 
@@ -269,11 +261,11 @@ def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
 
     remarks: list[str] = []
     contents: dict[str, bytes] = {}
-    first, *lines = wfdb_lines(path) or [[""]]
+    first, *lines = deviations.wfdb_lines(path) or [[""]]
     if "/" in first[0] and all(len(line) == 2 for line in lines):  # about segments
         files = _segment_files(path)
     else:
-        text, named, remarks = mended_wfdb(path)
+        text, named, remarks = deviations.mended_wfdb(path)
         files = sorted(set(named))
         if remarks:
             contents = {path.name: text.encode("latin-1")}
@@ -328,13 +320,13 @@ def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
 def _segment_files(header: Path) -> list[Path]:
     """Files of a record of segments, sorted; all must be in its folder."""
     files: set[Path] = set()
-    for name in {line[0] for line in wfdb_lines(header)[1:]} - {"~"}:
+    for name in {line[0] for line in deviations.wfdb_lines(header)[1:]} - {"~"}:
         if re.search(r"[\\/]", name):
             raise InputError(
                 f"{header}: names the segment '{printable(name[:40])}', which is not in its "
                 "folder; put all files of the record in one folder"
             )
         part = header.with_name(f"{name}.hea")
-        if not all(line[0] == "~" for line in wfdb_lines(part)[1:]):  # as in a layout
-            files |= {part, *mended_wfdb(part)[1]}
+        if not all(line[0] == "~" for line in deviations.wfdb_lines(part)[1:]):  # as in a layout
+            files |= {part, *deviations.mended_wfdb(part)[1]}
     return sorted(files)

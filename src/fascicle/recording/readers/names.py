@@ -163,8 +163,7 @@ def entry_of(name: str, content: Any) -> Entry | None:
         return None
     if values.dtype.kind in "iuf":
         different = np.unique(values.astype(np.float64))
-        number = float(different[0]) if different.size == 1 else math.nan
-        return Entry(key, printable(name), number)
+        return Entry(key, printable(name), float(different[0]) if different.size == 1 else math.nan)
     words = [w.decode("utf-8", "replace") if isinstance(w, bytes) else w for w in values.tolist()]
     if not all(isinstance(word, str) for word in words):
         return None

@@ -237,10 +237,9 @@ def _assemble(
         if channel.gain is not None and math.isfinite(channel.gain):
             gains[row] = abs(channel.gain) / scale
     more, left_out = _additional(every, lengths[many], rate, source, unit)
-    names = (*LEADS, *more)
     lost = f"not recorded, constant or empty from start to end: {', '.join(silent)}"
     signal, pulses = leave_out_pulses(np.array([*signal, *more.values()]), rate)
-    signal, repairs = bridge_gaps(signal, rate, names)
+    signal, repairs = bridge_gaps(signal, rate, (*LEADS, *more))
     signal, additional = signal[: len(LEADS)], dict(zip(more, signal[len(LEADS) :], strict=True))
     whole = 1 if in_groups(lead_spans(signal), rate) else signal.shape[1]
     for lead in [lead for lead, values in additional.items() if not is_span(values, whole)]:

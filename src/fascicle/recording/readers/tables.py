@@ -85,6 +85,8 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
     check_physical(metadata, path)
     missing = fill_values(metadata)
     said = {"by --sampling-rate": sampling_rate, "by a comment": declared_rate(metadata, path)}
+    # what this package writes is in mV
+    own = [column.name for column in columns][: 1 + len(LEADS)] == ["time_ms", *LEADS]
     leads = [column for column in columns if column.lead is not None]
     clocks = ("time", "t", "timestamp", "elapsed time")
     # a name may be that of a unit of time alone, such as seconds
@@ -104,7 +106,7 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
                 f"{path}: no lead among the columns {shown}; name them I, II, V1 to V6 with their "
                 "unit (I_mV)"
             )
-        unit = _unit(value, columns, metadata, path)
+        unit = _unit(value, own, metadata, path)
         return _read_long(path, place, times[0], value, unit, missing, said)
     numbers = np.array([column.numbers(path) for column in [*leads, *times]])
     # spreadsheets end with empty rows
@@ -112,7 +114,7 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
     numbers = numbers[:, kept]
     known = _agreed_rate(path, said)
     rates: dict[str, float | None] = {
-        f"in the column '{column.name}'": _rate_of(path, column, clock, known)
+        f"in the column '{column.name}'": _rate_of(path, column, clock, known, "")
         for column, clock in zip(times, numbers[len(leads) :], strict=True)
     }
     rate = _agreed_rate(path, said | rates)
@@ -123,7 +125,7 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
             numbers.shape[1],
         )
     channels = [
-        Channel(c.name, row, _unit(c, columns, metadata, path), c.lead, missing=missing)
+        Channel(c.name, row, _unit(c, own, metadata, path), c.lead, missing=missing)
         for c, row in zip(leads, numbers, strict=False)
     ]
     others = [c for c in columns if c not in leads and c not in times]
@@ -131,7 +133,7 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
     table = _without_strips(channels, [c.rhythm for c in leads], rate, not_numbers, "table")
     more = []
     for c in (c for c in others if c.name not in not_numbers):
-        unit = c.unit if c.unit is not None else _unit(c, columns, metadata, path)
+        unit = c.unit if c.unit is not None else _unit(c, own, metadata, path)
         lead, values = additional_lead_name(c.quantity), c.numbers(path)[kept]
         more.append(Channel(c.name, values, unit, lead, missing=missing))
     return _with_rest_around(replace(table, channels=[*table.channels, *more]))
@@ -229,8 +231,7 @@ def _column(spelt: str, names: Sequence[str], cells: pd.Series) -> _Column:
         if match and (brackets or millivolts(match[2]) or plain_unit(match[2]) in PER_SECOND):
             name, unit = match[1], printable(match[2])
             lead, rhythm = _lead_or_rhythm(name)
-    quantity = name.lower().replace("_", " ")
-    return _Column(printable(spelt), quantity, unit, lead, rhythm, cells)
+    return _Column(printable(spelt), name.lower().replace("_", " "), unit, lead, rhythm, cells)
 
 
 def _lead_or_rhythm(name: str) -> tuple[str | None, bool]:
@@ -240,13 +241,9 @@ def _lead_or_rhythm(name: str) -> tuple[str | None, bool]:
     return lead_name(rest), found > 0
 
 
-def _unit(
-    column: _Column, columns: Sequence[_Column], metadata: Sequence[Entry], path: Path
-) -> str | None:
-    """Unit of a lead, which its header and the comments must agree about."""
+def _unit(column: _Column, own: bool, metadata: Sequence[Entry], path: Path) -> str | None:
+    """Unit of a lead, which its header and the comments must agree about; `own` tables have mV."""
     commented = declared_unit(metadata, path, column.name)
-    # what this package writes is in mV
-    own = [each.name for each in columns][: 1 + len(LEADS)] == ["time_ms", *LEADS]
     unit = "mV" if own else column.unit
     if unit is not None and commented is not None and not same_unit(unit, commented):
         raise InputError(
@@ -271,9 +268,7 @@ def _agreed_rate(path: Path, rates: dict[str, float | None]) -> float | None:
     return found[0][1] if found else None
 
 
-def _rate_of(
-    path: Path, column: _Column, times: Floats, known: float | None, lead: str = ""
-) -> float:
+def _rate_of(path: Path, column: _Column, times: Floats, known: float | None, lead: str) -> float:
     """Rate (Hz) of even times by least squares; the known one where the column has no unit."""
     where = f"of lead '{lead}'" if lead else f"in the column '{column.name}'"
     step, steps = _step(times), np.diff(times)
