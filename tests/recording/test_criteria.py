@@ -162,6 +162,7 @@ def test_leads_that_are_not_used():
         ("ludb/23_common.hea", {R_COMPLETE}),
         ("ludb/24_common.hea", {L_COMPLETE, MEN, WOMEN}),
         ("dicom/waveform_ecg.dcm", set()),
+        ("philips/129DYPRG.XML", {NONSPECIFIC}),  # as the electrocardiograph says in the file
     ],
 )
 def test_recordings(data_folder, file, names):

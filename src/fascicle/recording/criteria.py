@@ -61,7 +61,8 @@ def conventional_criteria(
     qrs, right, left, strauss = beat.qrs, beat.right(), beat.left(), beat.left_of_strauss()
     shapes = [_at_least(len(parts), [part.met for part in parts]) for parts in (right, left)]
     neither = {None: None, True: False, False: True}[_at_least(1, shapes)]
-    said = f"shape {'not ' if neither else ''}of a bundle branch block (neither bundle's)"
+    how = {None: "perhaps ", True: "not ", False: ""}[neither]
+    said = f"shape {how}of a bundle branch block (neither bundle's)"
     short, long = qrs("below 120", beat.ms < 120), qrs("at least 120", beat.ms >= 120)
     between = qrs("at least 110, below 120", 110 <= beat.ms < 120)
     men, women = (qrs(f"at least {limit}", beat.ms >= limit) for limit in (140, 130))
