@@ -68,8 +68,7 @@ class DualGraph:
     @cached_property
     def smooth_normals(self) -> Floats:
         """Unit normals averaged over 1 mm, shape (m, 3)."""
-        mass = diags_array(self.areas)
-        system = mass + self.laplacian(np.ones(len(self.lengths)))
+        system = diags_array(self.areas) + self.laplacian(np.ones(len(self.lengths)))
         solved = splu(csc_array(system)).solve(self.areas[:, np.newaxis] * self.normals)
         return unit(np.asarray(solved))
 

@@ -49,8 +49,7 @@ def build_heart(
     anatomy = read_anatomy(source, edge_length, progress)
     check_tetrahedra(anatomy.mesh.name, anatomy.mesh.vertices, anatomy.mesh.tetrahedra)
     heart = heart_of(anatomy, angles, seeds, name, progress)
-    report = stage_progress(progress, "coordinates")
-    heart, located = with_coordinates(heart, anatomy.mesh, report)
+    heart, located = with_coordinates(heart, anatomy.mesh, stage_progress(progress, "coordinates"))
     heart, notes = in_torso(heart, anatomy.mesh, torso or TorsoOptions(), progress)
     kept = []  # properties of the source that override options
     if anatomy.own_mesh:

@@ -110,8 +110,7 @@ def helix_angles(mesh: LabelledMesh, heart: Heart) -> dict[str, HelixAngles]:
     surfaces = (Label.LV_ENDOCARDIUM, Label.EPICARDIUM, Label.RV_ENDOCARDIUM)
     distances, nearest = np.full((3, len(centres)), np.inf), np.zeros((3, len(centres), 3))
     for k, label in enumerate(surfaces):
-        triangles = mesh.having(label)
-        if len(triangles):
+        if len(triangles := mesh.having(label)):
             square, _, point = igl.point_mesh_squared_distance(centres, mesh.vertices, triangles)
             distances[k], nearest[k] = np.sqrt(np.asarray(square)), point
     furthest = distances.argmax(axis=0)
@@ -207,8 +206,7 @@ def _size_warnings(
             "build --remesh): times and potentials are poor in elements so flat"
         )
     for e in heart.endocardia:
-        worst = _largest_stretch(e, charts[e.side])
-        if worst > DISTORTED:
+        if (worst := _largest_stretch(e, charts[e.side])) > DISTORTED:
             warnings.append(
                 f"{e.side.upper()} endocardium: the chart stretches {worst:.0f} times more one way "
                 "than the other; branch angles are distorted there: remesh or smooth the surface"
@@ -229,8 +227,7 @@ def _lead_field_warnings(heart: Heart) -> list[str]:
 
 def _fibre_warnings(heart: Heart, free_wall: HelixAngles) -> list[str]:
     """Fibres that are none or turn the wrong way: a right-handed helix lines the human LV."""
-    fault = placeholder(heart.fibres)
-    if fault:
+    if fault := placeholder(heart.fibres):
         return [
             f"fibres: they are a placeholder, as {fault}; build or import the heart again with "
             "--fibres rule"

@@ -43,8 +43,7 @@ def classify_surface(
     triangles = turned_outwards(vertices, triangles)
     graph = DualGraph(vertices, triangles)
     exposed = openness(graph, progress)
-    cavity = _cavities(graph, exposed, name)
-    regions = _clean_regions(graph, _divided(graph, exposed, cavity), name)
+    regions = _clean_regions(graph, _divided(graph, exposed, _cavities(graph, exposed, name)), name)
     regions = _clean_regions(graph, smoothed_regions(graph, regions), name)
     _check_openings(graph, regions, name)
     outer, first, second = (
@@ -109,8 +108,7 @@ def _cosine_to_base(graph: DualGraph, regions: Integers) -> Floats:
         edges.append(edge)
         directions.append(_upwards(edge, inside))
     distance, nearest = cKDTree(np.vstack(edges)).query(graph.centres)
-    up = np.vstack(directions)[nearest]
-    cosine = np.einsum("ij,ij->i", graph.smooth_normals, up)
+    cosine = np.einsum("ij,ij->i", graph.smooth_normals, np.vstack(directions)[nearest])
     return np.where(distance > 50.0, -1.0, cosine)
 
 
@@ -135,8 +133,7 @@ def _clean_regions(graph: DualGraph, regions: Integers, name: str) -> Integers:
         kept = np.full(len(regions), -1)
         for region in Region:
             kept[graph.components(separated == region) == 0] = region
-        whole = graph.random_walker(kept, len(Region))
-        regions = _without_non_manifold_vertices(graph, whole)
+        regions = _without_non_manifold_vertices(graph, graph.random_walker(kept, len(Region)))
         if (regions == before).all():
             return regions
     raise InputError(
@@ -181,8 +178,7 @@ def _check_openings(graph: DualGraph, regions: Integers, name: str) -> None:
                 f"{name}: no {what} found around the cavities; give the surface's parts one by one"
             )
     for region in (Region.FIRST, Region.SECOND):
-        loops = boundary_loops(graph.triangles[regions == region])
-        if len(loops) != 1:
+        if len(loops := boundary_loops(graph.triangles[regions == region])) != 1:
             volume = _millilitres(graph, regions == region)
             where = " and ".join(place(graph.vertices[loop].mean(axis=0)) for loop in loops)
             raise InputError(

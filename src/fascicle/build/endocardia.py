@@ -56,13 +56,11 @@ def endocardia(mesh: LabelledMesh) -> tuple[EndocardialSurface, EndocardialSurfa
 
 def _endocardium(mesh: LabelledMesh, labels: Integers, label: Label) -> EndocardialSurface:
     name = f"{mesh.name}: {label.name[:2]} endocardium"
-    own = mesh.triangles[labels == label]
-    if not len(own):
+    if not len(own := mesh.triangles[labels == label]):
         raise InputError(f"{name}: no triangle of the boundary has label {label}; label it")
     vertices, tissue = without_unused_vertices(mesh.vertices, own)
     loops = sorted(boundary_loops(tissue), key=lambda loop: loop_length(vertices, loop))
-    caps = [_cap(vertices, loop, name) for loop in loops[:-1]]
-    triangles = np.concatenate([tissue, *caps])
+    triangles = np.concatenate([tissue, *[_cap(vertices, loop, name) for loop in loops[:-1]]])
     valve = np.arange(len(triangles)) >= len(tissue)
     return EndocardialSurface(vertices, oriented_into_cavity(vertices, triangles, name), valve)
 

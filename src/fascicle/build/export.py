@@ -72,8 +72,7 @@ def write_gmsh(heart: Heart, path: Path) -> None:
         groups = {f"region {region}": np.array([k, 3]) for k, region in enumerate(regions, 1)}
     cells, numbers = [("tetra", heart.tetrahedra)], [tags]
     for label, name in SURFACE_NAMES.items():
-        triangles = surface.having(label)
-        if len(triangles):
+        if len(triangles := surface.having(label)):
             cells.append(("triangle", triangles))
             numbers.append(np.full(len(triangles), int(label)))
             groups[name] = np.array([int(label), 2])
@@ -104,8 +103,7 @@ def write_opencarp(
     axes = [heart.fibres] if heart.sheets is None else [heart.fibres, heart.sheets]
     opencarp.write_directions(opencarp.opencarp_file(stem, ".lon"), axes)
     for label, name in SURFACE_NAMES.items():
-        triangles = surface.having(label)
-        if len(triangles):
+        if len(triangles := surface.having(label)):
             part = stem.with_name(f"{stem.name}_{name}")
             opencarp.write_surf(opencarp.opencarp_file(part, ".surf"), triangles)
             opencarp.write_vtx(opencarp.opencarp_file(part, ".vtx"), np.unique(triangles))

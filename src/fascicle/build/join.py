@@ -185,8 +185,7 @@ def _fitted_base(outline: Outline, base: Part) -> Base:
     clear = distance > CLEAR * mean_edge_length(base.vertices, base.triangles)
     within, distance, nearest = within[clear], distance[clear], nearest[clear]
     opposite = boundary[cKDTree(own[boundary]).query(flat)[1]]
-    rise = (flat[:, 2] - own[opposite, 2])[nearest] * np.maximum(1 - distance / 7.5, 0)
-    own[within, 2] += rise
+    own[within, 2] += (flat[:, 2] - own[opposite, 2])[nearest] * np.maximum(1 - distance / 7.5, 0)
     inner, triangles = _triangulated(flat[:, :2], own[within, :2], outline)
     _, row = cKDTree(own[within, :2]).query(inner)
     return own[within[row]] @ frame + centre, triangles

@@ -116,8 +116,7 @@ def labelled_surface(
     check_units(str(mesh.path), mesh.points)
     triangles = mesh.require(TRIANGLE, "triangles")
     if labels_file is None:
-        found = find_label_array(mesh, array)
-        if found is None:
+        if (found := find_label_array(mesh, array)) is None:
             there = sorted({*mesh.point_data, *mesh.cell_data.get(TRIANGLE, {})})
             raise InputError(
                 f"{mesh.path}: no labels: no array called {', '.join(LABEL_NAMES[:-1])} on "
@@ -250,8 +249,7 @@ def _label_boundary(
     if found is None:
         return basal
     source, labels = found[0], np.where(found[1] == 0, basal, found[1])
-    missing = missing_parts(labels)
-    if missing:
+    if missing := missing_parts(labels):
         without = f"{(labels == 0).sum()} of {len(labels)} boundary triangles have none"
         raise InputError(
             f"{source}: labels missing: {', '.join(missing)} ({without}); add them (all are needed)"
@@ -265,8 +263,7 @@ def _from_array(
     mesh: MeshFile, boundary: Integers, array: str | None, names: Names
 ) -> tuple[str, Integers] | None:
     """Source and labels (b,) of the boundary's triangles by an array of triangles or points."""
-    found = find_label_array(mesh, array)
-    if found is None:
+    if (found := find_label_array(mesh, array)) is None:
         return None
     if not found.of_triangles:
         points = np.unique(boundary)
@@ -293,8 +290,7 @@ def _from_surface_files(
         for path in sorted(mesh.path.parent.glob(f"*{suffix}")):
             name = path.name.removesuffix(suffix).removesuffix(".surf").removeprefix(stem)
             name = name.strip("._- ")
-            label = names.get(name, label_of(name))
-            if label is not None:
+            if (label := names.get(name, label_of(name))) is not None:
                 files.append((path, label))
         if not files:
             continue

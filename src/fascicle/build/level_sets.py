@@ -42,8 +42,7 @@ def find_base_plane(masks: Masks) -> BasePlane:
     faces = blood_faces(masks, masks.lv, masks.rv)
     size = np.linalg.norm(faces.areas, axis=1)
     axis = np.linalg.eigh(np.cov((blood - centre).T))[1][:, 2]
-    index = _slice_axis(masks, axis)
-    if index is not None:
+    if (index := _slice_axis(masks, axis)) is not None:
         axis = masks.affine[:3, index] / np.linalg.norm(masks.affine[:3, index])
     along = (blood - centre) @ axis
     counts, width = _sections(masks, along, axis)
@@ -113,8 +112,7 @@ def _flat_opening(masks: Masks, faces: Faces, centre: Floats) -> BasePlane | Non
     for corners in rng.choice(len(points), size=(300, 3), p=size / size.sum()):
         a, b, c = points[corners]
         normal = np.cross(b - a, c - a)
-        length = np.linalg.norm(normal)
-        if length == 0:
+        if (length := np.linalg.norm(normal)) == 0:
             continue
         normal /= length
         near = np.abs((points - a) @ normal) <= masks.thickness(normal) / 2
@@ -185,8 +183,7 @@ class Grid(NamedTuple):
 
 def grid_below(plane: BasePlane, masks: Masks, edge: float) -> Grid:
     """Lay a grid with this edge (mm) around what lies below the base plane."""
-    across = np.eye(3)[np.argmin(np.abs(plane.normal))]
-    first = np.cross(plane.normal, across)
+    first = np.cross(plane.normal, np.eye(3)[np.argmin(np.abs(plane.normal))])
     first /= np.linalg.norm(first)
     axes = np.array([first, np.cross(plane.normal, first), plane.normal])
     relative = (masks.positions(masks.lv | masks.rv | masks.tissue) - plane.point) @ axes.T

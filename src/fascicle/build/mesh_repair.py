@@ -57,8 +57,7 @@ def _without_crumbs(mesh: MeshFile, notes: list[str]) -> MeshFile:
     """Drop small pieces that hang by an edge, by a vertex, or not at all."""
     tetrahedra = mesh.cells[TETRAHEDRON]
     piece = components_of(_neighbours(tetrahedra), len(tetrahedra))
-    small = small_pieces(piece, mesh.points[tetrahedra])
-    if not small.size:
+    if not (small := small_pieces(piece, mesh.points[tetrahedra])).size:
         return mesh
     dropped = np.isin(piece, small)
     first = np.array([np.argmax(piece == k) for k in small[:3]])

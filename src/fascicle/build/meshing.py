@@ -93,8 +93,7 @@ def _remeshed_inside(
         vertices, tetrahedra, surface.triangles, surface.labels, **options
     )
     boundary, _ = boundary_triangles(refined)
-    at = places_in(boundary, triangles)
-    if at.min() < 0:
+    if (at := places_in(boundary, triangles)).min() < 0:
         raise RuntimeError("the boundary is not the surface that was to stay")
     return LabelledMesh(positions, refined, boundary, labels[at], name=surface.name)
 
@@ -166,8 +165,7 @@ def remeshed_surface(surface: LabelledSurface, edge_length: float) -> LabelledSu
         # slivers that Mmg leaves must not drive the size of all the others away
         size = edge_length * float(np.clip(size / ratio / edge_length, 0.75, 1.35))
     best = oriented_outwards(compacted(best))
-    cuts = self_intersections(best.vertices, best.triangles)
-    if len(cuts):
+    if len(cuts := self_intersections(best.vertices, best.triangles)):
         at = first_places(cuts, best.vertices[best.triangles[cuts]])
         raise InputError(
             f"{surface.name}: with edges of {edge_length:g} mm the surface cuts itself in "

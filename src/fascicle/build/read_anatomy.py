@@ -164,8 +164,7 @@ def _from_segmentation(
             "wrote them; give it, as --labels lv=1,rv=2,myocardium=3,scar=4"
         )
     known = [part.name for part in fields(SegmentationLabels)]
-    unknown = [name for name in source.labels if name not in known]
-    if unknown:
+    if unknown := [name for name in source.labels if name not in known]:
         raise InputError(f"--labels: unknown '{unknown[0]}'; the parts are {', '.join(known)}")
     labels, notes = SegmentationLabels(**source.labels), []
     if segmentation.space:
@@ -204,8 +203,7 @@ def _from_tetrahedra(source: Source, mesh: MeshFile, progress: Progress | None) 
     read = replace(read, notes=(*notes, *repairs, *read.notes))
     read = repaired_edges(read)
     if not (read.mesh.labels > Label.BASE).any():
-        unlabelled = f"{mesh.path}, which has no labels (--label-array names one)"
-        source.check_unused(unlabelled, "labels")
+        source.check_unused(f"{mesh.path}, which has no labels (--label-array names one)", "labels")
         read = _classified(read, source, whole, progress)
     read = separated_vertices(read)
     check_sides(read.mesh)

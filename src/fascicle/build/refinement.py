@@ -68,8 +68,7 @@ class Refinement(NamedTuple):
 
     def at_vertices(self, values: Floats) -> Floats:
         """Values at the old vertices (..., n), linear in each parent, at all of them."""
-        middle = values[..., self.edges].mean(axis=-1)
-        return np.concatenate([values, middle], axis=-1)
+        return np.concatenate([values, values[..., self.edges].mean(axis=-1)], axis=-1)
 
 
 def in_eight(vertices: Floats, tetrahedra: Integers) -> Refinement:

@@ -189,8 +189,7 @@ def _check_not_exchanged(masks: Masks) -> None:
     """Refuse maps in which the LV blood is not mostly surrounded by tissue."""
     faces = blood_faces(masks, masks.lv, np.zeros_like(masks.rv))
     size = np.linalg.norm(faces.areas, axis=1)
-    bare = float(size[faces.free].sum() / size.sum())
-    if bare > 0.5:
+    if (bare := float(size[faces.free].sum() / size.sum())) > 0.5:
         raise InputError(
             f"{masks.name}: {bare:.0%} of the LV blood's surface borders on no tissue, so the "
             "labels seem to be exchanged; give those of this map (--labels; ACDC has lv=3,rv=1,"
@@ -239,8 +238,7 @@ def _remove_small_components(
     sizes = np.bincount(pieces.ravel())[1:]
     largest = int(sizes.argmax())
     ml = sizes * segmentation.voxel_volume / 1000
-    large = np.flatnonzero(sizes > 0.01 * sizes.sum())
-    if large.size > 1:
+    if (large := np.flatnonzero(sizes > 0.01 * sizes.sum())).size > 1:
         largest_first = large[np.argsort(-ml[large], kind="stable")]
         middles = center_of_mass(pieces > 0, pieces, largest_first[:3] + 1)
         places = np.array(middles) @ affine[:3, :3].T + affine[:3, 3]

@@ -31,8 +31,7 @@ def read_segmentation(path: Path | str) -> Segmentation:
     check_file(path, (".gz",) if packed else (".nii", ".nrrd", ".nhdr"), "segmentation")
     if path.suffix.lower() not in (".nrrd", ".nhdr"):
         return Segmentation(*read_isolated(_read_nifti, path))
-    data_file = _nrrd_header(path).get("data file")
-    if data_file is None:
+    if (data_file := _nrrd_header(path).get("data file")) is None:
         return Segmentation(*read_isolated(_read_nrrd, path))
     voxels = named_by(path, data_file)
     check_file(voxels, (voxels.suffix.lower(),), "voxels")

@@ -77,8 +77,7 @@ def surface_from_segmentation(
     the label map, which it should have, and the wall that was added.
     """
     notes = notes if notes is not None else []
-    thickest = float(segmentation.spacing.max())
-    if thickest > THICKEST:
+    if (thickest := float(segmentation.spacing.max())) > THICKEST:
         raise InputError(
             f"{segmentation.name}: voxels up to {thickest:.3g} mm long; give a map with slices at "
             f"most {THICKEST:g} mm apart"
@@ -220,8 +219,7 @@ def _wrong_with_section(levels: _Levels, k: int, areas: list[Integers]) -> str:
         if label(blood)[1] != 1:
             return f"the {side} has {label(blood)[1]} openings"
         border = (cavity[:, :, k] >= 0) & (cavity[:, :, k] < EDGE)
-        bare = float((levels.gaps[:, :, k][border] > 0).mean())
-        if bare > BARE:
+        if (bare := float((levels.gaps[:, :, k][border] > 0).mean())) > BARE:
             return f"{bare:.0%} of the {side} has no wall"
         tissue &= ~blood
     openings = int(label(~tissue)[1]) - 1
@@ -236,8 +234,7 @@ def _closed_surface(levels: _Levels, grid: Grid, name: str, notes: list[str]) ->
         rv = _mended(levels.rv, attempts[Label.RV_ENDOCARDIUM], grid.edge)
         tried = _walled(lv, rv, levels.gaps) if any(attempts.values()) else levels
         surface = _extract(tried, grid, name)
-        wrong = _wrong_topology(surface)
-        if wrong is None:
+        if (wrong := _wrong_topology(surface)) is None:
             break
         part, found = wrong
         if attempts.get(part, len(BALLS)) == len(BALLS):
@@ -290,8 +287,7 @@ def _extract(levels: _Levels, grid: Grid, name: str) -> LabelledSurface:
 def _largest_piece(triangles: Integers, name: str) -> Integers:
     """The largest piece, outside which at most 1 % of all triangles may lie."""
     _, pieces = igl.facet_components(triangles)
-    sizes = np.bincount(pieces)
-    if sizes.max() < 0.99 * len(triangles):
+    if (sizes := np.bincount(pieces)).max() < 0.99 * len(triangles):
         listed = ", ".join(str(size) for size in np.sort(sizes)[::-1])
         raise InputError(
             f"{name}: the surface of the tissue falls into {len(sizes)} pieces ({listed} triangles)"

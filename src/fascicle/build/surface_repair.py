@@ -38,8 +38,7 @@ def prepared_surface(surface: LabelledSurface) -> LabelledSurface:
     triangles facing the wrong way and small components of labels are repaired. A surface
     that intersects itself is replaced by that of its interior. Other defects are refused.
     """
-    missing = missing_parts(surface.labels)
-    if missing:
+    if missing := missing_parts(surface.labels):
         there = ", ".join(str(number) for number in np.unique(surface.labels))
         raise InputError(
             f"{surface.name}: no triangle is labelled {' or '.join(missing)} (labels there: "
@@ -47,8 +46,7 @@ def prepared_surface(surface: LabelledSurface) -> LabelledSurface:
             "number is what (--labels)"
         )
     closed = closed_surface(surface)
-    cuts = self_intersections(closed.vertices, closed.triangles)
-    if len(cuts):
+    if len(cuts := self_intersections(closed.vertices, closed.triangles)):
         closed = _without_cuts(closed, cuts)
     cleaned = replace(
         closed, labels=cleaned_labels(closed.vertices, closed.triangles, closed.labels)
@@ -117,8 +115,7 @@ def _without_crumbs(surface: LabelledSurface) -> LabelledSurface:
     """Leave out small pieces: crumbs, and the surfaces of voids in the tissue."""
     piece = np.asarray(igl.facet_components(surface.triangles)[1])
     corners = surface.vertices[surface.triangles]
-    small = small_pieces(piece, corners)
-    if not small.size:
+    if not (small := small_pieces(piece, corners)).size:
         return surface
     kept = ~np.isin(piece, small)
     middles = [corners[piece == k].mean(axis=(0, 1)) for k in small[:3]]

@@ -146,16 +146,14 @@ def add_electrodes(
     skin = Surface(torso.vertices, outer_boundary(torso.vertices, tetrahedra))
     size = TrunkSize()
     axes = axes_of_electrodes(heart.electrodes, leaving(outside_trunk(size), size))
-    found = additional_sites(heart, axes, skin, wanted)
-    electrodes = dict(heart.additional_electrodes) | found
+    electrodes = dict(heart.additional_electrodes) | additional_sites(heart, axes, skin, wanted)
     more = replace(heart, torso=torso, additional_electrodes=electrodes, folder=None)
     conduction, report = Conduction.of(heart), stage_progress(progress, "lead fields")
     fields = resolve_lead_fields(more, conduction, report)
     if fields is not None and heart.lead_fields and is_up_to_date(heart, conduction):
         # so that the leads that there are stay the same: a torso that was meshed again differs
         there = heart.lead_fields.values
-        values = np.concatenate([there, fields.values[len(there) :]])
-        fields = replace(fields, values=values)
+        fields = replace(fields, values=np.concatenate([there, fields.values[len(there) :]]))
     return replace(more, lead_fields=fields)
 
 

@@ -33,8 +33,8 @@ def region_arrays(mesh: MeshFile) -> dict[str, Integers]:
         if values.ndim == 1 and (np.isfinite(values) & (values == np.round(values))).all():
             count = len(np.unique(values))
             if 1 < count <= 200:  # one of more numbers is of elements, not of regions
-                known = name.lower() in REGION_NAMES
-                found[name] = (not known, -count), values.astype(np.int64)
+                rank = name.lower() not in REGION_NAMES, -count
+                found[name] = rank, values.astype(np.int64)
     return {
         name: values for name, (_, values) in sorted(found.items(), key=lambda item: item[1][0])
     }
@@ -42,12 +42,10 @@ def region_arrays(mesh: MeshFile) -> dict[str, Integers]:
 
 def regions_in(mesh: MeshFile) -> str:
     """The region numbers in a mesh and how large each region is, in words; empty if it has none."""
-    arrays = region_arrays(mesh)
-    if not arrays:
+    if not (arrays := region_arrays(mesh)):
         return ""
     name, values = next(iter(arrays.items()))
-    tetrahedra = mesh.cells[TETRAHEDRON]
-    volumes = np.abs(signed_volumes(mesh.points, tetrahedra)) / 1e3
+    volumes = np.abs(signed_volumes(mesh.points, mesh.cells[TETRAHEDRON])) / 1e3
     numbers, which, counts = np.unique(values, return_inverse=True, return_counts=True)
     names = {number: group for group, (size, number) in mesh.groups.items() if size == 3}
     listed = [
@@ -98,8 +96,7 @@ def _regions_with(mesh: MeshFile, wanted: Integers, array: str | None) -> Intege
     there = regions_in(mesh) or "its tetrahedra have no array of region numbers"
     if array is not None:
         arrays = {name: values for name, values in arrays.items() if name == array}
-    fitting = {name: v for name, v in arrays.items() if np.isin(wanted, v).all()}
-    if not fitting:
+    if not (fitting := {name: v for name, v in arrays.items() if np.isin(wanted, v).all()}):
         numbers = ", ".join(map(str, wanted))
         raise InputError(
             f"{mesh.path}: no array{f' {array!r}' if array else ''} of the tetrahedra has all of "
@@ -129,8 +126,7 @@ def labels_of_ventricles(mesh: LabelledMesh, is_left: Booleans) -> Integers | No
     triangles, owner = mesh.triangles[rest], boundary_triangles(mesh.tetrahedra)[1][rest]
     piece = np.asarray(igl.facet_components(triangles)[1])
     area = np.bincount(piece, triangle_areas(mesh.vertices, triangles))
-    large = np.flatnonzero(area > 0.02 * area.sum())
-    if len(large) != 3:
+    if len(large := np.flatnonzero(area > 0.02 * area.sum())) != 3:
         return None
     enclosed = [abs(closed_by_fan(mesh.vertices, triangles[piece == k])[0]) for k in large]
     outer = large[np.argmax(enclosed)]

@@ -108,8 +108,7 @@ def _check(file: str, times: Floats, potentials: Floats) -> None:
         furthest = values[np.abs(values).argmax()]
         if abs(furthest) > limit:
             raise InputError(f"{file}: {name} reaches {furthest:g}; give -{limit:g} to {limit:g}")
-    back = np.flatnonzero(np.diff(times) <= 0)
-    if len(back):
+    if len(back := np.flatnonzero(np.diff(times) <= 0)):
         before, after = times[back[0]], times[back[0] + 1]
         raise InputError(
             f"{file}: time_ms goes from {before:g} to {after:g} ms in row {back[0] + 2} of "

@@ -67,14 +67,12 @@ def assemble_heart(
     check_tetrahedra(str(mesh.path), vertices, tetrahedra)
     named = {}
     for side, surface in surfaces.items():
-        triangles = _endocardium(side, surface)
-        named_surface = str(surface.path), surface.points, triangles
+        named_surface = str(surface.path), surface.points, _endocardium(side, surface)
         check_endocardium_in_place(*named_surface, vertices, tetrahedra)
         valves = surface.cell_array(TRIANGLE, "valve")
         valves = None if valves is None else valves != 0
         named[side] = *named_surface, valves
-    apart = cKDTree(surfaces["rv"].points).query(surfaces["lv"].points)[0]
-    if float(np.median(apart)) == 0:
+    if float(np.median(cKDTree(surfaces["rv"].points).query(surfaces["lv"].points)[0])) == 0:
         raise InputError(
             f"{surfaces['lv'].path}: the LV and the RV endocardium are the same surface; "
             "give one for each ventricle"
@@ -165,8 +163,7 @@ def average_to_tetrahedra(fibres: Floats, tetrahedra: Integers) -> Floats:
 
 def region_labels(mesh: MeshFile, array: str = "region") -> Integers | None:
     """Labels of the tetrahedra (m,), if the mesh has this cell array; whole numbers."""
-    values = mesh.cell_array(TETRAHEDRON, array)
-    if values is None:
+    if (values := mesh.cell_array(TETRAHEDRON, array)) is None:
         return None
     if values.ndim != 1 or not (np.isfinite(values) & (values == np.round(values))).all():
         raise InputError(
@@ -178,8 +175,7 @@ def region_labels(mesh: MeshFile, array: str = "region") -> Integers | None:
 
 def _sheets(mesh: MeshFile) -> Floats | None:
     """Sheet directions of the tetrahedra, if the mesh has the cell array `sheet`."""
-    values = mesh.cell_array(TETRAHEDRON, "sheet")
-    if values is None:
+    if (values := mesh.cell_array(TETRAHEDRON, "sheet")) is None:
         return None
     name = f"{mesh.path} ('sheet')"
     if values.shape[1:] != (3,):

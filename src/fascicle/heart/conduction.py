@@ -68,8 +68,7 @@ class Region(Table, table="region"):
     def name(self) -> str:
         """What to call it in messages."""
         origin = f"{self.source}: " if self.source is not None else ""
-        where = f"at {self.centre}" if self.label is None else f"{self.label}"
-        return f"{origin}region {where}"
+        return f"{origin}region {f'at {self.centre}' if self.label is None else self.label}"
 
 
 @dataclass(frozen=True)
@@ -168,10 +167,8 @@ class Conduction:
         if self.endocardial_layer > 0 and self.endocardial_speed != 1:
             distance = np.full(len(heart.vertices), np.inf)
             for e in heart.endocardia:
-                squares = igl.point_mesh_squared_distance(heart.vertices, e.vertices, e.triangles)[
-                    0
-                ]
-                distance = np.minimum(distance, np.sqrt(squares))
+                found = igl.point_mesh_squared_distance(heart.vertices, e.vertices, e.triangles)
+                distance = np.minimum(distance, np.sqrt(found[0]))
             share = share_below(distance[heart.tetrahedra], self.endocardial_layer)
             scale *= 1 + share * (self.endocardial_speed**2 - 1)
         return scale
@@ -184,13 +181,9 @@ class Conduction:
 
     def _squared_speeds(self) -> tuple[float, float]:
         """D along and across the fibre (mm²/ms²): scalars suffice, G's share their axes."""
-        pairs = (
-            (self.intracellular_l, self.extracellular_l),
-            (self.intracellular_t, self.extracellular_t),
-        )
-        along, across = (
-            MM2_PER_CM2 * self.alpha**2 * intra * extra / (intra + extra) for intra, extra in pairs
-        )
+        intra = np.array([self.intracellular_l, self.intracellular_t])
+        extra = np.array([self.extracellular_l, self.extracellular_t])
+        along, across = MM2_PER_CM2 * self.alpha**2 * intra * extra / (intra + extra)
         if self.anisotropy_ratio is not None:
             across = along / self.anisotropy_ratio**2
         return along, across

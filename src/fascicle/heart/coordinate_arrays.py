@@ -118,10 +118,9 @@ def from_universal(v: Floats, rho: Floats, phi: Floats, z: Floats) -> Ventricula
     septal = ~right & (way >= 0) & (way <= 1)
     # in the left free wall from the anterior attachment on to the posterior one
     back = (phi - before) % (2 * np.pi) / (2 * np.pi - before + behind)
-    free = 2 / 3 * np.where(right, way, 1 - back)
     return VentricularCoordinates(
         (right | (septal & (rho > 0.5))).astype(float),
         np.where(septal, np.abs(1 - 2 * rho), 1 - rho),
-        np.where(septal, 1 - way / 3, free),
+        np.where(septal, 1 - way / 3, 2 / 3 * np.where(right, way, 1 - back)),
         z,
     )

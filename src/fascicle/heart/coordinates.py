@@ -70,8 +70,7 @@ def ventricular_coordinates(heart: Heart) -> VentricularCoordinates:
     if heart.folder is None or not os.access(heart.folder, os.W_OK):
         return computed_coordinates(labelled_mesh(heart))
     cache = ArrayCache(heart.folder / DISPOSABLE, "coordinates")
-    arrays = cache.read(heart.digest)
-    if arrays is None:
+    if (arrays := cache.read(heart.digest)) is None:
         arrays = computed_coordinates(labelled_mesh(heart)).arrays
         cache.keep(heart.digest, arrays)
     return VentricularCoordinates(*(arrays[name] for name in NAMES))
@@ -148,8 +147,7 @@ def computed_coordinates(
 
     An error if the surface lacks a label, or there is no septum, or no apex at its end.
     """
-    missing = missing_parts(mesh.labels)
-    if missing:
+    if missing := missing_parts(mesh.labels):
         raise InputError(f"{mesh.name}: no boundary triangle is {', '.join(missing)}; label it")
     progress(0, 4)
     space = quadratic_space(mesh.vertices, mesh.tetrahedra)
@@ -268,8 +266,7 @@ def _parts(
     piece = components_of(joined, len(part))
     size = np.bincount(piece)
     for kind in (LV, RV, SEPTUM):
-        own = part == kind
-        if not own.any():
+        if not (own := part == kind).any():
             raise InputError(f"{mesh.name}: no septum between two ventricles; check the labels")
         largest = piece[own][np.argmax(size[piece[own]])]
         septal = np.where(own & (piece != largest), ~septal, septal)

@@ -33,8 +33,7 @@ def read_electrodes(path: Path | str) -> tuple[Floats, Electrodes]:
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file; give electrodes as CSV or JSON") from None
     rows = _rows_of_json(path, text) if path.suffix.lower() == ".json" else _rows_of_csv(path, text)
-    standard = (*ELECTRODES, *FRANK_ELECTRODES, *POSTERIOR, *RIGHT)
-    known = {name.upper(): name for name in standard}
+    known = {name.upper(): name for name in (*ELECTRODES, *FRANK_ELECTRODES, *POSTERIOR, *RIGHT)}
     of_leads = {name.upper() for name in (*LEADS[:6], *FRANK)} - set(FRANK_ELECTRODES)
     positions: dict[str, list[float]] = {}
     for name, values in rows:
@@ -48,8 +47,7 @@ def read_electrodes(path: Path | str) -> tuple[Floats, Electrodes]:
         if electrode.upper() in map(str.upper, positions):
             raise InputError(f"{path}: electrode {electrode} is given twice; keep one")
         positions[electrode] = _position(path, electrode, values)
-    missing = [name for name in ELECTRODES if name not in positions]
-    if missing:
+    if missing := [name for name in ELECTRODES if name not in positions]:
         raise InputError(f"{path}: electrodes missing: {', '.join(missing)}; add their positions")
     missing = [name for name in FRANK_ELECTRODES if name not in positions]
     if 0 < len(missing) < len(FRANK_ELECTRODES):

@@ -107,8 +107,7 @@ def rule_based_fibres(
     endocardium and around them outside. An error if the surface lacks a label that the rule needs.
     """
     angles = angles if angles is not None else FibreAngles()
-    missing = {*missing_parts(mesh.labels)} - {Label.RV_ENDOCARDIUM.words}
-    if missing:
+    if missing := {*missing_parts(mesh.labels)} - {Label.RV_ENDOCARDIUM.words}:
         raise InputError(
             f"{mesh.name}: no boundary triangle is labelled as {' or '.join(sorted(missing))}, "
             "which the fibres start from; label the surface"
@@ -204,8 +203,7 @@ def apex_to_base(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, Flo
     basal = np.setdiff1d(space.on(mesh.having(*BASAL)), apex)
     fixed = np.concatenate([basal, apex])
     given = [np.arange(len(fixed)) < len(basal)]
-    arterial = mesh.having(Label.AORTIC, Label.PULMONARY)
-    if len(arterial):
+    if len(arterial := mesh.having(Label.AORTIC, Label.PULMONARY)):
         given.append(np.isin(fixed, np.setdiff1d(space.on(arterial), apex)))
     solutions = solve_laplace(space, fixed, np.array(given, dtype=float))
     _, baseward = space.at_centroids(solutions[0])
@@ -227,8 +225,7 @@ def lv_apex(mesh: LabelledMesh) -> Integers:
     offset = mesh.vertices[endocardium] - opening
     axis = offset[np.argmax(np.linalg.norm(offset, axis=1))]
     epicardium = np.unique(mesh.having(Label.EPICARDIUM))
-    right = np.unique(mesh.having(Label.RV_ENDOCARDIUM))
-    if len(right):
+    if len(right := np.unique(mesh.having(Label.RV_ENDOCARDIUM))):
         to_left, to_right = (
             KDTree(mesh.vertices[part]).query(mesh.vertices[epicardium])[0]
             for part in (endocardium, right)
@@ -287,8 +284,7 @@ def wall_and_depth(potentials: Floats) -> tuple[Integers, Floats]:
 def _on_surfaces(potentials: Floats, outflow: Floats, angles: FibreAngles) -> tuple[Floats, Floats]:
     """α and β of the surfaces, as each tetrahedron sees them, shape (3, m)."""
     # The epicardium's passes from the left ventricle's to the right one's along their junction.
-    endocardial = np.maximum(potentials[LV] + potentials[RV], np.finfo(float).tiny)
-    right = potentials[RV] / endocardial
+    right = potentials[RV] / np.maximum(potentials[LV] + potentials[RV], np.finfo(float).tiny)
     everywhere = np.ones_like(right)
     epicardial = angles.lv_epicardium * (1 - right) + angles.rv_epicardium * right
     fibre = np.array(

@@ -142,12 +142,11 @@ def load_heart(path: Path | str) -> Heart:
     table = None
     if manifest.action_potential is not None:
         table = read_action_potential(named_by(path, manifest.action_potential))
-    values = _patient_values(path, manifest.values, heart)
     return replace(
         heart,
         torso=torso,
         lead_fields=lead_fields,
-        values=values,
+        values=_patient_values(path, manifest.values, heart),
         action_potential=table,
         folder=folder,
     )
@@ -158,9 +157,8 @@ def _read_manifest(folder: Path) -> Manifest:
     if not path.is_file():
         what = f"not a heart folder (no {MANIFEST})" if folder.exists() else "no such heart folder"
         raise InputError(f"{folder}: {what}; make one with 'fascicle heart build'")
-    values = read_toml(path, "import the heart again")
     try:
-        return Manifest.model_validate(values)
+        return Manifest.model_validate(read_toml(path, "import the heart again"))
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(map(str, first["loc"]))

@@ -187,8 +187,7 @@ def labels_by_number(numbers: Mapping[str, int]) -> dict[str, Label]:
     """
     labels: dict[str, Label] = {}
     for name, number in numbers.items():
-        label = label_of(name)
-        if label is None:
+        if (label := label_of(name)) is None:
             raise InputError(
                 f"--labels: unknown '{printable(name[:60])}'; the parts are base, epicardium, lv, "
                 "rv, mitral, aortic, tricuspid, pulmonary"
@@ -230,8 +229,7 @@ def labels_of(source: str, numbers: Integers, names: Names, groups: Mapping[int,
                 return names[own]
         if group is None:
             return Label(number) if number in free else None
-        label = label_of(group)
-        if label is None:
+        if (label := label_of(group)) is None:
             raise InputError(
                 f"{source}: cannot tell which surface '{printable(group[:60])}' is; name it epi, "
                 "base, lv_endo or rv_endo (or mitral, aortic, tricuspid, pulmonary), or say what "

@@ -188,8 +188,7 @@ class Sites:
     def _in_segment(self, number: int, layer: str) -> Floats:
         """The element of a layer that is nearest to the middle of that layer in a segment."""
         heart, found = self.heart, self.places
-        inside = np.flatnonzero(found.segment == number)
-        if not len(inside):
+        if not len(inside := np.flatnonzero(found.segment == number)):
             raise InputError(f"{heart.name}: the {SEGMENTS[number - 1]} segment holds no tissue")
         depth = found.depth[inside] if layer == LAYERS[0] else 1 - found.depth[inside]
         inside = inside[depth <= np.quantile(depth, 0.25)]  # the quarter nearest to the surface

@@ -58,8 +58,7 @@ def check_tetrahedra(name: str, vertices: Floats, tetrahedra: Integers) -> None:
         ("overlap others", "remove what is there twice", overlapping),
     ):
         refuse(name, bad, f"tetrahedra {what}", remedy, vertices, tetrahedra)
-    linked = tetrahedra[:, [(0, 1), (0, 2), (0, 3)]].reshape(-1, 2)
-    piece = components_of(linked, len(vertices))
+    piece = components_of(tetrahedra[:, [(0, 1), (0, 2), (0, 3)]].reshape(-1, 2), len(vertices))
     refuse(
         f"{name}: the tissue falls into {piece.max() + 1} unconnected pieces",
         piece != np.bincount(piece).argmax(),
@@ -100,8 +99,7 @@ def check_endocardium_in_place(
             f"{name}: its largest extent is {extent:.3g} mm, that of the tissue {whole:.3g} mm; "
             "give both in mm, and the whole endocardium"
         )
-    distance = float(np.median(cKDTree(vertices).query(surface)[0]))
-    if distance > 5:  # mm
+    if (distance := float(np.median(cKDTree(vertices).query(surface)[0]))) > 5:  # mm
         raise InputError(
             f"{name}: its vertices lie {distance:.1f} mm (median) from the tissue's; "
             "give both in the same frame and in mm"

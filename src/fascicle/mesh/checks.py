@@ -41,8 +41,7 @@ def refuse(
     inverted (first: ...); remesh them"; `numbers`, (m,) or (m, c), are what each is called, by
     default its row.
     """
-    at = np.flatnonzero(bad)
-    if not at.size:
+    if not (at := np.flatnonzero(bad)).size:
         return
     called = at if numbers is None else numbers[at]
     where = first_places(called, vertices[at if cells is None else cells[at]])
@@ -92,8 +91,7 @@ def open_loops(name: str, vertices: Floats, triangles: Integers, needed: int = 1
 
     Another number is refused, and loops that touch themselves are.
     """
-    loops = sorted(boundary_loops(triangles), key=len, reverse=True)
-    if not loops:
+    if not (loops := sorted(boundary_loops(triangles), key=len, reverse=True)):
         raise InputError(f"{name}: the surface is closed; cut it open at the base")
     where = ", ".join(
         f"{len(loop)} vertices about {place(vertices[loop].mean(axis=0))}" for loop in loops[:4]

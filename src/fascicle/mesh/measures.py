@@ -21,8 +21,7 @@ HAMMER_STROUD_POINTS = _FAR + (_NEAR - _FAR) * np.eye(4)
 
 def unit(vectors: Floats) -> Floats:
     """Vectors (..., d) at length 1; zero ones stay zero."""
-    axis = -1 if np.ndim(vectors) > 1 else None
-    length = np.linalg.norm(vectors, axis=axis, keepdims=True)
+    length = np.linalg.norm(vectors, axis=-1 if np.ndim(vectors) > 1 else None, keepdims=True)
     return np.asarray(vectors / np.where(length > 0, length, 1))
 
 

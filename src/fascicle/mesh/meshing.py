@@ -73,8 +73,7 @@ def tetrahedralise(
     corners = elements["nodes"] if len(elements) else np.empty((0, 4))
     tetrahedra = corners[:, [0, 2, 1, 3]].astype(np.int64) - 1  # Netgen orients otherwise
     vertices = np.array(mesh.Coordinates(), dtype=float, order="C")
-    volume = float(signed_volumes(vertices, tetrahedra).sum())
-    missing = 1 - volume / sum(
+    missing = 1 - float(signed_volumes(vertices, tetrahedra).sum()) / sum(
         closed_volume(each.vertices, each.triangles)
         * (int(each.inner != NOTHING) - int(each.outer != NOTHING))
         for each in interfaces

@@ -27,8 +27,7 @@ def unique_edges(triangles: Integers) -> tuple[Integers, Integers]:
 
     Edges are sorted, their smaller vertex first.
     """
-    edges = np.sort(directed_edges(triangles), axis=1)
-    return np.unique(edges, axis=0, return_counts=True)
+    return np.unique(np.sort(directed_edges(triangles), axis=1), axis=0, return_counts=True)
 
 
 def boundary_loops(triangles: Integers) -> list[Integers]:

@@ -99,8 +99,7 @@ def additional_sites(heart: Heart, axes: Floats, skin: Surface, names: Sequence[
 
     def ray(start: tuple[float, float, float], direction: tuple[float, float, float]) -> Floats:
         towards, begin = axes @ direction, axes @ start
-        hits = igl.ray_mesh_intersect(begin, towards, *skin)
-        if not hits:
+        if not (hits := igl.ray_mesh_intersect(begin, towards, *skin)):
             raise InputError(
                 f"{heart.name}: no skin where the electrodes {', '.join(names)} belong; give their "
                 "positions in electrodes.csv"

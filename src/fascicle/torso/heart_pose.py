@@ -143,8 +143,7 @@ def check_apex(source: str, rotation: Floats, lv: Surface, rv: Surface) -> None:
     """
     left, back, up = -rotation.T @ heart_axes(lv, rv)[:, 2]
     directions = {"right": -left, "back": back, "head": up}
-    wrong = [name for name, component in directions.items() if component > 0]
-    if len(wrong) > 1:
+    if len(wrong := [name for name, component in directions.items() if component > 0]) > 1:
         raise InputError(
             f"{source}: the apex then points to the {' and the '.join(wrong)}, where none does; "
             "check the axes (RAS or LPS)"

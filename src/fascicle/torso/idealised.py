@@ -80,8 +80,7 @@ def idealised_torso(
     size = size if size is not None else TrunkSize()
     frame = torso_frame(mesh, size, pose)
     skin = trunk(size)
-    electrodes = frame.to_heart(standard_electrodes(size, skin))
-    return _with_lungs(mesh, size, frame, skin, electrodes)
+    return _with_lungs(mesh, size, frame, skin, frame.to_heart(standard_electrodes(size, skin)))
 
 
 def fitted_torso(

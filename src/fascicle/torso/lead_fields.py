@@ -144,8 +144,7 @@ def contacts_on(vertices: Floats, skin: Integers, points: Floats) -> Contacts:
     )
     triangles = skin[nearest]
     corners = (np.ascontiguousarray(vertices[triangles[:, k]]) for k in range(3))
-    weights = igl.barycentric_coordinates(points, *corners)
-    return Contacts(triangles, weights, np.sqrt(squared))
+    return Contacts(triangles, igl.barycentric_coordinates(points, *corners), np.sqrt(squared))
 
 
 def total_conductivity(heart: Heart, torso: Torso, conduction: Conduction) -> Floats:
@@ -313,5 +312,4 @@ def outer_boundary(vertices: Floats, tetrahedra: Integers) -> Integers:
     count, piece = igl.facet_components(triangles)
     corners = vertices[triangles]
     volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
-    enclosed = np.abs(np.bincount(piece, volume, count))
-    return np.asarray(triangles[piece == np.argmax(enclosed)])
+    return np.asarray(triangles[piece == np.argmax(np.abs(np.bincount(piece, volume, count)))])

@@ -73,8 +73,7 @@ def mesh_torso(
         grading=0.5,
         optsteps3d=1,
     )
-    flat = np.count_nonzero(signed_volumes(vertices, tetrahedra) <= 0)
-    if flat:
+    if flat := np.count_nonzero(signed_volumes(vertices, tetrahedra) <= 0):
         raise InputError(f"{mesh.name}: {flat} tetrahedra around it are flat; {remedy}")
     progress(1, 2)
     tissues = np.where(domains == around, int(TorsoTissue.OTHER), int(TorsoTissue.LUNG))

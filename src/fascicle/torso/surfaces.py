@@ -56,8 +56,7 @@ class TorsoSurfaces:
 
 def signed_distance(points: Floats, surface: Surface) -> Floats:
     """Distance to a closed surface (mm), negative inside, shape (n,)."""
-    distance = igl.signed_distance(np.ascontiguousarray(points), *surface)[0]
-    return np.asarray(distance, dtype=float)
+    return np.asarray(igl.signed_distance(np.ascontiguousarray(points), *surface)[0], dtype=float)
 
 
 def remeshed(surface: Surface, edge: float) -> Surface:
@@ -116,8 +115,7 @@ def check_within(
     names = names or ["torso", *(f"lung {number}" for number in range(1, len(lungs) + 1))]
     for name, surface in zip(names, (skin, *lungs), strict=True):
         check_closed(name, surface, "torso" if surface is skin else "lung")
-        pairs = self_intersections(*surface)
-        if len(pairs):
+        if len(pairs := self_intersections(*surface)):
             where = first_places(pairs, surface.corners[pairs])
             raise InputError(
                 f"{name}: the surface crosses itself in {len(pairs)} pairs of triangles (first: "

@@ -94,8 +94,7 @@ class TrunkSize:
         limits = {"height": (1.2, 2.3, "m"), "weight": (25.0, 250.0, "kg")}
         limits |= dict.fromkeys(SHAPE, (0.5, 2.0, "times"))
         for name, (low, high, unit) in (limits | {"girth": (50.0, 180.0, "cm")}).items():
-            value = getattr(self, name)
-            if not low <= value <= high:
+            if not low <= (value := getattr(self, name)) <= high:
                 raise InputError(
                     f"torso: {'chest ' if name == 'girth' else ''}{name} {value:.4g} {unit} is not "
                     f"that of an adult; give {low:g} to {high:g} {unit}"
@@ -113,8 +112,7 @@ class TrunkSize:
         outline = np.stack([np.cos(angle), np.sin(angle)])
         outline = np.sign(outline) * np.abs(outline) ** (2 / SQUARENESS)
         outline[1] *= self.depth * 0.70
-        perimeter = np.linalg.norm(np.diff(outline), axis=0).sum()
-        return float(10 * self.girth / perimeter)
+        return float(10 * self.girth / np.linalg.norm(np.diff(outline), axis=0).sum())
 
     @property
     def half_depth(self) -> float:

@@ -47,8 +47,7 @@ def read_meshio(path: Path) -> MeshFile:
     cells: dict[int, Integers] = {}
     cell_data: dict[int, dict[str, Floats]] = {}
     for name, kind in USED.items():
-        blocks = [i for i, block in enumerate(data.cells) if block.type == name]
-        if blocks:
+        if blocks := [i for i, block in enumerate(data.cells) if block.type == name]:
             cells[kind] = np.concatenate([data.cells[i].data for i in blocks]).astype(np.int64)
             cell_data[kind] = {
                 key: np.concatenate([np.asarray(arrays[i]) for i in blocks])

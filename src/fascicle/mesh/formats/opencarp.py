@@ -166,8 +166,7 @@ def _table(path: Path, lines: list[str], columns: tuple[int, ...]) -> Floats:
         wanted = " or ".join(map(str, columns))
         found = f"{len(table)} lines with {table.shape[1]} numbers"
         raise damaged(path, f"{found}; need {len(lines)} with {wanted}")
-    bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
-    if bad.size:
+    if (bad := np.flatnonzero(~np.isfinite(table).all(axis=1))).size:
         raise InputError(
             f"{path}: {bad.size} of {len(table)} lines hold numbers that are not finite (first: "
             f"'{_start(lines[bad[0]])}'); correct them"
@@ -181,13 +180,11 @@ def _indices(
     """Point indices, `corners` a line, and a tag where there is one."""
     table = _table(path, lines, (corners, corners + 1) if tagged else (corners,))
     # beyond 2^53 not every whole number is a float, and no index is so large
-    bad = np.argwhere((table != np.round(table)) | (np.abs(table) > 2.0**53))
-    if len(bad):
+    if len(bad := np.argwhere((table != np.round(table)) | (np.abs(table) > 2.0**53))):
         raise InputError(f"{path}: {table[tuple(bad[0])]:g} is not a whole number; correct it")
     numbers = table.astype(np.int64)
     nodes = numbers[:, :corners]
-    outside = nodes[(nodes < 0) | (nodes >= points)]
-    if outside.size:
+    if (outside := nodes[(nodes < 0) | (nodes >= points)]).size:
         raise InputError(
             f"{path}: {outside.size} indices are out of range (first: {outside[0]}); the mesh has "
             f"points 0 to {points - 1}"

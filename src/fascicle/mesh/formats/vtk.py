@@ -144,8 +144,7 @@ def _cells(grid: Any) -> tuple[dict[int, Integers], dict[int, Integers], dict[st
     points = vtk_to_numpy(grid.GetCells().GetConnectivityArray()).astype(np.int64)
     cells, index = {}, {}
     for kind, corners in ((TRIANGLE, 3), (TETRAHEDRON, 4)):
-        rows = np.flatnonzero(kinds == kind)
-        if rows.size:
+        if (rows := np.flatnonzero(kinds == kind)).size:
             cells[kind] = points[start[rows][:, None] + np.arange(corners)]
             index[kind] = rows
     is_line = np.isin(kinds, (LINE, 4))  # 4: several segments in one
