@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.progress import StageProgress, no_progress
-from fascicle.heart.labelled_surface import Label, LabelledSurface
+from fascicle.heart.labelled_surface import ENDOCARDIA, Label, LabelledSurface
 from fascicle.mesh.measures import edge_lengths, triangle_areas, triangle_normals, unit
 from fascicle.mesh.topology import (
     TRIANGLE_EDGES,
@@ -175,9 +175,7 @@ def smoothed_regions(graph: DualGraph, regions: Integers) -> Integers:
     Each cavity and the outer surface is smoothed for itself, so that a narrow base between them
     stays; then the outer surface ends `NARROWEST` before the cavities do.
     """
-    shares = [
-        _smoothed(graph, regions == part) for part in (Region.FIRST, Region.SECOND, Region.OUTER)
-    ]
+    shares = [_smoothed(graph, regions == part) for part in range(Region.BASAL)]
     smooth: Integers = np.argmax([*shares, np.full(len(regions), 0.5)], axis=0)
     sides = smooth[graph.edges[0]]
     ends = (sides[:, 0] != sides[:, 1]) & (sides < Region.OUTER).any(axis=1)
@@ -194,17 +192,14 @@ def cut_along_borders(surface: LabelledSurface, edge_length: float = NARROWEST) 
     The surface is closed, with `Label.BASE` between the other labels. The base is nowhere narrower
     than the edge length of the triangles to come (mm).
     """
-    for part in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM):
+    for part in (*ENDOCARDIA, Label.EPICARDIUM):
         inside = surface.labels == part
         graph = DualGraph(surface.vertices, surface.triangles)
         level = _level(graph, inside)
         if part == Label.EPICARDIUM:
-            rims = [
-                loop
-                for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
-                for loop in boundary_loops(surface.having(label))
-            ]
-            away, _ = cKDTree(surface.vertices[np.concatenate(rims)]).query(surface.vertices)
+            rims = [boundary_loops(surface.having(label)) for label in ENDOCARDIA]
+            rim = np.concatenate([loop for loops in rims for loop in loops])
+            away, _ = cKDTree(surface.vertices[rim]).query(surface.vertices)
             level = np.minimum(level, away / max(NARROWEST, edge_length) - 1)
         vertices, triangles, parent, side = cut_at_zero(graph.vertices, graph.triangles, level)
         before = surface.labels[parent]
@@ -274,10 +269,8 @@ def cut_at_zero(
 
 def _divided(corners: list[int], on_edge: dict[tuple[int, int], int]) -> list[list[int]]:
     """Two or three triangles for one, at the new vertices on one or two of its edges."""
-    new = []
-    for start, end in TRIANGLE_EDGES:
-        a, b = sorted((corners[start], corners[end]))
-        new.append(on_edge.get((a, b), -1))
+    edges = np.sort(np.array(corners)[TRIANGLE_EDGES], axis=1).tolist()
+    new = [on_edge.get((a, b), -1) for a, b in edges]
     cut = [vertex != -1 for vertex in new]
     # first the one edge that is cut, or the one that is not, whose ends lie on one side
     k = cut.index(sum(cut) == 1)

@@ -107,9 +107,8 @@ def helix_angles(mesh: LabelledMesh, heart: Heart) -> dict[str, HelixAngles]:
     """
     some = slice(None, None, 1 + len(heart.tetrahedra) // 20_000)  # a sample suffices
     centres, fibres = heart.vertices[heart.tetrahedra[some]].mean(axis=1), heart.fibres[some]
-    surfaces = (Label.LV_ENDOCARDIUM, Label.EPICARDIUM, Label.RV_ENDOCARDIUM)
     distances, nearest = np.full((3, len(centres)), np.inf), np.zeros((3, len(centres), 3))
-    for k, label in enumerate(surfaces):
+    for k, label in enumerate((Label.LV_ENDOCARDIUM, Label.EPICARDIUM, Label.RV_ENDOCARDIUM)):
         if len(triangles := mesh.having(label)):
             square, _, point = igl.point_mesh_squared_distance(centres, mesh.vertices, triangles)
             distances[k], nearest[k] = np.sqrt(np.asarray(square)), point
@@ -127,8 +126,7 @@ def helix_angles(mesh: LabelledMesh, heart: Heart) -> dict[str, HelixAngles]:
         along = unit(base - apex - (through @ (base - apex))[:, None] * through)
         upwards = np.einsum("ij,ij->i", fibres[here], along)
         around = np.einsum("ij,ij->i", fibres[here], np.cross(along, through))
-        angle = 90 - (90 - np.degrees(np.arctan2(upwards, around))) % 180
-        found[name] = HelixAngles(depth, angle)
+        found[name] = HelixAngles(depth, 90 - (90 - np.degrees(np.arctan2(upwards, around))) % 180)
     return found
 
 
@@ -216,8 +214,7 @@ def _size_warnings(
 
 def _lead_field_warnings(heart: Heart) -> list[str]:
     """Lead fields of other electrodes or fibres, or of another torso."""
-    known = heart.lead_fields
-    if known is None or is_up_to_date(heart, Conduction()):
+    if heart.lead_fields is None or is_up_to_date(heart, Conduction()):
         return []
     then = "they are solved again when needed"
     if heart.torso is None:

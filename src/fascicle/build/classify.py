@@ -10,7 +10,7 @@ from fascicle.build.surface_checks import OPEN_PIECE, leftness
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
-from fascicle.heart.labelled_surface import Label, LabelledSurface
+from fascicle.heart.labelled_surface import ENDOCARDIA, Label, LabelledSurface
 from fascicle.heart.validate import check_units
 from fascicle.mesh.checks import check_edges, oriented_piece, place
 from fascicle.mesh.measures import closed_by_fan, turned_outwards, unit
@@ -50,7 +50,7 @@ def classify_surface(
         (vertices, np.ascontiguousarray(triangles[regions == region]))
         for region in (Region.OUTER, Region.FIRST, Region.SECOND)
     )
-    sides = [Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM]
+    sides = [*ENDOCARDIA]
     if leftness(first, second, outer) < 0:
         sides.reverse()
     labels = np.array([*sides, Label.EPICARDIUM, Label.BASE], dtype=np.int64)[regions]
@@ -104,9 +104,8 @@ def _cosine_to_base(graph: DualGraph, regions: Integers) -> Floats:
     edges, directions = [], []
     for cavity in (Region.FIRST, Region.SECOND):
         edge = middle[(sides == cavity).sum(axis=1) == 1]
-        inside = graph.centres[regions == cavity].mean(axis=0)
         edges.append(edge)
-        directions.append(_upwards(edge, inside))
+        directions.append(_upwards(edge, graph.centres[regions == cavity].mean(axis=0)))
     distance, nearest = cKDTree(np.vstack(edges)).query(graph.centres)
     cosine = np.einsum("ij,ij->i", graph.smooth_normals, np.vstack(directions)[nearest])
     return np.where(distance > 50.0, -1.0, cosine)

@@ -9,7 +9,7 @@ import numpy as np
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import oriented_into_cavity
-from fascicle.heart.labelled_surface import BASAL, Label, LabelledMesh
+from fascicle.heart.labelled_surface import BASAL, ENDOCARDIA, Label, LabelledMesh
 from fascicle.mesh.checks import first_places
 from fascicle.mesh.measures import (
     best_plane,
@@ -48,10 +48,8 @@ def endocardia(mesh: LabelledMesh) -> tuple[EndocardialSurface, EndocardialSurfa
     but the longest are closed by triangles between their vertices.
     """
     labels = cleaned_labels(mesh.vertices, mesh.triangles, mesh.labels)
-    return (
-        _endocardium(mesh, labels, Label.LV_ENDOCARDIUM),
-        _endocardium(mesh, labels, Label.RV_ENDOCARDIUM),
-    )
+    lv, rv = (_endocardium(mesh, labels, label) for label in ENDOCARDIA)
+    return lv, rv
 
 
 def _endocardium(mesh: LabelledMesh, labels: Integers, label: Label) -> EndocardialSurface:
@@ -127,11 +125,10 @@ def cleaned_labels(vertices: Floats, triangles: Integers, labels: Integers) -> I
         before = labels.copy()
         _remove_small_components(labels, across, length, area)
         for label in BASAL:
-            around = np.zeros(len(labels), dtype=np.int64)
-            for here, there in ((0, 1), (1, 0)):
-                np.add.at(around, across[:, here], labels[across[:, there]] == label)
+            beyond = labels[across[:, ::-1]] == label
+            around = np.bincount(across.ravel(), beyond.ravel(), len(labels))
             labels[(around >= 2) & ~np.isin(labels, BASAL)] = label
-        for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM):
+        for label in ENDOCARDIA:
             _split_non_manifold_vertices(labels, triangles, edges, across, label)
         if (labels == before).all():
             break

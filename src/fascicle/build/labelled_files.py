@@ -18,6 +18,7 @@ from fascicle.heart.assembly import FIBRE_NAMES, average_to_tetrahedra, region_l
 from fascicle.heart.coordinate_arrays import VentricularCoordinates, read_coordinates
 from fascicle.heart.fibres import is_placeholder
 from fascicle.heart.labelled_surface import (
+    ENDOCARDIA,
     LABEL_NAMES,
     NEEDED,
     Label,
@@ -75,14 +76,13 @@ def find_label_array(mesh: MeshFile, array: str | None) -> LabelArray | None:
     """Find the array called so, or else one of `LABEL_NAMES`; triangles come before points."""
     of_triangles = mesh.cell_data.get(TRIANGLE, {})
     for arrays in (of_triangles, mesh.point_data):
-        names = {key.lower(): key for key in arrays} if array is None else {array: array}
-        wanted = LABEL_NAMES if array is None else (array,)
-        name = next((names[name] for name in wanted if names.get(name) in arrays), None)
-        if name is not None:
+        given = None if array not in arrays else (array, arrays[array])
+        if found := _named(arrays, LABEL_NAMES) if array is None else given:
+            name, values = found
             surfaces = {number: group for group, (size, number) in mesh.groups.items() if size == 2}
             groups = surfaces if name == GROUP else None
             source = f"{mesh.path}: array '{name}'"
-            return LabelArray(source, arrays[name], arrays is of_triangles, groups)
+            return LabelArray(source, values, arrays is of_triangles, groups)
     if array is not None:
         known = ", ".join(sorted({*of_triangles, *mesh.point_data})) or "none"
         raise InputError(
@@ -316,9 +316,8 @@ def _from_surface_files(
 
 def _elected(votes: Booleans, boundary: Integers) -> Integers:
     """Label (b,) of most corners of each triangle, by the votes (points, labels) of points."""
-    endocardia_first = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM)
     valves = sorted(set(Label) - set(NEEDED))
-    order = np.array([*endocardia_first, *valves, Label.BASE], dtype=np.int64)
+    order = np.array([*ENDOCARDIA, Label.EPICARDIUM, *valves, Label.BASE], dtype=np.int64)
     # argmax takes the first of those with as many
     return np.asarray(order[np.argmax(votes[boundary].sum(axis=1)[:, order], axis=1)])
 

@@ -54,8 +54,7 @@ def find_base_plane(masks: Masks) -> BasePlane:
     else:
         towards = -float((along**3).sum())  # the longer tail is the apex
     axis = axis if towards > 0 else -axis
-    end = None if index is None else _end_of_slices(masks, faces, axis, index)
-    if end is not None:
+    if index is not None and (end := _end_of_slices(masks, faces, axis, index)) is not None:
         return end
     level, how = _level(masks, faces, centre, axis)
     across = BasePlane(centre + level * axis, axis, how)
@@ -187,9 +186,9 @@ def grid_below(plane: BasePlane, masks: Masks, edge: float) -> Grid:
     first /= np.linalg.norm(first)
     axes = np.array([first, np.cross(plane.normal, first), plane.normal])
     relative = (masks.positions(masks.lv | masks.rv | masks.tissue) - plane.point) @ axes.T
-    low, high = relative.min(axis=0), relative.max(axis=0)
     halves = np.array([masks.thickness(axis) / 2 for axis in axes])
-    low, high = low - halves - 6.0, high + halves + 6.0  # mm; an added wall has to fit in
+    # mm; an added wall has to fit in
+    low, high = relative.min(axis=0) - halves - 6.0, relative.max(axis=0) + halves + 6.0
     shape = np.ceil((high - low) / edge).astype(np.int64) + 1
     layers = int(np.ceil(-low[2] / edge)) + 1
     corner = np.array([low[0], low[1], -(layers - 1) * edge])

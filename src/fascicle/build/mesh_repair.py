@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from fascicle.build.labelled_files import Anatomy
 from fascicle.build.surface_repair import LARGEST_CRUMB, small_pieces
 from fascicle.core.arrays import Floats, Integers
-from fascicle.heart.labelled_surface import Label, LabelledMesh
+from fascicle.heart.labelled_surface import ENDOCARDIA, LabelledMesh
 from fascicle.mesh.checks import first_places, place
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.measures import closed_volume, signed_volumes
@@ -130,7 +130,7 @@ def separated_vertices(anatomy: Anatomy) -> Anatomy:
         return anatomy
     boundary, owner = boundary_triangles(tetrahedra)
     labels = mesh.labels[places_in(boundary, mesh.triangles)]
-    lined = np.isin(labels, (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM))
+    lined = np.isin(labels, ENDOCARDIA)
     several = np.flatnonzero(np.bincount(igl.split_nonmanifold(boundary)[1]) > 1)
     doubled, parent = [], list(range(len(mesh.vertices)))
     for vertex in np.intersect1d(several, boundary[lined]):
@@ -153,14 +153,8 @@ def separated_vertices(anatomy: Anatomy) -> Anatomy:
         f"mesh: vertices in which an endocardium touched itself were doubled: {len(doubled)} "
         f"(first: {first_places(np.array(doubled), mesh.vertices[doubled])})"
     )
-    return replace(
-        anatomy,
-        mesh=replace(
-            mesh, vertices=vertices, tetrahedra=tetrahedra, triangles=triangles, labels=labels
-        ),
-        coordinates=None,
-        notes=(*anatomy.notes, note),
-    )
+    mesh = LabelledMesh(vertices, tetrahedra, triangles, labels, mesh.regions, mesh.name)
+    return replace(anatomy, mesh=mesh, coordinates=None, notes=(*anatomy.notes, note))
 
 
 def repaired_edges(anatomy: Anatomy) -> Anatomy:
@@ -200,16 +194,11 @@ def repaired_edges(anatomy: Anatomy) -> Anatomy:
         f"(first: {first_places(bad, mesh.vertices[bad])}): the tetrahedra that met in them alone "
         f"were separated ({len(tetrahedra) - len(mesh.tetrahedra)} tetrahedra halved, none removed)"
     )
+    labels = mesh.labels[places_in(whole, mesh.triangles)]
+    regions = None if mesh.regions is None else mesh.regions[parent]
     return replace(
         anatomy,
-        mesh=LabelledMesh(
-            vertices,
-            tetrahedra,
-            triangles,
-            mesh.labels[places_in(whole, mesh.triangles)],
-            None if mesh.regions is None else mesh.regions[parent],
-            mesh.name,
-        ),
+        mesh=LabelledMesh(vertices, tetrahedra, triangles, labels, regions, mesh.name),
         fibres=None if anatomy.fibres is None else anatomy.fibres[parent],
         sheets=None if anatomy.sheets is None else anatomy.sheets[parent],
         coordinates=None,

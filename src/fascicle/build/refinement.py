@@ -13,7 +13,7 @@ from fascicle.core.isolated import available_memory
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart, LeadFields
-from fascicle.mesh.topology import TETRAHEDRON_EDGES
+from fascicle.heart.laplace import quadratic_space
 from fascicle.torso.lead_fields import key_of, resolve_lead_fields
 
 CHILDREN = 8  # of each tetrahedron
@@ -88,12 +88,9 @@ def in_eight(vertices: Floats, tetrahedra: Integers) -> Refinement:
             [(6, 7, 8, 4), (6, 7, 9, 8), (6, 7, 5, 9), (6, 7, 4, 5)],
         ]
     )
-    pairs = np.sort(tetrahedra[:, TETRAHEDRON_EDGES].reshape(-1, 2), axis=1)
-    key, place = np.unique(pairs @ [len(vertices), 1], return_inverse=True)
-    edges = np.stack(np.divmod(key, len(vertices)), axis=1)
+    space = quadratic_space(vertices, tetrahedra)
+    edges, points = space.edges, space.nodes
     finer = np.concatenate([vertices, vertices[edges].mean(axis=1)])
-    midpoints = len(vertices) + place.reshape(-1, len(TETRAHEDRON_EDGES))
-    points = np.concatenate([tetrahedra, midpoints], axis=1)
     ends = finer[points[:, around_diagonal[:, 0, :2]]]
     shortest = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2).argmin(axis=1)
     corners = np.broadcast_to(at_corners, (len(points), 4, 4))

@@ -82,14 +82,9 @@ class SegmentationLabels:
 
     def parts(self) -> list[tuple[str, tuple[int, ...]]]:
         """Name and numbers of each part."""
-        given = (self.lv, self.rv, self.myocardium, self.scar)
-        return [
-            (name, part if isinstance(part, tuple) else (part,))
-            for name, part in zip(
-                ("LV blood", "RV blood", "myocardium", "scar"), given, strict=True
-            )
-            if part is not None
-        ]
+        names = ("LV blood", "RV blood", "myocardium", "scar")
+        given = zip(names, (self.lv, self.rv, self.myocardium, self.scar), strict=True)
+        return [(n, p if isinstance(p, tuple) else (p,)) for n, p in given if p is not None]
 
 
 @dataclass(frozen=True)
@@ -156,9 +151,8 @@ def regions_at(segmentation: Segmentation, labels: SegmentationLabels, points: F
     voxels = np.argwhere(parts["myocardium"] | parts.get("scar", False))
     affine = segmentation.affine
     diagonal = float(np.linalg.norm(segmentation.spacing))
-    distance, nearest = cKDTree(voxels @ affine[:3, :3].T + affine[:3, 3]).query(
-        points, distance_upper_bound=diagonal
-    )
+    tree = cKDTree(voxels @ affine[:3, :3].T + affine[:3, 3])
+    distance, nearest = tree.query(points, distance_upper_bound=diagonal)
     near = np.isfinite(distance)
     regions = np.zeros(len(points), dtype=np.int64)
     if "scar" in parts:

@@ -29,7 +29,7 @@ from fascicle.build.surface_checks import Volumes
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
-from fascicle.heart.labelled_surface import Label, LabelledSurface
+from fascicle.heart.labelled_surface import ENDOCARDIA, Label, LabelledSurface
 from fascicle.mesh.meshing import marching_cubes
 from fascicle.mesh.topology import boundary_loops, unique_edges, without_unused_vertices
 
@@ -83,10 +83,8 @@ def surface_from_segmentation(
             f"most {THICKEST:g} mm apart"
         )
     masks = masks_of(segmentation, labels, notes)
-    counted = [
-        float(mask.sum()) * segmentation.voxel_volume / 1e3
-        for mask in (masks.lv, masks.rv, masks.tissue)
-    ]
+    counted = masks.lv, masks.rv, masks.tissue
+    given = Volumes(*(float(part.sum()) * segmentation.voxel_volume / 1e3 for part in counted))
     masks = _coarsened(masks)
     progress(1, 6)
     plane = find_base_plane(masks)
@@ -115,8 +113,7 @@ def surface_from_segmentation(
     levels = _Levels(*(part[:, :, :layers] for part in levels))
     surface = _closed_surface(levels, grid, masks.name, notes)
     progress(6, 6)
-    lv_ml, rv_ml, tissue_ml = counted
-    return surface, Volumes(lv_ml, rv_ml, tissue_ml + added)
+    return surface, given._replace(myocardium=given.myocardium + added)
 
 
 def _check_apex(masks: Masks, plane: BasePlane) -> None:
@@ -228,10 +225,9 @@ def _wrong_with_section(levels: _Levels, k: int, areas: list[Integers]) -> str:
 
 def _closed_surface(levels: _Levels, grid: Grid, name: str, notes: list[str]) -> LabelledSurface:
     """Extract the surface; mend the cavities where they are not disks."""
-    attempts = {Label.LV_ENDOCARDIUM: 0, Label.RV_ENDOCARDIUM: 0}
+    attempts = dict.fromkeys(ENDOCARDIA, 0)
     while True:
-        lv = _mended(levels.lv, attempts[Label.LV_ENDOCARDIUM], grid.edge)
-        rv = _mended(levels.rv, attempts[Label.RV_ENDOCARDIUM], grid.edge)
+        lv, rv = map(_mended, (levels.lv, levels.rv), attempts.values())
         tried = _walled(lv, rv, levels.gaps) if any(attempts.values()) else levels
         surface = _extract(tried, grid, name)
         if (wrong := _wrong_topology(surface)) is None:
@@ -253,12 +249,12 @@ def _closed_surface(levels: _Levels, grid: Grid, name: str, notes: list[str]) ->
     return surface
 
 
-def _mended(cavity: Floats, attempt: int, edge: float) -> Floats:
+def _mended(cavity: Floats, attempt: int) -> Floats:
     if attempt == 0:
         return cavity
     if attempt == 1:
-        return -closed_by(-cavity, BALLS[0], edge)
-    return closed_by(cavity, BALLS[attempt - 1], edge)
+        return -closed_by(-cavity, BALLS[0], EDGE)
+    return closed_by(cavity, BALLS[attempt - 1], EDGE)
 
 
 def _extract(levels: _Levels, grid: Grid, name: str) -> LabelledSurface:
@@ -275,11 +271,9 @@ def _extract(levels: _Levels, grid: Grid, name: str) -> LabelledSurface:
     vertices[:, 2] = np.minimum(vertices[:, 2], top)
     base = (vertices[triangles, 2] == top).all(axis=1)
     middle = vertices[triangles].mean(axis=1).T
-    kinds = (Label.EPICARDIUM, Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
-    active = [
-        map_coordinates(part, middle, order=1) for part in (levels.outer, -levels.lv, -levels.rv)
-    ]
-    labels = np.array(kinds)[np.argmax(active, axis=0)]
+    parts = (levels.outer, -levels.lv, -levels.rv)
+    active = [map_coordinates(part, middle, order=1) for part in parts]
+    labels = np.array([Label.EPICARDIUM, *ENDOCARDIA])[np.argmax(active, axis=0)]
     labels[base] = Label.BASE
     return LabelledSurface(grid.positions(vertices), triangles, labels.astype(np.int64), name)
 
@@ -298,7 +292,7 @@ def _largest_piece(triangles: Integers, name: str) -> Integers:
 
 def _wrong_topology(surface: LabelledSurface) -> tuple[Label, str] | None:
     """First part of a surface that is not like that of two ventricles, and what is wrong."""
-    for part in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM, Label.BASE):
+    for part in (*ENDOCARDIA, Label.EPICARDIUM, Label.BASE):
         n_loops = 3 if part == Label.BASE else 1
         own = surface.having(part)
         loops = len(boundary_loops(own))

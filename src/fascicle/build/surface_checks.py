@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import long_axis
-from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface
+from fascicle.heart.labelled_surface import ENDOCARDIA, Label, LabelledMesh, LabelledSurface
 from fascicle.mesh.measures import closed_by_fan, closed_volume, triangle_areas, unit
 from fascicle.mesh.topology import without_unused_vertices
 
@@ -33,10 +33,7 @@ class Volumes(NamedTuple):
 
 def volumes(tissue: LabelledSurface | LabelledMesh) -> Volumes:
     """Volumes of a closed labelled surface or of a mesh."""
-    lv, rv = (
-        abs(closed_by_fan(tissue.vertices, tissue.having(label))[0]) / 1e3
-        for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
-    )
+    lv, rv = (abs(closed_by_fan(*tissue.part(label))[0]) / 1e3 for label in ENDOCARDIA)
     return Volumes(lv, rv, closed_volume(tissue.vertices, tissue.triangles) / 1e3)
 
 
@@ -79,7 +76,7 @@ def wall_thickness(tissue: LabelledSurface | LabelledMesh) -> Walls:
     left out. The distance never exceeds the thickness along any other direction.
     """
     vertices, epicardium = tissue.vertices, tissue.having(Label.EPICARDIUM)
-    left, right = (tissue.having(Label.LV_ENDOCARDIUM), tissue.having(Label.RV_ENDOCARDIUM))
+    left, right = map(tissue.having, ENDOCARDIA)
 
     def distances(of: Integers, to: Integers) -> Floats:
         at = vertices[np.unique(of)]
@@ -128,10 +125,7 @@ def check_sides(tissue: LabelledSurface | LabelledMesh) -> None:
     The one labelled LV then has the thinner free wall (median) and fills less of its convex hull:
     neither a right ventricle with a thick wall nor a round one is refused for that alone.
     """
-    epicardium, lv, rv = (
-        (tissue.vertices, tissue.having(label))
-        for label in (Label.EPICARDIUM, Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
-    )
+    epicardium, lv, rv = map(tissue.part, (Label.EPICARDIUM, *ENDOCARDIA))
     walls = wall_thickness(tissue)
     thick, thin = median_thickness(walls.lv), median_thickness(walls.rv)
     left, right = (_features(endocardium, epicardium)[0] for endocardium in (lv, rv))
@@ -153,10 +147,7 @@ def mirror_warning(mesh: LabelledMesh, space: str) -> tuple[str, ...]:
     """
     if space not in ("RAS", "LPS"):
         return ()
-    left, right = (
-        without_unused_vertices(mesh.vertices, mesh.having(label))
-        for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
-    )
+    left, right = (without_unused_vertices(*mesh.part(label)) for label in ENDOCARDIA)
     base, apex = long_axis(*left)
     to_right = np.array([1, 1, 1] if space == "RAS" else [-1, -1, 1])
     axis = unit(to_right * (apex - base))

@@ -11,7 +11,7 @@ from fascicle.build.endocardia import cleaned_labels
 from fascicle.build.surface_checks import OPEN_PIECE, check_sides
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.heart.labelled_surface import Label, LabelledSurface, missing_parts
+from fascicle.heart.labelled_surface import ENDOCARDIA, LabelledSurface, missing_parts
 from fascicle.heart.validate import check_units
 from fascicle.mesh.checks import check_edges, first_places, oriented_piece, place, refuse
 from fascicle.mesh.measures import closed_volume, loop_length, self_intersections, turned_outwards
@@ -51,7 +51,7 @@ def prepared_surface(surface: LabelledSurface) -> LabelledSurface:
     cleaned = replace(
         closed, labels=cleaned_labels(closed.vertices, closed.triangles, closed.labels)
     )
-    for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM):
+    for label in ENDOCARDIA:
         name = f"{surface.name}: {label.words}"
         if not boundary_loops(oriented_piece(name, cleaned.vertices, cleaned.having(label))):
             raise InputError(f"{name}: the surface is closed; it must be open at the base")

@@ -35,9 +35,8 @@ def region_arrays(mesh: MeshFile) -> dict[str, Integers]:
             if 1 < count <= 200:  # one of more numbers is of elements, not of regions
                 rank = name.lower() not in REGION_NAMES, -count
                 found[name] = rank, values.astype(np.int64)
-    return {
-        name: values for name, (_, values) in sorted(found.items(), key=lambda item: item[1][0])
-    }
+    ordered = sorted(found.items(), key=lambda item: item[1][0])
+    return {name: values for name, (_, values) in ordered}
 
 
 def regions_in(mesh: MeshFile) -> str:

@@ -44,6 +44,7 @@ class Label(IntEnum):
 
 
 BASAL = (Label.BASE, Label.MITRAL, Label.AORTIC, Label.TRICUSPID, Label.PULMONARY)
+ENDOCARDIA = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
 NEEDED = (Label.BASE, Label.EPICARDIUM, Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
 
 
@@ -56,8 +57,13 @@ def missing_parts(labels: Integers) -> list[str]:
 class _Labelled:
     """A boundary with a label for every triangle."""
 
+    vertices: Floats
     triangles: Integers
     labels: Integers
+
+    def part(self, label: Label) -> tuple[Floats, Integers]:
+        """The vertices, and the triangles with a label."""
+        return self.vertices, self.having(label)
 
     def having(self, *labels: Label) -> Integers:
         """Triangles of the boundary with any of these labels, shape (k, 3)."""

@@ -14,7 +14,7 @@ from fascicle.build.check import WALLS, HeartCheck
 from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.heart import Heart, TorsoTissue
-from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface
+from fascicle.heart.labelled_surface import ENDOCARDIA, Label, LabelledMesh, LabelledSurface
 from fascicle.mesh.measures import triangle_areas, triangle_normals
 from fascicle.mesh.topology import boundary_loops, boundary_triangles
 from fascicle.reporting import style
@@ -41,7 +41,6 @@ LABELS = {
     Label.TRICUSPID: ("tricuspid valve", Colour.GREEN),
     Label.PULMONARY: ("pulmonary valve", Colour.SKY),
 }
-ENDOCARDIA = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
 WALL_COLOURS = dict(zip(WALLS, (Colour.VERMILION, Colour.GREEN, Colour.BLUE), strict=True))
 
 

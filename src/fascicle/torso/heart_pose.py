@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.heart.labelled_surface import Label, LabelledMesh
+from fascicle.heart.labelled_surface import ENDOCARDIA, LabelledMesh
 from fascicle.mesh.measures import solid_centroid, triangle_areas, unit
 from fascicle.mesh.topology import boundary_loops
 from fascicle.torso.surfaces import Surface
@@ -52,8 +52,8 @@ class TorsoFrame:
 
 def endocardial_surfaces(mesh: LabelledMesh) -> tuple[Surface, Surface]:
     """Left and right."""
-    lv, rv = mesh.having(Label.LV_ENDOCARDIUM), mesh.having(Label.RV_ENDOCARDIUM)
-    return Surface(mesh.vertices, lv), Surface(mesh.vertices, rv)
+    lv, rv = (Surface(*mesh.part(label)) for label in ENDOCARDIA)
+    return lv, rv
 
 
 def heart_axes(lv: Surface, rv: Surface) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.heart import Heart, Torso, TorsoTissue
-from fascicle.heart.labelled_surface import Label, LabelledMesh, labelled_mesh
+from fascicle.heart.labelled_surface import ENDOCARDIA, LabelledMesh, labelled_mesh
 from fascicle.mesh.measures import signed_volumes, winding_number
 from fascicle.mesh.meshing import NOTHING, Interface, tetrahedralise
 from fascicle.mesh.topology import without_unused_vertices
@@ -78,7 +78,7 @@ def mesh_torso(
     progress(1, 2)
     tissues = np.where(domains == around, int(TorsoTissue.OTHER), int(TorsoTissue.LUNG))
     centres = vertices[tetrahedra].mean(axis=1)
-    for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM):
+    for label in ENDOCARDIA:
         endocardium = mesh.having(label)
         lined = mesh.vertices[endocardium]
         low, high = lined.min(axis=(0, 1)), lined.max(axis=(0, 1))
