@@ -123,7 +123,6 @@ def _multigrid(
     space: QuadraticSpace, inner: sparse.csr_matrix, free: Integers
 ) -> tuple[MultilevelSolver, MultilevelSolver]:
     """Solvers on the free nodes, symmetric: of all levels, and of those below the quadratic."""
-    from pyamg import smoothed_aggregation_solver
     from pyamg.multilevel import MultilevelSolver
     from pyamg.relaxation.smoothing import change_smoothers
 
@@ -137,15 +136,19 @@ def _multigrid(
     quadratic.A = inner
     quadratic.P = from_linear[free][:, free[free < vertices]].tocsr()
     quadratic.R = quadratic.P.T.tocsr()
-    coarse = smoothed_aggregation_solver(
-        (quadratic.R @ inner @ quadratic.P).tocsr(),
-        # bounds the spectrum by row sums; the default draws on NumPy's global random state
-        smooth=("jacobi", {"weighting": "local"}),
-    )
+    coarse = smoothed_aggregation((quadratic.R @ inner @ quadratic.P).tocsr())
     fine = MultilevelSolver([quadratic, *coarse.levels], coarse_solver="pinv")
     forth, back = (("gauss_seidel", {"sweep": order}) for order in ("forward", "backward"))
     change_smoothers(fine, presmoother=forth, postsmoother=back)
     return fine, coarse
+
+
+def smoothed_aggregation(matrix: sparse.csr_matrix) -> MultilevelSolver:
+    """Multigrid for a symmetric matrix, the same in every run."""
+    from pyamg import smoothed_aggregation_solver
+
+    # bounds the spectrum by row sums; the default draws on NumPy's global random state
+    return smoothed_aggregation_solver(matrix, smooth=("jacobi", {"weighting": "local"}))
 
 
 def _basis_gradients(point: Floats) -> Floats:

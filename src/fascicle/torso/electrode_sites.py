@@ -22,18 +22,8 @@ from fascicle.torso.trunk import TrunkSize
 FARTHEST = 30.0  # mm from the skin: beyond, electrodes and torso do not belong together
 
 
-class Electrode(IntEnum):
-    """Rows of electrodes in arrays, in the order of `fascicle.core.leads.ELECTRODES`."""
-
-    RA = 0
-    LA = 1
-    LL = 2
-    V1 = 3
-    V2 = 4
-    V3 = 5
-    V4 = 6
-    V5 = 7
-    V6 = 8
+# Rows of electrodes in arrays, in the order of `fascicle.core.leads.ELECTRODES`
+Electrode = IntEnum("Electrode", "RA LA LL V1 V2 V3 V4 V5 V6", start=0)
 
 
 def standard_electrodes(size: TrunkSize, skin: Surface) -> Floats:

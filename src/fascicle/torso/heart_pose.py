@@ -65,8 +65,7 @@ def heart_axes(lv: Surface, rv: Surface) -> Floats:
     """
     base = opening(lv)
     used = lv.vertices[np.unique(lv.triangles)]
-    apex = used[np.argmax(np.linalg.norm(used - base, axis=1))]
-    long_axis = unit(base - apex)
+    long_axis = unit(base - used[np.argmax(np.linalg.norm(used - base, axis=1))])
     across = surface_middle(rv) - surface_middle(lv)
     across = unit(across - (across @ long_axis) * long_axis)
     return np.stack([across, np.cross(long_axis, across), long_axis], axis=1)

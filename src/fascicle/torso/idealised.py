@@ -50,7 +50,6 @@ from fascicle.torso.trunk import (
     TrunkSize,
     convex_hull,
     exclusion_hull,
-    identity,
     lungs_of,
     outside_trunk,
     skin_of,
@@ -104,9 +103,8 @@ def fitted_torso(
     else:
         rotation = torso_frame(mesh, standard, pose).rotation
     heart = mesh.vertices[np.unique(mesh.triangles)]
-    fitted = fit_trunk(
-        name, electrodes, heart, solid_centroid(mesh.vertices, mesh.tetrahedra), rotation, known
-    )
+    centroid = solid_centroid(mesh.vertices, mesh.tetrahedra)
+    fitted = fit_trunk(name, electrodes, heart, centroid, rotation, known)
     placed = fitted.frame.to_torso(heart)
     hull = convex_hull(placed)
     undeformed_trunk = outside_trunk(fitted.size)
@@ -130,7 +128,7 @@ def _with_lungs(
     frame: TorsoFrame,
     skin: Surface,
     electrodes: Floats,
-    undeformed: Deformation = identity,
+    undeformed: Deformation = lambda points: points,
 ) -> TorsoSurfaces:
     """Add lungs to a skin in the torso frame; electrodes are in the heart's coordinates."""
     heart = frame.to_torso(mesh.vertices[np.unique(mesh.triangles)])
@@ -145,13 +143,9 @@ def _with_lungs(
         )
     base = frame.to_torso(np.stack([opening(side) for side in endocardial_surfaces(mesh)]))
     lungs = lungs_of(mesh.name, size, exclusion_hull(heart, base), undeformed)
-    surfaces = TorsoSurfaces(
-        Surface(frame.to_heart(skin.vertices), skin.triangles),
-        tuple(Surface(frame.to_heart(lung.vertices), lung.triangles) for lung in lungs),
-        electrodes,
-    )
-    check_within(mesh, surfaces.skin, surfaces.lungs)
-    return surfaces
+    outer, *inner = (Surface(frame.to_heart(s.vertices), s.triangles) for s in (skin, *lungs))
+    check_within(mesh, outer, inner)
+    return TorsoSurfaces(outer, tuple(inner), electrodes)
 
 
 @dataclass(frozen=True)
@@ -207,10 +201,8 @@ def fit_trunk(
 
     def trunk_of(x: Floats) -> tuple[TrunkSize, TorsoFrame]:
         """Measures, and where that trunk lies: tilted about its axes, then the heart moved."""
-        factors = {
-            measure: float(np.exp(MEASURES[measure] * step))
-            for measure, step in zip(unknown, x[6:], strict=True)
-        }
+        steps = zip(unknown, x[6:], strict=True)
+        factors = {measure: float(np.exp(MEASURES[measure] * step)) for measure, step in steps}
         girth = factors.pop("girth", None)
         values = {"height": TrunkSize.height, **known}
         values |= {measure: values.get(measure, 1.0) * f for measure, f in factors.items()}
@@ -281,6 +273,5 @@ def _nearest(outside: Outside, points: Floats) -> Floats:
     for _ in range(10):
         around = np.stack([outside(points + away) for away in steps], axis=1)
         slope = (around[:, :3] - around[:, 3:]) / (2 * step)
-        square = np.maximum((slope**2).sum(axis=1), 1e-3)
-        points -= (outside(points) / square)[:, None] * slope
+        points -= (outside(points) / np.maximum((slope**2).sum(axis=1), 1e-3))[:, None] * slope
     return points

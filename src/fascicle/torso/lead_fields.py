@@ -29,6 +29,7 @@ from fascicle.core.leads import ELECTRODES
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart, LeadFields, Torso, TorsoTissue, digest_of
+from fascicle.heart.laplace import smoothed_aggregation
 from fascicle.mesh.checks import refuse
 from fascicle.mesh.topology import boundary_triangles
 from fascicle.torso.electrode_sites import check_on_skin
@@ -149,11 +150,9 @@ def contacts_on(vertices: Floats, skin: Integers, points: Floats) -> Contacts:
 
 def total_conductivity(heart: Heart, torso: Torso, conduction: Conduction) -> Floats:
     """σ (m, 3, 3) of the heart's tetrahedra, Gᵢ + Gₑ, then of the torso's, isotropic (mS/cm)."""
-    of_tissue = np.zeros(max(TorsoTissue) + 1)
-    of_tissue[TorsoTissue.OTHER] = conduction.body
-    of_tissue[TorsoTissue.LUNG] = conduction.lung
-    of_tissue[TorsoTissue.BLOOD] = conduction.blood
-    around = of_tissue[torso.tissues][:, None, None] * np.eye(3)
+    # in the order of `TorsoTissue`
+    of_tissue = np.array([conduction.body, conduction.lung, conduction.blood])
+    around = of_tissue[torso.tissues - min(TorsoTissue)][:, None, None] * np.eye(3)
     return np.concatenate([conduction.bulk(heart.fibres), around])
 
 
@@ -204,7 +203,7 @@ def solve_neumann(
             "them together"
         )
     conductor = grounded(stiffness)
-    preconditioner = multigrid_levels(conductor).aspreconditioner(cycle="V")
+    preconditioner = smoothed_aggregation(conductor).aspreconditioner(cycle="V")
 
     def solve(current: Floats) -> Floats:
         # ∇Z in the heart is then right to 1e-7, for reciprocity to 1e-6
@@ -231,18 +230,6 @@ def grounded(stiffness: csr_matrix) -> csr_matrix:
     """A stiffness matrix (n, n) with its first vertex grounded, which makes it regular."""
     to_ground = csr_matrix(([stiffness[0, 0]], ([0], [0])), shape=stiffness.shape)
     return csr_matrix(stiffness + to_ground)
-
-
-def multigrid_levels(stiffness: csr_matrix):  # type: ignore[no-untyped-def]
-    """Smoothed aggregation (pyamg's `MultilevelSolver`): the same in every run."""
-    from pyamg import smoothed_aggregation_solver
-
-    return smoothed_aggregation_solver(
-        stiffness,
-        symmetry="symmetric",
-        # bounds the spectrum by row sums; the default estimates it from numpy's global random state
-        smooth=("jacobi", {"weighting": "local"}),
-    )
 
 
 def block_cg(
@@ -283,7 +270,7 @@ def multigrid(stiffness: csr_matrix) -> Preconditioner:
     Yang, SIAM J. Sci. Comput. 33, 2011, 2864-2887). In single precision, which is enough for a
     preconditioner and takes half the memory's time.
     """
-    hierarchy = multigrid_levels(stiffness)
+    hierarchy = smoothed_aggregation(stiffness)
     levels = [
         tuple(csr_matrix(matrix).astype(np.float32) for matrix in (a.A, a.P, a.R))
         for a in hierarchy.levels[:-1]

@@ -164,9 +164,7 @@ def _check_inside(name: str, points: Floats, skin: Surface) -> None:
 def _check_apart(name: str, one: Surface, other_name: str, other: Surface) -> None:
     """Refuse surfaces that overlap, one within the other included, or touch."""
     points = np.concatenate([one.vertices, other.vertices])
-    gap = np.concatenate(
-        [signed_distance(one.vertices, other), signed_distance(other.vertices, one)]
-    )
+    gap = np.append(signed_distance(one.vertices, other), signed_distance(other.vertices, one))
     pairs = intersections(one, other)
     crossed = one.corners[pairs[0, 0]].mean(axis=0) if len(pairs) else None
     if gap.min() < LEAST_GAP or crossed is not None:
