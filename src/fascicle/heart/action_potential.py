@@ -89,7 +89,6 @@ def write_action_potential(path: Path, table: TabulatedPotential) -> None:
 
 
 def _numbers(file: Path, row: list[str], number: int) -> list[float]:
-    """Two finite numbers."""
     try:
         values = [float(cell) for cell in row]
     except ValueError:

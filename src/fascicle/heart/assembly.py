@@ -79,19 +79,9 @@ def assemble_heart(
         )
     lv, rv = seeded_endocardia(named, seeds)
     nine, more = read_electrodes(electrodes)
-    heart = Heart(
-        vertices=vertices,
-        tetrahedra=tetrahedra,
-        fibres=direction,
-        lv=lv,
-        rv=rv,
-        electrodes=nine,
-        name=name,
-        additional_electrodes=more,
-        regions=region_labels(mesh),
-        sheets=None if by_rule else _sheets(mesh),
-        coordinates=read_coordinates(mesh),
-    )
+    regions, sheets = region_labels(mesh), None if by_rule else _sheets(mesh)
+    parts = vertices, tetrahedra, direction, lv, rv, nine
+    heart = Heart(*parts, name, more, regions, sheets, coordinates=read_coordinates(mesh))
     check_electrodes(str(electrodes), heart)
     if not by_rule:
         return heart
@@ -174,7 +164,6 @@ def region_labels(mesh: MeshFile, array: str = "region") -> Integers | None:
 
 
 def _sheets(mesh: MeshFile) -> Floats | None:
-    """Sheet directions of the tetrahedra, if the mesh has the cell array `sheet`."""
     if (values := mesh.cell_array(TETRAHEDRON, "sheet")) is None:
         return None
     name = f"{mesh.path} ('sheet')"

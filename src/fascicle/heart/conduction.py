@@ -194,11 +194,8 @@ class Conduction:
 
     def bulk(self, fibres: Floats) -> Floats:
         """Gᵢ + Gₑ (mS/cm) for unit fibres of shape (m, 3); shape (m, 3, 3)."""
-        return transversely_isotropic(
-            fibres,
-            self.intracellular_l + self.extracellular_l,
-            self.intracellular_t + self.extracellular_t,
-        )
+        along = self.intracellular_l + self.extracellular_l
+        return transversely_isotropic(fibres, along, self.intracellular_t + self.extracellular_t)
 
     def metric(self, fibres: Floats) -> Floats:
         """D⁻¹ (ms²/mm²) for unit fibres of shape (m, 3); shape (m, 3, 3)."""

@@ -44,6 +44,7 @@ from fascicle.core.files import DISPOSABLE
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.core.ranges import check_kind
 from fascicle.heart.coordinate_arrays import NAMES, WALL, VentricularCoordinates
+from fascicle.heart.fibres import SURFACES
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import BASAL, Label, LabelledMesh, labelled_mesh, missing_parts
 from fascicle.heart.laplace import QuadraticSpace, quadratic_space, solve_laplace
@@ -151,10 +152,8 @@ def computed_coordinates(
         raise InputError(f"{mesh.name}: no boundary triangle is {', '.join(missing)}; label it")
     progress(0, 4)
     space = quadratic_space(mesh.vertices, mesh.tetrahedra)
-    left, right, outside, base = (
-        space.on(mesh.having(*labels))
-        for labels in ((Label.LV_ENDOCARDIUM,), (Label.RV_ENDOCARDIUM,), (Label.EPICARDIUM,), BASAL)
-    )
+    left, right, outside = (space.on(mesh.having(label)) for label in SURFACES)
+    base = space.on(mesh.having(*BASAL))
     ventricle = _potential(space, (0.0, left), (1.0, right)) > 0.5
     progress(1, 4)
     inwards = _potential(space, (1.0, left), (-1.0, right), (0.0, outside))

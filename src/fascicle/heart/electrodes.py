@@ -88,7 +88,6 @@ def _rows_of_json(path: Path, text: str) -> list[tuple[str, list[object]]]:
 
 
 def _position(path: Path, name: str, values: list[object]) -> list[float]:
-    """Three finite numbers."""
     try:
         position = [float(value) for value in values]  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):

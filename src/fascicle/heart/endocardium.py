@@ -116,11 +116,10 @@ def seeded_endocardia(
     for side, other in (("lv", "rv"), ("rv", "lv")):
         name, vertices, triangles, valves = surfaces[side]
         found = septal_seeds(vertices, triangles, surfaces[other][1], valves)
+        given = zip(("root", "direction"), chosen[side], found, strict=True)
         root, direction = (
             suggested if seed is None else _vertex(f"{name}: {side.upper()} {what}", seed, vertices)
-            for what, seed, suggested in zip(
-                ("root", "direction"), chosen[side], found, strict=True
-            )
+            for what, seed, suggested in given
         )
         if root == direction:
             raise InputError(

@@ -175,9 +175,8 @@ def wall_potentials(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, 
         surface[space.on(mesh.having(SURFACES[k]))] = k
     fixed = np.flatnonzero(surface >= 0)
     solved = [k for k in (LV, RV) if (surface == k).any()]
-    solutions = solve_laplace(
-        space, fixed, np.array([surface[fixed] == k for k in solved], dtype=float)
-    )
+    given = np.array([surface[fixed] == k for k in solved], dtype=float)
+    solutions = solve_laplace(space, fixed, given)
     count = len(space.tetrahedra)
     values, gradients = np.zeros((3, count)), np.zeros((3, count, 3))
     for k, solution in zip(solved, solutions, strict=True):
@@ -226,10 +225,8 @@ def lv_apex(mesh: LabelledMesh) -> Integers:
     axis = offset[np.argmax(np.linalg.norm(offset, axis=1))]
     epicardium = np.unique(mesh.having(Label.EPICARDIUM))
     if len(right := np.unique(mesh.having(Label.RV_ENDOCARDIUM))):
-        to_left, to_right = (
-            KDTree(mesh.vertices[part]).query(mesh.vertices[epicardium])[0]
-            for part in (endocardium, right)
-        )
+        trees = (KDTree(mesh.vertices[part]) for part in (endocardium, right))
+        to_left, to_right = (tree.query(mesh.vertices[epicardium])[0] for tree in trees)
         epicardium = epicardium[to_left < to_right]
     lowest = [part[np.argmax(mesh.vertices[part] @ axis)] for part in (endocardium, epicardium)]
     return np.array(lowest)
@@ -275,10 +272,8 @@ def wall_and_depth(potentials: Floats) -> tuple[Integers, Floats]:
     # the wall that is furthest from the surface of the least potential
     wall = np.array([Wall.RV, Wall.LV, Wall.SEPTUM])[np.argmin(potentials, axis=0)]
     inner = potentials[np.where(wall == Wall.RV, RV, LV), np.arange(len(wall))]
-    depth = 1 - inner / (
-        inner + potentials[np.where(wall == Wall.SEPTUM, RV, EPI), np.arange(len(wall))]
-    )
-    return wall, depth
+    outer = potentials[np.where(wall == Wall.SEPTUM, RV, EPI), np.arange(len(wall))]
+    return wall, 1 - inner / (inner + outer)
 
 
 def _on_surfaces(potentials: Floats, outflow: Floats, angles: FibreAngles) -> tuple[Floats, Floats]:
@@ -287,9 +282,8 @@ def _on_surfaces(potentials: Floats, outflow: Floats, angles: FibreAngles) -> tu
     right = potentials[RV] / np.maximum(potentials[LV] + potentials[RV], np.finfo(float).tiny)
     everywhere = np.ones_like(right)
     epicardial = angles.lv_epicardium * (1 - right) + angles.rv_epicardium * right
-    fibre = np.array(
-        [angles.lv_endocardium * everywhere, angles.rv_endocardium * everywhere, epicardial]
-    )
+    inside = np.outer((angles.lv_endocardium, angles.rv_endocardium), everywhere)
+    fibre = np.vstack([inside, epicardial])
     in_tract = (angles.outflow_endocardium, angles.outflow_endocardium, angles.outflow_epicardium)
     fibre = (1 - outflow) * fibre + np.outer(in_tract, outflow)
     sheet = (angles.sheet_endocardium, angles.sheet_endocardium, angles.sheet_epicardium)

@@ -117,6 +117,7 @@ def load_heart(path: Path | str) -> Heart:
         return replace(heart, folder=cache)
     manifest, path = _read_manifest(folder), folder / MANIFEST
     surfaces = {"lv": manifest.lv_endocardium, "rv": manifest.rv_endocardium}
+    bundles = {"lv": manifest.lv, "rv": manifest.rv}
     mesh = read_mesh(named_by(path, manifest.mesh), "mesh")
     heart = assemble_heart(
         mesh=mesh,
@@ -125,10 +126,7 @@ def load_heart(path: Path | str) -> Heart:
             side: read_mesh(named_by(path, file), f"{side.upper()} endocardium")
             for side, file in surfaces.items()
         },
-        seeds={
-            "lv": (manifest.lv.root, manifest.lv.direction),
-            "rv": (manifest.rv.root, manifest.rv.direction),
-        },
+        seeds={side: (bundle.root, bundle.direction) for side, bundle in bundles.items()},
         electrodes=named_by(path, manifest.electrodes),
         name=manifest.name,
     )
@@ -142,14 +140,9 @@ def load_heart(path: Path | str) -> Heart:
     table = None
     if manifest.action_potential is not None:
         table = read_action_potential(named_by(path, manifest.action_potential))
-    return replace(
-        heart,
-        torso=torso,
-        lead_fields=lead_fields,
-        values=_patient_values(path, manifest.values, heart),
-        action_potential=table,
-        folder=folder,
-    )
+    values = _patient_values(path, manifest.values, heart)
+    heart = replace(heart, torso=torso, lead_fields=lead_fields, action_potential=table)
+    return replace(heart, values=values, folder=folder)
 
 
 def _read_manifest(folder: Path) -> Manifest:
@@ -208,13 +201,11 @@ def read_torso(path: Path, heart_vertices: Floats) -> Torso:
     known = " or ".join(f"{tissue.value} ({tissue.name.lower()})" for tissue in TorsoTissue)
     count = len(heart_vertices)
     again = "build the heart's torso again"
+    other = not np.array_equal(mesh.points[:count], heart_vertices)
     for bad, fault in (
         (tissues.shape != (len(tetrahedra),), "no cell array 'tissue' with a label each"),
         (not np.isin(tissues, list(TorsoTissue)).all(), f"a tissue that is not {known}"),
-        (
-            not np.array_equal(mesh.points[:count], heart_vertices),
-            f"its first {count} points are not the heart's",
-        ),
+        (other, f"its first {count} points are not the heart's"),
     ):
         if bad:
             raise InputError(f"{path}: {fault}; {again}")
@@ -254,9 +245,8 @@ def write_heart(heart: Heart, folder: Path) -> None:
             valves = {} if e.valves is None else {"valve": e.valves.astype(int)}
             file = temporary / FILES[f"{e.side}_endocardium"]
             write_grid(file, e.vertices, e.triangles, TRIANGLE, cell_data=valves)
-        write_electrodes(
-            temporary / FILES["electrodes"], heart.electrodes, heart.additional_electrodes
-        )
+        electrodes = heart.electrodes, heart.additional_electrodes
+        write_electrodes(temporary / FILES["electrodes"], *electrodes)
         if heart.torso is not None:
             write_torso(temporary / FILES["torso"], heart.torso)
         if heart.action_potential is not None:
@@ -265,7 +255,6 @@ def write_heart(heart: Heart, folder: Path) -> None:
 
 
 def _manifest_text(heart: Heart) -> str:
-    """TOML of a heart's manifest."""
     content: dict[str, Any] = {
         "format": "fascicle heart 1",
         # what cannot be UTF-8 (odd bytes in a path) becomes '?'
@@ -307,9 +296,8 @@ def write_mesh(heart: Heart, path: Path) -> None:
         fields = zip(heart.electrode_names, heart.lead_fields.values, strict=False)
         points = {f"lead_field_{electrode}": values for electrode, values in fields}
     if heart.coordinates is not None:
-        points |= {
-            name: values.astype(np.float32) for name, values in heart.coordinates.arrays.items()
-        }
+        places = heart.coordinates.arrays.items()
+        points |= {name: values.astype(np.float32) for name, values in places}
     write_grid(path, heart.vertices, heart.tetrahedra, TETRAHEDRON, points, cell_arrays(heart))
 
 

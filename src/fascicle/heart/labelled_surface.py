@@ -128,9 +128,8 @@ def labelled_mesh(heart: Heart) -> LabelledMesh:
         # across a thin wall the other side is near too, but faces away; the base faces sideways
         same_way = np.einsum("ij,ij->i", normals, theirs) > 0.5
         labels[same_way & (np.asarray(square) < reach**2)] = label
-    return LabelledMesh(
-        heart.vertices, heart.tetrahedra, triangles, labels, heart.regions, heart.name
-    )
+    tissue = heart.vertices, heart.tetrahedra
+    return LabelledMesh(*tissue, triangles, labels, heart.regions, heart.name)
 
 
 Names = Mapping[str, Label]  # the caller's own names and numbers (as text) of labels
