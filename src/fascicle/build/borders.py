@@ -134,20 +134,17 @@ def openness(graph: DualGraph, progress: StageProgress = no_progress) -> Floats:
     # the half space about z by the cosine law: a sunflower's seeds, lifted
     radius = np.sqrt((np.arange(rays) + 0.5) / rays)
     angle = np.pi * (3 - np.sqrt(5)) * np.arange(rays)
-    directions = np.stack(
-        [radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - radius**2)], axis=1
-    )
+    x, y, z = radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - radius**2)
+    directions = np.stack([x, y, z], axis=1)
     seen = np.empty(len(chosen))
     for start in range(0, len(chosen), chunk):
         some = chosen[start : start + chunk]
         normals = graph.normals[some]
         first = unit(np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), axis=1)]))
         frames = np.stack([first, np.cross(normals, first), normals], axis=1)
-        towards = np.einsum("rk,skj->srj", directions, frames).reshape(-1, 3)
+        towards = np.ascontiguousarray(np.einsum("rk,skj->srj", directions, frames).reshape(-1, 3))
         origins = np.repeat(graph.centres[some] + 1e-3 * normals, rays, axis=0)
-        met, _, _ = tree.intersect_ray_first(
-            graph.vertices, graph.triangles, origins, np.ascontiguousarray(towards)
-        )
+        met, _, _ = tree.intersect_ray_first(graph.vertices, graph.triangles, origins, towards)
         seen[start : start + chunk] = (met.reshape(-1, rays) < 0).mean(axis=1)
         progress(min(start + chunk, len(chosen)), len(chosen))
     # the mean of the four nearest samples that face the same way, not those across a thin wall:

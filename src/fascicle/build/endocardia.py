@@ -67,9 +67,8 @@ def _cap(vertices: Floats, loop: Integers, name: str) -> Integers:
     """Triangles between the vertices of a loop, constrained Delaunay in its best plane."""
     points = vertices[loop]
     centre, frame = best_plane(points, np.ones(len(loop)))
-    triangles, missing = constrained_delaunay(
-        ((points - centre) @ frame.T)[:, :2], [np.arange(len(loop))]
-    )
+    flat = (points - centre) @ frame.T
+    triangles, missing = constrained_delaunay(flat[:, :2], [np.arange(len(loop))])
     if missing.size:
         raise InputError(
             f"{name}: the edge of an opening crosses itself, seen along its normal (first: "

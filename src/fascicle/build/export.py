@@ -107,10 +107,8 @@ def write_opencarp(
             part = stem.with_name(f"{stem.name}_{name}")
             opencarp.write_surf(opencarp.opencarp_file(part, ".surf"), triangles)
             opencarp.write_vtx(opencarp.opencarp_file(part, ".vtx"), np.unique(triangles))
-    for endocardium in heart.endocardia:
-        _write_endocardium(
-            stem.with_name(f"{stem.name}_{endocardium.side}_endocardium"), endocardium, heart
-        )
+    for e in heart.endocardia:
+        _write_endocardium(stem.with_name(f"{stem.name}_{e.side}_endocardium"), e, heart)
     electrodes = heart.electrodes, heart.additional_electrodes
     write_electrodes(stem.with_name("electrodes.csv"), *electrodes)
     for tree in trees:

@@ -122,7 +122,6 @@ def _check_places(epicardium: Part, lv: Part, rv: Part) -> None:
 
 
 def _outline_of(parts: list[Part]) -> Outline:
-    """Outline of a base between parts with one boundary loop each."""
     loops = [part.loops[0] for part in parts]
     points = [part.vertices[loop] for part, loop in zip(parts, loops, strict=True)]
     starts = np.cumsum([0, *map(len, loops)])

@@ -194,15 +194,10 @@ def labelled_tetrahedra(
     region = _named(mesh.cell_data.get(TETRAHEDRON, {}), REGION_NAMES)
     regions = None if region is None else region_labels(mesh, region[0])
     notes: list[str] = []
-    axes = [_directions(mesh, what, fibres, notes) for what in DIRECTION_NAMES]
-    return Anatomy(
-        LabelledMesh(vertices, tetrahedra, triangles, labels, regions, name),
-        fibres=axes[0],
-        sheets=None if axes[0] is None else axes[1],
-        coordinates=read_coordinates(mesh),
-        notes=tuple(notes),
-        own_mesh=True,
-    )
+    along, across = (_directions(mesh, what, fibres, notes) for what in DIRECTION_NAMES)
+    axes = along, None if along is None else across
+    tissue = LabelledMesh(vertices, tetrahedra, triangles, labels, regions, name)
+    return Anatomy(tissue, *axes, read_coordinates(mesh), tuple(notes), own_mesh=True)
 
 
 def _named(arrays: Mapping[str, Floats], names: tuple[str, ...]) -> tuple[str, Floats] | None:
@@ -288,8 +283,8 @@ def _from_surface_files(
     for suffix in (".surf", ".vtx"):
         files = []
         for path in sorted(mesh.path.parent.glob(f"*{suffix}")):
-            name = path.name.removesuffix(suffix).removesuffix(".surf").removeprefix(stem)
-            name = name.strip("._- ")
+            name = path.name.removesuffix(suffix).removesuffix(".surf")
+            name = name.removeprefix(stem).strip("._- ")
             if (label := names.get(name, label_of(name))) is not None:
                 files.append((path, label))
         if not files:

@@ -176,7 +176,6 @@ def remeshed_surface(surface: LabelledSurface, edge_length: float) -> LabelledSu
 
 
 def _remeshed(surface: LabelledSurface, **options: float) -> LabelledSurface:
-    """The surface remeshed by Mmg with these of its options."""
     new = remeshed_triangles(surface.vertices, surface.triangles, surface.labels, **options)
     return LabelledSurface(*new, surface.name)
 
@@ -201,9 +200,8 @@ def without_short_edges(surface: LabelledSurface, shortest: float) -> LabelledSu
         vertices[target[moved]] = (vertices[target[moved]] + vertices[moved]) / 2
         triangles = target[surface.triangles]
         keep = (np.diff(np.sort(triangles, axis=1), axis=1) != 0).all(axis=1)
-        surface = compacted(
-            LabelledSurface(vertices, triangles[keep], surface.labels[keep], surface.name)
-        )
+        shorter = LabelledSurface(vertices, triangles[keep], surface.labels[keep], surface.name)
+        surface = compacted(shorter)
 
 
 def _merge_targets(triangles: Integers, edges: Integers) -> Integers:

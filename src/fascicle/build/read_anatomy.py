@@ -144,9 +144,8 @@ def _from_surface(
     volume = closed_volume(closed.vertices, closed.triangles) / 1e3
     repairs = closed.notes
     closed, notes = _fine_enough(closed, edge_length)
-    found = classify_surface(
-        closed.vertices, closed.triangles, closed.name, stage_progress(progress, "surface")
-    )
+    report = stage_progress(progress, "surface")
+    found = classify_surface(closed.vertices, closed.triangles, closed.name, report)
     cut = cut_along_borders(found, edge_length)
     given = volumes(cut)._replace(myocardium=volume)
     return replace(_meshed(cut, (*repairs, *notes), given, edge_length, progress), guessed=True)
@@ -172,9 +171,8 @@ def _from_segmentation(
             f"coordinates: {segmentation.space}, as in the file; --pose "
             f"{segmentation.space.lower()} aligns the torso with them"
         )
-    surface, given = surface_from_segmentation(
-        segmentation, labels, stage_progress(progress, "surface"), notes, edge_length
-    )
+    report = stage_progress(progress, "surface")
+    surface, given = surface_from_segmentation(segmentation, labels, report, notes, edge_length)
     anatomy = _meshed(surface, tuple(notes), given, edge_length, progress)
     mirrored = mirror_warning(anatomy.mesh, segmentation.space)
     anatomy = replace(anatomy, warnings=(*anatomy.warnings, *mirrored))

@@ -140,9 +140,8 @@ def _nrrd_affine(path: Path, header: dict[str, Any]) -> tuple[Floats, str]:
         )
     factors = {"mm": 1.0, "millimeter": 1.0, "millimeters": 1.0, "": 1.0, "m": 1e3, "cm": 10.0,
                "um": 1e-3, "μm": 1e-3, "µm": 1e-3}  # fmt: skip
-    units = {
-        str(unit).strip().lower() for unit in header.get("space units", header.get("units", []))
-    }
+    given = header.get("space units", header.get("units", []))
+    units = {str(unit).strip().lower() for unit in given}
     if len(units) > 1 or not units <= factors.keys():
         raise InputError(f"{path}: space units {sorted(units)} are not of length; write it in mm")
     return _scaled(affine, factors[units.pop()] if units else 1.0), spaces[space]
@@ -155,7 +154,6 @@ def _scaled(affine: Floats, millimetres: float) -> Floats:
 
 
 def _check_shape(path: Path, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
-    """Refuse what is not a volume of numbers."""
     if dtype.kind not in "iubf":
         raise InputError(f"{path}: voxels of type {dtype}; give whole numbers as labels")
     if len(shape) != 3 or min(shape) < 2:

@@ -117,7 +117,6 @@ def surface_from_segmentation(
 
 
 def _check_apex(masks: Masks, plane: BasePlane) -> None:
-    """Refuse maps without the LV's apex."""
     faces = blood_faces(masks, masks.lv, masks.rv)
     up = faces.areas @ plane.normal
     apical = -float(up[faces.free & (up < 0)].sum())

@@ -48,9 +48,8 @@ def prepared_surface(surface: LabelledSurface) -> LabelledSurface:
     closed = closed_surface(surface)
     if len(cuts := self_intersections(closed.vertices, closed.triangles)):
         closed = _without_cuts(closed, cuts)
-    cleaned = replace(
-        closed, labels=cleaned_labels(closed.vertices, closed.triangles, closed.labels)
-    )
+    labels = cleaned_labels(closed.vertices, closed.triangles, closed.labels)
+    cleaned = replace(closed, labels=labels)
     for label in ENDOCARDIA:
         name = f"{surface.name}: {label.words}"
         if not boundary_loops(oriented_piece(name, cleaned.vertices, cleaned.having(label))):
@@ -91,9 +90,7 @@ def _separated(surface: LabelledSurface) -> LabelledSurface:
         f"surface: vertices in which it touched itself were doubled and moved apart: {len(at)} of "
         f"{len(copied)} (first: {first_places(at, surface.vertices[at])})"
     )
-    return LabelledSurface(
-        vertices, triangles, surface.labels, surface.name, (*surface.notes, note)
-    )
+    return replace(surface, vertices=vertices, triangles=triangles, notes=(*surface.notes, note))
 
 
 def small_pieces(piece: Integers, corners: Floats) -> Integers:
@@ -123,14 +120,8 @@ def _without_crumbs(surface: LabelledSurface) -> LabelledSurface:
         f"surface: pieces of at most {LARGEST_CRUMB:g} mm were left out: {len(small)} (first: "
         f"{first_places(small, np.array(middles))}), with {(~kept).sum()} of {len(kept)} triangles"
     )
-    return compacted(
-        replace(
-            surface,
-            triangles=surface.triangles[kept],
-            labels=surface.labels[kept],
-            notes=(*surface.notes, note),
-        )
-    )
+    rest = replace(surface, triangles=surface.triangles[kept], labels=surface.labels[kept])
+    return compacted(replace(rest, notes=(*surface.notes, note)))
 
 
 def compacted(surface: LabelledSurface) -> LabelledSurface:
@@ -188,9 +179,8 @@ def _without_cuts(surface: LabelledSurface, cuts: Integers) -> LabelledSurface:
     distance = np.where(distance < 0, -1, 1) * np.maximum(np.abs(distance), edge / 20)
     index, triangles = marching_cubes(distance.reshape(shape))
     _, pieces = igl.facet_components(triangles)
-    index, triangles = without_unused_vertices(
-        index, triangles[pieces == np.bincount(pieces).argmax()]
-    )
+    largest = triangles[pieces == np.bincount(pieces).argmax()]
+    index, triangles = without_unused_vertices(index, largest)
     vertices = low + edge * (index - 2.0)
     middle = vertices[triangles].mean(axis=1)
     _, nearest, _ = igl.point_mesh_squared_distance(middle, surface.vertices, surface.triangles)

@@ -47,11 +47,10 @@ def regions_in(mesh: MeshFile) -> str:
     volumes = np.abs(signed_volumes(mesh.points, mesh.cells[TETRAHEDRON])) / 1e3
     numbers, which, counts = np.unique(values, return_inverse=True, return_counts=True)
     names = {number: group for group, (size, number) in mesh.groups.items() if size == 3}
+    sizes = zip(numbers.tolist(), counts, np.bincount(which, volumes), strict=True)
     listed = [
         f"{number}{f' {names[number]}' if number in names else ''} ({count} elements, {ml:.3g} ml)"
-        for number, count, ml in zip(
-            numbers.tolist(), counts, np.bincount(which, volumes), strict=True
-        )
+        for number, count, ml in sizes
     ]
     if len(listed) > 12:
         listed = [*listed[:12], f"and {len(listed) - 12} more"]

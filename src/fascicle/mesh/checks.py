@@ -96,7 +96,6 @@ def open_loops(name: str, vertices: Floats, triangles: Integers, needed: int = 1
     where = ", ".join(
         f"{len(loop)} vertices about {place(vertices[loop].mean(axis=0))}" for loop in loops[:4]
     )
-    touching = sum(np.unique(loop).size != loop.size for loop in loops)
     if len(loops) != needed:
         remedy = "close all but the one at the base"
         if needed == 3:
@@ -105,7 +104,7 @@ def open_loops(name: str, vertices: Floats, triangles: Integers, needed: int = 1
             f"{name}: the surface has {len(loops)} boundary loops ({where}"
             f"{', ...' if len(loops) > 4 else ''}), and {needed} needed; {remedy}"
         )
-    if touching:
+    if touching := sum(np.unique(loop).size != loop.size for loop in loops):
         raise InputError(
             f"{name}: {touching} of its boundary loops ({where}) touch themselves; trim or remesh "
             "the surface there"

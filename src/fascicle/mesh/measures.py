@@ -55,9 +55,7 @@ def triangle_areas(vertices: Floats, triangles: Integers) -> Floats:
 def signed_volumes(vertices: Floats, tetrahedra: Integers) -> Floats:
     """Signed volume of each tetrahedron, shape (m,)."""
     origin, a, b, c = (vertices[tetrahedra[:, k]] for k in range(4))
-    return np.asarray(
-        np.einsum("ij,ij->i", a - origin, np.cross(b - origin, c - origin)) / 6, dtype=float
-    )
+    return np.asarray(np.einsum("ij,ij->i", a - origin, np.cross(b - origin, c - origin)) / 6)
 
 
 def solid_centroid(vertices: Floats, tetrahedra: Integers) -> Floats:
@@ -113,8 +111,7 @@ def turned_outwards(vertices: Floats, triangles: Integers) -> Integers:
 
 def barycentric_gradients(vertices: Floats, corners: NDArray[np.integer]) -> Floats:
     """Gradients of the four barycentric coordinates of each tetrahedron (1/mm), (m, 4, 3)."""
-    edges = vertices[corners[:, 1:]] - vertices[corners[:, :1]]
-    inner = np.swapaxes(np.linalg.inv(edges), 1, 2)
+    inner = np.swapaxes(np.linalg.inv(vertices[corners[:, 1:]] - vertices[corners[:, :1]]), 1, 2)
     return np.ascontiguousarray(np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1))
 
 

@@ -65,10 +65,8 @@ def tetrahedralise(
         except netgen.NgException as error:
             printed.write(f"failed with error: {error}\n".encode())
         printed.seek(0)
-        failure = re.search(
-            r"failed with error: (?:Stop meshing since )?(.+)",
-            printed.read().decode(errors="replace"),
-        )
+        said = printed.read().decode(errors="replace")
+        failure = re.search(r"failed with error: (?:Stop meshing since )?(.+)", said)
     elements = mesh.Elements3D().NumPy()
     corners = elements["nodes"] if len(elements) else np.empty((0, 4))
     tetrahedra = corners[:, [0, 2, 1, 3]].astype(np.int64) - 1  # Netgen orients otherwise

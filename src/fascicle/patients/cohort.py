@@ -133,7 +133,6 @@ def _fitted(
 def _fitted_here(
     patients: Sequence[Patient], report: Callable[[str], None], progress: Progress | None
 ) -> Iterator[Outcome]:
-    """Fit patients one after the other."""
     pool = Threads(cores())
     for patient in patients:
         report(patient.name)

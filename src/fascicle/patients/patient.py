@@ -136,7 +136,6 @@ def fit_patient(patient: Patient, pool: Pool, progress: Progress | None = None) 
 
 
 def _is_done(patient: Patient, inputs: Inputs) -> bool:
-    """Whether the study of these inputs and its report are finished."""
     finished = is_finished(patient.study, inputs.config) and patient.report.is_file()
     return finished and patient.outcome.status is Status.FITTED
 
@@ -204,7 +203,6 @@ def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
 
 
 def _patient(folder: Path, given: Mapping[str, str], cohort: Path) -> Patient:
-    """Make a patient from the cells of a line."""
     for name in NEEDED:
         if name not in given:
             raise FileError(f"no {name} is given; fill the cell")
@@ -214,11 +212,8 @@ def _patient(folder: Path, given: Mapping[str, str], cohort: Path) -> Patient:
             f"{shown(given['patient'])} cannot be the name of a folder; use letters from a to z, "
             "digits, '-', '_' and '.', the first a letter or a digit"
         )
-    paths = {
-        name: folder / as_path(given[name], name)
-        for name in ("heart", "recording", "scenario", "settings")
-        if name in given
-    }
+    files = [name for name in ("heart", "recording", "scenario", "settings") if name in given]
+    paths = {name: folder / as_path(given[name], name) for name in files}
     fields = {name: cell for name, cell in given.items() if name in FitSettings.model_fields}
     settings = FitSettings(**fields)
     return Patient(

@@ -139,7 +139,6 @@ def _parsed(path: Path, content: bytes) -> MeshFile:
 
 
 def _sections(content: bytes) -> Iterator[tuple[str, bytes]]:
-    """Name and content of each section."""
     at = 0
     while content[at:].strip():
         start = re.compile(rb"\s*\$(\w+)\s*?\n").match(content, at)

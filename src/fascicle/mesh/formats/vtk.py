@@ -46,11 +46,8 @@ def read_vtk(path: Path) -> MeshFile:
             data = as_grid.GetOutput()
     try:
         cells, index, others = _cells(data)
-        cell_arrays = _named_arrays(data.GetCellData())
-        cell_data = {
-            kind: {name: values[rows] for name, values in cell_arrays.items()}
-            for kind, rows in index.items()
-        }
+        arrays = _named_arrays(data.GetCellData()).items()
+        cell_data = {k: {name: v[rows] for name, v in arrays} for k, rows in index.items()}
     except (IndexError, ValueError):
         raise damaged(path, "its list of cells contradicts itself") from None
     positions = data.GetPoints()  # None in a file that holds none
@@ -63,7 +60,6 @@ def read_vtk(path: Path) -> MeshFile:
 
 
 def _named_arrays(fields: Any) -> dict[str, NDArray[Any]]:
-    """Arrays of numbers by their names."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
     arrays = {}
