@@ -172,8 +172,7 @@ class TerminalProgress(ProgressLines):
     """Progress of a command: a bar a stage in a terminal; lines elsewhere, and in the log."""
 
     def __init__(self, output: Output | None = None) -> None:
-        found = output if output is not None else _output.get()
-        self._output = found if found is not None else Output(sys.stderr)
+        self._output = output or _output.get() or Output(sys.stderr)
         super().__init__(self._write)
 
     def _make_bars(self) -> Bars:

@@ -19,7 +19,6 @@ from fascicle.recording.recording import Recording
 GAINS = Check("gains of limb leads, ratio", "", 1.01)  # up to which gains are one
 REVERSAL = Check("lead reversal, I and II against V6", "", -0.4)
 P_WAVE = (-0.26, -0.10)  # s from R
-SMALLEST_P = 0.05  # mV, peak to peak in lead I or II; half a mm on paper
 WRONG_GAINS = (
     "its gains per lead are wrong, the raw digits satisfy the identities; "
     "read it with --shared-gain"
@@ -267,7 +266,7 @@ def check_reversal(recording: Recording, peaks: Integers, paced: bool = False) -
         return REVERSAL.found(np.nan, message, Severity.FINE)
     reference = median[left[0]]
     p_waves = _wave(median[:2], P_WAVE, rate)
-    if paced or np.ptp(p_waves, axis=1).max() < SMALLEST_P:
+    if paced or np.ptp(p_waves, axis=1).max() < 0.05:  # mV; half a mm on paper
         why = "the rhythm is paced" if paced else "leads I and II show no P wave"
         return REVERSAL.found(np.nan, f"not checked: {why}", Severity.FINE)
     now = _likeness(median[:2], reference, rate)
