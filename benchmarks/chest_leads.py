@@ -107,7 +107,7 @@ def displaced(seed: int) -> Array:
     ).leads(outcome.activation)
     # at rest before, as a recording is
     leads = np.concatenate([np.zeros((12, 60)), leads[:12]], axis=1)
-    first, last = qrs_window(leads, 1.0)
+    first, last = qrs_window(leads)
     return np.asarray(leads[:, first : last + 1])
 
 

@@ -263,7 +263,7 @@ def marks(one: Case) -> tuple[Array, Array, Array, Array]:
     nearest = one.begins[np.argmin(np.abs(used[:, None] - one.begins - 60), axis=1)]
     begin = float(np.median(nearest - used))
     truth = begin + np.array([one.onset, one.offset])
-    baseline = target.time[list(plain(target.mean, 1.0))]
+    baseline = target.time[list(plain(target.mean))]
     return np.array(target.global_qrs), truth, baseline, np.array(target.global_qrs_sd)
 
 

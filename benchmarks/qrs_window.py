@@ -144,11 +144,11 @@ def synthetic(rng: np.random.Generator, rhythm: str, ratio: float) -> Case | Non
     return Case(beats, *ends.mean(axis=1))
 
 
-def plain(signal: Array, step: float) -> tuple[int, int]:
+def plain(signal: Array) -> tuple[int, int]:
     """Baseline: outward from the fastest instant until the leads are slow for 10 ms."""
-    speed = spatial_velocity(signal, step)
+    speed = spatial_velocity(signal)
     floor = 2 * float(np.quantile(speed, 0.25))
-    top, quiet = int(np.argmax(speed)), round(10 / step)
+    top, quiet = int(np.argmax(speed)), 10
     ends = []
     for outward, level in ((speed[top::-1], 0.02), (speed[top:], 0.05)):
         padded = np.append(outward, np.zeros(quiet)) > max(level * speed[top], floor)
@@ -164,15 +164,15 @@ def errors(cases: Sequence[Case], found: Sequence[tuple[int, int]]) -> Array:
 
 def within(cases: Sequence[Case], off: Array) -> Array:
     """Share of the cases whose error is at most two of the foreseen standard deviations."""
-    foreseen = np.array([window_uncertainty(case.beats, 1.0) for case in cases])
+    foreseen = np.array([window_uncertainty(case.beats) for case in cases])
     return np.asarray((np.abs(off) <= 2 * foreseen).mean(axis=0))
 
 
 def report(label: str, cases: Sequence[Case], foresee: bool) -> Array:
     """Print one line; give the errors (ms)."""
     means = [case.beats.mean(axis=0) for case in cases]
-    off = errors(cases, [qrs_window(mean, 1.0) for mean in means])
-    old = errors(cases, [plain(mean, 1.0) for mean in means])
+    off = errors(cases, [qrs_window(mean) for mean in means])
+    old = errors(cases, [plain(mean) for mean in means])
     print(f"{label:<20}", end="")
     for end in (0, 1):
         sd, plain_sd = off[:, end].std(), old[:, end].std()

@@ -166,7 +166,7 @@ def cost(model: fascicle.ForwardModel, network: Values, torsos: list[dict[str, f
 
 def axis(leads: Array) -> float:
     """Frontal axis (degrees) of the QRS, from the net areas of I and aVF."""
-    onset, offset = qrs_window(leads, STEP)
+    onset, offset = qrs_window(leads)
     i, avf = leads[[0, 5], onset:offset].sum(axis=1)
     return float(np.degrees(np.arctan2(2 * avf / np.sqrt(3), i)))
 
@@ -191,7 +191,7 @@ def table(model: fascicle.ForwardModel, network: Values) -> dict[str, list[float
         for value in (known.prior_range[0], *near, known.prior_range[1]):
             changes.append((name, float(value)))
     print("quantity | value | loss (mV²) | QRS (ms) | axis (degrees)")
-    onset, offset = qrs_window(plain.leads, STEP)
+    onset, offset = qrs_window(plain.leads)
     recorded = plain.leads[:, onset:offset]
     flat = float((recorded**2).sum() / recorded.shape[1])
     print(
@@ -204,7 +204,7 @@ def table(model: fascicle.ForwardModel, network: Values) -> dict[str, list[float
             print(f"{name} | {value:.3g} | {leads.reason} | |")
             shares.append(np.nan)
             continue
-        begin, end = qrs_window(leads, STEP)
+        begin, end = qrs_window(leads)
         loss = align(leads, recorded).loss
         shares.append(loss / flat)
         print(f"{name} | {value:.3g} | {loss:.3f} | {(end - begin) * STEP:.0f} | {axis(leads):.0f}")

@@ -76,7 +76,7 @@ def synthetic_target(
         Relative standard deviation of a beat's amplitude, all leads together.
     """
     clean = np.pad(leads, ((0, 0), (MARGIN, MARGIN)))
-    onset, offset = qrs_window(clean, SAMPLING_STEP)
+    onset, offset = qrs_window(clean)
     peak = int(np.argmax((clean**2).sum(axis=0)))
     smooth = smooth_noise(rng, (beats, *clean.shape), noise)
     amplitude = 1 + amplitude_spread * rng.standard_normal((beats, 1, 1))

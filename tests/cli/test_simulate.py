@@ -99,8 +99,8 @@ class TestOutputs:
         assert summary["total_activation_time_ms"] == pytest.approx(np.ptp(activation), abs=1e-3)
         leads = read_ecg(simulated)[1][:, 1:].T
         for name, found in (
-            ("qrs_duration_ms", qrs_window(leads, 1.0)),
-            ("global_qrs_duration_ms", qrs_windows(leads, 1.0).global_window),
+            ("qrs_duration_ms", qrs_window(leads)),
+            ("global_qrs_duration_ms", qrs_windows(leads).global_window),
         ):
             assert summary[name] == pytest.approx(found[1] - found[0], abs=1)
         assert summary["inputs"]["parameters"]["root_time"] == -12.5

@@ -113,9 +113,9 @@ class TestEcg:
         found = indices(simulated(flat, leads, onset=-20.0), territories, stimulus=-15.0)
         assert found["v6_r_wave_peak_time"] == pytest.approx(80 - 20 + 15)
         assert found["v6_v1_interpeak_interval"] == pytest.approx(33.0)
-        first, last = qrs_window(leads, 1.0)
+        first, last = qrs_window(leads)
         assert found["qrs_duration"] == last - first
-        outermost = qrs_windows(leads, 1.0).global_window
+        outermost = qrs_windows(leads).global_window
         assert found["global_qrs_duration"] == outermost[1] - outermost[0]
         assert found["qrs_from_stimulus"] == pytest.approx(last - 20 + 15)
 

@@ -50,8 +50,8 @@ def synthetic_errors(noise_db, count=24):
         kept = np.flatnonzero(whole & (np.array(truth.kinds) == kind))
         beats = np.stack([signal[:, p - BEFORE : p + AFTER] for p in peaks[kept]])
         ends = (1000 * np.stack([truth.onsets, truth.offsets]) - peaks + BEFORE)[:, kept]
-        off.append(qrs_window(beats.mean(axis=0), 1.0) - ends.mean(axis=1))
-        foreseen.append(window_uncertainty(beats, 1.0))
+        off.append(qrs_window(beats.mean(axis=0)) - ends.mean(axis=1))
+        foreseen.append(window_uncertainty(beats))
     return np.array(off), np.array(foreseen)
 
 

@@ -101,7 +101,7 @@ class SimulatedBeat:
 
     @cached_property
     def _qrs_windows(self) -> QrsWindows:
-        return qrs_windows(self.leads, STEP)
+        return qrs_windows(self.leads)
 
 
 @dataclass(frozen=True)

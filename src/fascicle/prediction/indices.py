@@ -113,7 +113,7 @@ def _ends(times: Floats) -> tuple[float, float]:
 
 def _of_ecg(simulation: Simulation, stimulus: float | None) -> dict[str, float]:
     leads = simulation.leads
-    onset, offset = qrs_window(leads, STEP)
+    onset, offset = qrs_window(leads)
     loop = vectorcardiogram(leads[:, onset : offset + 1])
     v6, v1 = (_r_peak(leads[LEADS.index(name), onset : offset + 1]) for name in ("V6", "V1"))
     since = np.nan if stimulus is None else simulation.onset + onset * STEP - stimulus

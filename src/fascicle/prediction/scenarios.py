@@ -202,7 +202,7 @@ def qrs_aligned(*predicted: Predicted) -> tuple[Floats, list[Floats]]:
     Times (t,) from there (ms), and potentials (n, 12 + k, t), mV, of each scenario, up to the end
     of the longest QRS.
     """
-    windows = [[qrs_window(beat.leads, STEP) for beat in each.beats] for each in predicted]
+    windows = [[qrs_window(beat.leads) for beat in each.beats] for each in predicted]
     longest = max(offset - onset for each in windows for onset, offset in each)
     length = LEAD_IN + longest + LEAD_OUT
     rows = len(predicted[0].beats[0].leads)

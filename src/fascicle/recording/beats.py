@@ -122,13 +122,13 @@ def cut_beats(group: LeadGroup, members: Integers, onset: float | None) -> Align
         for peak in peaks:
             signal[:, peak - before : peak + after + 1] -= tail
     median = median[: len(LEADS)]
-    first = qrs_window(median, SAMPLING_STEP, not_before)[0]
+    first = qrs_window(median, not_before)[0]
     if onset is not None:
         first = min(max(before + round(onset / SAMPLING_STEP), 0), before + after)
     # The isoelectric level is that of the slowest samples, of 60 to 5 before the QRS: further back
     # is the P wave; nearer, the first slope of the QRS is smoothed in.
     earliest = max(first - 60, 0)
-    velocity = spatial_velocity(median, SAMPLING_STEP)[earliest : max(first - 5, earliest + KNOT)]
+    velocity = spatial_velocity(median)[earliest : max(first - 5, earliest + KNOT)]
     slowest = np.argmin(np.convolve(velocity, np.full(KNOT, 1 / KNOT), mode="valid"))
     knots = peaks - before + int(earliest + slowest)
     beats = _detrended_beats(signal, knots, peaks, before, after)
@@ -168,7 +168,7 @@ def drifting_beats(group: LeadGroup, members: Integers, onset: float | None) -> 
     found: dict[int, Drift] = {}
     while len(members) >= 5:
         aligned = cut_beats(group, members, onset)
-        end = qrs_window(np.median(aligned.beats, axis=0), SAMPLING_STEP, aligned.not_before)[1]
+        end = qrs_window(np.median(aligned.beats, axis=0), aligned.not_before)[1]
         levels = aligned.beats[:, : len(LEADS), end : end + KNOT].mean(axis=2)
         off = np.asarray(levels - np.median(levels, axis=0))
         spread = 1.4826 * np.median(np.abs(off), axis=0)  # of a normal distribution

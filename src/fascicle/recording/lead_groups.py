@@ -237,7 +237,7 @@ def _median_beat(signal: Floats, peaks: Integers, spikes: Integers) -> tuple[Flo
     """Median of aligned beats, `2 HALF_WIDTH` samples each side of R, and the ends of its QRS."""
     reach = 2 * HALF_WIDTH
     median = np.median(cut(signal, peaks, reach, reach), axis=0)
-    return median, *qrs_window(median, SAMPLING_STEP, end_of_spikes(signal, spikes, peaks, reach))
+    return median, *qrs_window(median, end_of_spikes(signal, spikes, peaks, reach))
 
 
 def cut(signal: Floats, peaks: Integers, before: int, after: int) -> Floats:

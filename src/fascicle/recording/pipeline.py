@@ -26,7 +26,7 @@ from fascicle.recording.beats import (
 )
 from fascicle.recording.detection import magnitude
 from fascicle.recording.filter_estimate import passed_filters
-from fascicle.recording.filters import SAMPLING_STEP, TARGET_RATE, Filter, resample
+from fascicle.recording.filters import TARGET_RATE, Filter, resample
 from fascicle.recording.lead_groups import LeadGroup, complete_in, lead_groups, stretches
 from fascicle.recording.quality.check_result import CheckResult, Severity, listed
 from fascicle.recording.quality.checks import check_leads, check_mean_beat, check_recording
@@ -221,20 +221,19 @@ def _refuse(findings: Sequence[CheckResult], recording: Recording) -> None:
 
 def _with_beats_checked(recording: Recording, groups: Sequence[LeadGroup]) -> Recording:
     """Refuse recordings without beats, or of a size that no heart has; remark on unusual ones."""
-    source = recording.source
     for group in groups:
         if not len(group.peaks):
             seconds = group.signal.shape[1] / TARGET_RATE
             raise InputError(
-                f"{source}: no beats found in {seconds:.1f} s of {group.leads}; give a longer or "
-                "cleaner recording (10 s is usual)"
+                f"{recording.source}: no beats found in {seconds:.1f} s of {group.leads}; give a "
+                "longer or cleaner recording (10 s is usual)"
             )
     remark = _check_amplitude(recording, max(group.height for group in groups))
     clearest = min(group.signal_to_noise for group in groups)
     if clearest < 0.5:
         raise InputError(
-            f"{source}: no heart beats stand out of the noise (ratio of energies {clearest:.2f}); "
-            "give a cleaner recording"
+            f"{recording.source}: no heart beats stand out of the noise (ratio of energies "
+            f"{clearest:.2f}); give a cleaner recording"
         )
     return replace(recording, provenance=with_remarks(recording.provenance, remark))
 
@@ -348,7 +347,7 @@ def _window(
 
     A given end has no SD; an end that is found to within more than 40 ms is refused.
     """
-    first, last = qrs_window(aligned.mean, SAMPLING_STEP, aligned.not_before, smoothing)
+    first, last = qrs_window(aligned.mean, aligned.not_before, smoothing)
     time = aligned.time
     start = float(time[first]) if options.onset is None else float(options.onset)
     end = float(time[last]) if options.offset is None else float(options.offset)
@@ -363,9 +362,7 @@ def _window(
             f"{source}: QRS window {start:g} to {end:g} ms leaves the beat, which spans "
             f"{time[0]:g} to {time[-1]:g} ms from the R peak; give an onset and offset inside"
         )
-    found = window_uncertainty(
-        aligned.beats, SAMPLING_STEP, aligned.not_before, options.noise, smoothing
-    )
+    found = window_uncertainty(aligned.beats, aligned.not_before, options.noise, smoothing)
     deviations = []
     for name, sd in zip(("onset", "offset"), found, strict=True):
         given = getattr(options, name) is not None

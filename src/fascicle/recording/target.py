@@ -113,7 +113,7 @@ class Target:
 
         Always found in the mean beat, wherever the window is; see `fascicle.recording.window`.
         """
-        onset, offset = qrs_windows(self.mean, SAMPLING_STEP, *self._window_options).global_window
+        onset, offset = qrs_windows(self.mean, *self._window_options).global_window
         start = float(self.time[0])
         return start + SAMPLING_STEP * onset, start + SAMPLING_STEP * offset
 
@@ -121,7 +121,7 @@ class Target:
     def global_qrs_sd(self) -> tuple[float, float]:
         """Standard deviations of the ends of the global QRS (ms)."""
         not_before, smoothing = self._window_options
-        return window_uncertainty(self.beats, SAMPLING_STEP, not_before, self.noise, smoothing)
+        return window_uncertainty(self.beats, not_before, self.noise, smoothing)
 
     @property
     def _window_options(self) -> tuple[int, float]:

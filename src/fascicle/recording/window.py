@@ -3,7 +3,7 @@
 The *window*, of the spatial velocity of all leads together, is what losses and likelihoods see. The
 *global window*, of the outermost leads, is longer; thresholds of guidelines (120, 130, 150 ms) rest
 on its duration. `benchmarks/qrs_window.py` measures the errors on simulated ECGs,
-`benchmarks/global_qrs.py` those against manual marks.
+`benchmarks/global_qrs.py` those against manual marks. Signals have a sample every ms.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ VISIBLE = 0.02  # mV from which the QRS is seen to differ from the PR or ST segm
 NOISE = 3.0  # standard deviations of the noise of a mean beat over which it is seen
 # ms by which the window begins earlier and ends later than the QRS is seen in two leads, and by
 # which the global QRS does, which experts mark in the outermost lead
-FIRST_ACTIVATION, EXPERT = (4.0, 4.0), (17.0, 11.0)
+FIRST_ACTIVATION, EXPERT = (4, 4), (17, 11)
 
 
 class NoQrsError(ValueError):
@@ -54,29 +54,27 @@ class _Search(NamedTuple):
     # Time that makes a speed of a curvature (ms): at the top of a P wave or of a notch the leads
     # stand still for a moment, but turn.
     turning: float
-    reach: float  # ms; the slow start or end of a QRS is not longer
-    trend: float  # ms of the PR or ST segment that are taken as straight
+    reach: int  # ms; the slow start or end of a QRS is not longer
+    trend: int  # ms of the PR or ST segment that are taken as straight
     sloping: bool  # whether the segment may slope
 
 
 # The QRS leaves an isoelectric PR segment slowly, and runs into an ST segment that is none.
-_ONSET = _Search(turning=8.0, reach=80.0, trend=20.0, sloping=False)
-_OFFSET = _Search(turning=5.0, reach=100.0, trend=30.0, sloping=True)
+_ONSET = _Search(turning=8.0, reach=80, trend=20, sloping=False)
+_OFFSET = _Search(turning=5.0, reach=100, trend=30, sloping=True)
 
 
 @dataclass(frozen=True)
 class _Velocity:
-    """Slope (mV/ms) and curvature (mV/ms²) of each lead, (k, n), and the smoothing (ms) of both."""
+    """Slope (mV/ms) and curvature (mV/ms²) of each lead, (k, n)."""
 
     slope: Floats
     curvature: Floats
-    smoothing: float
 
     @classmethod
-    def of(cls, leads: Floats, smoothing: float, step: float) -> _Velocity:
-        """Velocity of leads (k, n), mV."""
-        first, second = (_derivative(leads, smoothing, step, order) for order in (1, 2))
-        return cls(first, second, smoothing)
+    def of(cls, leads: Floats, smoothing: float) -> _Velocity:
+        """Velocity of leads (k, n), mV, smoothed by a Gaussian of `smoothing` ms."""
+        return cls(_derivative(leads, smoothing, 1), _derivative(leads, smoothing, 2))
 
     def speed(self, turning: float, trend: Floats | float = 0.0) -> Floats:
         """Root mean square over the leads, (n,), of how fast they leave lines of slope `trend`.
@@ -89,13 +87,13 @@ class _Velocity:
         return np.asarray(np.sqrt(power.mean(axis=0)))
 
 
-def spatial_velocity(signal: Floats, step: float) -> Floats:
+def spatial_velocity(signal: Floats) -> Floats:
     r"""Speed (mV/ms) of all leads together, :math:`v(t) = \sqrt{\mathrm{mean}_i (dV_i/dt)^2}`.
 
-    Of a signal (12, n), mV, every `step` ms; the mean is over the independent leads that are there,
+    Of a signal (12, n), mV, every ms; the mean is over the independent leads that are there,
     each smoothed by a Gaussian of `SMOOTHING` ms.
     """
-    slope = _derivative(signal[complete_leads(signal)], SMOOTHING, step, 1)
+    slope = _derivative(signal[complete_leads(signal)], SMOOTHING, 1)
     return np.asarray(np.sqrt(np.mean(slope**2, axis=0)))
 
 
@@ -110,9 +108,7 @@ def smoothing_against_ringing(filters: Sequence[Filter]) -> float:
     return max([SMOOTHING, *ringing])
 
 
-def qrs_windows(
-    signal: Floats, step: float, not_before: int = 0, smoothing: float = SMOOTHING
-) -> QrsWindows:
+def qrs_windows(signal: Floats, not_before: int = 0, smoothing: float = SMOOTHING) -> QrsWindows:
     r"""First and last sample of the QRS, of the window and of the global QRS.
 
     The fastest stretches of the beat, and what lies before them far from the isoelectric level, are
@@ -133,10 +129,8 @@ def qrs_windows(
     ----------
     signal : (12, n) array
         One beat, recorded (mean) or simulated, potential (mV); leads that are not there are NaN.
-        Rows after the twelfth, of additional leads, decide nothing. A
-        simulated QRS may begin and end at the ends of the array, the global QRS outside.
-    step : float
-        Sampling step (ms).
+        Rows after the twelfth, of additional leads, decide nothing. A simulated QRS may begin and
+        end at the ends of the array, the global QRS outside.
     not_before : int
         End of a pacing spike; the leads are at rest before it.
     smoothing : float
@@ -151,9 +145,9 @@ def qrs_windows(
     ----------
     J. L. Willems et al., Eur. Heart J. 6:815 (1985), on the global QRS.
     """
-    marks = _marks(signal, step, not_before, smoothing)
-    first, last = marks.further_out(FIRST_ACTIVATION, step)
-    onset, offset = marks.further_out(EXPERT, step)
+    marks = _marks(signal, not_before, smoothing)
+    first, last = marks.further_out(FIRST_ACTIVATION)
+    onset, offset = marks.further_out(EXPERT)
     return QrsWindows(
         (max(first, not_before), min(last, signal.shape[1] - 1)),
         (max(onset, not_before) if not_before else onset, offset),
@@ -161,10 +155,10 @@ def qrs_windows(
 
 
 def qrs_window(
-    signal: Floats, step: float, not_before: int = 0, smoothing: float = SMOOTHING
+    signal: Floats, not_before: int = 0, smoothing: float = SMOOTHING
 ) -> tuple[int, int]:
     """Window of `qrs_windows` alone."""
-    return qrs_windows(signal, step, not_before, smoothing).window
+    return qrs_windows(signal, not_before, smoothing).window
 
 
 class _Marks(NamedTuple):
@@ -179,90 +173,87 @@ class _Marks(NamedTuple):
         k = min(3, len(self.onsets) - 1)
         return int(self.onsets[k] - self.onsets[0]), int(self.offsets[0] - self.offsets[k])
 
-    def further_out(self, by: tuple[float, float], step: float) -> tuple[int, int]:
+    def further_out(self, by: tuple[int, int]) -> tuple[int, int]:
         """So many ms before the second onset and after the second offset; of one lead, of its."""
         k = min(1, len(self.onsets) - 1)
-        return int(self.onsets[k]) - round(by[0] / step), int(self.offsets[k]) + round(by[1] / step)
+        return int(self.onsets[k]) - by[0], int(self.offsets[k]) + by[1]
 
 
-def _marks(signal: Floats, step: float, not_before: int, smoothing: float) -> _Marks:
+def _marks(signal: Floats, not_before: int, smoothing: float) -> _Marks:
     """Ends of the QRS in the limb leads and in each chest lead."""
     beat = signal[: len(LEADS)].copy()
     if not_before:  # until a pacing spike ends, the level before it
-        begin, end = (max(not_before - round(before / step), 0) for before in (30.0, 12.0))  # ms
+        begin, end = (max(not_before - before, 0) for before in (30, 12))  # ms
         level = beat[:, begin : max(end, begin + 1)].mean(axis=1, keepdims=True)
         beat[:, :not_before] = level
     there = np.isfinite(beat).all(axis=1)
     electrodes = np.maximum(np.flatnonzero(there) - len(LIMB_LEADS) + 1, 0)
-    core, velocity, leads, first = _core_and_leads(beat, step, smoothing, not_before > 0)
-    p_end = 0 if not_before else _end_of_p_wave(leads, velocity, first, core, step)
+    core, velocity, leads, first = _core_and_leads(beat, smoothing, not_before > 0)
+    p_end = 0 if not_before else _end_of_p_wave(leads, velocity, first, core)
     if p_end:
         beat[:, :p_end] = beat[:, p_end, None]
-        core, velocity, leads, first = _core_and_leads(beat, step, smoothing, False)
+        core, velocity, leads, first = _core_and_leads(beat, smoothing, False)
     # A share of the height in ECGs of another size than a person's, such as uncalibrated ones
     height = float(np.ptp(leads[:, first : core[1] + 1], axis=1).max())
     visible = float(np.clip(VISIBLE, 0.005 * height, 0.04 * height))
     last = leads.shape[1] - 1
-    backward = _Velocity(-velocity.slope[:, ::-1], velocity.curvature[:, ::-1], velocity.smoothing)
+    backward = _Velocity(-velocity.slope[:, ::-1], velocity.curvature[:, ::-1])
     ends = []
     for search, moving, outward, inside, start in (
         (_ONSET, backward, leads[:, ::-1], last - core[0], last - first),
         (_OFFSET, velocity, leads, core[1], core[1]),
     ):
-        high = _highest(velocity.speed(search.turning), step)
+        high = _highest(velocity.speed(search.turning))
         level = float(np.clip(MOVING, 0.005 * high, 0.04 * high))
-        rest = _isoelectric_from(moving, start, search, level, step)
-        away = _away_from_segment(outward, rest, search, smoothing, step)
-        noise = np.sqrt((away[:, rest : rest + round(search.trend / step)] ** 2).mean(axis=1))
+        rest = _isoelectric_from(moving, start, search, level)
+        away = _away_from_segment(outward, rest, search, smoothing)
+        noise = np.sqrt((away[:, rest : rest + search.trend] ** 2).mean(axis=1))
         least = np.maximum(visible, NOISE * np.maximum(noise, np.median(noise)))
         seen = np.abs(away[:, inside : rest + 1]) > least[:, None]
         until = np.where(seen.any(axis=1), seen.shape[1] - 1 - np.argmax(seen[:, ::-1], axis=1), 0)
         ends.append([inside + until[electrodes == one].max() for one in np.unique(electrodes)])
-    smeared = round(1.2 * (smoothing - SMOOTHING) / step)  # by more smoothing, outward
+    smeared = round(1.2 * (smoothing - SMOOTHING))  # by more smoothing, outward
     onsets = np.sort(last - np.array(ends[0])) + smeared
     return _Marks(np.maximum(onsets, not_before), -np.sort(-np.array(ends[1])) - smeared)
 
 
 def _core_and_leads(
-    beat: Floats, step: float, smoothing: float, paced: bool
+    beat: Floats, smoothing: float, paced: bool
 ) -> tuple[tuple[int, int], _Velocity, Floats, int]:
     """Core of the QRS, velocity, leads without interference, and first sample with a slow start.
 
     The velocity is smoothed until noise makes it hardly faster.
     """
     independent = beat[complete_leads(beat)]
-    core = _core_of(independent, step, paced)
-    independent = _without_interference(independent, core, step)
-    velocity = _Velocity.of(independent, smoothing, step)
+    core = _core_of(independent, paced)
+    independent = _without_interference(independent, core)
+    velocity = _Velocity.of(independent, smoothing)
     for wider in (wider for wider in (5.0, 6.0, 8.0) if wider > smoothing):  # ms
         speed = velocity.speed(_OFFSET.turning)
-        if STANDS_OUT * _quietest(speed, step) <= 0.025 * _highest(speed, step):
+        if STANDS_OUT * _quietest(speed) <= 0.025 * _highest(speed):
             break
-        velocity = _Velocity.of(independent, wider, step)
-    leads = _without_interference(beat[np.isfinite(beat).all(axis=1)], core, step)
-    return core, velocity, leads, _with_slow_start(leads, velocity, core, step)
+        velocity = _Velocity.of(independent, wider)
+    leads = _without_interference(beat[np.isfinite(beat).all(axis=1)], core)
+    return core, velocity, leads, _with_slow_start(leads, velocity, core)
 
 
-def _away_from_segment(
-    leads: Floats, rest: int, search: _Search, smoothing: float, step: float
-) -> Floats:
+def _away_from_segment(leads: Floats, rest: int, search: _Search, smoothing: float) -> Floats:
     """Leads (k, n), outward, less the level or line of the segment from the sample `rest` on."""
-    segment = np.arange(rest, min(rest + round(search.trend / step), leads.shape[1]))
+    segment = np.arange(rest, min(rest + search.trend, leads.shape[1]))
     away = leads - leads[:, segment].mean(axis=1, keepdims=True)
     if search.sloping and len(segment) > 2:
         centred = segment - segment.mean()
         slope = away[:, segment] @ centred / (centred @ centred)
         away = away - slope[:, None] * (np.arange(leads.shape[1]) - segment.mean())
-    width = max(smoothing - 1.0, 0.5) / step
-    return np.asarray(gaussian_filter1d(away, width, axis=1, mode="nearest"))
+    return np.asarray(gaussian_filter1d(away, smoothing - 1.0, axis=1, mode="nearest"))
 
 
-def _with_slow_start(leads: Floats, velocity: _Velocity, core: tuple[int, int], step: float) -> int:
+def _with_slow_start(leads: Floats, velocity: _Velocity, core: tuple[int, int]) -> int:
     """First sample at which leads (k, n) are off their level by a tenth of that in the core.
 
     So that a slow first part, such as a delta wave, does not pass for the PR segment.
     """
-    earliest, width = max(core[0] - round(220.0 / step), 0), round(20.0 / step)
+    earliest, width = max(core[0] - 220, 0), 20
     speed = velocity.speed(_ONSET.turning)[earliest : core[0]]
     if len(speed) < 2 * width:
         return core[0]
@@ -274,47 +265,42 @@ def _with_slow_start(leads: Floats, velocity: _Velocity, core: tuple[int, int], 
     far = max(0.1 * float(away[core[0] : core[1] + 1].max()), noise)
     near = np.flatnonzero(away[: core[0] + 1] <= far)
     start = int(near[-1]) + 1 if near.size else 0
-    start = max(start, core[0] - round(130.0 / step), rest + width)
+    start = max(start, core[0] - 130, rest + width)
     return min(start, core[0])
 
 
-def _end_of_p_wave(
-    leads: Floats, velocity: _Velocity, first: int, core: tuple[int, int], step: float
-) -> int:
+def _end_of_p_wave(leads: Floats, velocity: _Velocity, first: int, core: tuple[int, int]) -> int:
     """Sample at which a P wave that passes for the first part of the QRS ends, or 0.
 
     All leads (k, n) at once come back there to the level before it, which those of no QRS do 60 ms
     or more after its onset, and what follows is faster.
     """
-    smooth = gaussian_filter1d(leads[:, : core[1] + 1], 3.0 / step, axis=1, mode="nearest")
-    level = smooth[:, max(first - round(15.0 / step), 0) : first + 1].mean(axis=1, keepdims=True)
+    smooth = gaussian_filter1d(leads[:, : core[1] + 1], 3.0, axis=1, mode="nearest")
+    level = smooth[:, max(first - 15, 0) : first + 1].mean(axis=1, keepdims=True)
     away = np.sqrt(((smooth - level) ** 2).mean(axis=0))[first:]
-    highest, earliest = int(np.argmax(away)), round(60.0 / step)
-    if highest <= earliest:
+    if (highest := int(np.argmax(away))) <= 60:
         return 0
-    lowest = earliest + int(np.argmin(away[earliest:highest]))
+    lowest = 60 + int(np.argmin(away[60:highest]))
     speed = velocity.speed(_ONSET.turning)[first : core[1] + 1]
     alone = away[lowest] < 0.2 * min(away[:lowest].max(), away[highest])
     slower = speed[:lowest].max() < 0.5 * speed[lowest:].max()
     return first + lowest if alone and slower else 0
 
 
-def _derivative(leads: Floats, smoothing: float, step: float, order: int) -> Floats:
+def _derivative(leads: Floats, smoothing: float, order: int) -> Floats:
     """Derivative (mV/ms or mV/ms²) of leads (k, n), by a Gaussian of `smoothing` ms."""
-    width = max(smoothing / step, 0.5)
-    smooth = gaussian_filter1d(leads, width, axis=-1, order=order, mode="nearest")
-    return np.asarray(smooth / step**order)
+    return np.asarray(gaussian_filter1d(leads, smoothing, axis=-1, order=order, mode="nearest"))
 
 
-def _without_interference(leads: Floats, core: tuple[int, int], step: float) -> Floats:
+def _without_interference(leads: Floats, core: tuple[int, int]) -> Floats:
     """Leads (k, n) without power-line interference where it is most of what is fast at rest."""
-    time = step * np.arange(leads.shape[1])
+    time = np.arange(leads.shape[1])
     # more than 60 ms from the core the beat is at rest
-    rest = np.flatnonzero((time < step * core[0] - 60.0) | (time > step * core[1] + 60.0))
-    if len(rest) * step < 4 * 1000.0 / min(MAINS):  # periods
+    rest = np.flatnonzero((time < core[0] - 60) | (time > core[1] + 60))
+    if len(rest) < 4 * 1000.0 / min(MAINS):  # periods
         return leads
     slower = 8.0  # ms; standard deviation of the Gaussian that takes the interference away
-    fast = leads - gaussian_filter1d(leads, slower / step, mode="nearest")
+    fast = leads - gaussian_filter1d(leads, slower, mode="nearest")
     power = np.sum(fast[:, rest] ** 2, axis=1)
     for frequency in MAINS:
         turns = 2 * math.pi * frequency / 1000.0
@@ -326,18 +312,18 @@ def _without_interference(leads: Floats, core: tuple[int, int], step: float) -> 
     return leads
 
 
-def _quietest(speed: Floats, step: float) -> float:
+def _quietest(speed: Floats) -> float:
     """Mean speed of the quietest 20 ms, or of all where there is less."""
-    width = min(max(round(20.0 / step), 1), len(speed))
+    width = min(20, len(speed))
     return float(np.convolve(speed, np.full(width, 1 / width), mode="valid").min())
 
 
-def _highest(speed: Floats, step: float) -> float:
+def _highest(speed: Floats) -> float:
     """Mean of the fastest 10 ms, not one sample alone."""
-    return float(np.sort(speed)[-max(round(10.0 / step), 1) :].mean())
+    return float(np.sort(speed)[-10:].mean())
 
 
-def _core_of(leads: Floats, step: float, paced: bool) -> tuple[int, int]:
+def _core_of(leads: Floats, paced: bool) -> tuple[int, int]:
     """First and last sample of the stretch of a beat (k, n) that is surely QRS.
 
     It has a fifth of the highest speed, but for gaps of 40 ms; where that is longer than any QRS,
@@ -345,67 +331,64 @@ def _core_of(leads: Floats, step: float, paced: bool) -> tuple[int, int]:
     the other one is half as fast or faster, which hardly its T wave is.
     """
     # In the core curvature counts much: tall T waves are steep, but turn slowly.
-    speed = _Velocity.of(leads, CORE_SMOOTHING, step).speed(turning=10.0)
-    highest = _highest(speed, step)
+    speed = _Velocity.of(leads, CORE_SMOOTHING).speed(turning=10.0)
+    highest = _highest(speed)
     if not highest > 0:
         raise NoQrsError("no QRS: the leads do not move, or one of many alone")
     peak, level = int(np.argmax(speed)), 0.2 * highest
     while True:
         fast = np.flatnonzero(speed >= min(level, speed[peak]))
-        groups = np.split(fast, np.flatnonzero(np.diff(fast) > 40.0 / step) + 1)
+        groups = np.split(fast, np.flatnonzero(np.diff(fast) > 40) + 1)
         group = next(group for group in groups if group[0] <= peak <= group[-1])
-        if (group[-1] - group[0]) * step <= 220.0:  # ms
+        if group[-1] - group[0] <= 220:  # ms
             break
         level *= ESCALATION
     first, last, end = int(group[0]), int(group[-1]), len(speed) - 1
-    sure, reach = np.flatnonzero(speed >= 0.5 * highest), 110.0 / step
+    sure, reach = np.flatnonzero(speed >= 0.5 * highest), 110
     sure = sure[(sure >= first - reach) & (sure <= last + reach)]
-    if paced and sure.size and (max(last, sure[-1]) - min(first, sure[0])) * step <= 300.0:  # ms
+    if paced and sure.size and max(last, sure[-1]) - min(first, sure[0]) <= 300:  # ms
         first, last = min(first, int(sure[0])), max(last, int(sure[-1]))
     # smoothing has moved the ends out, but for those of the array
-    spread = round(CORE_SMOOTHING / step)
+    spread = round(CORE_SMOOTHING)
     return (
         min(first + spread, peak) if first else 0,
         max(last - spread, peak) if last < end else end,
     )
 
 
-def _isoelectric_from(
-    velocity: _Velocity, core: int, search: _Search, level: float, step: float
-) -> int:
+def _isoelectric_from(velocity: _Velocity, core: int, search: _Search, level: float) -> int:
     """First sample after the core from which the leads keep to the line that they are slow on."""
     speed = velocity.speed(search.turning)
-    end = core + _slow_after(speed, core, level, search.reach, step)
+    end = core + _slow_after(speed, core, level, search.reach)
     if search.sloping and end - core >= 2:
         # Where a T wave follows the QRS at once, the leads never rest for 10 ms: slowest between
         slowest = core + int(np.argmin(speed[core:end]))
         t_wave = speed[slowest:end].max()
-        if 1.2 * speed[slowest] < t_wave < 0.06 * _highest(speed, step):
+        if 1.2 * speed[slowest] < t_wave < 0.06 * _highest(speed):
             end = slowest
-    start = end + round(5.0 / step)  # nearer, the slope of the QRS is smoothed in
-    beyond = velocity.slope[:, start : start + round(search.trend / step)]
+    start = end + 5  # nearer, the slope of the QRS is smoothed in
+    beyond = velocity.slope[:, start : start + search.trend]
     if not beyond.shape[1]:
         return end
     trend = beyond.mean(axis=1, keepdims=True)
     if not search.sloping:
         trend = np.clip(trend, -0.3 * level, 0.3 * level)
     relative = velocity.speed(search.turning, trend)
-    return core + _slow_after(relative, core, level, search.reach, step)
+    return core + _slow_after(relative, core, level, search.reach)
 
 
-def _slow_after(speed: Floats, core: int, level: float, reach: float, step: float) -> int:
+def _slow_after(speed: Floats, core: int, level: float, reach: int) -> int:
     """Count the samples after the core until the leads are slower than the level for 10 ms.
 
     Beyond the end of the array nothing moves. Where none are within `reach`, the level rises.
     """
-    quiet, furthest = max(round(10.0 / step), 1), round(reach / step)
     outward = speed[core:]
     end = len(outward) - 1
     # Right before the end of the array there may be no rest.
-    near = outward[:furthest] if end * step > 60.0 else speed
-    level = max(level, STANDS_OUT * _quietest(near, step))
-    outward = np.append(outward, np.zeros(quiet))[: furthest + quiet]
-    fastest = np.lib.stride_tricks.sliding_window_view(outward, quiet).max(axis=1)
+    near = outward[:reach] if end > 60 else speed
+    level = max(level, STANDS_OUT * _quietest(near))
+    outward = np.append(outward, np.zeros(10))[: reach + 10]
+    fastest = np.lib.stride_tricks.sliding_window_view(outward, 10).max(axis=1)
     while True:
         slow = np.flatnonzero(fastest < level)
         if slow.size:
@@ -414,11 +397,7 @@ def _slow_after(speed: Floats, core: int, level: float, reach: float, step: floa
 
 
 def window_uncertainty(
-    beats: Floats,
-    step: float,
-    not_before: int = 0,
-    noise: float | None = None,
-    smoothing: float = SMOOTHING,
+    beats: Floats, not_before: int = 0, noise: float | None = None, smoothing: float = SMOOTHING
 ) -> tuple[float, float]:
     """Standard deviations (ms) of the ends of the QRS that `qrs_window` finds in the mean beat.
 
@@ -438,14 +417,14 @@ def window_uncertainty(
     else:
         white = rng.standard_normal((WINDOWS, *beats.shape[1:]))
         # as smooth as a recorder's (2 ms)
-        smooth = np.asarray(gaussian_filter1d(white, 2.0 / step, axis=-1, mode="wrap"))
+        smooth = np.asarray(gaussian_filter1d(white, 2.0, axis=-1, mode="wrap"))
         means = beats.mean(axis=0) + np.asarray(smooth / smooth.std()) * noise / n_beats**0.5
         inflation = 1.0
-    windows = np.array([qrs_window(mean, step, not_before, smoothing) for mean in means])
+    windows = np.array([qrs_window(mean, not_before, smoothing) for mean in means])
     # 68 % of a normal distribution; a few means in which another wave stands out do not count
     low, high = np.quantile(windows, [0.16, 0.84], axis=0)
-    by_noise = step**2 * inflation * ((high - low) / 2) ** 2
-    apart = _marks(beats.mean(axis=0), step, not_before, smoothing).apart
-    by_leads = np.square(DISAGREEMENT * step * np.array(apart))
+    by_noise = inflation * ((high - low) / 2) ** 2
+    apart = _marks(beats.mean(axis=0), not_before, smoothing).apart
+    by_leads = np.square(DISAGREEMENT * np.array(apart))
     onset, offset = np.sqrt(by_noise + by_leads + np.square([ONSET_ERROR, OFFSET_ERROR]))
     return float(onset), float(offset)

@@ -15,14 +15,7 @@ from scipy.signal import butter, sosfiltfilt, welch
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import CHEST_LEADS, LEADS, LIMB_LEADS
 from fascicle.recording.filter_estimate import estimated_lowpass
-from fascicle.recording.filters import (
-    MAINS,
-    SAMPLING_STEP,
-    Filter,
-    FilterKind,
-    FilterOrigin,
-    coarse,
-)
+from fascicle.recording.filters import MAINS, Filter, FilterKind, FilterOrigin, coarse
 from fascicle.recording.quality.check_result import Check, CheckResult, Severity, leave_out, listed
 from fascicle.recording.quality.limb_leads import check_identities, check_reversal
 from fascicle.recording.recording import Recording
@@ -117,8 +110,7 @@ def _check_flatness(recording: Recording) -> list[CheckResult]:
     constant = {}
     for lead, values in leads.items():
         if lead not in flat:
-            changes = np.flatnonzero(np.diff(values))
-            runs = np.diff(np.concatenate([[-1], changes, [len(values) - 1]]))
+            runs = np.diff(np.flatnonzero(np.diff(values, prepend=np.nan, append=np.nan)))
             constant[lead] = int(runs.max()) / recording.sampling_rate
     long = [lead for lead, seconds in constant.items() if seconds > CONSTANT.limit]
     longest = max(constant.values(), default=0.0)
@@ -307,7 +299,7 @@ def check_mean_beat(qrs: Floats, simultaneous: bool = True) -> tuple[CheckResult
 
     `simultaneous` says that all leads were recorded at the same time.
     """
-    fastest = float(spatial_velocity(qrs, SAMPLING_STEP).max())
+    fastest = float(spatial_velocity(qrs).max())
     if not fastest < SPEED.limit:
         return SPEED.found(fastest), check_chest_leads(qrs, simultaneous)
     message = (
