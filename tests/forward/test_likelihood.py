@@ -91,7 +91,8 @@ def test_against_brute_force(noise, scale, monkeypatch):
     expected = brute_force(likelihood, signal(), scale)
     assert likelihood.fit(ecg(signal())).log_likelihood == pytest.approx(expected, abs=0.02)
     monkeypatch.setattr(tested, "STEP", STEP)  # fewer shifts, which is faster
-    assert example(noise=noise).log_likelihood(ecg(signal())) == pytest.approx(expected, abs=0.3)
+    error = 0.3 if scale > 0.1 else 0.7  # what an emulator leaves makes the likelihood broader
+    assert example(noise=noise).log_likelihood(ecg(signal())) == pytest.approx(expected, abs=error)
 
 
 def test_the_sizes_of_the_discrepancy_are_averaged(monkeypatch):

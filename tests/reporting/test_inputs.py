@@ -158,7 +158,7 @@ def test_the_fit_s_command_gives_the_same_study(
         asked.update(heart=heart, out=out, parameters=parameters, settings=settings)
         raise RuntimeError("that is enough")
 
-    monkeypatch.setattr("fascicle.study.fit.fit", note)
+    monkeypatch.setattr("fascicle.fit", note)
     *file, fit, report = commands(fitted, {}, "intrinsic")
     assert (file[0], file[-1]) == ("cat > settings.toml <<'END'", "END")
     (tmp_path / "settings.toml").write_text("\n".join(file[1:-1]))

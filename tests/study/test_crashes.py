@@ -103,7 +103,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path, monkeypatch, capsys):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("fascicle.study.fit.fit", interrupted)
+    monkeypatch.setattr("fascicle.fit", interrupted)
     out = str(tmp_path / "s")
     monkeypatch.setattr(sys, "argv", ["fascicle", "fit", "default", "target.nc", "--out", out])
     with pytest.raises(SystemExit) as stop:

@@ -7,7 +7,6 @@ from itertools import groupby, pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import find_peaks
 from scipy.spatial import ConvexHull
 
 from fascicle.core.arrays import Floats
@@ -77,6 +76,8 @@ class Qrs:
         above = [wave for wave in self.waves if wave.height > 0]
         if not above:
             return np.nan
+        from scipy.signal import find_peaks  # loads scipy.stats
+
         peaks, _ = find_peaks(self.potential, above[-1].height / 2, prominence=LEAST_HEIGHT)
         peaks = peaks[(peaks >= above[-1].start) & (peaks <= above[-1].end)]
         return float(peaks[-1]) if len(peaks) else np.nan

@@ -26,7 +26,7 @@ from fascicle.study.space import AveragedOver
 
 RUNS = 2
 PARTICLES = 600  # of a batch
-MOST_BATCHES = 32  # that a run is pooled of, where runs do not agree
+MOST_BATCHES = 16  # that a run is pooled of, where runs do not agree
 
 Emulated = Callable[[Floats], Floats]  # log-likelihoods (n,) of points (n, d), of one recording
 
