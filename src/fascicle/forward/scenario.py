@@ -114,19 +114,18 @@ class Beat:
         InputError
             If the tree has no such part.
         """
-        parts = {**self.trees[tree].parts}
+        grown = self.trees[tree]
+        parts = {**grown.parts}
         fascicles = [own for name, own in parts.items() if name.startswith("fascicle")]
         if len(fascicles) > 1:
-            heights = self.trees[tree].nodes @ self.sites.anterior
-            ends = [
-                heights[np.setdiff1d(np.flatnonzero(own), self.trees[tree].parents[own])[-1]]
-                for own in fascicles
-            ]
+            heights = grown.nodes @ self.sites.anterior
+            nodes = [np.setdiff1d(np.flatnonzero(own), grown.parents[own]) for own in fascicles]
+            ends = [heights[each[-1]] for each in nodes]
             parts["anterior fascicle"] = fascicles[int(np.argmax(ends))]
             parts["posterior fascicle"] = fascicles[int(np.argmin(ends))]
         if name not in parts:
             raise InputError(
-                f"the {self.trees[tree].side} tree has no part '{name}'; known: {', '.join(parts)}"
+                f"the {grown.side} tree has no part '{name}'; known: {', '.join(parts)}"
             )
         return parts[name]
 

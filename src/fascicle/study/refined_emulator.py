@@ -63,8 +63,8 @@ def refined_emulators(
     points = rng.permutation(np.concatenate([run.points for run in runs]))[:drawn]
     cache = ArrayCache(folder / DISPOSABLE, "posterior")
     usual, found = rng.random(points.shape), dict[str, EcgEmulator]()
-    for emulated, scenario in zip(likelihoods, scenarios, strict=True):
-        digest = "" if scenario is None else scenario[1]
+    digests = ["" if scenario is None else scenario[1] for scenario in scenarios]
+    for emulated, scenario, digest in zip(likelihoods, scenarios, digests, strict=True):
         if digest in found:
             continue
         simulations = PriorSimulations(
@@ -75,4 +75,4 @@ def refined_emulators(
         new = simulations.examples(len(points), emulated.emulator.length)
         inputs, others = (emulated.inputs(p)[0] for p in (points[new.feasible], usual))
         found[digest] = trained_on(emulated.emulator, inputs, new.ecgs, others, rng)
-    return [found["" if scenario is None else scenario[1]] for scenario in scenarios]
+    return [found[digest] for digest in digests]

@@ -154,8 +154,8 @@ def build_myocardium(
     Vertices and elements are renumbered along the mesh, so that what is near in space is near in
     memory; `Myocardium.order` leads back. `progress` counts the triangles from which rays are
     traced, if that takes a while. `gradients` (m, 4, 3) are those of the barycentric coordinates in
-    the heart's tetrahedra (1/mm), `table` the ray travel times, if at hand; `like` is the heart's
-    of another conduction.
+    the heart's tetrahedra (1/mm), `table` the ray travel times, if at hand; `like` is
+    the myocardium of the same heart with another conduction.
     """
     if gradients is None:
         gradients = barycentric_gradients(heart.vertices, heart.tetrahedra)
