@@ -172,7 +172,8 @@ def smoothed_regions(graph: DualGraph, regions: Integers) -> Integers:
     Each cavity and the outer surface is smoothed for itself, so that a narrow base between them
     stays; then the outer surface ends `NARROWEST` before the cavities do.
     """
-    shares = [_smoothed(graph, regions == part) for part in range(Region.BASAL)]
+    parts = (Region.FIRST, Region.SECOND, Region.OUTER)
+    shares = [_smoothed(graph, regions == part) for part in parts]
     smooth: Integers = np.argmax([*shares, np.full(len(regions), 0.5)], axis=0)
     sides = smooth[graph.edges[0]]
     ends = (sides[:, 0] != sides[:, 1]) & (sides < Region.OUTER).any(axis=1)

@@ -7,6 +7,7 @@ import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -35,12 +36,12 @@ if TYPE_CHECKING:
     from fascicle.purkinje.chart import Chart
 
 
-def _anatomy(text: str) -> Any:
-    return Option(help=text, rich_help_panel="Anatomy")
+def _option(panel: str, text: str | None = None) -> Any:
+    """Describe an option in one of the panels of ``--help``."""
+    return Option(help=text, rich_help_panel=panel)
 
 
-def _fibres(text: str | None = None) -> Any:
-    return Option(help=text, rich_help_panel="Fibres")
+_anatomy, _fibres = (partial(_option, panel) for panel in ("Anatomy", "Fibres"))
 
 
 AnatomyArgument = Annotated[
@@ -146,10 +147,10 @@ def heart_build(
     rv_angles: Annotated[str, _fibres()] = "90,-25",
     electrodes: Annotated[
         Path | None,
-        Option(
-            help="Nine electrodes, CSV name,x,y,z or JSON, to which the idealised torso is fitted; "
+        _option(
+            "Torso",
+            "Nine electrodes, CSV name,x,y,z or JSON, to which the idealised torso is fitted; "
             "by default they are at its standard positions.",
-            rich_help_panel="Torso",
         ),
     ] = None,
     **around: Any,

@@ -79,9 +79,19 @@ def assemble_heart(
         )
     lv, rv = seeded_endocardia(named, seeds)
     nine, more = read_electrodes(electrodes)
-    regions, sheets = region_labels(mesh), None if by_rule else _sheets(mesh)
-    parts = vertices, tetrahedra, direction, lv, rv, nine
-    heart = Heart(*parts, name, more, regions, sheets, coordinates=read_coordinates(mesh))
+    heart = Heart(
+        vertices=vertices,
+        tetrahedra=tetrahedra,
+        fibres=direction,
+        lv=lv,
+        rv=rv,
+        electrodes=nine,
+        name=name,
+        additional_electrodes=more,
+        regions=region_labels(mesh),
+        sheets=None if by_rule else _sheets(mesh),
+        coordinates=read_coordinates(mesh),
+    )
     check_electrodes(str(electrodes), heart)
     if not by_rule:
         return heart

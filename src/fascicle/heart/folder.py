@@ -141,8 +141,14 @@ def load_heart(path: Path | str) -> Heart:
     if manifest.action_potential is not None:
         table = read_action_potential(named_by(path, manifest.action_potential))
     values = _patient_values(path, manifest.values, heart)
-    heart = replace(heart, torso=torso, lead_fields=lead_fields, action_potential=table)
-    return replace(heart, values=values, folder=folder)
+    return replace(
+        heart,
+        torso=torso,
+        lead_fields=lead_fields,
+        values=values,
+        action_potential=table,
+        folder=folder,
+    )
 
 
 def _read_manifest(folder: Path) -> Manifest:

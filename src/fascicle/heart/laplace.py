@@ -44,7 +44,8 @@ class QuadraticSpace:
     @cached_property
     def gradients(self) -> Floats:
         """Gradients of the barycentric coordinates (1/mm), shape (m, 4, 3)."""
-        a, b, c = (self.vertices[self.tetrahedra][:, TETRAHEDRON_FACES[:, k]] for k in range(3))
+        x = self.vertices[self.tetrahedra]
+        a, b, c = (x[:, TETRAHEDRON_FACES[:, k]] for k in range(3))
         height = 3 * signed_volumes(self.vertices, self.tetrahedra)[:, None, None]
         return np.asarray(-np.cross(b - a, c - a) / 2 / height)
 

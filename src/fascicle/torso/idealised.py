@@ -50,6 +50,7 @@ from fascicle.torso.trunk import (
     TrunkSize,
     convex_hull,
     exclusion_hull,
+    identity,
     lungs_of,
     outside_trunk,
     skin_of,
@@ -128,7 +129,7 @@ def _with_lungs(
     frame: TorsoFrame,
     skin: Surface,
     electrodes: Floats,
-    undeformed: Deformation = lambda points: points,
+    undeformed: Deformation = identity,
 ) -> TorsoSurfaces:
     """Add lungs to a skin in the torso frame; electrodes are in the heart's coordinates."""
     heart = frame.to_torso(mesh.vertices[np.unique(mesh.triangles)])

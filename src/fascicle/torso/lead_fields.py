@@ -150,9 +150,11 @@ def contacts_on(vertices: Floats, skin: Integers, points: Floats) -> Contacts:
 
 def total_conductivity(heart: Heart, torso: Torso, conduction: Conduction) -> Floats:
     """σ (m, 3, 3) of the heart's tetrahedra, Gᵢ + Gₑ, then of the torso's, isotropic (mS/cm)."""
-    # in the order of `TorsoTissue`
-    of_tissue = np.array([conduction.body, conduction.lung, conduction.blood])
-    around = of_tissue[torso.tissues - min(TorsoTissue)][:, None, None] * np.eye(3)
+    of_tissue = np.zeros(max(TorsoTissue) + 1)
+    of_tissue[TorsoTissue.OTHER] = conduction.body
+    of_tissue[TorsoTissue.LUNG] = conduction.lung
+    of_tissue[TorsoTissue.BLOOD] = conduction.blood
+    around = of_tissue[torso.tissues][:, None, None] * np.eye(3)
     return np.concatenate([conduction.bulk(heart.fibres), around])
 
 

@@ -124,6 +124,11 @@ class TrunkSize:
         return 1000 * self.height * (fraction - 0.735)
 
 
+def identity(points: Floats) -> Floats:
+    """No deformation."""
+    return points
+
+
 def trunk(size: TrunkSize) -> Surface:
     """Skin of the trunk in the torso frame (mm)."""
     return skin_of(outside_trunk(size), trunk_box(size))
@@ -221,7 +226,7 @@ def lungs_of(
     name: str,
     size: TrunkSize,
     excluded: Surface,
-    undeformed: Deformation = lambda points: points,
+    undeformed: Deformation = identity,
     smallest: float = 0.3,
 ) -> tuple[Surface, Surface]:
     """Left and right lung in the torso frame (mm).
