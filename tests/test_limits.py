@@ -130,7 +130,8 @@ def test_segmentation_that_unpacks_to_more_than_it_states(tmp_path):
     head = packer.compress(bytes(2**24)) + packer.flush(zlib.Z_FULL_FLUSH)
     block = packer.compress(bytes(2**24)) + packer.flush(zlib.Z_FULL_FLUSH)
     path.write_bytes(nrrd_header("256 256 256") + head + block * 200)
-    assert "GB of memory, the limit for a file of" in refused("read_segmentation", path)
+    # of memory, or on a slow machine of computing
+    assert "the limit for a file of" in refused("read_segmentation", path)
 
 
 @pytest.mark.parametrize("sizes", ["1024 512 512", "1024 1024 1024"])
