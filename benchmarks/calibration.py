@@ -424,7 +424,7 @@ def compared(
     by = partial(EmulatedLikelihood.each, simulator=simulator, targets=[target], gain_sd=gain_sd)
     rng, count = np.random.default_rng([number, REFINEMENT]), int(emulator.report["networks"])
     with tempfile.TemporaryDirectory() as folder:
-        found = refined_emulators(by([emulator]), [None], count, Path(folder), rng)
+        found = refined_emulators([emulator], by, [None], count, Path(folder), rng)
     likelihood = by(found)[0].likelihood
     return TargetComparison(target, likelihood=likelihood, free_gain=True), found[0]
 

@@ -403,17 +403,20 @@ def trained_on(
     ecgs: NDArray[np.float32],
     usual: Singles,
     rng: np.random.Generator,
+    latest: int,
 ) -> EcgEmulator:
     """Train the networks on, where a posterior lies; what is left is then what is left there.
 
     Parameters
     ----------
     inputs, ecgs : (n, p) and (n, 8 + k, length) arrays
-        Of networks of the posterior, each of which is held out once.
+        Of networks of the posterior.
+    latest : int
+        The last ones, each of which is held out once.
     usual : (n, p) array
         Inputs all over the prior, where the outputs are to stay as they are.
     """
-    if len(inputs) < FOLDS:
+    if latest < FOLDS:
         return emulator
     true = _cosines(ecgs, emulator.mean.shape[1])
     flat = emulator.components.reshape(len(emulator.components), -1)
@@ -426,6 +429,7 @@ def trained_on(
         return train(seen, wanted, rng, steps=steps, begin=network, rate=RATE / 2)
 
     fold = np.arange(len(inputs)) % FOLDS
+    fold[:-latest] = FOLDS  # always seen
     asked = [(network, fold != k) for k in range(FOLDS + 1) for network in emulator.networks]
     with ThreadPoolExecutor(2) as pool:
         found = list(pool.map(on, *zip(*asked, strict=True), rng.spawn(len(asked))))
@@ -433,6 +437,7 @@ def trained_on(
     for k in range(FOLDS):
         others = replace(emulator, networks=tuple(found[k * count : (k + 1) * count]))
         emulated[fold == k] = others.cosines(others.scores(inputs[fold == k]))
+    true, emulated = true[-latest:], emulated[-latest:]
     local = emulator.root_of(true - emulated, emulated)
     return replace(
         emulator,

@@ -44,7 +44,7 @@ from fascicle.study.recordings import (
     read_recordings,
     write_recordings,
 )
-from fascicle.study.refined_emulator import MOST, refined_emulators
+from fascicle.study.refined_emulator import MOST, MOST_ROUNDS, refined_emulators
 from fascicle.study.results import write_results
 from fascicle.study.settings import FitSettings, checked_settings
 from fascicle.study.simulator import PointSimulator
@@ -198,7 +198,7 @@ def read_inputs(
     of_posterior: dict[str, Any] = {}
     if settings.method == "posterior":
         averaged = AveragedOver.of(space, fixed, heart)
-        more = {"body_modes": MODES, "refining_networks": MOST}
+        more = {"body_modes": MODES, "refining_networks": MOST, "refining_rounds": MOST_ROUNDS}
         named = {"name": ", ".join(type(one).__qualname__ for one in likelihoods or ())}
         of_posterior = {
             "likelihood": constants() | more if likelihoods is None else named,
@@ -320,8 +320,7 @@ def _emulated(
             gain_sd=_gain_sd(config),
         )
         count, rng = config.prior_simulations, np.random.default_rng([config.seed, REFINEMENT])
-        of_prior = by(emulators)
-        refine = partial(refined_emulators, of_prior, scenarios, count, folder, rng, progress)
+        refine = partial(refined_emulators, emulators, by, scenarios, count, folder, rng, progress)
         emulated = by(_kept(folder, config, refine))
     pairs = zip(recordings, emulated, strict=True)
     return tuple(replace(one, likelihood=its.likelihood) for one, its in pairs), emulated

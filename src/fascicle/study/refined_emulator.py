@@ -7,28 +7,34 @@ matters, and show what it does not say there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.special import logsumexp
 
 from fascicle.core.array_cache import ArrayCache
+from fascicle.core.arrays import Floats
 from fascicle.core.files import DISPOSABLE
 from fascicle.core.progress import Progress
 from fascicle.core.quantities import Changes, quantity
 from fascicle.core.threads import one_thread
 from fascicle.forward.scenario import Scenario
+from fascicle.inference.emulator import Singles
 from fascicle.study.ecg_emulator import EcgEmulator, trained_on
 from fascicle.study.likelihood import EmulatedLikelihood
 from fascicle.study.posterior import RUNS, sampled
 from fascicle.study.prior_simulations import PriorSimulations
 
-MOST, SHARE = 500, 1 / 32  # networks that are simulated: at most, and of the prior's
-PARTICLES = 300  # of each run of the first posterior; enough to simulate some of
+MOST, SHARE = 500, 1 / 32  # networks that are simulated in a round: at most, and of the prior's
+PARTICLES = 300  # of each run of a round; enough to simulate some of
+MOST_ROUNDS = 3
+MOVED = 0.02  # of a round's draws are worth something to the next posterior; fewer, and it is afar
 
 
 def refined_emulators(
-    likelihoods: Sequence[EmulatedLikelihood],
+    emulators: Sequence[EcgEmulator],
+    emulated_by: Callable[[Sequence[EcgEmulator]], Sequence[EmulatedLikelihood]],
     scenarios: Sequence[tuple[Scenario, str] | None],
     count: int,
     folder: Path,
@@ -37,13 +43,17 @@ def refined_emulators(
 ) -> list[EcgEmulator]:
     """Train emulators on where the posterior lies that they give together.
 
+    One round does, unless the posterior moves away from the networks that were simulated.
+
     Where a quantity of the tissue is learnt they stay as they are: each network has a tissue of its
     own, which takes seconds.
 
     Parameters
     ----------
-    likelihoods, scenarios : sequences
-        Of each recording: its likelihood by the emulator, and the scenario with its digest.
+    emulators, scenarios : sequences
+        Of each recording: the emulator, and the scenario with its digest.
+    emulated_by : callable
+        Gives the likelihoods of the recordings by emulators.
     count : int
         Networks of the prior that the emulators have learnt from.
     folder : Path
@@ -54,25 +64,47 @@ def refined_emulators(
     list of EcgEmulator
         Of each recording; one of the same scenario is the same.
     """
-    simulator, drawn = likelihoods[0].simulator, round(min(MOST, SHARE * count))
+    now = emulated_by(emulators)
+    simulator, drawn = now[0].simulator, round(min(MOST, SHARE * count))
     if any(quantity(name).changes is Changes.TISSUE for name in simulator.space.names):
-        return [each.emulator for each in likelihoods]
-    said = f"{RUNS} runs of {PARTICLES}, to refine the emulator"
+        return [*emulators]
     sample = one_thread(sampled)  # about both: each would give the other's threads back
-    runs = sample(likelihoods, simulator.dimension, rng.spawn(RUNS), PARTICLES, said, progress)
-    points = rng.permutation(np.concatenate([run.points for run in runs]))[:drawn]
     cache = ArrayCache(folder / DISPOSABLE, "posterior")
-    usual, found = rng.random(points.shape), dict[str, EcgEmulator]()
     digests = ["" if scenario is None else scenario[1] for scenario in scenarios]
-    for emulated, scenario, digest in zip(likelihoods, scenarios, digests, strict=True):
-        if digest in found:
-            continue
-        simulations = PriorSimulations(
-            simulator.model, simulator.space, simulator.averaged, simulator.fixed, cache,
-            scenario, points,
-        )  # fmt: skip
-        simulations.simulate(len(points), simulator.pool, progress)
-        new = simulations.examples(len(points), emulated.emulator.length)
-        inputs, others = (emulated.inputs(p)[0] for p in (points[new.feasible], usual))
-        found[digest] = trained_on(emulated.emulator, inputs, new.ecgs, others, rng)
-    return [found[digest] for digest in digests]
+    seen: dict[str, list[tuple[Singles, Singles]]] = {digest: [] for digest in digests}
+    for number in range(1, MOST_ROUNDS + 1):
+        said = f"{RUNS} runs of {PARTICLES}, to refine the emulator"
+        said += f", round {number}" if number > 1 else ""
+        runs = sample(now, simulator.dimension, rng.spawn(RUNS), PARTICLES, said, progress)
+        every = np.concatenate([run.points for run in runs])
+        points = rng.permutation(every)[:drawn]
+        usual, found = rng.random((number * len(points), simulator.dimension)), {}
+        for given, emulated, scenario, digest in zip(
+            emulators, now, scenarios, digests, strict=True
+        ):
+            if digest in found:
+                continue
+            simulations = PriorSimulations(
+                simulator.model, simulator.space, simulator.averaged, simulator.fixed, cache,
+                scenario, points,
+            )  # fmt: skip
+            simulations.simulate(len(points), simulator.pool, progress)
+            new = simulations.examples(len(points), given.length)
+            inputs, others = (emulated.inputs(p)[0] for p in (points[new.feasible], usual))
+            seen[digest].append((inputs, new.ecgs))
+            examples = map(np.concatenate, zip(*seen[digest], strict=True))
+            found[digest] = trained_on(given, *examples, others, rng, latest=len(inputs))
+        before, now = now, emulated_by([found[digest] for digest in digests])
+        if _effective_share(_of_all(now, every) - _of_all(before, every)) > MOVED:
+            break
+    return [each.emulator for each in now]
+
+
+def _of_all(emulated: Sequence[EmulatedLikelihood], points: Floats) -> Floats:
+    """Log-likelihoods (n,) of points by all recordings."""
+    return np.asarray(np.sum([each(points) for each in emulated], axis=0))
+
+
+def _effective_share(log_weights: Floats) -> float:
+    """Effective sample size of weights over their number."""
+    return float(np.exp(2 * logsumexp(log_weights) - logsumexp(2 * log_weights)) / len(log_weights))
