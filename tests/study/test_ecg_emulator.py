@@ -139,7 +139,7 @@ def test_trained_on_where_a_posterior_lies(emulator):
     changed = 1.3 * ecgs_of(near)  # as no network of the prior was
     noise = 0.05 * smooth_noise(rng, changed.shape, 1.0).astype(np.float32)
     train, unseen = slice(0, 300), slice(300, None)
-    found = trained_on(emulator, of(near[train]), (changed + noise)[train], of(usual), rng)
+    found = trained_on(emulator, of(near[train]), (changed + noise)[train], of(usual), rng, 200)
     off = {}
     for name, each in (("before", emulator), ("after", found)):
         own = emulated_ecgs(each, near[unseen])[0][:, list(INDEPENDENT_ROWS)]

@@ -254,7 +254,10 @@ def test_numbers_that_make_no_sense(tmp_path):
 
 
 def test_an_emulator_is_refined_with_draws_of_the_posterior(prior, model, tmp_path, monkeypatch):
-    """Of the study's own draws, which are kept with it; not where each has a tissue of its own."""
+    """Of the study's own draws, which are kept with it, and again where the posterior has moved.
+
+    Not where each has a tissue of its own.
+    """
     monkeypatch.setattr(refined_emulator, "SHARE", PART / COUNT)
     monkeypatch.setattr(refined_emulator, "PARTICLES", 60)
     emulator, pool = made_emulator(prior, COUNT, Threads(1)), Counting()
@@ -262,15 +265,21 @@ def test_an_emulator_is_refined_with_draws_of_the_posterior(prior, model, tmp_pa
     root_time, seen = prior.space.names.index("root_time"), []
 
     class Emulated(EmulatedLikelihood):
+        first = 0.5  # where the posterior lies by the emulator of the prior
+
         def __call__(self, points):
-            return -0.5 * ((points[:, root_time] - 0.5) / 0.02) ** 2
+            middle = self.first if self.emulator is emulator else 0.5
+            return -0.5 * ((points[:, root_time] - middle) / 0.02) ** 2
 
         def inputs(self, points):
             seen.append(points)
             return super().inputs(points)
 
-    def given(simulator=simulator, count=2):
-        return [Emulated(simulator, emulator, None)] * count, [None] * count, COUNT, tmp_path
+    def given(simulator=simulator, count=2, made=Emulated):
+        def by(emulators):
+            return [made(simulator, each, None) for each in emulators]
+
+        return [emulator] * count, by, [None] * count, COUNT, tmp_path
 
     first, again = refined_emulators(*given(), np.random.default_rng(0))
     assert first is again
@@ -285,3 +294,13 @@ def test_an_emulator_is_refined_with_draws_of_the_posterior(prior, model, tmp_pa
     space, fixed = study_space("posterior", {"anisotropy_ratio": "free"}, model.heart)
     free = given(replace(simulator, space=space, fixed=fixed), 1)
     assert refined_emulators(*free, None) == [emulator]
+
+    class Moving(Emulated):
+        first = 0.3
+
+    seen.clear()
+    refined_emulators(*given(made=Moving), np.random.default_rng(0))
+    assert pool.sent == 3 * PART  # the posterior moves once, and then stays
+    drawn, again = seen[::2]
+    assert drawn[:, root_time].mean() == pytest.approx(0.3, abs=0.01)
+    assert again[:, root_time].mean() == pytest.approx(0.5, abs=0.01)
