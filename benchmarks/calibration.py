@@ -89,9 +89,8 @@ from fascicle.reporting.style import new_figure, save
 from fascicle.study import paper, posterior
 from fascicle.study.ecg_emulator import EcgEmulator
 from fascicle.study.evaluations import Database, Journal
-from fascicle.study.fit import REFINEMENT
 from fascicle.study.heart_emulator import made_emulator, simulate_prior, usual_prior
-from fascicle.study.likelihood import EmulatedLikelihood
+from fascicle.study.likelihood import EmulatedLikelihood, emulator_error
 from fascicle.study.pool import Threads
 from fascicle.study.population import Population, Posterior
 from fascicle.study.predictive import AXIS, DURATION, Checks, predict_recording
@@ -100,6 +99,7 @@ from fascicle.study.refined_emulator import refined_emulators
 from fascicle.study.settings import FitSettings, Method
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import AveragedOver, study_space
+from fascicle.study.state_fit import REFINEMENT
 from fascicle.study.target_comparison import Network, TargetComparison, evaluate
 from fascicle.study.target_comparison import networks as simulated
 from fascicle.torso.variation.conductor import InvalidTorso
@@ -444,9 +444,10 @@ def fit(
     networks, likelihood = list(simulated(simulator, recording, learnt)), recording.likelihood
     if likelihood is None:
         return population, networks, None
-    checks = predict_recording(recording.target, likelihood, networks, rng).checks
-    error = EmulatedLikelihood(simulator, emulator, likelihood).error(networks)
-    return population, networks, replace(checks, emulator=[error, emulator.expected_error])
+    every = [likelihood] * len(networks)
+    checks = predict_recording(recording.target, every, networks, rng).checks
+    emulated = [EmulatedLikelihood(simulator, emulator, likelihood)] * len(networks)
+    return population, networks, replace(checks, emulator=emulator_error(emulated, networks))
 
 
 def places(

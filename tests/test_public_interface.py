@@ -187,7 +187,7 @@ def test_an_argument_of_the_wrong_kind_is_refused_in_one_line(
 ):
     """Before any work has begun, and so that the line says what was given."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("fascicle.study.fit._simulated_and_compared", begun)
+    monkeypatch.setattr("fascicle.study.state_fit.simulated_and_compared", begun)
     monkeypatch.setattr("fascicle.study.heart_emulator.ForwardModel", begun)
     function, arguments = right[name]
     failures = []

@@ -34,8 +34,9 @@ from fascicle.reporting.scenarios import (
     spread_figure,
 )
 from fascicle.reporting.study import loss_figure, recorded_ecg_figure
-from fascicle.study.fit import HEART, GivenStudy, as_study
+from fascicle.study.fit import GivenStudy, as_study
 from fascicle.study.fitted import FittedStudy
+from fascicle.study.state_fit import HEART
 from fascicle.study.study import CONFIGURATION
 
 

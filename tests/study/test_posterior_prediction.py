@@ -70,7 +70,7 @@ def network(factor=1.0):
 def predict(recorded, networks=None):
     networks = networks or [network()] * NETWORKS
     rng = np.random.default_rng(1)
-    return predict_recording(recorded, likelihood(recorded), networks, rng)
+    return predict_recording(recorded, [likelihood(recorded)] * len(networks), networks, rng)
 
 
 def test_noise_of_the_mean_beat(recorded):

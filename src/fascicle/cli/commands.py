@@ -398,7 +398,10 @@ def parameters() -> Result:
     print_table(rows)
     print("Groups that can be freed together (--free NAME): " + ", ".join(GROUPS))
     print("Fascicles are numbered 1 to at most 4; regions by their labels.")
-    shown = ("name", "unit", "default", "prior_range", "meaning")
+    for known in QUANTITIES.values():
+        if known.choices:
+            print(f"{known.name}: {', '.join(known.choices)}")
+    shown = ("name", "unit", "default", "prior_range", "meaning", "choices")
     return [
         {key: getattr(known, key) for key in shown}
         | ({"prior_range": None} if known.is_integer else {})

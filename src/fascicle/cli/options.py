@@ -148,16 +148,20 @@ def pool_at(scheduler: str | None, progress: Progress) -> fascicle.Cluster | Non
 
 def fixed_values(fix: Sequence[str] | None, **named: float | None) -> dict[str, float]:
     """Read items such as 'alpha=0.08', and options that have the name of a quantity."""
-    from fascicle.core.quantities import checked
+    from fascicle.core.quantities import QUANTITIES, checked
 
-    items = [(f"--{n.replace('_', '-')}", n, v) for n, v in named.items() if v is not None]
+    items: list[tuple[str, str, Any]] = [
+        (f"--{n.replace('_', '-')}", n, v) for n, v in named.items() if v is not None
+    ]
     for item in fix or ():
-        name, _, number = item.partition("=")
+        name, value = (part.strip() for part in (*item.split("=", 1), "")[:2])
         try:
-            items.append((f"--fix {item}", name.strip(), float(number)))
+            items.append((f"--fix {item}", name, float(value)))
         except ValueError:
-            needed = "not a name and a number; write it like alpha=0.08"
-            raise InputError(f"--fix {item}: {needed}") from None
+            if not (name in QUANTITIES and QUANTITIES[name].choices):
+                needed = "not a name and a number; write it like alpha=0.08"
+                raise InputError(f"--fix {item}: {needed}") from None
+            items.append((f"--fix {item}", name, value))
     values: dict[str, float] = {}
     for option, name, value in items:
         if name in values:

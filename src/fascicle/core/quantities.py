@@ -18,6 +18,18 @@ from fascicle.core.errors import ValueRefusedError
 from fascicle.core.ranges import Range, check_kind, did_you_mean, shown
 
 SIDES = ("lv", "rv")
+# What `conduction` counts; what each blocks is in `fascicle.forward.blocks`
+CONDUCTION = (
+    "normal",
+    "left bundle branch block",
+    "left bundle branch delay",
+    "left anterior fascicular block",
+    "left posterior fascicular block",
+    "right bundle branch block",
+    "right bundle branch delay",
+    "right bundle branch and left anterior fascicular block",
+    "intraventricular delay",
+)
 
 
 class Changes(StrEnum):
@@ -26,6 +38,7 @@ class Changes(StrEnum):
     STUDY = "which parameters there are"
     TREES = "trees"
     TISSUE = "speeds of the tissue"
+    BLOCKS = "what is blocked"
     TIMES = "times alone"
     LEAD_FIELDS = "the lead fields"
 
@@ -60,6 +73,8 @@ class Quantity:
         for quantities that are declared outside the package.
     aliases : tuple of str
         Other names, as `fascicle.core.ranges.plain_name` gives them, for which it is suggested.
+    choices : tuple of str
+        What its values 0, 1, ... stand for; they may be given in these words.
     """
 
     name: str
@@ -74,6 +89,7 @@ class Quantity:
     also: float | None = None
     apply: Callable[[Any, float], Any] | None = field(default=None, compare=False)
     aliases: tuple[str, ...] = ()
+    choices: tuple[str, ...] = ()
 
     @property
     def valid(self) -> Range:
@@ -160,6 +176,11 @@ def _of_conduction() -> Iterator[Quantity]:
             f"{name}_delay", "ms", 0.0, (0.0, 10_000.0), (0.0, 10.0), meaning, times, also=math.inf,
             aliases=("junctiondelay", "pmjdelay"),
         )  # fmt: skip
+    most = (0, len(CONDUCTION) - 1)
+    yield Quantity(
+        "conduction", "1", 0, most, most, "conduction state of the bundle branches and fascicles",
+        Changes.BLOCKS, is_integer=True, choices=CONDUCTION,
+    )  # fmt: skip
     yield Quantity("gain", "1", 1.0, (1e-3, 1e3), (0.2, 5.0), "factor on the simulated ECG", times)
 
 
@@ -288,6 +309,12 @@ def checked(values: Mapping[str, Any]) -> dict[str, float]:
 
 def check(known: Quantity, value: Any) -> float:
     """One number as a float, if it is possible for this quantity; see `checked`."""
+    if known.choices and isinstance(value, str):
+        if value not in known.choices:
+            hint = did_you_mean(value, known.choices, [])
+            hint = hint or f"known: {', '.join(known.choices)}"
+            raise ValueRefusedError(f"parameter '{known.name}' is {shown(value)}; {hint}")
+        value = known.choices.index(value)
     found = known.valid.check(value, f"parameter '{known.name}'")
     if known.is_integer and found != int(found):
         raise ValueRefusedError(f"parameter '{known.name}' is {shown(found)}; give a whole number")

@@ -27,6 +27,7 @@ from fascicle.core.quantities import Changes, checked, quantity, torso_values
 from fascicle.core.ranges import check_items, check_kind
 from fascicle.core.shared_files import SharedFile, read_shared, write_shared
 from fascicle.core.threads import made_once
+from fascicle.forward.blocks import in_state
 from fascicle.forward.cable.template import default_template
 from fascicle.forward.ecg.electrocardiogram import ActionPotential, Electrocardiograph, first_sample
 from fascicle.forward.eikonal.activation import Coupling, attach, solve
@@ -266,7 +267,8 @@ class ForwardModel:
         check_items(trees, PurkinjeTree, "trees", "fascicle.PurkinjeTree")
         check_kind(scenario, (Scenario, NoneType), "scenario", SCENARIO)
         values = checked(values | {"cv": cv})
-        beat = (scenario or Scenario()).beat(trees, root_time, values, self.sites)
+        blocked = in_state(scenario or Scenario(), values.get("conduction", 0.0))
+        beat = blocked.beat(trees, root_time, values, self.sites)
         conduction = self.conduction.with_values(values)
         tissue = self._tissue(replace(conduction, alpha=self.conduction.alpha))
         if beat.stimuli:  # rays to every vertex are too many to keep for several networks

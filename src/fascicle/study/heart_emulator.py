@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -48,7 +49,8 @@ def emulator_of(
     scenario : (Scenario, str), optional
         In which the heart was recorded, and its digest.
     """
-    usual = usual_prior(simulator.model, folder, scenario)
+    blocks = {n: v for n, v in simulator.fixed.items() if n == "conduction"}
+    usual = usual_prior(simulator.model, folder, scenario, blocks)
     if usual.covers(simulator.space, simulator.averaged, simulator.fixed):
         with resources.as_file(resources.files("fascicle") / "data" / "emulators") as packaged:
             stored = ArrayCache(packaged, EMULATOR).read(usual.content)
@@ -90,10 +92,13 @@ def prior_of(
 
 
 def usual_prior(
-    model: ForwardModel, folder: Path, scenario: tuple[Scenario, str] | None = None
+    model: ForwardModel,
+    folder: Path,
+    scenario: tuple[Scenario, str] | None = None,
+    fixed: Mapping[str, float] = MappingProxyType({}),
 ) -> PriorSimulations:
-    """Those of what a study varies if nothing else is said."""
-    space, fixed = study_space("posterior", {}, model.heart)
+    """Those of what a study varies if nothing else is said than what is fixed."""
+    space, fixed = study_space("posterior", fixed, model.heart)
     averaged = AveragedOver.of(space, fixed, model.heart)
     return prior_of(PointSimulator(model, space, fixed, averaged=averaged), folder, scenario)
 

@@ -77,8 +77,8 @@ class EmulatedLikelihood:
         inputs = self.emulator.inputs(values, self._tissues[simulator.averaged.tissue(rest)])
         return inputs, values.get("gain", np.ones(len(points)))
 
-    def error(self, networks: Sequence[Network]) -> float:
-        """Root mean square of what is emulated falsely of networks' ECGs, over that of the ECGs."""
+    def energies(self, networks: Sequence[Network]) -> tuple[float, float]:
+        """Energy of what is emulated falsely of networks' ECGs, and that of the ECGs."""
         emulator, tissues = self.emulator, self.simulator.averaged.tissues
         rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(emulator.mean_leads))]
         columns = {n: np.array([each.parameters[n] for each in networks]) for n in emulator.names}
@@ -94,7 +94,7 @@ class EmulatedLikelihood:
             emulated = (emulator.mean_leads + np.tensordot(found, emulator.series, 1))[rows]
             gain = network.parameters.get("gain", 1.0)
             off, whole = off + ((true - gain * emulated) ** 2).sum(), whole + (true**2).sum()
-        return float(np.sqrt(off / whole))
+        return float(off), float(whole)
 
     @classmethod
     def each(
@@ -132,3 +132,19 @@ class EmulatedLikelihood:
     def _tissues(self) -> Floats:
         ratio = float(np.divide(*self.simulator.model.conduction.speeds))
         return tissue_inputs(self.simulator.averaged, ratio)
+
+
+def emulator_error(
+    emulated: Sequence[EmulatedLikelihood], networks: Sequence[Network]
+) -> list[float]:
+    """Root mean square of what is emulated falsely of networks' ECGs, over that of the ECGs.
+
+    With what is to be expected; `emulated` are of each network.
+    """
+    off = whole = expected = 0.0
+    for each in {id(one): one for one in emulated}.values():
+        its = [n for n, one in zip(networks, emulated, strict=True) if one is each]
+        false, energy = each.energies(its)
+        off, whole = off + false, whole + energy
+        expected += each.emulator.expected_error**2 * energy
+    return [float(np.sqrt(off / whole)), float(np.sqrt(expected / whole))]

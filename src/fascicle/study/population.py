@@ -17,6 +17,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_path
 from fascicle.core.netcdf import load_netcdf
 from fascicle.core.parameters import ParameterSpace
+from fascicle.core.quantities import CONDUCTION
 from fascicle.core.ranges import short_repr
 from fascicle.inference.evaluation import Evaluation
 from fascicle.inference.tempered_sampling import SamplingRun
@@ -106,6 +107,9 @@ class Posterior(Population):
         reported either.
     first_alone : mapping of name to (m,) array, optional
         Of several recordings, draws from the posterior of the first, if that has converged.
+    states : mapping of name to float
+        How probable each conduction state is, if that is learnt; ``averaged["conduction"]`` is then
+        the number of that of each network.
     """
 
     log_likelihoods: Floats
@@ -116,6 +120,7 @@ class Posterior(Population):
     converged: bool
     averaged: Mapping[str, Floats] = field(default_factory=dict)
     first_alone: Mapping[str, Floats] | None = None
+    states: Mapping[str, float] = field(default_factory=dict)
 
     __repr__ = short_repr
 
@@ -240,6 +245,10 @@ def write_population(
                 held = xr.Dataset({name: ("draw", values) for name, values in its.items()})
                 for name in population.best.keys() & its.keys() if group == AVERAGED else ():
                     held[name].attrs["best"] = population.best[name]
+                if "conduction" in held:  # as the CF conventions name flags
+                    meanings = " ".join(name.replace(" ", "_") for name in CONDUCTION)
+                    flags = {"flag_values": np.arange(len(CONDUCTION)), "flag_meanings": meanings}
+                    held["conduction"].attrs.update(flags)
                 data.sample_stats.attrs[group] = 1
                 data.add_groups({group: held}, warn_on_custom_groups=False)
     with atomic_path(path) as temporary:
@@ -293,6 +302,7 @@ def _describe(data: Any, population: Population) -> None:
     stats.attrs["best_loss"] = population.best_loss
     if isinstance(population, Posterior):
         stats.attrs["converged"] = int(population.converged)
+        stats.attrs["states"] = json.dumps(dict(population.states))
         for name in ("log_evidences", "effective", "evaluations"):
             stats.attrs[name] = getattr(population, name)
     for group in (data.posterior_predictive, data.observed_data, data.constant_data):
@@ -340,6 +350,7 @@ def read_population(path: Path) -> Population:
             converged=bool(stats.attrs["converged"]),
             averaged=groups.get(AVERAGED, {}),
             first_alone=groups.get(FIRST_ALONE),
+            states=json.loads(stats.attrs.get("states", "{}")),
         )
     except (OSError, KeyError, ValueError, IndexError, TypeError) as error:
         first = (str(error).splitlines() or [type(error).__name__])[0]

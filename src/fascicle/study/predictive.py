@@ -149,10 +149,17 @@ class Prediction:
 
 
 def predict_recording(
-    target: Target, likelihood: Likelihood, networks: Sequence[Network], rng: np.random.Generator
+    target: Target,
+    likelihoods: Sequence[Likelihood],
+    networks: Sequence[Network],
+    rng: np.random.Generator,
 ) -> Prediction:
-    """Draw what n networks of a posterior predict for a recording, and compare it with that."""
-    drawn = [likelihood.predictive(Signals.of(each.simulation), rng) for each in networks]
+    """Draw what n networks of a posterior predict for a recording, and compare it with that.
+
+    `likelihoods` are those of each network.
+    """
+    pairs = zip(likelihoods, networks, strict=True)
+    drawn = [likelihood.predictive(Signals.of(n.simulation), rng) for likelihood, n in pairs]
     ecg, noisy = (np.array([getattr(each, name) for each in drawn]) for name in ("ecg", "noisy"))
     found = agreement(target, [replace(n, predicted=e) for n, e in zip(networks, ecg, strict=True)])
     return Prediction(
@@ -161,7 +168,7 @@ def predict_recording(
         np.array([each.gain for each in drawn]),
         np.array([each.shift for each in drawn]),
         np.array([each.discrepancy for each in drawn]),
-        _checks(target, found, drawn, getattr(likelihood, "gain_sd", FitSettings().gain_sd)),
+        _checks(target, found, drawn, getattr(likelihoods[0], "gain_sd", FitSettings().gain_sd)),
         found,
     )
 

@@ -101,7 +101,8 @@ class PriorSimulations:
             return False
         ends = _ranges(self.space, self.averaged)
         wanted = _ranges(space, averaged)
-        wanted |= {name: (value, value) for name, value in fixed.items()}
+        others = {n: v for n, v in fixed.items() if self.fixed.get(n) != v}
+        wanted |= {name: (value, value) for name, value in others.items()}
         wanted.pop("gain", None)  # a factor on the ECG
         inside = all(
             ends[name][0] <= low and high <= ends[name][1]

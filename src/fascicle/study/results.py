@@ -144,6 +144,7 @@ def _summary(
 def _posterior_summary(fitted: FittedStudy, posterior: Posterior) -> dict[str, object]:
     """What only a posterior has."""
     return {
+        "conduction_states": dict(posterior.states),
         "log_evidences": posterior.log_evidences.tolist(),
         "effective_sample_sizes": posterior.effective.tolist(),
         "standard_deviations_between_runs": dict(posterior.means_apart),

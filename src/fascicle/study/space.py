@@ -34,6 +34,7 @@ from fascicle.core.ranges import number, shown
 from fascicle.heart.conduction import Conduction, Region
 from fascicle.heart.heart import Heart
 from fascicle.purkinje.growth import GrowthRules
+from fascicle.study.conduction_states import asked_states
 from fascicle.study.settings import FitSettings, Method
 
 FREE = "free"
@@ -193,7 +194,10 @@ def read_settings(path: Path | str) -> dict[str, Any]:
     try:
         FitSettings(**{name: value for name, value in values.items() if name != PARAMETERS})
         for name, value in without_groups(parameters).items():
-            _chosen(name, value)
+            if name == "conduction":
+                asked_states(value)
+            else:
+                _chosen(name, value)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return values

@@ -26,6 +26,7 @@ from fascicle.study.simulator import PointSimulator
 from fascicle.study.target_comparison import Network, TargetComparison
 
 INTERVAL = (5, 95)  # percentiles of a 90 % credible interval
+LEAST_NAMED = 0.02  # probability of a conduction state
 
 
 class Result(Protocol):
@@ -165,9 +166,25 @@ class Statements:
                     *([f"at the end of its range: {ends}"] if ends else []),
                 ]
                 fit = f"poor fit: {'; '.join(failures)}"
-            said = [_convergence(population), fit, checks.emulator_off]
+            said = [self.diagnosis, _convergence(population), fit, checks.emulator_off]
             return "; ".join(each for each in said if each)
         return self.networks_called
+
+    @property
+    def diagnosis(self) -> str:
+        """How probable each conduction state is, the most probable first; empty if none is learnt.
+
+        Nothing is said of them where the result is not to be relied on.
+        """
+        states = getattr(self._result.population, "states", {})
+        if not states:
+            return ""
+        if self.caution is not None:
+            return f"no conduction state is named ({self.caution.brief})"
+        named = {name: p for name, p in states.items() if p >= LEAST_NAMED}
+        ranked = sorted(named, key=lambda name: -named[name])
+        others = [f"others below {LEAST_NAMED}"] if len(named) < len(states) else []
+        return ", ".join([*(f"{name}: {named[name]:.2f}" for name in ranked), *others])
 
     @property
     def networks_called(self) -> str:

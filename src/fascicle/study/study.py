@@ -30,6 +30,7 @@ from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.core.progress import Progress
 from fascicle.inference.evaluation import Evaluation, Objective
 from fascicle.purkinje.growth import REPULSION
+from fascicle.study.conduction_states import states_of, united
 from fascicle.study.evaluations import Database, Journal, Record, Stage
 from fascicle.study.lock import LOCK, study_lock
 from fascicle.study.population import RESULT, Population
@@ -66,12 +67,15 @@ class StudyConfig(FitSettings):
     likelihood: dict[str, float | str] = Field(default_factory=dict)  # of a posterior
     averaged: tuple[Parameter, ...] = ()  # what is averaged over, and, each as probable, in which
     tissues: tuple[dict[str, float], ...] = ({},)
+    states: dict[str, float] = Field(default_factory=dict)  # of conduction, if learnt: their priors
     version: Literal[8] = FORMAT  # of the folder
 
     @property
     def parameter_space(self) -> ParameterSpace:
-        """The parameter space that is learnt."""
-        return ParameterSpace(self.space)
+        """The parameter space that is learnt, of all conduction states."""
+        space = ParameterSpace(self.space)
+        spaces = [s.narrowed(space, self.fixed) for s in states_of(self.states)]
+        return united([each for each in spaces if each is not None] or [space])
 
     @property
     def averaged_over(self) -> AveragedOver:

@@ -64,7 +64,7 @@ class GpuBackend:
         if model.heart.additional_electrodes:
             return "the card computes the twelve leads, and the heart has additional electrodes"
         for name in names:
-            if quantity(name).changes in (Changes.TISSUE, Changes.LEAD_FIELDS):
+            if quantity(name).changes in (Changes.TISSUE, Changes.BLOCKS, Changes.LEAD_FIELDS):
                 return f"parameter '{name}' changes {quantity(name).changes}"
         return ""
 

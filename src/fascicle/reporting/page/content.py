@@ -18,10 +18,10 @@ from fascicle.prediction.scenarios import INTRINSIC
 from fascicle.purkinje.growth import GrowthRules
 from fascicle.recording.target import Target
 from fascicle.reporting.names import index_name
-from fascicle.study.fit import HEART
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.recordings import recording_paths
 from fascicle.study.settings import OF_THE_PAPER, OF_THE_POSTERIOR
+from fascicle.study.state_fit import HEART
 from fascicle.study.statements import Caution
 from fascicle.study.study import StudyConfig
 

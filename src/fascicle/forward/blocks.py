@@ -1,0 +1,41 @@
+"""What the conduction states of a network block, in whatever it is simulated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from fascicle.core.quantities import CONDUCTION
+from fascicle.forward.primitives import His, SlowConduction
+from fascicle.forward.scenario import Primitive, Scenario
+
+ANTERIOR, POSTERIOR = (
+    SlowConduction(tree="lv", part=f"{which} fascicle", speed=0.0)
+    for which in ("anterior", "posterior")
+)
+BLOCKED: dict[str, tuple[Primitive, ...]] = {
+    "left bundle branch block": (His(left=0.0),),
+    "left anterior fascicular block": (ANTERIOR,),
+    "left posterior fascicular block": (POSTERIOR,),
+    "right bundle branch block": (His(right=0.0),),
+    "right bundle branch and left anterior fascicular block": (His(right=0.0), ANTERIOR),
+}
+
+
+def in_state(scenario: Scenario, conduction: float) -> Scenario:
+    """A scenario in a conduction state, a number of `CONDUCTION`: what that blocks stays blocked.
+
+    But for a bundle branch where the scenario has a His bundle with a root time of its own:
+    pacing that recruits both branches.
+    """
+    blocked = BLOCKED.get(CONDUCTION[int(conduction)], ())
+    if not blocked:
+        return scenario
+    own = [each for each in blocked if isinstance(each, His)]
+    given = scenario.of(His)
+    if own and given:
+        (block,), (his,) = own, given
+        if his.root_time is None:
+            his = replace(his, left=his.left * block.left, right=his.right * block.right)
+        own = [his]
+    others = (p for p in (*blocked, *scenario.primitives) if not isinstance(p, His))
+    return replace(scenario, primitives=(*(own or given), *others))

@@ -1,0 +1,125 @@
+"""The conduction states that a study tells apart, with their priors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from fascicle.core.errors import InputError
+from fascicle.core.parameters import ParameterSpace, free
+from fascicle.core.quantities import CONDUCTION, check, fascicles, quantity
+from fascicle.core.ranges import number
+from fascicle.forward.blocks import ANTERIOR, BLOCKED, POSTERIOR
+
+Ranges = Mapping[str, tuple[float, float]]
+
+TOGETHER: Ranges = {"root_time": (-20.0, 20.0)}  # ms; the bundle branches conduct alike
+SLOW: Ranges = {**TOGETHER, "alpha": (0.02, 0.05), "fibre_speed": (0.25, 0.6), "cv": (1.0, 3.0)}
+
+
+@dataclass(frozen=True)
+class ConductionState:
+    """A state, how probable it is before the ECG is seen, and what its networks are like.
+
+    Attributes
+    ----------
+    name : str
+        One of `CONDUCTION`, which says what is blocked.
+    probability : float
+        Prior, in proportion to those of the others.
+    ranges : mapping of name to (float, float)
+        Of quantities, in place of their usual ones.
+    """
+
+    name: str
+    probability: float
+    ranges: Ranges
+
+    @property
+    def number(self) -> float:
+        """Value of the quantity `conduction`."""
+        return float(CONDUCTION.index(self.name))
+
+    @property
+    def blocks(self) -> dict[str, float]:
+        """The quantity, where it is more than a name for the values of others."""
+        return {"conduction": self.number} if self.name in BLOCKED else {}
+
+    def narrowed(self, space: ParameterSpace, fixed: Mapping[str, float]) -> ParameterSpace | None:
+        """What a study of this state learns; None if what is asked for excludes it."""
+        one_fascicle = fascicles("lv", [*space.names, *fixed]) < 2
+        if one_fascicle and {ANTERIOR, POSTERIOR} & {*BLOCKED.get(self.name, ())}:
+            return None
+        for name, value in fixed.items():
+            low, high = self.ranges.get(name, (value, value))
+            if not low <= value <= high:
+                return None
+        learnt = {p.name: p for p in space.parameters}
+        for name, (low, high) in self.ranges.items():
+            if name not in learnt:
+                continue
+            asked = learnt[name]
+            if asked != free(name):  # otherwise than usual
+                low, high = max(low, asked.lower), min(high, asked.upper)
+            if low >= high or not (asked.median is None or low <= asked.median <= high):
+                return None
+            learnt[name] = replace(asked, lower=low, upper=high)
+        return ParameterSpace(tuple(learnt.values()))
+
+
+STATES = tuple(
+    ConductionState(name, probability, ranges)
+    for name, probability, ranges in (
+        ("normal", 0.3, TOGETHER),
+        ("left bundle branch block", 0.1, TOGETHER),
+        ("left bundle branch delay", 0.1, {"root_time": (-75.0, -20.0)}),
+        ("left anterior fascicular block", 0.1, TOGETHER),
+        ("left posterior fascicular block", 0.05, TOGETHER),
+        ("right bundle branch block", 0.1, TOGETHER),
+        ("right bundle branch delay", 0.1, {"root_time": (20.0, 50.0)}),
+        ("right bundle branch and left anterior fascicular block", 0.05, TOGETHER),
+        ("intraventricular delay", 0.1, SLOW),
+    )
+)
+
+
+def states_of(priors: Mapping[str, float]) -> tuple[ConductionState, ...]:
+    """The states of these names, with these priors."""
+    named = {state.name: state for state in STATES}
+    return tuple(replace(named[name], probability=prior) for name, prior in priors.items())
+
+
+def asked_states(asked: Any) -> tuple[ConductionState, ...]:
+    """The states that were asked for: one, all, or those with a prior of their own.
+
+    Raises
+    ------
+    InputError
+        If there is no such state, or a prior is none.
+    """
+    priors = {state.name: state.probability for state in STATES}
+    if isinstance(asked, Mapping):
+        given = {name: number(p, f"parameter 'conduction': '{name}'") for name, p in asked.items()}
+        wrong = [name for name, p in given.items() if not (name in priors and 0 < p < math.inf)]
+        if wrong or not given:
+            raise InputError(
+                f"parameter 'conduction': {wrong or 'nothing'}; give a prior above 0 for each of "
+                f"some of {', '.join(priors)}"
+            )
+        return states_of(given)
+    if isinstance(asked, str) and asked == "free":
+        return STATES
+    value = check(quantity("conduction"), asked)
+    return states_of({CONDUCTION[int(value)]: 1.0})
+
+
+def united(spaces: Sequence[ParameterSpace]) -> ParameterSpace:
+    """What is learnt in any of the states, with the widest range of each."""
+    return ParameterSpace(
+        tuple(
+            replace(each[0], lower=min(p.lower for p in each), upper=max(p.upper for p in each))
+            for each in zip(*(space.parameters for space in spaces), strict=True)
+        )
+    )

@@ -1,0 +1,272 @@
+"""Fit a posterior, or the paper's population, of one conduction state."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from fascicle.core.array_cache import ArrayCache
+from fascicle.core.errors import InputError
+from fascicle.core.files import DISPOSABLE
+from fascicle.core.progress import Progress
+from fascicle.core.quantities import torso_values
+from fascicle.forward.compile_kernels import compile_kernels
+from fascicle.forward.likelihood import Likelihood
+from fascicle.forward.model import Backend, ForwardModel, usable
+from fascicle.forward.preparation import share_prepared
+from fascicle.forward.scenario import Scenario
+from fascicle.forward.simulation import Simulation
+from fascicle.heart.folder import load_heart, write_heart
+from fascicle.heart.heart import Heart
+from fascicle.purkinje.growth import GrowthRules
+from fascicle.study.agreement import agreement
+from fascicle.study.ecg_emulator import EcgEmulator
+from fascicle.study.fitted import FittedStudy
+from fascicle.study.heart_emulator import emulator_of
+from fascicle.study.likelihood import EmulatedLikelihood, emulator_error
+from fascicle.study.lock import study_lock
+from fascicle.study.pool import Pool, Threads
+from fascicle.study.predictive import Checks, predict_recording
+from fascicle.study.recordings import Recorded, write_recordings
+from fascicle.study.refined_emulator import refined_emulators
+from fascicle.study.results import write_results
+from fascicle.study.simulator import PointSimulator
+from fascicle.study.study import MAY_CHANGE, Study, StudyConfig
+from fascicle.study.target_comparison import TargetComparison, evaluate
+
+HEART = "heart"  # in the study's folder
+PREDICTION, REFINEMENT = 2, 3  # number the random generators
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a study is of."""
+
+    heart: Heart
+    recordings: Sequence[Recorded]
+    config: StudyConfig  # all that decides the outcome, with hashes of the others
+    rules: GrowthRules
+    likelihoods: Sequence[Likelihood] | None = None  # in place of those made of the prior
+
+
+# Of each recording, by the number of the conduction state
+Emulated = Mapping[float, Sequence[EmulatedLikelihood]]
+
+
+def fit_state(
+    inputs: Inputs,
+    folder: Path,
+    progress: Progress | None = None,
+    pool: Pool | None = None,
+    backend: Backend | None = None,
+    model: ForwardModel | None = None,
+) -> tuple[FittedStudy, list[EmulatedLikelihood]]:
+    """Do what is left of a study in its folder, and write its results.
+
+    `model` is that of the heart and the rules, if it is at hand. A posterior comes with the
+    likelihoods of its recordings.
+    """
+    heart, config = inputs.heart, inputs.config
+    simulator, recordings = simulated_and_compared(
+        config, heart, inputs.rules, inputs.recordings, pool, progress, backend, model
+    )
+    _check_scenarios(simulator, recordings)
+    with study_lock(folder):
+        study = begun(inputs, folder, progress)
+        emulated: list[EmulatedLikelihood] = []
+        if config.method == "posterior":
+            recordings, emulated = _emulated(simulator, recordings, inputs, folder, progress)
+            simulator = replace(simulator, remembered={})
+        objective = partial(evaluate, simulator, recordings)
+        population = study.run(objective, progress, emulated)
+        share_prepared(heart, folder / HEART)
+        fitted = FittedStudy(study, simulator, recordings, population)
+        number = simulator.fixed.get("conduction", 0.0)
+        fitted = completed(fitted, {number: emulated}, progress)
+        return replace(fitted, simulator=replace(simulator, remembered=None)), emulated
+
+
+def begun(inputs: Inputs, folder: Path, progress: Progress | None) -> Study:
+    """A study in its folder, with copies of what it is of."""
+    study = Study.create_or_resume(folder, inputs.config, progress)
+    if not _holds(folder / HEART, inputs.heart):
+        write_heart(inputs.heart, folder / HEART)
+    write_recordings(folder, inputs.recordings)
+    return study
+
+
+def completed(fitted: FittedStudy, emulated: Emulated, progress: Progress | None) -> FittedStudy:
+    """Simulate the networks, compare a posterior with the recording, and write the results."""
+    networks, agreements, predictions = fitted.networks(progress), [], []
+    rng = np.random.default_rng([fitted.study.config.seed, PREDICTION])
+    for number, each in enumerate(fitted.recordings):
+        its = networks if number == 0 else fitted.networks(progress, number)
+        if fitted.of_the_paper:
+            agreements.append(agreement(each.target, its))
+        else:
+            of_state = {state: every[number] for state, every in emulated.items()}
+            own = [of_state[n.parameters.get("conduction", 0.0)] for n in its]
+            found = predict_recording(each.target, [e.likelihood for e in own], its, rng)
+            error = emulator_error(own, its)
+            predictions.append(replace(found, checks=replace(found.checks, emulator=error)))
+            agreements.append(found.agreement)
+    if predictions:
+        checks = Checks.joined([each.checks for each in predictions])
+        ecgs = tuple(each.ecg for each in predictions)
+        fitted = replace(fitted, checks=checks, gains=predictions[0].gains, ecgs=ecgs)
+    reports = [dict(one.emulator.report) for each in emulated.values() for one in each]
+    write_results(fitted, networks, agreements, predictions, reports)
+    return fitted
+
+
+def _check_scenarios(simulator: PointSimulator, recordings: Sequence[TargetComparison]) -> None:
+    """Refuse a scenario that does not fit the heart, with the first network of the prior."""
+    for each in recordings:
+        if each.scenario is None:
+            continue
+        for point in np.random.default_rng(0).random((10, simulator.dimension)):
+            if isinstance(next(simulator.simulate([point], each.scenario)), Simulation):
+                break
+
+
+def _holds(folder: Path, heart: Heart) -> bool:
+    """Whether a folder holds a heart, undamaged."""
+    try:
+        return load_heart(folder).digest == heart.digest
+    except InputError:
+        return False
+
+
+def _emulated(
+    simulator: PointSimulator,
+    recordings: Sequence[TargetComparison],
+    inputs: Inputs,
+    folder: Path,
+    progress: Progress | None,
+) -> tuple[tuple[TargetComparison, ...], list[EmulatedLikelihood]]:
+    """The recordings with their likelihoods, and these by refined emulators of the heart."""
+    config, scenarios = inputs.config, _scenarios(inputs.config, recordings)
+    emulators = _emulators(simulator, scenarios, inputs, folder, progress)
+    by = _likelihoods(simulator, recordings, inputs)
+    if inputs.likelihoods is None:
+        count, rng = config.prior_simulations, np.random.default_rng([config.seed, REFINEMENT])
+        refine = partial(refined_emulators, emulators, by, scenarios, count, folder, rng, progress)
+        emulators = _kept(folder, config, refine)
+    emulated = by(emulators)
+    pairs = zip(recordings, emulated, strict=True)
+    return tuple(replace(one, likelihood=its.likelihood) for one, its in pairs), emulated
+
+
+def emulated_by_the_prior(
+    inputs: Inputs,
+    folder: Path,
+    simulator: PointSimulator,
+    recordings: Sequence[TargetComparison],
+    progress: Progress | None,
+) -> list[EmulatedLikelihood]:
+    """Likelihoods of the recordings by the emulators of the prior, which are made if need be."""
+    scenarios = _scenarios(inputs.config, recordings)
+    emulators = _emulators(simulator, scenarios, inputs, folder, progress)
+    return _likelihoods(simulator, recordings, inputs)(emulators)
+
+
+def _scenarios(
+    config: StudyConfig, recordings: Sequence[TargetComparison]
+) -> list[tuple[Scenario, str] | None]:
+    return [
+        None if each.scenario is None else (each.scenario, digest)
+        for each, digest in zip(recordings, config.scenarios, strict=True)
+    ]
+
+
+def _likelihoods(
+    simulator: PointSimulator, recordings: Sequence[TargetComparison], inputs: Inputs
+) -> Callable[[Sequence[EcgEmulator]], list[EmulatedLikelihood]]:
+    """What gives the likelihoods of the recordings by emulators."""
+    if inputs.likelihoods is None:
+        return partial(
+            EmulatedLikelihood.each,
+            simulator=simulator,
+            targets=[each.target for each in recordings],
+            gain_sd=_gain_sd(inputs.config),
+        )
+    given = inputs.likelihoods
+    return lambda emulators: [
+        EmulatedLikelihood(simulator, *each) for each in zip(emulators, given, strict=True)
+    ]
+
+
+def _emulators(
+    simulator: PointSimulator,
+    scenarios: Sequence[tuple[Scenario, str] | None],
+    inputs: Inputs,
+    folder: Path,
+    progress: Progress | None,
+) -> list[EcgEmulator]:
+    """Emulators of the prior for each recording, kept with the heart if its folder allows that."""
+    given, count = inputs.heart.folder, inputs.config.prior_simulations
+    place = given if given is not None and os.access(given, os.W_OK) else folder / HEART
+    made: dict[str, EcgEmulator] = {}
+    for scenario, digest in zip(scenarios, inputs.config.scenarios, strict=True):
+        if digest not in made:
+            made[digest] = emulator_of(simulator, count, place, progress, scenario)
+    return [made[digest] for digest in inputs.config.scenarios]
+
+
+def _kept(
+    folder: Path, config: StudyConfig, refine: Callable[[], list[EcgEmulator]]
+) -> list[EcgEmulator]:
+    """Refined emulators of each recording, as they are kept in the folder of a study."""
+    cache = ArrayCache(folder / DISPOSABLE, "refined")
+    same = config.model_dump_json(exclude={*MAY_CHANGE})
+    keys = [f"{number} of {same}" for number in range(len(config.scenarios))]
+    if any(cache.read(key) is None for key in keys):
+        for key, emulator in zip(keys, refine(), strict=True):
+            cache.write(key, emulator.arrays())
+    return [EcgEmulator.from_arrays(cache.read(key) or {}) for key in keys]
+
+
+def _gain_sd(config: StudyConfig) -> float:
+    """Prior SD of the gain about 1; 0 if the gain is itself a parameter."""
+    is_parameter = "gain" in config.fixed or "gain" in config.parameter_space.names
+    return 0.0 if is_parameter else config.gain_sd
+
+
+def simulated_and_compared(
+    config: StudyConfig,
+    heart: Heart,
+    rules: GrowthRules,
+    recordings: Sequence[Recorded],
+    pool: Pool | None,
+    progress: Progress | None,
+    backend: Backend | None = None,
+    model: ForwardModel | None = None,
+) -> tuple[PointSimulator, tuple[TargetComparison, ...]]:
+    """A study's simulator and comparisons; takes a while on a new machine or with a new heart.
+
+    `model` is that of the heart and the rules, if it is at hand.
+    """
+    if progress is not None:
+        compile_kernels(progress)
+    space, fixed = config.parameter_space, config.fixed
+    model = model or ForwardModel(heart, rules=rules, progress=progress)
+    backend = usable(backend, model, [*space.names, *fixed], recordings[0][1])
+    if torso := torso_values(dict.fromkeys((*space.names, *fixed), 0.0)):
+        model.torso([*torso])  # built here, not by every worker
+    compared = tuple(
+        TargetComparison(
+            target.in_leads(heart.leads),
+            scenario,
+            free_gain=config.free_gain if config.method == "paper" else _gain_sd(config) > 0,
+            independent_leads=config.leads == "8",
+            fewest_junctions=config.fewest_junctions,
+        )
+        for target, scenario in recordings
+    )
+    pool = pool or Threads(config.workers)
+    return PointSimulator(model, space, fixed, pool, config.averaged_over, backend), compared

@@ -1,0 +1,159 @@
+"""The conduction state, learnt from an ECG."""
+
+import json
+from dataclasses import replace
+
+import arviz as az
+import numpy as np
+import pytest
+
+import fascicle
+from fascicle.core.errors import InputError
+from fascicle.core.parameters import ParameterSpace, free
+from fascicle.core.quantities import CONDUCTION, fascicle_names
+from fascicle.recording.target import Target, smooth_noise
+from fascicle.study.conduction_states import STATES, asked_states, united
+from fascicle.study.diagnosis import _apportioned, probabilities
+from fascicle.study.space import study_space
+from fascicle.study.statements import Statements
+
+BLOCK = "left bundle branch block"
+PRIORS = {"normal": 0.5, BLOCK: 0.3, "left anterior fascicular block": 0.2}
+SETTINGS = {"prior_simulations": 100, "effective": 20, "workers": 2, "progress": None}
+
+
+@pytest.fixture(scope="module")
+def target(default_model):
+    parameters = {**fascicle.EXAMPLE_PARAMETERS, "alpha": 0.07, "conduction": BLOCK}
+    simulation = default_model.simulate(parameters)
+    clean = np.pad(simulation.leads, ((0, 0), (80, 80)))
+    time = np.arange(clean.shape[1]) - 80 + simulation.onset
+    beats = clean + smooth_noise(np.random.default_rng(0), (10, *clean.shape), 0.02)
+    first, last = simulation.first_activation, np.nanmax(simulation.activation)
+    return Target(beats, time, float(first), float(last), 60.0, {"source": "made"}, 4.0, 5.0)
+
+
+@pytest.fixture(scope="module")
+def fitted(target, tmp_path_factory):
+    out = tmp_path_factory.mktemp("diagnosis") / "study"
+    return fascicle.fit("default", target, out, parameters={"conduction": PRIORS}, **SETTINGS)
+
+
+def test_a_block_is_recognised(fitted):
+    assert fitted.population.states.keys() == PRIORS.keys()
+    assert fitted.population.states[BLOCK] > 0.9
+    assert sum(fitted.population.states.values()) == pytest.approx(1)
+    assert fitted.verdict.startswith(f"{BLOCK}: 1.00, others below 0.02; converged; fit acceptable")
+
+
+def test_each_network_has_its_state(fitted):
+    numbers = fitted.population.averaged["conduction"]
+    assert len(numbers) == 20
+    assert (numbers == CONDUCTION.index(BLOCK)).mean() > 0.9
+    assert fitted.population.parameters(0)["conduction"] == numbers[0]
+    data = az.from_netcdf(fitted.folder / "posterior.nc")
+    attributes = data.averaged_over["conduction"].attrs
+    assert attributes["flag_meanings"].split()[1] == "left_bundle_branch_block"
+    summary = json.loads((fitted.folder / "summary.json").read_text())
+    assert summary["conduction_states"] == dict(fitted.population.states)
+
+
+def test_a_study_is_read_back_and_fitted_again_as_it_is(fitted, target):
+    read = fascicle.load_study(fitted.folder, None)
+    assert read.verdict == fitted.verdict
+    assert read.population.states == fitted.population.states
+    again = fascicle.fit(
+        "default", target, fitted.folder, parameters={"conduction": PRIORS}, **SETTINGS
+    )
+    np.testing.assert_array_equal(again.population.losses, fitted.population.losses)
+    with pytest.raises(InputError, match=r"states normal: there 0\.5, now"):
+        fascicle.fit(
+            "default", target, fitted.folder, parameters={"conduction": "free"}, **SETTINGS
+        )
+
+
+def test_the_study_of_a_state_is_one_of_its_own(fitted):
+    alone = fascicle.load_study(fitted.folder / "states" / "left-bundle-branch-block", None)
+    assert alone.simulator.fixed == {"conduction": 1.0}
+    assert (np.abs(alone.population.values["root_time"]) <= 20).all()
+
+
+def test_predictions_keep_the_block(fitted):
+    names = ["his-pacing-uncorrected", "his-pacing"]
+    paced = fascicle.predict(fitted, names, progress=None)
+    uncorrected, corrected = (paced[name].indices["total_activation_time"] for name in names)
+    assert (uncorrected > corrected + 10).all()
+
+
+def test_nothing_is_said_of_a_poor_fit(fitted):
+    checks = replace(fitted.checks, explained=0.5)
+    verdict = Statements(replace(fitted, checks=checks)).verdict
+    assert verdict.startswith("no conduction state is named (poor fit); converged; poor fit: 50%")
+
+
+def test_one_state_is_a_study_of_it(target, tmp_path):
+    given = {"conduction": "right bundle branch delay"}
+    found = fascicle.fit("default", target, tmp_path / "study", parameters=given, **SETTINGS)
+    assert found.population.states == {}
+    assert found.simulator.fixed == {}
+    times = found.population.values["root_time"]
+    assert times.min() >= 20
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({}, "'conduction': nothing; give a prior above 0 for each of some of normal, left"),
+        ({"normal": 0.0}, r"\['normal'\]; give a prior above 0"),
+        ({"block": 0.5}, r"\['block'\]; give a prior above 0"),
+        ("block", "'block'; known: normal"),
+        (12, "12"),
+    ],
+)
+def test_no_such_state(asked, said):
+    with pytest.raises(InputError, match=said):
+        asked_states(asked)
+
+
+def test_the_method_of_the_paper_knows_no_states(target, tmp_path):
+    with pytest.raises(InputError, match="knows no conduction states; leave it out"):
+        fascicle.fit(
+            "default", target, tmp_path / "s", parameters={"conduction": "free"}, method="paper"
+        )
+
+
+def named(name):
+    return next(state for state in STATES if state.name == name)
+
+
+def test_states_have_ranges_of_their_own(default_heart):
+    space, fixed = study_space("posterior", {}, default_heart)
+    spaces = [state.narrowed(space, fixed) for state in STATES]
+    ends = {p.name: (p.lower, p.upper) for p in united(spaces).parameters}
+    assert ends["root_time"] == (-75.0, 50.0)
+    assert ends["alpha"] == (0.02, 0.12)
+    assert ends["cv"] == (1.0, 4.0)
+    assert ends["lv_initial_length"] == (30.0, 100.0)
+
+
+def test_what_is_asked_for_excludes_states():
+    usual = map(free, fascicle_names("lv", 2))
+    late = ParameterSpace((free("root_time", lower=10.0, upper=30.0), free("cv"), *usual))
+    assert named("left bundle branch delay").narrowed(late, {}) is None
+    narrowed = named("right bundle branch delay").narrowed(late, {})
+    assert [(p.lower, p.upper) for p in narrowed.parameters[:2]] == [(20.0, 30.0), (2.0, 4.0)]
+    rest = ParameterSpace(late.parameters[1:])
+    assert named("normal").narrowed(rest, {"root_time": -30.0}) is None
+    one = ParameterSpace(tuple(map(free, fascicle_names("lv", 1))))
+    assert named("left anterior fascicular block").narrowed(one, {}) is None
+
+
+def test_probabilities_are_of_priors_and_evidences():
+    states = asked_states({"normal": 3.0, BLOCK: 1.0})
+    logs = {"normal": np.log([1.0, 3.0]), BLOCK: np.log([6.0, 6.0])}
+    assert probabilities(states, logs) == pytest.approx({"normal": 0.5, BLOCK: 0.5})
+
+
+def test_draws_are_apportioned():
+    assert _apportioned(np.array([0.7, 0.28, 0.02]), 10) == [7, 3, 0]
+    assert sum(_apportioned(np.full(7, 1 / 7), 150)) == 150
