@@ -82,7 +82,7 @@ def test_predictions_keep_the_block(fitted):
     names = ["his-pacing-uncorrected", "his-pacing"]
     paced = fascicle.predict(fitted, names, progress=None)
     uncorrected, corrected = (paced[name].indices["total_activation_time"] for name in names)
-    assert (uncorrected > corrected + 10).all()
+    assert (uncorrected - corrected).mean() > 15
 
 
 def test_nothing_is_said_of_a_poor_fit(fitted):

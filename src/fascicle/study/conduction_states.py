@@ -70,18 +70,13 @@ class ConductionState:
 
 
 STATES = tuple(
-    ConductionState(name, probability, ranges)
-    for name, probability, ranges in (
-        ("normal", 0.3, TOGETHER),
-        ("left bundle branch block", 0.1, TOGETHER),
-        ("left bundle branch delay", 0.1, {"root_time": (-75.0, -20.0)}),
-        ("left anterior fascicular block", 0.1, TOGETHER),
-        ("left posterior fascicular block", 0.05, TOGETHER),
-        ("right bundle branch block", 0.1, TOGETHER),
-        ("right bundle branch delay", 0.1, {"root_time": (20.0, 50.0)}),
-        ("right bundle branch and left anterior fascicular block", 0.05, TOGETHER),
-        ("intraventricular delay", 0.1, SLOW),
-    )
+    ConductionState(name, 1.0, ranges)  # nothing but the ECG says which it is
+    for name, ranges in {
+        **dict.fromkeys(CONDUCTION, TOGETHER),
+        "left bundle branch delay": {"root_time": (-75.0, -20.0)},
+        "right bundle branch delay": {"root_time": (20.0, 50.0)},
+        "intraventricular delay": SLOW,
+    }.items()
 )
 
 

@@ -121,6 +121,11 @@ def fit(
         return fit_inputs(inputs, folder, shown, pool, backend)
 
 
+def _priors(states: Sequence[ConductionState]) -> dict[str, float]:
+    total = sum(state.probability for state in states)
+    return {state.name: state.probability / total for state in states}
+
+
 def fit_inputs(
     inputs: Inputs,
     folder: Path,
@@ -206,7 +211,7 @@ def read_inputs(
         **_hashes(recordings),
         space=space.parameters,
         fixed=fixed,
-        states={s.name: s.probability for s in states} if len(states) > 1 else {},
+        states=_priors(states) if len(states) > 1 else {},
         **growth_and_conduction(heart, rules),
         **of_posterior,
         **settings.model_dump(),
