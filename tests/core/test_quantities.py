@@ -211,3 +211,19 @@ def test_tables_of_scenario_files_follow_from_the_declarations():
     for name, table in tables().items():
         assert table.reference() in page, name
     assert CoordinateSite.reference() in page
+
+
+def test_a_conduction_state_is_fixed_by_its_name():
+    from fascicle.cli.options import fixed_values, wanted_parameters
+
+    assert fixed_values(["conduction = left bundle branch block"]) == {"conduction": 1.0}
+    assert fixed_values(["conduction=1"]) == {"conduction": 1.0}
+    assert wanted_parameters(["conduction"], None) == {"conduction": "free"}
+    for item, said in (
+        ("conduction=left block", "parameter 'conduction' is 'left block'; known: normal, left"),
+        ("conduction=9", "parameter 'conduction' is 9"),
+        ("alpha=fast", "not a name and a number; write it like alpha=0.08"),
+        ("alpha", "not a name and a number"),
+    ):
+        with pytest.raises(InputError, match=re.escape(said)):
+            fixed_values([item])

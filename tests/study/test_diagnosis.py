@@ -12,9 +12,12 @@ from fascicle.core.errors import InputError
 from fascicle.core.parameters import ParameterSpace, free
 from fascicle.core.quantities import CONDUCTION, fascicle_names
 from fascicle.recording.target import Target, smooth_noise
+from fascicle.reporting.page.content import settings_file
 from fascicle.study.conduction_states import STATES, asked_states, united
 from fascicle.study.diagnosis import _apportioned, probabilities
-from fascicle.study.space import study_space
+from fascicle.study.fit import read_inputs
+from fascicle.study.settings import checked_settings
+from fascicle.study.space import read_settings, study_space
 from fascicle.study.statements import Statements
 
 BLOCK = "left bundle branch block"
@@ -83,6 +86,15 @@ def test_predictions_keep_the_block(fitted):
     paced = fascicle.predict(fitted, names, progress=None)
     uncorrected, corrected = (paced[name].indices["total_activation_time"] for name in names)
     assert (uncorrected - corrected).mean() > 15
+
+
+def test_the_settings_file_of_the_report_repeats_it(fitted, target, tmp_path):
+    path = tmp_path / "settings.toml"
+    path.write_text("\n".join(settings_file(fitted.study.config)))
+    read = read_settings(path)
+    inputs = read_inputs("default", target, read.pop("parameters"), checked_settings(read))
+    config = fitted.study.config.model_copy(update={"workers": inputs.config.workers})
+    assert inputs.config == config
 
 
 def test_nothing_is_said_of_a_poor_fit(fitted):

@@ -193,6 +193,10 @@ def fit(
     What is simulated is stored at once. The command may be interrupted at any time; run again, it
     continues where it stopped.
 
+    --free conduction learns what is blocked, too: bundle branches, fascicles, or nothing while
+    tissue and network are slow. The first line then begins with how probable each state is
+    (docs/diagnosis.md).
+
     A settings file can also name the quantities to learn and their priors ('fascicle parameters'
     lists them):
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -122,7 +123,9 @@ def fit(
 
 
 def _priors(states: Sequence[ConductionState]) -> dict[str, float]:
+    """Of the states; they add up to 1, and stay to the last digit where they did."""
     total = sum(state.probability for state in states)
+    total = 1.0 if math.isclose(total, 1.0) else total
     return {state.name: state.probability / total for state in states}
 
 

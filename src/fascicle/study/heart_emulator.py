@@ -50,14 +50,14 @@ def emulator_of(
         In which the heart was recorded, and its digest.
     """
     blocks = {n: v for n, v in simulator.fixed.items() if n == "conduction"}
-    usual = usual_prior(simulator.model, folder, scenario, blocks)
-    if usual.covers(simulator.space, simulator.averaged, simulator.fixed):
-        with resources.as_file(resources.files("fascicle") / "data" / "emulators") as packaged:
-            stored = ArrayCache(packaged, EMULATOR).read(usual.content)
-        if stored is not None and float(stored["report networks"]) >= count:
-            return EcgEmulator.from_arrays(stored)
-        return made_emulator(usual, count, simulator.pool, progress)
-    return made_emulator(prior_of(simulator, folder, scenario), count, simulator.pool, progress)
+    prior = usual_prior(simulator.model, folder, scenario, blocks)
+    if not prior.covers(simulator.space, simulator.averaged, simulator.fixed):
+        prior = prior_of(simulator, folder, scenario)
+    with resources.as_file(resources.files("fascicle") / "data" / "emulators") as packaged:
+        stored = ArrayCache(packaged, EMULATOR).read(prior.content)
+    if stored is not None and float(stored["report networks"]) >= count:
+        return EcgEmulator.from_arrays(stored)
+    return made_emulator(prior, count, simulator.pool, progress)
 
 
 def made_emulator(

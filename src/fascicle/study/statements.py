@@ -172,15 +172,20 @@ class Statements:
 
     @property
     def diagnosis(self) -> str:
-        """How probable each conduction state is, the most probable first; empty if none is learnt.
+        """`states`, or that none is named as the result is not to be relied on."""
+        if getattr(self._result.population, "states", {}) and self.caution is not None:
+            return f"no conduction state is named ({self.caution.brief})"
+        return self.states
 
-        Nothing is said of them where the result is not to be relied on.
+    @property
+    def states(self) -> str:
+        """How probable each conduction state is, the most probable first.
+
+        Empty if they are not learnt, or the result is not to be relied on.
         """
         states = getattr(self._result.population, "states", {})
-        if not states:
+        if not states or self.caution is not None:
             return ""
-        if self.caution is not None:
-            return f"no conduction state is named ({self.caution.brief})"
         named = {name: p for name, p in states.items() if p >= LEAST_NAMED}
         ranked = sorted(named, key=lambda name: -named[name])
         others = [f"others below {LEAST_NAMED}"] if len(named) < len(states) else []

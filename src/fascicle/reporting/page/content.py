@@ -70,6 +70,11 @@ def meaning(fitted: FittedStudy) -> list[str]:
         f"Two independent runs agree. The {count} networks below are equally probable; their "
         "spread is the uncertainty that remains given the ECG."
     ]
+    if states := fitted.statements.states:
+        said.append(
+            f"How probable each conduction state is given this ECG: {states}. Each network is of "
+            "one state, and keeps in every prediction what is blocked in it."
+        )
     if checks is not None and checks.acceptable:
         said.append(
             f"{checks.said}. The QRS duration, the frontal axis and the independent "
@@ -132,7 +137,9 @@ def held(fitted: FittedStudy) -> list[Row]:
         if name in CONDUCTIVITIES:
             rows.append((CONDUCTIVITIES[name], "", f"{value:g} mS/cm"))
         else:
-            rows.append((parameter_name(name), name, _with_unit(f"{value:g}", quantity(name).unit)))
+            known = quantity(name)
+            text = known.choices[int(value)] if known.choices else f"{value:g}"
+            rows.append((parameter_name(name), name, _with_unit(text, known.unit)))
     return rows
 
 
@@ -222,6 +229,8 @@ def settings_file(config: StudyConfig) -> list[str]:
         "[parameters]",
         *(f"{name} = {value!r}" for name, value in fixed.items()),
         *priors,
+        *(["[parameters.conduction]"] if config.states else []),
+        *(f"{json.dumps(name)} = {probability!r}" for name, probability in config.states.items()),
     ]
 
 
