@@ -14,14 +14,16 @@ from fascicle.core.quantities import CONDUCTION, fascicle_names
 from fascicle.recording.target import Target, smooth_noise
 from fascicle.reporting.page.content import settings_file
 from fascicle.study.conduction_states import STATES, asked_states, united
-from fascicle.study.diagnosis import _apportioned, probabilities
+from fascicle.study.diagnosis import _apportioned, _in_question, _log_evidences, probabilities
 from fascicle.study.fit import read_inputs
+from fascicle.study.fitted import FittedStudy
+from fascicle.study.population import Posterior
 from fascicle.study.settings import checked_settings
 from fascicle.study.space import read_settings, study_space
 from fascicle.study.statements import Statements
 
 BLOCK = "left bundle branch block"
-PRIORS = {"normal": 0.5, BLOCK: 0.3, "left anterior fascicular block": 0.2}
+PRIORS = {"normal": 0.6, BLOCK: 0.4}
 SETTINGS = {"prior_simulations": 100, "effective": 20, "workers": 2, "progress": None}
 
 
@@ -58,6 +60,7 @@ def test_each_network_has_its_state(fitted):
     attributes = data.averaged_over["conduction"].attrs
     assert attributes["flag_meanings"].split()[1] == "left_bundle_branch_block"
     summary = json.loads((fitted.folder / "summary.json").read_text())
+    assert summary["evaluations"] >= 20
     assert summary["conduction_states"] == dict(fitted.population.states)
 
 
@@ -69,7 +72,7 @@ def test_a_study_is_read_back_and_fitted_again_as_it_is(fitted, target):
         "default", target, fitted.folder, parameters={"conduction": PRIORS}, **SETTINGS
     )
     np.testing.assert_array_equal(again.population.losses, fitted.population.losses)
-    with pytest.raises(InputError, match=r"states normal: there 0\.5, now"):
+    with pytest.raises(InputError, match=r"states normal: there 0\.6, now"):
         fascicle.fit(
             "default", target, fitted.folder, parameters={"conduction": "free"}, **SETTINGS
         )
@@ -164,6 +167,33 @@ def test_probabilities_are_of_priors_and_evidences():
     states = asked_states({"normal": 3.0, BLOCK: 1.0})
     logs = {"normal": np.log([1.0, 3.0]), BLOCK: np.log([6.0, 6.0])}
     assert probabilities(states, logs) == pytest.approx({"normal": 0.5, BLOCK: 0.5})
+
+
+def with_evidences(*logs):
+    """A study of which nothing is known but the evidences of its runs."""
+    none = np.empty(0)
+    posterior = Posterior({}, none, {}, 0.0, none, np.array(logs), none, none, {}, True)
+    return FittedStudy(None, None, (), posterior)
+
+
+def test_the_most_probable_state_is_fitted_next_until_none_is_left():
+    """What refining changed in one state is expected of the others."""
+    states = asked_states({"normal": 1.0, BLOCK: 1.0, "left bundle branch delay": 1.0})
+    pilots = {
+        "normal": np.array([-20.0, -20.0]),
+        BLOCK: np.array([-22.0, -22.0]),
+        "left bundle branch delay": np.array([-40.0, -40.0]),
+    }
+    assert _in_question(states, pilots, {}).name == "normal"
+    fits = {"normal": with_evidences(-12.0, -12.0)}
+    assert _log_evidences(pilots, fits)[BLOCK] == pytest.approx(-14.0)
+    assert _in_question(states, pilots, fits).name == BLOCK
+    fits[BLOCK] = with_evidences(-16.0, -16.0)
+    assert _log_evidences(pilots, fits)["left bundle branch delay"] == pytest.approx(-33.0)
+    assert _in_question(states, pilots, fits) is None
+    fits["normal"] = with_evidences(-50.0, -50.0)  # it explained too much by what was not known
+    fits[BLOCK] = with_evidences(-52.0, -52.0)
+    assert _in_question(states, pilots, fits) is None
 
 
 def test_draws_are_apportioned():

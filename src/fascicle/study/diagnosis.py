@@ -41,10 +41,9 @@ from fascicle.study.state_fit import (
     fit_state,
     simulated_and_compared,
 )
-from fascicle.study.study import MAY_CHANGE, Study
+from fascicle.study.study import MAY_CHANGE, STATES, Study
 from fascicle.study.target_comparison import TargetComparison
 
-STATES = "states"  # folder of their studies, in that of the whole
 LEAST = 0.005  # probability from which on a state comes into question
 NEGLIGIBLE = 0.05  # and up to which its own study need not converge
 STATES_APART = 0.2  # of the probabilities of a state by both runs; more, and they do not agree
@@ -66,13 +65,12 @@ def diagnosed(
     with study_lock(folder):
         study = begun(inputs, folder, progress)
         own = {state.name: _of_state(state, inputs) for state in states}
-        log_evidences = {
+        pilots = {
             name: _pilot(its, folder, simulator, recordings, progress) for name, its in own.items()
         }
         fits: dict[str, FittedStudy] = {}
         emulated: dict[float, list[EmulatedLikelihood]] = {}
-        while left := _in_question(states, log_evidences, fits):
-            state = left[0]
+        while (state := _in_question(states, pilots, fits)) is not None:
             its = folder / STATES / state.name.replace(" ", "-")
             Study.create_or_resume(its, own[state.name].config)
             if not (its / HEART).exists():
@@ -80,8 +78,7 @@ def diagnosed(
             fits[state.name], emulated[state.number] = fit_state(
                 own[state.name], its, progress, pool, backend, simulator.model
             )
-            log_evidences[state.name] = _posterior(fits[state.name]).log_evidences
-        population = _mixture(states, log_evidences, fits)
+        population = _mixture(states, _log_evidences(pilots, fits), fits)
         fitted = FittedStudy(study, replace(simulator, remembered={}), recordings, population)
         fitted = completed(fitted, emulated, progress)
         return replace(fitted, simulator=simulator)
@@ -102,15 +99,29 @@ def _log_weight(state: ConductionState, log_evidences: Floats) -> float:
     return float(np.log(state.probability) + mean)
 
 
+def _log_evidences(
+    pilots: Mapping[str, Floats], fits: Mapping[str, FittedStudy]
+) -> dict[str, Floats]:
+    """Log-evidences (runs,) of all states, by name.
+
+    A refined emulator has another evidence than that of the prior, by several units, and mostly a
+    larger one. States that are not fitted are taken to change by as much as those that are.
+    """
+    found = {name: _posterior(fit).log_evidences for name, fit in fits.items()}
+    changes = [logs.mean() - pilots[name].mean() for name, logs in found.items()]
+    change = float(np.mean(changes)) if changes else 0.0
+    return {name: found.get(name, pilot + change) for name, pilot in pilots.items()}
+
+
 def _in_question(
     states: Sequence[ConductionState],
-    log_evidences: Mapping[str, Floats],
+    pilots: Mapping[str, Floats],
     fits: Mapping[str, FittedStudy],
-) -> list[ConductionState]:
-    """States that are to be fitted yet, the most probable first."""
-    found = probabilities(states, log_evidences)
+) -> ConductionState | None:
+    """The most probable state that is to be fitted yet."""
+    found = probabilities(states, _log_evidences(pilots, fits))
     left = [each for each in states if each.name not in fits and found[each.name] > LEAST]
-    return sorted(left, key=lambda state: -found[state.name])
+    return max(left, key=lambda state: found[state.name], default=None)
 
 
 def _of_state(state: ConductionState, inputs: Inputs) -> Inputs:

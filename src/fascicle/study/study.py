@@ -39,6 +39,7 @@ from fascicle.study.space import AveragedOver
 
 CONFIGURATION = "study.json"
 DATABASE = "evaluations.sqlite"
+STATES = "states"  # folder of the studies of conduction states
 FORMAT: Final = 8  # of the folder
 MAY_CHANGE = ("workers", "steps", "samples", "effective")  # when a study is resumed
 CHECKED = 4  # stored evaluations that are made again
@@ -126,8 +127,13 @@ class Study:
         return cls(folder, _read(folder))
 
     def records(self) -> list[Record]:
-        """All evaluations so far, in the order in which they were made."""
-        return self._database.records()
+        """All evaluations so far, in the order in which they were made, then those of its states.
+
+        Points of each state are of its own unit cube.
+        """
+        databases = sorted(self.folder.glob(f"{STATES}/*/{DATABASE}"))
+        each = (self._database, *(Database(path) for path in databases))
+        return [record for database in each for record in database.records()]
 
     def steps(self, stage: Stage) -> int:
         """Count the times that a stage has proposed points so far."""
@@ -164,7 +170,7 @@ class Study:
 
     def check_objective(self, objective: Objective) -> None:
         """Refuse another forward model than that of the stored evaluations."""
-        stored = [record.evaluation for record in self.records()]
+        stored = [record.evaluation for record in self._database.records()]
         again = stored[:: max(1, len(stored) // CHECKED)][:CHECKED]
         if not again:
             return
