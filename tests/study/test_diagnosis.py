@@ -106,6 +106,15 @@ def test_nothing_is_said_of_a_poor_fit(fitted):
     assert verdict.startswith("no conduction state is named (poor fit); converged; poor fit: 50%")
 
 
+def test_what_the_ecg_cannot_tell_apart_is_said(fitted):
+    states = {BLOCK: 0.6, "left bundle branch delay": 0.3, "normal": 0.1, "other": 0.001}
+    population = replace(fitted.population, states=states)
+    assert Statements(replace(fitted, population=population)).states == (
+        "left bundle branch block: 0.60, left bundle branch delay: 0.30, normal: 0.10, others "
+        "below 0.02 (block and delay of the left bundle branch give much the same ECG)"
+    )
+
+
 def test_one_state_is_a_study_of_it(target, tmp_path):
     given = {"conduction": "right bundle branch delay"}
     found = fascicle.fit("default", target, tmp_path / "study", parameters=given, **SETTINGS)

@@ -114,9 +114,7 @@ def _log_evidences(
 
 
 def _in_question(
-    states: Sequence[ConductionState],
-    pilots: Mapping[str, Floats],
-    fits: Mapping[str, FittedStudy],
+    states: Sequence[ConductionState], pilots: Mapping[str, Floats], fits: Mapping[str, FittedStudy]
 ) -> ConductionState | None:
     """The most probable state that is to be fitted yet."""
     found = probabilities(states, _log_evidences(pilots, fits))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -109,8 +110,7 @@ def completed(fitted: FittedStudy, emulated: Emulated, progress: Progress | None
         if fitted.of_the_paper:
             agreements.append(agreement(each.target, its))
         else:
-            of_state = {state: every[number] for state, every in emulated.items()}
-            own = [of_state[n.parameters.get("conduction", 0.0)] for n in its]
+            own = [emulated[n.parameters.get("conduction", 0.0)][number] for n in its]
             found = predict_recording(each.target, [e.likelihood for e in own], its, rng)
             error = emulator_error(own, its)
             predictions.append(replace(found, checks=replace(found.checks, emulator=error)))
@@ -119,7 +119,9 @@ def completed(fitted: FittedStudy, emulated: Emulated, progress: Progress | None
         checks = Checks.joined([each.checks for each in predictions])
         ecgs = tuple(each.ecg for each in predictions)
         fitted = replace(fitted, checks=checks, gains=predictions[0].gains, ecgs=ecgs)
-    reports = [dict(one.emulator.report) for each in emulated.values() for one in each]
+    states = Counter(n.parameters.get("conduction", 0.0) for n in networks)
+    shown = emulated.get(max(states, key=lambda state: states[state]), ())
+    reports = [dict(each.emulator.report) for each in shown]
     write_results(fitted, networks, agreements, predictions, reports)
     return fitted
 

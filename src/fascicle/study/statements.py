@@ -189,7 +189,13 @@ class Statements:
         named = {name: p for name, p in states.items() if p >= LEAST_NAMED}
         ranked = sorted(named, key=lambda name: -named[name])
         others = [f"others below {LEAST_NAMED}"] if len(named) < len(states) else []
-        return ", ".join([*(f"{name}: {named[name]:.2f}" for name in ranked), *others])
+        alike = [
+            f" (block and delay of the {side} bundle branch give much the same ECG)"
+            for side in ("left", "right")
+            if {f"{side} bundle branch block", f"{side} bundle branch delay"} <= {*named}
+        ]
+        said = ", ".join([*(f"{name}: {named[name]:.2f}" for name in ranked), *others])
+        return said + "".join(alike)
 
     @property
     def networks_called(self) -> str:
