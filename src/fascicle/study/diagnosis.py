@@ -65,9 +65,11 @@ def diagnosed(
     with study_lock(folder):
         study = begun(inputs, folder, progress)
         own = {state.name: _of_state(state, inputs) for state in states}
-        pilots = {
-            name: _pilot(its, folder, simulator, recordings, progress) for name, its in own.items()
-        }
+        pilots: dict[str, Floats] = {}
+        for number, (name, its) in enumerate(own.items(), 1):
+            if progress is not None:
+                progress("conduction states", number, len(own), name)
+            pilots[name] = _pilot(its, folder, simulator, recordings, progress)
         fits: dict[str, FittedStudy] = {}
         emulated: dict[float, list[EmulatedLikelihood]] = {}
         while (state := _in_question(states, pilots, fits)) is not None:
