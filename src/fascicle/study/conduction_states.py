@@ -16,7 +16,7 @@ from fascicle.forward.blocks import ANTERIOR, BLOCKED, POSTERIOR
 Ranges = Mapping[str, tuple[float, float]]
 
 TOGETHER: Ranges = {"root_time": (-20.0, 20.0)}  # ms; the bundle branches conduct alike
-SLOW: Ranges = {**TOGETHER, "alpha": (0.02, 0.05), "fibre_speed": (0.25, 0.6), "cv": (1.0, 3.0)}
+SLOW: Ranges = {**TOGETHER, "alpha": (0.02, 0.04), "fibre_speed": (0.25, 0.5), "cv": (1.0, 4.0)}
 
 
 @dataclass(frozen=True)
