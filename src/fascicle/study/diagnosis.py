@@ -66,10 +66,10 @@ def diagnosed(
         study = begun(inputs, folder, progress)
         own = {state.name: _of_state(state, inputs) for state in states}
         pilots: dict[str, Floats] = {}
-        for number, (name, its) in enumerate(own.items(), 1):
+        for number, (name, given) in enumerate(own.items(), 1):
             if progress is not None:
                 progress("conduction states", number, len(own), name)
-            pilots[name] = _pilot(its, folder, simulator, recordings, progress)
+            pilots[name] = _pilot(given, folder, simulator, recordings, progress)
         fits: dict[str, FittedStudy] = {}
         emulated: dict[float, list[EmulatedLikelihood]] = {}
         while (state := _in_question(states, pilots, fits)) is not None:
