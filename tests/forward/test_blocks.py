@@ -80,5 +80,7 @@ def test_a_fascicle_stays_blocked_whatever_is_paced(default_model):
 def test_an_unknown_state(default_model):
     with pytest.raises(ValueRefusedError, match="did you mean 'left bundle branch block'"):
         simulated(default_model, "left bundle branch blok")
-    with pytest.raises(ValueRefusedError, match="'conduction' is 'none'; known: normal, left"):
+    with pytest.raises(
+        ValueRefusedError, match="'conduction' is 'none'; 'fascicle parameters' lists"
+    ):
         simulated(default_model, "none")

@@ -130,7 +130,7 @@ def test_one_state_is_a_study_of_it(target, tmp_path):
         ({}, "'conduction': nothing; give a prior above 0 for each of some of normal, left"),
         ({"normal": 0.0}, r"\['normal'\]; give a prior above 0"),
         ({"block": 0.5}, r"\['block'\]; give a prior above 0"),
-        ("block", "'block'; known: normal"),
+        ("block", "'block'; 'fascicle parameters' lists the names"),
         (12, "12"),
     ],
 )

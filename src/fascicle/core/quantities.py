@@ -312,7 +312,7 @@ def check(known: Quantity, value: Any) -> float:
     if known.choices and isinstance(value, str):
         if value not in known.choices:
             hint = did_you_mean(value, known.choices, [])
-            hint = hint or f"known: {', '.join(known.choices)}"
+            hint = hint or "'fascicle parameters' lists the names"
             raise ValueRefusedError(f"parameter '{known.name}' is {shown(value)}; {hint}")
         value = known.choices.index(value)
     found = known.valid.check(value, f"parameter '{known.name}'")
