@@ -172,6 +172,16 @@ def test_what_is_asked_for_excludes_states():
     assert named("left anterior fascicular block").narrowed(one, {}) is None
 
 
+def test_a_known_speed_excludes_slow_tissue(default_heart, target):
+    heart = replace(default_heart, values={"alpha": 0.07}, folder=None)
+    states = read_inputs(heart, target, {"conduction": "free"}, checked_settings({})).config.states
+    assert len(states) == len(STATES) - 1
+    assert "intraventricular delay" not in states
+    slow = {"conduction": "intraventricular delay"}
+    with pytest.raises(InputError, match="the heart's values or the ranges exclude what was asked"):
+        read_inputs(heart, target, slow, checked_settings({}))
+
+
 def test_probabilities_are_of_priors_and_evidences():
     states = asked_states({"normal": 3.0, BLOCK: 1.0})
     logs = {"normal": np.log([1.0, 3.0]), BLOCK: np.log([6.0, 6.0])}

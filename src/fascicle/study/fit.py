@@ -190,10 +190,12 @@ def read_inputs(
                 "out, or use the method 'posterior'"
             )
         states = asked_states(asked)
-        states = tuple(state for state in states if state.narrowed(space, fixed) is not None)
+        known = {**heart.values, **fixed}
+        states = tuple(state for state in states if state.narrowed(space, known) is not None)
         if not states:
             raise InputError(
-                "parameter 'conduction': what is fixed, or the ranges, leave no state; fix less"
+                "parameter 'conduction': what is fixed, the heart's values or the ranges exclude "
+                "what was asked for; fix less, or leave it out"
             )
     if len(states) == 1:
         space, fixed = states[0].narrowed(space, fixed) or space, fixed | states[0].blocks
