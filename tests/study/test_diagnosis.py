@@ -100,6 +100,14 @@ def test_the_settings_file_of_the_report_repeats_it(fitted, target, tmp_path):
     assert inputs.config == config
 
 
+def test_a_root_time_without_effect_is_not_called_constrained(fitted):
+    """The prior of the states that are left, which is narrower than that of all."""
+    (root_time,) = (p for p in fitted.statements.parameters if p.name == "root_time")
+    assert root_time.contraction < 0.5
+    read = fascicle.load_study(fitted.folder, None).statements.parameters
+    assert [str(p) for p in read] == [str(p) for p in fitted.statements.parameters]
+
+
 def test_nothing_is_said_of_a_poor_fit(fitted):
     checks = replace(fitted.checks, explained=0.5)
     verdict = Statements(replace(fitted, checks=checks)).verdict
@@ -152,12 +160,19 @@ def named(name):
 
 def test_states_have_ranges_of_their_own(default_heart):
     space, fixed = study_space("posterior", {}, default_heart)
-    spaces = [state.narrowed(space, fixed) for state in STATES]
-    ends = {p.name: (p.lower, p.upper) for p in united(spaces).parameters}
+    mixed = united(space, fixed, {state.name: state.probability for state in STATES})
+    ends = {p.name: (p.lower, p.upper) for p in mixed.parameters}
     assert ends["root_time"] == (-75.0, 50.0)
     assert ends["alpha"] == (0.02, 0.12)
     assert ends["cv"] == (1.0, 4.0)
-    assert ends["lv_initial_length"] == (30.0, 100.0)
+    assert mixed.parameters[0] == space.parameters[0]
+    draws = mixed.columns(np.random.default_rng(0).random((20_000, len(mixed))))
+    assert (np.abs(draws["root_time"]) <= 20).mean() == pytest.approx(7 / 9, abs=0.01)
+    assert (draws["alpha"] < 0.04).mean() == pytest.approx(1 / 9, abs=0.01)
+    named_so = {p.name: p for p in mixed.parameters}
+    for name in ("root_time", "alpha", "cv"):
+        shares = named_so[name].to_unit(draws[name])
+        assert np.histogram(shares, 5, (0, 1))[0] == pytest.approx([4000] * 5, rel=0.05)
 
 
 def test_what_is_asked_for_excludes_states():

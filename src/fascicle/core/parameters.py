@@ -141,6 +141,28 @@ class Parameter:
 
 
 @dataclass(frozen=True)
+class MixedParameter(Parameter):
+    """A parameter whose prior is one of several, each as probable as its weight says.
+
+    Attributes
+    ----------
+    parts : tuple of (float, Parameter)
+        Weights, which add up to 1, and priors.
+    """
+
+    parts: tuple[tuple[float, Parameter], ...] = ()
+
+    def _share(self, value: Floats) -> Floats:
+        value = np.asarray(value, dtype=float)
+        shares = [weight * p._share(np.clip(value, p.lower, p.upper)) for weight, p in self.parts]
+        return np.asarray(np.sum(shares, axis=0))
+
+    def _quantile(self, share: Floats) -> Floats:
+        grid = np.linspace(self.lower, self.upper, 10_001)
+        return np.asarray(np.interp(share, self._share(grid), grid))
+
+
+@dataclass(frozen=True)
 class ParameterSpace:
     """An ordered set of free parameters; points in it are dictionaries or unit-cube vectors.
 

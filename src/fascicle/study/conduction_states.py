@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import ParameterSpace, free
+from fascicle.core.parameters import MixedParameter, ParameterSpace, free
 from fascicle.core.quantities import CONDUCTION, check, fascicles, quantity
 from fascicle.core.ranges import number
 from fascicle.forward.blocks import ANTERIOR, BLOCKED, POSTERIOR
@@ -110,11 +110,18 @@ def asked_states(asked: Any) -> tuple[ConductionState, ...]:
     return states_of({CONDUCTION[int(value)]: 1.0})
 
 
-def united(spaces: Sequence[ParameterSpace]) -> ParameterSpace:
-    """What is learnt in any of the states, with the widest range of each."""
-    return ParameterSpace(
-        tuple(
-            replace(each[0], lower=min(p.lower for p in each), upper=max(p.upper for p in each))
-            for each in zip(*(space.parameters for space in spaces), strict=True)
-        )
-    )
+def united(
+    space: ParameterSpace, fixed: Mapping[str, float], probable: Mapping[str, float]
+) -> ParameterSpace:
+    """What is learnt in states, each with the prior of all of them, as probable as they are."""
+    spaces = [(state.probability, state.narrowed(space, fixed)) for state in states_of(probable)]
+    total = sum(weight for weight, _ in spaces)
+    each = [(weight / total, own.parameters) for weight, own in spaces if own is not None]
+    found = []
+    for k, usual in enumerate(space.parameters):
+        parts = tuple((weight, parameters[k]) for weight, parameters in each)
+        if any(part != usual for _, part in parts):
+            lower, upper = min(p.lower for _, p in parts), max(p.upper for _, p in parts)
+            usual = MixedParameter(usual.name, usual.unit, lower, upper, parts=parts)
+        found.append(usual)
+    return ParameterSpace(tuple(found))

@@ -81,9 +81,10 @@ def diagnosed(
                 own[state.name], its, progress, pool, backend, simulator.model
             )
         population = _mixture(states, _log_evidences(pilots, fits), fits)
-        fitted = FittedStudy(study, replace(simulator, remembered={}), recordings, population)
+        simulator = replace(simulator, space=config.space_of(population.states), remembered={})
+        fitted = FittedStudy(study, simulator, recordings, population)
         fitted = completed(fitted, emulated, progress)
-        return replace(fitted, simulator=simulator)
+        return replace(fitted, simulator=replace(simulator, remembered=None))
 
 
 def probabilities(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import NoneType
@@ -24,7 +25,7 @@ from fascicle.study.ecg_emulator import MODES
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.lock import refuse_held
 from fascicle.study.pool import Pool, check_pool
-from fascicle.study.population import RESULT, read_checks, read_population
+from fascicle.study.population import RESULT, Posterior, read_checks, read_population
 from fascicle.study.recordings import Given, Recorded, digests, given_recordings, read_recordings
 from fascicle.study.refined_emulator import MOST, MOST_ROUNDS
 from fascicle.study.settings import FitSettings, checked_settings
@@ -288,4 +289,6 @@ def load_study(
             study.config, heart, rules, recordings, pool, shown
         )
     study.check_objective(partial(evaluate, simulator, compared))
+    if isinstance(population, Posterior):  # what the ECG says is beside the prior of these states
+        simulator = replace(simulator, space=study.config.space_of(population.states))
     return FittedStudy(study, simulator, compared, population, *read_checks(result))

@@ -16,7 +16,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_path
 from fascicle.core.netcdf import load_netcdf
-from fascicle.core.parameters import ParameterSpace
+from fascicle.core.parameters import MixedParameter, ParameterSpace
 from fascicle.core.quantities import CONDUCTION
 from fascicle.core.ranges import short_repr
 from fascicle.inference.evaluation import Evaluation
@@ -224,7 +224,7 @@ def write_population(
             "units": parameter.unit,
             "prior_lower": parameter.lower,
             "prior_upper": parameter.upper,
-            "prior": parameter.prior,
+            "prior": "mixture" if isinstance(parameter, MixedParameter) else parameter.prior,
             **{
                 f"prior_{name}": value
                 for name in ("median", "sd", "order")

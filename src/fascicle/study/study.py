@@ -16,7 +16,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final, Literal
 
@@ -30,7 +30,7 @@ from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.core.progress import Progress
 from fascicle.inference.evaluation import Evaluation, Objective
 from fascicle.purkinje.growth import REPULSION
-from fascicle.study.conduction_states import states_of, united
+from fascicle.study.conduction_states import united
 from fascicle.study.evaluations import Database, Journal, Record, Stage
 from fascicle.study.lock import LOCK, study_lock
 from fascicle.study.population import RESULT, Population
@@ -74,9 +74,12 @@ class StudyConfig(FitSettings):
     @property
     def parameter_space(self) -> ParameterSpace:
         """The parameter space that is learnt, of all conduction states."""
+        return self.space_of(self.states)
+
+    def space_of(self, probable: Mapping[str, float]) -> ParameterSpace:
+        """The parameter space that is learnt, of conduction states that are so probable."""
         space = ParameterSpace(self.space)
-        spaces = [s.narrowed(space, self.fixed) for s in states_of(self.states)]
-        return united([each for each in spaces if each is not None] or [space])
+        return united(space, self.fixed, probable) if probable else space
 
     @property
     def averaged_over(self) -> AveragedOver:
