@@ -194,8 +194,8 @@ def fit(
     continues where it stopped.
 
     --free conduction learns what is blocked, too: bundle branches, fascicles, or nothing while
-    tissue and network are slow. The first line then begins with how probable each state is
-    (docs/diagnosis.md).
+    branches are delayed or the tissue is slow. The first line then begins with how probable each
+    state is (docs/diagnosis.md).
 
     A settings file can also name the quantities to learn and their priors ('fascicle parameters'
     lists them):

@@ -173,7 +173,7 @@ def fixed_values(fix: Sequence[str] | None, **named: float | None) -> dict[str, 
 
 def wanted_parameters(free: Sequence[str] | None, fix: Sequence[str] | None) -> dict[str, object]:
     """The argument `parameters` of `fascicle.fit`, from --free and --fix."""
-    from fascicle.study.space import FREE
+    from fascicle.core.parameters import FREE
 
     fixed = fixed_values(fix)
     for name in free or ():

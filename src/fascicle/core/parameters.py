@@ -25,6 +25,7 @@ from fascicle.core.quantities import (
     quantity,
 )
 
+FREE = "free"  # said of a quantity that is learnt with its usual prior
 Prior = Literal["uniform", "normal", "log-uniform", "log-normal"]
 
 

@@ -161,10 +161,15 @@ def _rise(values: Floats, most: float) -> float:
     """How far the temperature may rise, at most `most`, with half of the particles effective."""
 
     def beyond(rise: float) -> float:
-        weights = np.exp(rise * (values - values.max()))
-        return float(weights.sum() ** 2 / (weights**2).sum() - len(values) / 2)
+        return effective_size(rise * (values - values.max())) - len(values) / 2
 
     return most if beyond(most) >= 0 else float(brentq(beyond, 0.0, most, xtol=1e-15))
+
+
+def effective_size(log_weights: Floats) -> float:
+    """Effective sample size of weights (n,), of which the largest is 1."""
+    weights = np.exp(log_weights)
+    return float(weights.sum() ** 2 / (weights**2).sum())
 
 
 def _resampled(weights: Floats, rng: np.random.Generator) -> Integers:
@@ -306,8 +311,12 @@ class RunAgreement:
 
 def agreement(first: SamplingRun, second: SamplingRun) -> RunAgreement:
     """Compare two runs of different seeds on the same likelihood."""
-    means = [run.points.mean(axis=0) for run in (first, second)]
-    variances = [run.points.var(axis=0) for run in (first, second)]
-    apart = np.abs(means[0] - means[1])
-    together = np.sqrt(np.mean(variances, axis=0) + apart**2 / 4)
-    return RunAgreement(abs(first.log_evidence - second.log_evidence), apart / together)
+    means = means_apart(first.points, second.points)
+    return RunAgreement(abs(first.log_evidence - second.log_evidence), means)
+
+
+def means_apart(first: Floats, second: Floats) -> Floats:
+    """Differences of the means of draws (n, ...), in standard deviations of both together."""
+    apart = np.abs(first.mean(axis=0) - second.mean(axis=0))
+    variance = np.mean([first.var(axis=0), second.var(axis=0)], axis=0)
+    return np.asarray(apart / np.sqrt(variance + apart**2 / 4))

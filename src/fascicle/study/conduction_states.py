@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import MixedParameter, ParameterSpace, free
+from fascicle.core.parameters import FREE, MixedParameter, ParameterSpace, free
 from fascicle.core.quantities import CONDUCTION, check, fascicles, quantity
 from fascicle.core.ranges import number
 from fascicle.forward.blocks import ANTERIOR, BLOCKED, POSTERIOR
@@ -104,7 +104,7 @@ def asked_states(asked: Any) -> tuple[ConductionState, ...]:
                 f"some of {', '.join(priors)}"
             )
         return states_of(given)
-    if isinstance(asked, str) and asked == "free":
+    if isinstance(asked, str) and asked == FREE:
         return STATES
     value = check(quantity("conduction"), asked)
     return states_of({CONDUCTION[int(value)]: 1.0})

@@ -23,6 +23,7 @@ from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress
 from fascicle.core.threads import one_thread
 from fascicle.forward.model import Backend
+from fascicle.inference.tempered_sampling import means_apart
 from fascicle.study.conduction_states import ConductionState, states_of
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.likelihood import EmulatedLikelihood
@@ -74,6 +75,7 @@ def diagnosed(
         emulated: dict[float, list[EmulatedLikelihood]] = {}
         while (state := _in_question(states, pilots, fits)) is not None:
             its = folder / STATES / state.name.replace(" ", "-")
+            # before the link, since a folder that holds something and no study is refused
             Study.create_or_resume(its, own[state.name].config)
             if not (its / HEART).exists():
                 (its / HEART).symlink_to(Path("..", "..", HEART), target_is_directory=True)
@@ -185,10 +187,10 @@ def _mixture(
     def joined(of: Callable[[Posterior], Floats]) -> Floats:
         return np.concatenate([of(part)[numbers] for part, numbers in chosen])
 
-    def column(name: str, part: Posterior) -> Floats:
+    def of_part(name: str, part: Posterior) -> Floats:
         return np.asarray({**part.averaged, **part.values}.get(name, np.full(len(part), np.nan)))
 
-    values = {name: joined(partial(column, name)) for name in parts[0].values}
+    values = {name: joined(partial(of_part, name)) for name in parts[0].values}
     others = sorted({name for part in parts for name in part.averaged})
     best = min(parts, key=lambda part: part.best_loss)
     runs = [{name: logs[k : k + 1] for name, logs in log_evidences.items()} for k in range(RUNS)]
@@ -204,9 +206,9 @@ def _mixture(
         np.array([logsumexp([_log_weight(s, logs[s.name]) for s in states]) for logs in runs]),
         1 / sum(share**2 / part.effective for share, part in zip(shares, parts, strict=True)),
         np.sum([part.evaluations for part in parts], axis=0),
-        {name: _means_apart(each) for name, each in values.items()},
+        {name: float(means_apart(*np.split(column, RUNS))) for name, column in values.items()},
         agree and all(part.converged for part in matter),
-        {name: joined(partial(column, name)) for name in others},
+        {name: joined(partial(of_part, name)) for name in others},
         states=probable,
     )
 
@@ -227,9 +229,3 @@ def _apportioned(shares: Floats, count: int) -> list[int]:
     whole = np.floor(exact).astype(int)
     whole[np.argsort(whole - exact)[: count - whole.sum()]] += 1
     return [int(n) for n in whole]
-
-
-def _means_apart(values: Floats) -> float:
-    """Difference of the means of both runs (n,), in standard deviations of all."""
-    first, second = np.split(values, RUNS)
-    return float(abs(first.mean() - second.mean()) / max(values.std(), 1e-12))

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -137,6 +138,11 @@ class PosteriorFit:
         )
 
 
+def of_all(emulated: Sequence[Emulated], points: Floats) -> Floats:
+    """Log-likelihoods (n,) of points (n, d) by all recordings."""
+    return np.asarray(np.sum([each(points) for each in emulated], axis=0))
+
+
 def sampled(
     emulated: Sequence[Emulated],
     dimension: int,
@@ -148,16 +154,13 @@ def sampled(
     """Sample the posterior of recordings by runs of so many particles, one of each generator."""
     states: dict[int, State] = {}
 
-    def log_likelihoods(points: Floats) -> Floats:
-        return np.asarray(np.sum([each(points) for each in emulated], axis=0))
-
     def one(run: int, rng: np.random.Generator) -> SamplingRun:
         def reported(state: State) -> None:
             states[run] = state
             _report(states, len(rngs), said, progress)
 
         try:
-            found: SamplingRun = temper(log_likelihoods, dimension, rng, count, reported)
+            found: SamplingRun = temper(partial(of_all, emulated), dimension, rng, count, reported)
         except ValueError as error:  # hardly any point has a likelihood, by one's own rule
             raise InputError(f"{error}, and the likelihood") from None
         return found

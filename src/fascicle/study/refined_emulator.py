@@ -11,19 +11,18 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.special import logsumexp
 
 from fascicle.core.array_cache import ArrayCache
-from fascicle.core.arrays import Floats
 from fascicle.core.files import DISPOSABLE
 from fascicle.core.progress import Progress
 from fascicle.core.quantities import Changes, quantity
 from fascicle.core.threads import one_thread
 from fascicle.forward.scenario import Scenario
 from fascicle.inference.emulator import Singles
+from fascicle.inference.tempered_sampling import effective_size
 from fascicle.study.ecg_emulator import EcgEmulator, trained_on
 from fascicle.study.likelihood import EmulatedLikelihood
-from fascicle.study.posterior import RUNS, sampled
+from fascicle.study.posterior import RUNS, of_all, sampled
 from fascicle.study.prior_simulations import PriorSimulations
 
 MOST, SHARE = 500, 1 / 32  # networks that are simulated in a round: at most, and of the prior's
@@ -95,16 +94,7 @@ def refined_emulators(
             examples = map(np.concatenate, zip(*seen[digest], strict=True))
             found[digest] = trained_on(given, *examples, others, rng, latest=len(inputs))
         before, now = now, emulated_by([found[digest] for digest in digests])
-        if _effective_share(_of_all(now, every) - _of_all(before, every)) > MOVED:
+        log_weights = of_all(now, every) - of_all(before, every)
+        if effective_size(log_weights - log_weights.max()) > MOVED * len(every):
             break
     return [each.emulator for each in now]
-
-
-def _of_all(emulated: Sequence[EmulatedLikelihood], points: Floats) -> Floats:
-    """Log-likelihoods (n,) of points by all recordings."""
-    return np.asarray(np.sum([each(points) for each in emulated], axis=0))
-
-
-def _effective_share(log_weights: Floats) -> float:
-    """Effective sample size of weights over their number."""
-    return float(np.exp(2 * logsumexp(log_weights) - logsumexp(2 * log_weights)) / len(log_weights))

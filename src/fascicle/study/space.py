@@ -14,6 +14,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file, read_toml
 from fascicle.core.parameters import (
+    FREE,
     Parameter,
     ParameterSpace,
     Prior,
@@ -37,7 +38,6 @@ from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.conduction_states import asked_states
 from fascicle.study.settings import FitSettings, Method
 
-FREE = "free"
 PRIOR_KEYS = ("prior", "lower", "upper", "median", "sd")
 PARAMETERS = "parameters"  # table of a settings file
 

@@ -104,13 +104,14 @@ def begun(inputs: Inputs, folder: Path, progress: Progress | None) -> Study:
 def completed(fitted: FittedStudy, emulated: Emulated, progress: Progress | None) -> FittedStudy:
     """Simulate the networks, compare a posterior with the recording, and write the results."""
     networks, agreements, predictions = fitted.networks(progress), [], []
+    states = [network.parameters.get("conduction", 0.0) for network in networks]
     rng = np.random.default_rng([fitted.study.config.seed, PREDICTION])
     for number, each in enumerate(fitted.recordings):
         its = networks if number == 0 else fitted.networks(progress, number)
         if fitted.of_the_paper:
             agreements.append(agreement(each.target, its))
         else:
-            own = [emulated[n.parameters.get("conduction", 0.0)][number] for n in its]
+            own = [emulated[state][number] for state in states]
             found = predict_recording(each.target, [e.likelihood for e in own], its, rng)
             error = emulator_error(own, its)
             predictions.append(replace(found, checks=replace(found.checks, emulator=error)))
@@ -119,9 +120,8 @@ def completed(fitted: FittedStudy, emulated: Emulated, progress: Progress | None
         checks = Checks.joined([each.checks for each in predictions])
         ecgs = tuple(each.ecg for each in predictions)
         fitted = replace(fitted, checks=checks, gains=predictions[0].gains, ecgs=ecgs)
-    states = Counter(n.parameters.get("conduction", 0.0) for n in networks)
-    shown = emulated.get(max(states, key=lambda state: states[state]), ())
-    reports = [dict(each.emulator.report) for each in shown]
+    (most_probable, _), *_ = Counter(states).most_common()
+    reports = [dict(each.emulator.report) for each in emulated.get(most_probable, ())]
     write_results(fitted, networks, agreements, predictions, reports)
     return fitted
 
