@@ -35,7 +35,7 @@ def test_probabilities_are_learnt():
     inputs, rng = examples(4000), np.random.default_rng(1)
     true = expit(3 * inputs[:, :1])
     known = (rng.random(true.shape) < true).astype(np.float32)
-    found = train(inputs, known, rng, width=16, blocks=1, steps=1000, probability=True)
+    found = train(inputs, known, rng, width=16, blocks=1, steps=1000, link=logistic)
     others = examples(1000, 2)
     assert expit(found(others)) == pytest.approx(expit(3 * others[:, :1]), abs=0.1)
 

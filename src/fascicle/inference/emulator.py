@@ -1,4 +1,4 @@
-"""Small neural networks that learn a smooth function from noisy examples of it.
+"""Small neural networks that learn a smooth function, or probabilities, from noisy examples.
 
 A first layer, residual blocks h ← h + silu(h W + b), a linear last layer. They are trained by Adam
 with decoupled weight decay and a step that falls as a cosine, and averaged: networks that begin at
@@ -50,13 +50,24 @@ def _forward(weights: tuple[Singles, ...], inputs: Singles) -> list[tuple[Single
     kept, hidden = [], inputs
     for k in range(0, len(weights) - 2, 2):
         total = hidden @ weights[k] + weights[k + 1]
-        open_ = _logistic(total)
+        open_ = logistic(total)
         kept.append((hidden, total, open_))
         hidden = total * open_ if k == 0 else hidden + total * open_
     return [*kept, (hidden,)]
 
 
-def _logistic(x: Singles) -> Singles:
+def as_it_is(x: Singles) -> Singles:
+    """Link of outputs whose mean squared error is made small."""
+    return x
+
+
+def softmax(x: Singles) -> Singles:
+    """Probabilities (n, q) that add up to 1, of what a network gives for each class."""
+    found = np.exp(x - x.max(axis=1, keepdims=True))
+    return np.asarray(found / found.sum(axis=1, keepdims=True))
+
+
+def logistic(x: Singles) -> Singles:
     """1 / (1 + exp(-x)), five times as fast as SciPy's in single precision."""
     half = np.float32(0.5)
     return np.asarray(half + half * np.tanh(half * x))
@@ -87,7 +98,7 @@ def train(
     steps: int = 3000,
     begin: Network | None = None,
     rate: float = RATE,
-    probability: bool = False,
+    link: Callable[[Singles], Singles] = as_it_is,
     progress: Callable[[int], None] = lambda done: None,
 ) -> Network:
     """Train a network on examples: inputs (n, p) of about unit size, and outputs (n, q).
@@ -102,9 +113,9 @@ def train(
         To train on; by default its weights are drawn.
     rate : float
         Of the steps, at most.
-    probability : bool
-        Whether outputs are 0 or 1, of which the network gives the log odds; else the mean squared
-        error is made small.
+    link : callable
+        What makes the outputs of what the network gives: `logistic` and `softmax` make
+        probabilities of outputs that are 0 or 1.
     progress : callable
         Called now and then with the steps that are done.
     """
@@ -122,8 +133,7 @@ def train(
         batch, order = order[:BATCH], order[BATCH:]
         kept = _forward(weights, inputs[batch])
         found = kept[-1][0] @ weights[-2] + weights[-1]
-        wanted = outputs[batch]
-        slope = _logistic(found) - wanted if probability else found - wanted
+        slope = link(found) - outputs[batch]  # of each link's own loss, in what the network gives
         now = rate * min(1.0, step / warming) * 0.5 * (1 + np.cos(np.pi * step / steps))
         gradients = _gradients(weights, kept, slope / np.float32(len(batch)))
         for weight, gradient, mean, square in zip(weights, gradients, means, squares, strict=True):

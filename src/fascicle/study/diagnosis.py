@@ -1,9 +1,8 @@
-"""The conduction state of a patient: a study of each that comes into question, and their mixture.
+"""The conduction state of a patient: how probable each is, a study of each that is, their mixture.
 
-Each state is a model of its own: what it blocks, and its ranges of what is learnt. Its evidence,
-times how probable it was before, is how probable it is given the ECG. The evidence by the emulator
-of the prior says which states come into question; each of these is fitted as a study, which is kept
-in the folder of the whole, and its evidence is then that of its refined emulator.
+Each state is a model of its own: what it blocks, and its ranges of what is learnt. A classifier of
+the heart's simulated recordings says how probable each is. The most probable ones are fitted as
+studies, which are kept in the folder of the whole.
 """
 
 from __future__ import annotations
@@ -14,41 +13,38 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from scipy.special import logsumexp
 
-from fascicle.core.array_cache import ArrayCache
 from fascicle.core.arrays import Floats
-from fascicle.core.files import DISPOSABLE
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress
-from fascicle.core.threads import one_thread
 from fascicle.forward.model import Backend
 from fascicle.inference.tempered_sampling import means_apart
 from fascicle.study.conduction_states import ConductionState, states_of
+from fascicle.study.ecg_classifier import classified_rows
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.likelihood import EmulatedLikelihood
 from fascicle.study.lock import study_lock
 from fascicle.study.pool import Pool
 from fascicle.study.population import Posterior, evenly_spread
-from fascicle.study.posterior import RUNS, sampled
-from fascicle.study.refined_emulator import PARTICLES
-from fascicle.study.simulator import PointSimulator
+from fascicle.study.posterior import RUNS
+from fascicle.study.state_classifier import (
+    StateSimulations,
+    classifier_of,
+    probabilities,
+    simulations_of_states,
+)
 from fascicle.study.state_fit import (
     HEART,
     Inputs,
     begun,
     completed,
-    emulated_by_the_prior,
     fit_state,
+    place_of_simulations,
     simulated_and_compared,
 )
-from fascicle.study.study import MAY_CHANGE, STATES, Study
-from fascicle.study.target_comparison import TargetComparison
+from fascicle.study.study import STATES, Study
 
-LEAST = 0.005  # probability from which on a state comes into question
-NEGLIGIBLE = 0.05  # and up to which its own study need not converge
-STATES_APART = 0.2  # of the probabilities of a state by both runs; more, and they do not agree
-PILOT = 4  # numbers the random generators
+COVERED = 0.9  # probability of the states that are fitted, together at least
 
 
 def diagnosed(
@@ -59,104 +55,55 @@ def diagnosed(
     backend: Backend | None = None,
 ) -> FittedStudy:
     """Do what is left of a study that learns the conduction state, and write its results."""
-    config, states = inputs.config, states_of(inputs.config.states)
+    config, heart = inputs.config, inputs.heart
+    states = states_of(config.states)
     simulator, recordings = simulated_and_compared(
-        config, inputs.heart, inputs.rules, inputs.recordings, pool, progress, backend
+        config, heart, inputs.rules, inputs.recordings, pool, progress, backend
     )
     with study_lock(folder):
         study = begun(inputs, folder, progress)
-        own = {state.name: _of_state(state, inputs) for state in states}
-        pilots: dict[str, Floats] = {}
-        for number, (name, given) in enumerate(own.items(), 1):
-            if progress is not None:
-                progress("conduction states", number, len(own), name)
-            pilots[name] = _pilot(given, folder, simulator, recordings, progress)
+        place, count = place_of_simulations(heart, folder), config.prior_simulations
+        of_all = replace(simulator, space=ParameterSpace(config.space))
+        simulations, target = simulations_of_states(of_all, place, count), recordings[0].target
+        rows = classified_rows(target)
+        classifier = classifier_of(simulations, rows, place, count, simulator.pool, progress)
+        probable = probabilities(classifier, simulations, config.states, target)
         fits: dict[str, FittedStudy] = {}
         emulated: dict[float, list[EmulatedLikelihood]] = {}
-        while (state := _in_question(states, pilots, fits)) is not None:
-            its = folder / STATES / state.name.replace(" ", "-")
+        for name in most_probable(probable):
+            each = simulations[name]
+            own, its = _of_state(each, inputs), folder / STATES / name.replace(" ", "-")
             # before the link, since a folder that holds something and no study is refused
-            Study.create_or_resume(its, own[state.name].config)
+            Study.create_or_resume(its, own.config)
             if not (its / HEART).exists():
                 (its / HEART).symlink_to(Path("..", "..", HEART), target_is_directory=True)
-            fits[state.name], emulated[state.number] = fit_state(
-                own[state.name], its, progress, pool, backend, simulator.model
+            fits[name], emulated[each.state.number] = fit_state(
+                own, its, progress, pool, backend, simulator.model
             )
-        population = _mixture(states, _log_evidences(pilots, fits), fits)
+        population = _mixture(states, probable, fits)
         simulator = replace(simulator, space=config.space_of(population.states), remembered={})
         fitted = FittedStudy(study, simulator, recordings, population)
         fitted = completed(fitted, emulated, progress)
         return replace(fitted, simulator=replace(simulator, remembered=None))
 
 
-def probabilities(
-    states: Sequence[ConductionState], log_evidences: Mapping[str, Floats]
-) -> dict[str, float]:
-    """How probable each state is, given the evidences of its runs."""
-    logs = np.array([_log_weight(each, log_evidences[each.name]) for each in states])
-    found = np.exp(logs - logsumexp(logs))
-    return {state.name: float(p) for state, p in zip(states, found, strict=True)}
+def most_probable(probable: Mapping[str, float]) -> list[str]:
+    """The fewest states that are so probable together as `COVERED`."""
+    ranked = sorted(probable, key=lambda name: -probable[name])
+    before = np.cumsum([0.0, *(probable[name] for name in ranked)])
+    return [name for name, others in zip(ranked, before, strict=False) if others < COVERED]
 
 
-def _log_weight(state: ConductionState, log_evidences: Floats) -> float:
-    """Logarithm of prior times mean evidence, of a state."""
-    mean = logsumexp(log_evidences) - np.log(len(log_evidences))
-    return float(np.log(state.probability) + mean)
-
-
-def _log_evidences(
-    pilots: Mapping[str, Floats], fits: Mapping[str, FittedStudy]
-) -> dict[str, Floats]:
-    """Log-evidences (runs,) of all states, by name.
-
-    A refined emulator has another evidence than that of the prior, by several units, and mostly a
-    larger one. States that are not fitted are taken to change by as much as those that are.
-    """
-    found = {name: _posterior(fit).log_evidences for name, fit in fits.items()}
-    changes = [logs.mean() - pilots[name].mean() for name, logs in found.items()]
-    change = float(np.mean(changes)) if changes else 0.0
-    return {name: found.get(name, pilot + change) for name, pilot in pilots.items()}
-
-
-def _in_question(
-    states: Sequence[ConductionState], pilots: Mapping[str, Floats], fits: Mapping[str, FittedStudy]
-) -> ConductionState | None:
-    """The most probable state that is to be fitted yet."""
-    found = probabilities(states, _log_evidences(pilots, fits))
-    left = [each for each in states if each.name not in fits and found[each.name] > LEAST]
-    return max(left, key=lambda state: found[state.name], default=None)
-
-
-def _of_state(state: ConductionState, inputs: Inputs) -> Inputs:
+def _of_state(simulations: StateSimulations, inputs: Inputs) -> Inputs:
     """What the study of a state is of."""
     config = inputs.config
-    space = state.narrowed(ParameterSpace(config.space), config.fixed)
-    assert space is not None
-    changes = {"space": space.parameters, "fixed": config.fixed | state.blocks, "states": {}}
+    changes = {
+        "space": simulations.space.parameters,
+        "fixed": config.fixed | simulations.state.blocks,
+        "states": {},
+        "prior_simulations": simulations.count,
+    }
     return replace(inputs, config=config.model_copy(update=changes))
-
-
-def _pilot(
-    inputs: Inputs,
-    folder: Path,
-    simulator: PointSimulator,
-    recordings: Sequence[TargetComparison],
-    progress: Progress | None,
-) -> Floats:
-    """Log-evidences of a state by the emulators of the prior, kept in the folder of the whole."""
-    config, cache = inputs.config, ArrayCache(folder / DISPOSABLE, "pilot")
-    key = config.model_dump_json(exclude={*MAY_CHANGE})
-    if (kept := cache.read(key)) is not None:
-        return np.asarray(kept["log_evidences"])
-    simulator = replace(simulator, space=config.parameter_space, fixed=config.fixed)
-    emulated = emulated_by_the_prior(inputs, folder, simulator, recordings, progress)
-    rngs = np.random.default_rng([config.seed, PILOT]).spawn(RUNS)
-    said = f"{RUNS} runs of {PARTICLES}, to see which states come into question"
-    sample = one_thread(sampled)
-    runs = sample(emulated, simulator.dimension, rngs, PARTICLES, said, progress)
-    found = np.array([run.log_evidence for run in runs])
-    cache.write(key, {"log_evidences": found})
-    return found
 
 
 def _posterior(fitted: FittedStudy) -> Posterior:
@@ -166,11 +113,10 @@ def _posterior(fitted: FittedStudy) -> Posterior:
 
 def _mixture(
     states: Sequence[ConductionState],
-    log_evidences: Mapping[str, Floats],
+    probable: Mapping[str, float],
     fits: Mapping[str, FittedStudy],
 ) -> Posterior:
-    """Draws of all states, of each as many as it is probable."""
-    probable = probabilities(states, log_evidences)
+    """Draws of the states that were fitted, of each as many as it is probable."""
     fitted = [state for state in states if state.name in fits]
     parts = [_named(state, fits[state.name]) for state in fitted]
     shares = np.array([probable[state.name] for state in fitted])
@@ -193,21 +139,17 @@ def _mixture(
     values = {name: joined(partial(of_part, name)) for name in parts[0].values}
     others = sorted({name for part in parts for name in part.averaged})
     best = min(parts, key=lambda part: part.best_loss)
-    runs = [{name: logs[k : k + 1] for name, logs in log_evidences.items()} for k in range(RUNS)]
-    by_run = [np.array([*probabilities(states, logs).values()]) for logs in runs]
-    matter = [part for part, share in zip(parts, shares, strict=True) if share > NEGLIGIBLE]
-    agree = float(np.abs(by_run[0] - by_run[1]).max()) <= STATES_APART
     return Posterior(
         values,
         joined(lambda part: part.losses),
         best.best,
         best.best_loss,
         joined(lambda part: part.log_likelihoods),
-        np.array([logsumexp([_log_weight(s, logs[s.name]) for s in states]) for logs in runs]),
+        parts[int(shares.argmax())].log_evidences,
         1 / sum(share**2 / part.effective for share, part in zip(shares, parts, strict=True)),
         np.sum([part.evaluations for part in parts], axis=0),
         {name: float(means_apart(*np.split(column, RUNS))) for name, column in values.items()},
-        agree and all(part.converged for part in matter),
+        all(part.converged for part in parts),
         {name: joined(partial(of_part, name)) for name in others},
         states=probable,
     )

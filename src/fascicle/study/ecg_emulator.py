@@ -30,7 +30,7 @@ from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, LEADS, limb
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.threads import one_thread
-from fascicle.inference.emulator import BATCH, RATE, Network, Singles, train
+from fascicle.inference.emulator import BATCH, RATE, Network, Singles, logistic, train
 from fascicle.study.prior_simulations import BEFORE, BODIES, PART, Examples
 from fascicle.study.space import AveragedOver
 
@@ -148,7 +148,7 @@ class EcgEmulator:
     @cached_property
     def bodies_of_all_leads(self) -> Floats:
         """`bodies` of all leads, (k, 12 + a, 12 + a)."""
-        whole = _all_leads(np.eye(self.bodies.shape[1]))
+        whole = all_leads(np.eye(self.bodies.shape[1]))
         rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(whole))]
         found = np.zeros((len(self.bodies), len(whole), len(whole)))
         found[:, :, rows] = whole @ self.bodies
@@ -227,10 +227,10 @@ def _in_time(cosines: Floats, length: int) -> Floats:
     """Independent leads in cosines (n, 8 + k, f) as all leads in time (n, 12 + k, length)."""
     padded = np.pad(cosines, ((0, 0), (0, 0), (0, length - cosines.shape[2])))
     ecg = idct(padded, axis=2, norm="ortho")
-    return np.asarray([_all_leads(each) for each in ecg])
+    return np.asarray([all_leads(each) for each in ecg])
 
 
-def _all_leads(independent: Floats) -> Floats:
+def all_leads(independent: Floats) -> Floats:
     """All leads (12 + a, n) from the independent ones (8 + a, n)."""
     limb = limb_leads_from(INDEPENDENT_LEADS)
     assert limb is not None
@@ -328,9 +328,7 @@ def _trained(
             report(sum(done), steps * (NETWORKS + 1))
 
         if number == NETWORKS:
-            return train(
-                every, known, rng, width=64, steps=steps, probability=True, progress=reported
-            )
+            return train(every, known, rng, width=64, steps=steps, link=logistic, progress=reported)
         return train(seen, wanted, rng, steps=steps, progress=reported)
 
     with ThreadPoolExecutor(2) as pool:
@@ -376,7 +374,7 @@ def _with_what_is_left(
     emulated = emulator.cosines(emulator.scores(inputs[held_out & examples.feasible]))
     in_bodies = _cosines(examples.in_bodies, count)
     true = _cosines(examples.ecgs[held_out[examples.feasible]], count)
-    bodies, factors = _body_modes(true, in_bodies, examples.bodies)
+    bodies, factors = body_modes(true, in_bodies, examples.bodies)
     mixed = np.einsum("hk,kab->hab", factors[examples.bodies], bodies) + np.eye(true.shape[1])
     errors_in_bodies = in_bodies - mixed @ emulated
     left, left_by_bodies = (
@@ -462,7 +460,7 @@ def _root(rows: Floats) -> Floats:
     return np.asarray(np.sqrt(np.maximum(values, 0))[:, None] * vectors.T)
 
 
-def _body_modes(plain: Floats, in_bodies: Floats, numbers: Integers) -> tuple[Floats, Floats]:
+def body_modes(plain: Floats, in_bodies: Floats, numbers: Integers) -> tuple[Floats, Floats]:
     """What bodies add to the leads: matrices (k, 8 + a, 8 + a), and factors (bodies, k) of each.
 
     Leads that see the same front from slightly elsewhere are nearly sums of one another, at all

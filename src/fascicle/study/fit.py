@@ -198,6 +198,11 @@ def read_inputs(
                 "parameter 'conduction': what is fixed, the heart's values or the ranges exclude "
                 "what was asked for; fix less, or leave it out"
             )
+    if len(states) > 1 and (len(recordings) > 1 or recordings[0][1] is not None):
+        raise InputError(
+            "parameter 'conduction': it is learnt from one recording of an intrinsic beat; give "
+            "one without a scenario, or fix the state"
+        )
     if len(states) == 1:
         space, fixed = states[0].narrowed(space, fixed) or space, fixed | states[0].blocks
     if settings.free_gain and ("gain" in space.names or "gain" in fixed):

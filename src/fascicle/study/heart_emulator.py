@@ -21,6 +21,7 @@ from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
+from fascicle.study.conduction_states import STATES
 from fascicle.study.ecg_emulator import SOONER, EcgEmulator, learn
 from fascicle.study.pool import Pool, Threads, check_pool
 from fascicle.study.prior_simulations import SEED, PriorSimulations
@@ -99,6 +100,9 @@ def usual_prior(
 ) -> PriorSimulations:
     """Those of what a study varies if nothing else is said than what is fixed."""
     space, fixed = study_space("posterior", fixed, model.heart)
+    if "conduction" in fixed:
+        state = STATES[round(fixed["conduction"])]
+        space = state.narrowed(space, fixed) or space
     averaged = AveragedOver.of(space, fixed, model.heart)
     return prior_of(PointSimulator(model, space, fixed, averaged=averaged), folder, scenario)
 

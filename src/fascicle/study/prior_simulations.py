@@ -9,7 +9,7 @@ not at all, so that the simulation may be interrupted at any time.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -145,6 +145,10 @@ class PriorSimulations:
             found.append(values)
         return found
 
+    def scenarios(self, number: int) -> Sequence[Scenario | None]:
+        """Scenarios of the networks of a part."""
+        return [None if self.scenario is None else self.scenario[0]] * len(self.points(number))
+
     def simulate(self, count: int, pool: Pool, progress: Progress | None = None) -> None:
         """Make what is missing of so many networks."""
         end = -(-count // PART)
@@ -157,9 +161,8 @@ class PriorSimulations:
         if self.drawn is None and not torso_values(dict.fromkeys(self.space.names, np.nan)):
             bodies = random_bodies(self.model, np.random.default_rng([SEED, 0, 2]), BODIES)
         rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(self.model.heart.leads))]
-        scenario = None if self.scenario is None else self.scenario[0]
         for number in missing:
-            items = [(values, scenario) for values in self.parameters(number)]
+            items = [*zip(self.parameters(number), self.scenarios(number), strict=True)]
             drawn = np.random.default_rng([SEED, number, 3]).integers(BODIES, size=len(items))
             ecgs: list[Floats] = []
             others: list[Floats] = []

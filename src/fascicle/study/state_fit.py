@@ -164,19 +164,6 @@ def _emulated(
     return tuple(replace(one, likelihood=its.likelihood) for one, its in pairs), emulated
 
 
-def emulated_by_the_prior(
-    inputs: Inputs,
-    folder: Path,
-    simulator: PointSimulator,
-    recordings: Sequence[TargetComparison],
-    progress: Progress | None,
-) -> list[EmulatedLikelihood]:
-    """Likelihoods of the recordings by the emulators of the prior, which are made if need be."""
-    scenarios = _scenarios(inputs.config, recordings)
-    emulators = _emulators(simulator, scenarios, inputs, folder, progress)
-    return _likelihoods(simulator, recordings, inputs)(emulators)
-
-
 def _scenarios(
     config: StudyConfig, recordings: Sequence[TargetComparison]
 ) -> list[tuple[Scenario, str] | None]:
@@ -203,6 +190,12 @@ def _likelihoods(
     ]
 
 
+def place_of_simulations(heart: Heart, folder: Path) -> Path:
+    """The heart's folder if that allows it, else that of its copy in a study."""
+    writable = heart.folder is not None and os.access(heart.folder, os.W_OK)
+    return heart.folder if writable and heart.folder is not None else folder / HEART
+
+
 def _emulators(
     simulator: PointSimulator,
     scenarios: Sequence[tuple[Scenario, str] | None],
@@ -211,8 +204,7 @@ def _emulators(
     progress: Progress | None,
 ) -> list[EcgEmulator]:
     """Emulators of the prior for each recording, kept with the heart if its folder allows that."""
-    given, count = inputs.heart.folder, inputs.config.prior_simulations
-    place = given if given is not None and os.access(given, os.W_OK) else folder / HEART
+    count, place = inputs.config.prior_simulations, place_of_simulations(inputs.heart, folder)
     made: dict[str, EcgEmulator] = {}
     for scenario, digest in zip(scenarios, inputs.config.scenarios, strict=True):
         if digest not in made:

@@ -1,0 +1,260 @@
+"""A classifier of recordings: small networks that learn from simulations which kind an ECG is of.
+
+Of simulations of each kind, in equal numbers, recordings are made as they may look: in another
+body, with another gain, noise and marks, and with a discrepancy like that of the likelihood. What
+networks give that tell their kinds apart is then how probable each kind is given a recording, if
+each is as probable before; no likelihood is computed, and parameters, body and discrepancy are
+averaged over (S. T. Radev et al., "Amortized Bayesian model comparison with evidential deep
+learning", IEEE Trans. Neural Netw. Learn. Syst. 34, 2023).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dct, idct
+
+from fascicle.core.arrays import Floats, Integers
+from fascicle.core.leads import INDEPENDENT_LEADS, independent_rows
+from fascicle.core.progress import Progress, stage_progress
+from fascicle.core.threads import one_thread
+from fascicle.forward.likelihood import (
+    HALF_PERIOD,
+    SHARES,
+    discrepancy_in_time,
+    lead_pattern,
+    separable,
+)
+from fascicle.inference.emulator import Network, Singles, softmax, train
+from fascicle.recording.target import Target
+from fascicle.study.ecg_emulator import all_leads, body_modes
+from fascicle.study.prior_simulations import BEFORE, Examples
+from fascicle.study.settings import FitSettings
+
+LENGTH = 300  # samples (ms) of an ECG, of which `BEFORE` are before the first activation
+MODES = round(LENGTH / HALF_PERIOD)  # cosines of each lead, as of the likelihood
+CHUNK = 4_000  # recordings that are made at once
+COMPONENTS = 80  # principal ones
+NETWORKS, WIDTH, STEPS = 2, 128, 4000
+ONSET_SD = 6.0  # ms; of the first activation about the recorded onset
+NOISE = 0.01  # mV; of each coefficient
+GAIN_SD = float(FitSettings.model_fields["gain_sd"].default)
+
+
+@dataclass(frozen=True)
+class Recorder:
+    """Makes recordings of simulated ECGs, in cosines.
+
+    Attributes
+    ----------
+    bodies : (k, 8, 8) array
+        What another body adds to the independent leads: matrices with standard normal factors.
+    left : (h, 8, MODES) array
+        What these do not say of simulated ECGs in random bodies, over the norms of the ECGs.
+    discrepancy : (8 · MODES, 8 · MODES) array
+        Root of its covariance, of unit size.
+    """
+
+    bodies: Floats
+    left: Floats
+    discrepancy: Floats
+
+    @classmethod
+    def of(cls, examples: Examples) -> Recorder:
+        """What the examples of a heart show of bodies, and of differences between networks."""
+        count = len(INDEPENDENT_LEADS)
+        held_out = examples.held_out[examples.feasible]
+        plain = in_cosines(examples.ecgs[held_out, :count])
+        in_bodies = in_cosines(examples.in_bodies[:, :count])
+        bodies, factors = body_modes(plain, in_bodies, examples.bodies)
+        mixed = np.einsum("hk,kab->hab", factors[examples.bodies], bodies) + np.eye(count)
+        left = (in_bodies - mixed @ plain) / _norms(plain)[:, None, None]
+        one, other = np.array_split(examples.ecgs[:CHUNK, :count].astype(float), 2)
+        pattern = lead_pattern(one[: len(other)] - other)
+        modes = idct(np.eye(LENGTH)[:, :MODES], axis=0, norm="ortho")
+        values, vectors = np.linalg.eigh(separable(pattern, discrepancy_in_time(LENGTH), modes))
+        return cls(bodies, left, vectors * np.sqrt(np.maximum(values, 0)))
+
+    def recordings(
+        self, ecgs: NDArray[Any], rows: Integers, count: int, rng: np.random.Generator
+    ) -> tuple[Singles, Integers]:
+        """So many recordings (count, r, MODES) in the leads `rows`, and of which ECG each is.
+
+        ECGs (n, 8, LENGTH) are taken as often as one another.
+        """
+        leads = in_leads(rows)
+        chosen = np.resize(rng.permutation(len(ecgs)), count)
+        parts = np.array_split(chosen, -(-count // CHUNK))
+        return np.concatenate([leads @ self.recorded(ecgs[k], rng) for k in parts]), chosen
+
+    def recorded(
+        self, ecgs: NDArray[Any], rng: np.random.Generator, *, in_bodies: bool = False
+    ) -> Singles:
+        """Recordings (n, 8, MODES) of ECGs (n, 8, LENGTH), perhaps in bodies already."""
+        count, norms = len(ecgs), _norms(ecgs)
+        found = in_cosines(_shifted(ecgs, rng))
+        if not in_bodies:
+            factors = rng.standard_normal((count, len(self.bodies)))
+            found = (np.tensordot(factors, self.bodies, 1) + np.eye(ecgs.shape[1])) @ found
+            found += norms[:, None, None] * self.left[rng.integers(len(self.left), size=count)]
+        size = rng.choice(SHARES, count) * norms / np.sqrt(ecgs.shape[1] * _durations(ecgs))
+        drawn = rng.standard_normal((count, len(self.discrepancy))) @ self.discrepancy.T
+        found += size[:, None, None] * drawn.reshape(found.shape)
+        found *= rng.normal(1, GAIN_SD, count)[:, None, None]
+        return np.asarray(found + NOISE * rng.standard_normal(found.shape), dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class EcgClassifier:
+    """How probable kinds are, given a recording.
+
+    Attributes
+    ----------
+    rows : (r,) array
+        Leads that it looks at, in `fascicle.core.leads.LEADS`.
+    mean, components, scale : arrays
+        Of its inputs: principal components of the cosines, over their scales.
+    networks : tuple of Network
+        Whose probabilities are averaged.
+    confusion : (c, c) array
+        Mean probability of each kind (columns), of held-out simulations of each (rows).
+    log_score : float
+        Mean logarithm of the probability of the true kind, of these.
+    """
+
+    rows: Integers
+    mean: Floats
+    components: Floats
+    scale: Floats
+    networks: tuple[Network, ...]
+    confusion: Floats
+    log_score: float
+
+    def probabilities(self, target: Target) -> Floats:
+        """How probable each kind is given a recording, (c,)."""
+        samples = np.zeros((1, len(self.rows), LENGTH))
+        recorded = target.qrs[self.rows, : LENGTH - BEFORE]
+        samples[0, :, BEFORE : BEFORE + recorded.shape[1]] = recorded
+        return np.asarray(self.of_cosines(in_cosines(samples))[0])
+
+    def of_cosines(self, recordings: NDArray[Any]) -> Floats:
+        """How probable each kind is given recordings (n, r, MODES), (n, c)."""
+        inputs = _inputs(recordings, self.mean, self.components, self.scale)
+        each = [softmax(network(inputs)) for network in self.networks]
+        return np.asarray(np.mean(each, axis=0), dtype=float)
+
+    def arrays(self) -> dict[str, Any]:
+        """All of it for a file; the weights in half precision."""
+        found = {each.name: np.asarray(getattr(self, each.name)) for each in fields(self)[:4]}
+        found |= {"confusion": self.confusion, "log_score": np.asarray(self.log_score)}
+        found["components"] = found["components"].astype(np.float32)
+        for n, network in enumerate(self.networks):
+            for k, weight in enumerate(network.weights):
+                found[f"networks {n} {k:02d}"] = weight.astype(np.float16)
+        return found
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, Any]) -> EcgClassifier:
+        """The inverse of `arrays`."""
+        networks = []
+        for n in range(NETWORKS):
+            names = sorted(name for name in arrays if name.startswith(f"networks {n} "))
+            networks.append(Network(tuple(arrays[name].astype(np.float32) for name in names)))
+        parts = ("rows", "mean", "components", "scale", "confusion")
+        rows, mean, components, scale, confusion = (np.asarray(arrays[name]) for name in parts)
+        score = float(arrays["log_score"])
+        return cls(rows, mean, components, scale, tuple(networks), confusion, score)
+
+
+@dataclass(frozen=True)
+class Lessons:
+    """Recordings of known kinds: in cosines (n, r, MODES), and the number of the kind of each."""
+
+    recordings: Singles
+    kinds: Integers
+
+
+@one_thread
+def learn(
+    seen: Lessons,
+    held_out: Lessons,
+    rows: Integers,
+    rng: np.random.Generator,
+    progress: Progress | None = None,
+) -> EcgClassifier:
+    """Train a classifier of recordings in the leads `rows` (`fascicle.core.leads.LEADS`)."""
+    every = seen.recordings.reshape(len(seen.kinds), -1)
+    mean = every.mean(axis=0, dtype=float)
+    some = every[rng.integers(len(every), size=6000)] - mean
+    components = np.linalg.svd(some, full_matrices=False)[2][:COMPONENTS]
+    # partly made alike: small components matter, and are noisier
+    sds = (some @ components.T).std(axis=0)
+    scale = np.sqrt(sds * sds.max())
+    inputs = _inputs(every, mean, components, scale)
+    networks = _trained(inputs, seen.kinds, rng, progress)
+    found = EcgClassifier(rows, mean, components, scale, networks, np.empty(0), 0.0)
+    given, kinds = found.of_cosines(held_out.recordings), held_out.kinds
+    true = given[np.arange(len(kinds)), kinds]
+    means = [given[kinds == kind].mean(axis=0) for kind in np.unique(kinds)]
+    return replace(found, confusion=np.array(means), log_score=float(np.log(true).mean()))
+
+
+def in_leads(rows: Integers) -> Singles:
+    """Matrix (r, 8) that makes the leads `rows` of the independent ones."""
+    return all_leads(np.eye(len(INDEPENDENT_LEADS)))[rows].astype(np.float32)
+
+
+def classified_rows(target: Target) -> Integers:
+    """Independent leads of a recording, of the standard ones."""
+    return independent_rows(target.used[:12])
+
+
+def in_cosines(ecgs: NDArray[Any]) -> Floats:
+    """ECGs (n, r, LENGTH) as cosines (n, r, MODES)."""
+    return np.asarray(dct(ecgs, axis=2, norm="ortho")[:, :, :MODES], dtype=float)
+
+
+def _inputs(recordings: NDArray[Any], mean: Floats, components: Floats, scale: Floats) -> Singles:
+    flat = recordings.reshape(len(recordings), -1)
+    return np.asarray((flat - mean) @ components.T / scale, dtype=np.float32)
+
+
+def _trained(
+    inputs: Singles, kinds: Integers, rng: np.random.Generator, progress: Progress | None
+) -> tuple[Network, ...]:
+    report, done = stage_progress(progress, "training"), [0] * NETWORKS
+    wanted = np.eye(kinds.max() + 1, dtype=np.float32)[kinds]
+
+    def one(number: int, rng: np.random.Generator) -> Network:
+        def reported(step: int) -> None:
+            done[number] = step
+            report(sum(done), NETWORKS * STEPS)
+
+        return train(inputs, wanted, rng, width=WIDTH, steps=STEPS, link=softmax, progress=reported)
+
+    with ThreadPoolExecutor(NETWORKS) as pool:
+        return tuple(pool.map(one, range(NETWORKS), rng.spawn(NETWORKS)))
+
+
+def _shifted(ecgs: NDArray[Any], rng: np.random.Generator) -> NDArray[Any]:
+    """ECGs whose first activation is off, silent before and after."""
+    shifts = np.clip(np.rint(rng.normal(0, ONSET_SD, len(ecgs))), -BEFORE, BEFORE).astype(int)
+    padded = np.pad(ecgs, ((0, 0), (0, 0), (BEFORE, BEFORE)))
+    place = np.arange(LENGTH) + BEFORE - shifts[:, None]
+    return np.asarray(np.take_along_axis(padded, place[:, None], axis=2))
+
+
+def _norms(ecgs: NDArray[Any]) -> Floats:
+    return np.asarray(np.sqrt((np.asarray(ecgs, float) ** 2).sum(axis=(1, 2))))
+
+
+def _durations(ecgs: NDArray[Any]) -> Integers:
+    """Samples from the first to the last above a hundredth of the highest, (n,)."""
+    high = np.abs(ecgs).max(axis=1)
+    there = high > 0.01 * high.max(axis=1, keepdims=True)
+    return np.asarray(LENGTH - there[:, ::-1].argmax(axis=1) - there.argmax(axis=1))

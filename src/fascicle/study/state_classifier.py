@@ -1,0 +1,158 @@
+"""How probable each conduction state is, by a classifier of a heart's simulated recordings.
+
+Each state has prior simulations of its own; states that only differ in the range of a quantity
+share them. The classifier is made once a heart, and kept with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.core.array_cache import ArrayCache
+from fascicle.core.arrays import Integers
+from fascicle.core.errors import InputError
+from fascicle.core.files import DISPOSABLE
+from fascicle.core.parameters import ParameterSpace
+from fascicle.core.progress import Progress
+from fascicle.inference.emulator import Singles
+from fascicle.recording.target import Target
+from fascicle.study.conduction_states import STATES, ConductionState
+from fascicle.study.ecg_classifier import LENGTH, EcgClassifier, Lessons, Recorder, in_leads, learn
+from fascicle.study.heart_emulator import prior_of, usual_prior
+from fascicle.study.pool import Pool
+from fascicle.study.prior_simulations import SEED, PriorSimulations
+from fascicle.study.simulator import PointSimulator
+from fascicle.study.space import AveragedOver
+
+CLASSIFIER = "classifier"  # kind of file
+RECORDINGS = 30_000  # of each state to learn from
+FEWEST = 100  # simulations of a state to learn from
+Arrays = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class StateSimulations:
+    """Prior simulations that hold those of a state."""
+
+    state: ConductionState
+    space: ParameterSpace  # of the state
+    prior: PriorSimulations
+    count: int  # half of what was asked for where they are of this state alone
+
+    @classmethod
+    def of(
+        cls, state: ConductionState, simulator: PointSimulator, folder: Path, count: int
+    ) -> StateSimulations:
+        """Those of a simulator that learns all states; usual ones if they hold the state."""
+        own = state.narrowed(simulator.space, simulator.fixed)
+        assert own is not None
+        fixed = simulator.fixed | state.blocks
+        averaged = AveragedOver.of(own, fixed, simulator.model.heart)
+        prior = usual_prior(simulator.model, folder, None, state.blocks)
+        if not _holds(prior, own, averaged, fixed):
+            prior = prior_of(replace(simulator, space=own, fixed=fixed, averaged=averaged), folder)
+        return cls(state, own, prior, count // 2 if prior.space == own else count)
+
+    @property
+    def content(self) -> str:
+        """What they depend on."""
+        return f"{self.state.name} {self.space.parameters} {self.prior.content}"
+
+    def ecgs(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """ECGs of the state to learn from, and held-out ones in random bodies."""
+        examples, names = self.prior.examples(self.count, LENGTH), self.prior.space.names
+        values = self.prior.space.columns(examples.points[:, : len(names)])
+        ranges = [(p.name, p.lower, p.upper) for p in self.space.parameters]
+        of_state = np.all([(lo <= values[n]) & (values[n] <= hi) for n, lo, hi in ranges], axis=0)
+        made, held_out = examples.feasible, examples.held_out
+        seen = examples.ecgs[(of_state & ~held_out)[made]]
+        tried = examples.in_bodies[of_state[made & held_out]]
+        if len(seen) < FEWEST or not len(tried):
+            raise InputError(
+                f"only {len(seen)} networks of the prior of '{self.state.name}' fit this heart; "
+                "give more prior_simulations, or a prior of the other states"
+            )
+        return seen, tried
+
+
+def probabilities(
+    classifier: EcgClassifier, known: Iterable[str], priors: Mapping[str, float], target: Target
+) -> dict[str, float]:
+    """How probable states with priors are given a recording, by a classifier of the known ones."""
+    each = zip(known, classifier.probabilities(target), strict=True)
+    found = {name: p * priors[name] for name, p in each if name in priors}
+    return {name: float(p / sum(found.values())) for name, p in found.items()}
+
+
+def simulations_of_states(
+    simulator: PointSimulator, folder: Path, count: int
+) -> dict[str, StateSimulations]:
+    """Prior simulations of all states that what is learnt and fixed leaves."""
+    known = {**simulator.model.heart.values, **simulator.fixed}
+    left = [state for state in STATES if state.narrowed(simulator.space, known) is not None]
+    return {state.name: StateSimulations.of(state, simulator, folder, count) for state in left}
+
+
+def classifier_of(
+    known: Mapping[str, StateSimulations],
+    rows: Integers,
+    folder: Path,
+    count: int,
+    pool: Pool,
+    progress: Progress | None = None,
+) -> EcgClassifier:
+    """The classifier of states that looks at leads, from the package, a heart's folder or made."""
+    key = "; ".join([str(rows), *(each.content for each in known.values())])
+    with resources.as_file(resources.files("fascicle") / "data" / "emulators") as packaged:
+        stored: Arrays | None = ArrayCache(packaged, CLASSIFIER).read(key)
+    if stored is not None and int(stored["networks"]) >= count:
+        return EcgClassifier.from_arrays(stored)
+    cache = ArrayCache(folder / DISPOSABLE, CLASSIFIER)
+    if (stored := cache.read(f"{count} of {key}")) is None:
+        for each in known.values():
+            each.prior.simulate(each.count, pool, progress)
+        rng = np.random.default_rng(SEED)
+        lessons = _lessons([*known.values()], rows, rng)
+        stored = learn(*lessons, rows, rng, progress).arrays() | {"networks": np.array(count)}
+        cache.write(f"{count} of {key}", stored, compress=True)
+    return EcgClassifier.from_arrays(stored)
+
+
+def _lessons(
+    simulations: Sequence[StateSimulations], rows: Integers, rng: np.random.Generator
+) -> tuple[Lessons, Lessons]:
+    """Recordings to learn from, as many of each state, and held-out ones."""
+    first = simulations[0]
+    recorder = Recorder.of(first.prior.examples(first.count, LENGTH))
+    seen: list[Singles] = []
+    held_out: list[Singles] = []
+    for each in simulations:
+        ecgs, in_bodies = each.ecgs()
+        seen.append(recorder.recordings(ecgs, rows, RECORDINGS, rng)[0])
+        held_out.append(in_leads(rows) @ recorder.recorded(in_bodies, rng, in_bodies=True))
+    both = []
+    for recordings in (seen, held_out):
+        kinds = np.repeat(np.arange(len(recordings)), [len(each) for each in recordings])
+        both.append(Lessons(np.concatenate(recordings), kinds))
+    return both[0], both[1]
+
+
+def _holds(
+    usual: PriorSimulations, own: ParameterSpace, averaged: AveragedOver, fixed: Mapping[str, float]
+) -> bool:
+    """Whether usual simulations are the state's but for a range, which is an eighth at least."""
+    if usual.fixed != fixed or usual.averaged != averaged or usual.space.names != own.names:
+        return False
+    pairs = [*zip(usual.space.parameters, own.parameters, strict=True)]
+    if any(replace(q, lower=p.lower, upper=p.upper) != p for p, q in pairs):
+        return False
+    ends = [p.to_unit(np.array([q.lower, q.upper])) for p, q in pairs]
+    inside = all(p.lower <= q.lower and q.upper <= p.upper for p, q in pairs)
+    return inside and float(np.prod([np.ptp(each) for each in ends])) >= 1 / 8
