@@ -40,7 +40,7 @@ LENGTH = 300  # samples (ms) of an ECG, of which `BEFORE` are before the first a
 MODES = round(LENGTH / HALF_PERIOD)  # cosines of each lead, as of the likelihood
 CHUNK = 4_000  # recordings that are made at once
 COMPONENTS = 80  # principal ones
-NETWORKS, WIDTH, STEPS = 2, 128, 4000
+NETWORKS, WIDTH, STEPS = 2, 128, 8000
 ONSET_SD = 6.0  # ms; of the first activation about the recorded onset
 NOISE = 0.01  # mV; of each coefficient
 GAIN_SD = float(FitSettings.model_fields["gain_sd"].default)
@@ -121,10 +121,8 @@ class EcgClassifier:
         Of its inputs: principal components of the cosines, over their scales.
     networks : tuple of Network
         Whose probabilities are averaged.
-    confusion : (c, c) array
-        Mean probability of each kind (columns), of held-out simulations of each (rows).
-    log_score : float
-        Mean logarithm of the probability of the true kind, of these.
+    right : float
+        Share of held-out recordings whose most probable kind is the true one.
     """
 
     rows: Integers
@@ -132,15 +130,18 @@ class EcgClassifier:
     components: Floats
     scale: Floats
     networks: tuple[Network, ...]
-    confusion: Floats
-    log_score: float
+    right: float
 
     def probabilities(self, target: Target) -> Floats:
         """How probable each kind is given a recording, (c,)."""
+        return np.asarray(self.of_cosines(self.cosines(target))[0])
+
+    def cosines(self, target: Target) -> Floats:
+        """A recording as the networks see it, (1, r, MODES)."""
         samples = np.zeros((1, len(self.rows), LENGTH))
         recorded = target.qrs[self.rows, : LENGTH - BEFORE]
         samples[0, :, BEFORE : BEFORE + recorded.shape[1]] = recorded
-        return np.asarray(self.of_cosines(in_cosines(samples))[0])
+        return in_cosines(samples)
 
     def of_cosines(self, recordings: NDArray[Any]) -> Floats:
         """How probable each kind is given recordings (n, r, MODES), (n, c)."""
@@ -151,7 +152,7 @@ class EcgClassifier:
     def arrays(self) -> dict[str, Any]:
         """All of it for a file; the weights in half precision."""
         found = {each.name: np.asarray(getattr(self, each.name)) for each in fields(self)[:4]}
-        found |= {"confusion": self.confusion, "log_score": np.asarray(self.log_score)}
+        found["right"] = np.asarray(self.right)
         found["components"] = found["components"].astype(np.float32)
         for n, network in enumerate(self.networks):
             for k, weight in enumerate(network.weights):
@@ -165,10 +166,9 @@ class EcgClassifier:
         for n in range(NETWORKS):
             names = sorted(name for name in arrays if name.startswith(f"networks {n} "))
             networks.append(Network(tuple(arrays[name].astype(np.float32) for name in names)))
-        parts = ("rows", "mean", "components", "scale", "confusion")
-        rows, mean, components, scale, confusion = (np.asarray(arrays[name]) for name in parts)
-        score = float(arrays["log_score"])
-        return cls(rows, mean, components, scale, tuple(networks), confusion, score)
+        parts = ("rows", "mean", "components", "scale")
+        rows, mean, components, scale = (np.asarray(arrays[name]) for name in parts)
+        return cls(rows, mean, components, scale, tuple(networks), float(arrays["right"]))
 
 
 @dataclass(frozen=True)
@@ -197,11 +197,23 @@ def learn(
     scale = np.sqrt(sds * sds.max())
     inputs = _inputs(every, mean, components, scale)
     networks = _trained(inputs, seen.kinds, rng, progress)
-    found = EcgClassifier(rows, mean, components, scale, networks, np.empty(0), 0.0)
-    given, kinds = found.of_cosines(held_out.recordings), held_out.kinds
-    true = given[np.arange(len(kinds)), kinds]
-    means = [given[kinds == kind].mean(axis=0) for kind in np.unique(kinds)]
-    return replace(found, confusion=np.array(means), log_score=float(np.log(true).mean()))
+    found = EcgClassifier(rows, mean, components, scale, networks, 0.0)
+    guessed = found.of_cosines(held_out.recordings).argmax(axis=1)
+    found = replace(found, right=float((guessed == held_out.kinds).mean()))
+    if progress is not None:
+        progress("classifier", 1, 1, f"{found.right:.0%} of held-out recordings told right")
+    return found
+
+
+def most_alike(recordings: NDArray[Any], reference: NDArray[Any]) -> Floats:
+    """Share of the energy of recordings (n, r, MODES) that the likest of a reference explains.
+
+    Each of the reference (m, r, MODES) is scaled as it suits.
+    """
+    one, other = (each.reshape(len(each), -1).astype(float) for each in (recordings, reference))
+    other = other / np.linalg.norm(other, axis=1, keepdims=True)
+    along = np.maximum(one @ other.T, 0)
+    return np.asarray((along**2).max(axis=1) / (one**2).sum(axis=1))
 
 
 def in_leads(rows: Integers) -> Singles:

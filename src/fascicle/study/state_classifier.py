@@ -32,7 +32,7 @@ from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import AveragedOver
 
 CLASSIFIER = "classifier"  # kind of file
-RECORDINGS = 30_000  # of each state to learn from
+RECORDINGS = 40_000  # of each state to learn from
 FEWEST = 100  # simulations of a state to learn from
 Arrays = Mapping[str, Any]
 
@@ -109,7 +109,7 @@ def classifier_of(
     progress: Progress | None = None,
 ) -> EcgClassifier:
     """The classifier of states that looks at leads, from the package, a heart's folder or made."""
-    key = "; ".join([str(rows), *(each.content for each in known.values())])
+    key = classifier_key(known, rows)
     with resources.as_file(resources.files("fascicle") / "data" / "emulators") as packaged:
         stored: Arrays | None = ArrayCache(packaged, CLASSIFIER).read(key)
     if stored is not None and int(stored["networks"]) >= count:
@@ -123,6 +123,11 @@ def classifier_of(
         stored = learn(*lessons, rows, rng, progress).arrays() | {"networks": np.array(count)}
         cache.write(f"{count} of {key}", stored, compress=True)
     return EcgClassifier.from_arrays(stored)
+
+
+def classifier_key(known: Mapping[str, StateSimulations], rows: Integers) -> str:
+    """What the classifier of states that looks at leads depends on."""
+    return "; ".join([str(rows), *(each.content for each in known.values())])
 
 
 def _lessons(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import igl
 import numpy as np
@@ -124,14 +125,20 @@ class Myocardium:
         elements = np.where(self.conducts[elements], elements, -1)
         return LocatedPoints(positions, elements, triangles, np.sqrt(squares))
 
+    @cached_property
+    def _cells(self) -> tuple[Integers, Any]:
+        """Corners of the elements, and the search tree of these."""
+        corners, cells = self.mesh.corners.astype(np.int64), igl.AABB()
+        cells.init(self.mesh.vertices, corners)
+        return corners, cells
+
     def inside(self, points: Floats) -> LocatedPoints:
         """The same points where they lie in the tissue, else the nearest of its surface."""
         site = self.on_surface(points)
         if not len(points):
             return site
         positions, elements, distances = site.positions.copy(), site.elements, site.distances
-        corners, cells = self.mesh.corners.astype(np.int64), igl.AABB()
-        cells.init(self.mesh.vertices, corners)
+        corners, cells = self._cells
         for k, point in enumerate(points):
             around = np.array(cells.find(self.mesh.vertices, corners, point), dtype=np.int64)
             if around.size:

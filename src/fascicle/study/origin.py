@@ -1,0 +1,426 @@
+"""Where a beat comes from: the origin of an ectopic or paced beat, from its ECG.
+
+Beats of the prior begin anywhere in the ventricles, as likely in one millilitre as in another; the
+Purkinje network does not fire, and conducts where the front enters it. A classifier of such beats
+says in which patch of the tissue a recorded one may begin.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.cluster.vq import kmeans2
+from scipy.spatial import cKDTree
+
+from fascicle.core.array_cache import ArrayCache
+from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.core.errors import InputError
+from fascicle.core.files import DISPOSABLE, atomic_folder
+from fascicle.core.leads import INDEPENDENT_LEADS
+from fascicle.core.progress import Lines, Progress, shown_progress
+from fascicle.core.ranges import check_count, short_repr
+from fascicle.forward.compile_kernels import compile_kernels
+from fascicle.forward.model import ForwardModel
+from fascicle.forward.primitives import His, Stimulus
+from fascicle.forward.scenario import Scenario
+from fascicle.heart.fibres import Wall
+from fascicle.heart.folder import as_heart
+from fascicle.heart.heart import Heart
+from fascicle.heart.sites import SEGMENTS, Places, places
+from fascicle.mesh.formats.vtk import write_grid
+from fascicle.recording.target import Target
+from fascicle.recording.target_files import as_target
+from fascicle.study.ecg_classifier import (
+    LENGTH,
+    EcgClassifier,
+    Lessons,
+    Recorder,
+    classified_rows,
+    in_cosines,
+    in_leads,
+    learn,
+    most_alike,
+)
+from fascicle.study.pool import Pool, Threads, check_pool
+from fascicle.study.prior_simulations import HELD_OUT, PART, SEED, PriorSimulations
+from fascicle.study.settings import FitSettings
+from fascicle.study.space import AveragedOver, study_space
+
+CLASSIFIER = "origin"  # kind of file
+# Of each ten beats, which begin at the same place, since to find the rays from one takes long; that
+# which is held out has a place of its own
+SAME_ORIGIN = [0, 0, 0, 1, 1, 1, 2, 2, 2, 3]
+PATCH = 1000.0  # mm³ of tissue
+RECORDINGS = 240_000  # to learn from
+REFERENCE = 2000  # simulated beats with which a recording is compared
+REGION = 0.9  # probability of the region
+UNLIKE = 0.02  # share of simulated recordings that are called unlike simulated beats
+TETRAHEDRON = 10  # VTK's number
+LEAST_NAMED = 0.05  # probability of a segment that is named
+
+
+@dataclass(frozen=True)
+class BeatsFromAnywhere(PriorSimulations):
+    """Prior simulations of beats that begin at points of the tissue, drawn uniformly."""
+
+    @cached_property
+    def content(self) -> str:
+        """What they depend on."""
+        return f"from anywhere; {super().content}"
+
+    def origins(self, number: int) -> Integers:
+        """Tetrahedra in which the beats of a part begin, (`PART`,)."""
+        volumes = self.model.heart.volumes
+        rng = np.random.default_rng([SEED, number, 4])
+        size = PART // HELD_OUT, max(SAME_ORIGIN) + 1
+        drawn = rng.choice(len(volumes), size, p=volumes / volumes.sum())
+        return np.asarray(drawn[:, SAME_ORIGIN].ravel())
+
+    def scenarios(self, number: int) -> Sequence[Scenario | None]:
+        """A stimulus in the middle of each of these; the His bundle does not fire."""
+        centres = _centres(self.model.heart)[self.origins(number)]
+        return [
+            Scenario(
+                (His(time=np.inf), Stimulus(time=0.0, position=(float(x), float(y), float(z))))
+            )
+            for x, y, z in centres
+        ]
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a recorded beat may begin.
+
+    Attributes
+    ----------
+    heart : Heart
+    probabilities : (n_tetrahedra,) array
+        Of each tetrahedron of the heart; they add up to 1.
+    explained, least_explained : float
+        Share of the recorded QRS that the simulated beat most like it explains, scaled; what 98 %
+        of simulated recordings reach.
+    held_out : mapping of str to float
+        Of simulated beats that were held out: "distance", the median from the most probable place
+        to the origin (mm), and "region", the share whose region holds the origin.
+    """
+
+    heart: Heart
+    probabilities: Floats
+    explained: float
+    least_explained: float
+    held_out: Mapping[str, float]
+
+    __repr__ = short_repr
+
+    @property
+    def caution(self) -> str | None:
+        """Why the answer is not to be relied on; None if nothing speaks against it."""
+        if self.explained >= self.least_explained:
+            return None
+        return (
+            f"no simulated beat looks like the recording (the likest explains {self.explained:.0%} "
+            f"of its QRS, {self.least_explained:.0%} expected)"
+        )
+
+    @property
+    def verdict(self) -> str:
+        """Where the beat comes from, in one line."""
+        if self.caution is not None:
+            return f"no origin is named: {self.caution}"
+        walls = self._ranked(self.walls, LEAST_NAMED)
+        segments = self._ranked(self.segments, LEAST_NAMED)
+        x, y, z = self.place
+        return (
+            f"{walls}; {segments}; most probable place {x:.0f}, {y:.0f}, {z:.0f} mm, with "
+            f"{REGION:.0%} within {self.radius:.0f} mm of it"
+        )
+
+    @staticmethod
+    def _ranked(parts: Mapping[str, float], least: float) -> str:
+        ranked = sorted(parts, key=lambda name: -parts[name])
+        named = [name for name in ranked if parts[name] >= least] or ranked[:1]
+        return ", ".join(f"{name} {parts[name]:.2f}" for name in named)
+
+    @cached_property
+    def place(self) -> Floats:
+        """Middle of the tetrahedron whose mean distance to the origin is the least (mm), (3,)."""
+        return _place(_centres(self.heart), self.probabilities)
+
+    @property
+    def radius(self) -> float:
+        """Distance from the most probable place that holds the probability `REGION` (mm)."""
+        away = np.linalg.norm(_centres(self.heart) - self.place, axis=1)
+        order = np.argsort(away)
+        within = np.cumsum(self.probabilities[order]) < REGION
+        return float(away[order[within]].max(initial=0.0))
+
+    @cached_property
+    def levels(self) -> Floats:
+        """Probability of what is more probable than each tetrahedron, per volume, (n,)."""
+        return levels(self.probabilities, self.heart.volumes)
+
+    @property
+    def region(self) -> Booleans:
+        """The smallest part of the tissue that holds the probability `REGION`."""
+        return self.levels < REGION
+
+    @cached_property
+    def _places(self) -> Places:
+        return places(self.heart)
+
+    @property
+    def ventricles(self) -> dict[str, float]:
+        """Probability of each ventricle; each has the half of the septum that is nearer to it."""
+        found, septum = self._places, self._places.wall == Wall.SEPTUM
+        right = (found.wall == Wall.RV) | (septum & (found.depth > 0.5))
+        return self._of({"left ventricle": ~right, "right ventricle": right})
+
+    @property
+    def walls(self) -> dict[str, float]:
+        """Probability of the free walls and of the septum."""
+        names = {
+            "left ventricular free wall": Wall.LV,
+            "right ventricular free wall": Wall.RV,
+            "septum": Wall.SEPTUM,
+        }
+        return self._of({name: self._places.wall == wall for name, wall in names.items()})
+
+    @property
+    def layers(self) -> dict[str, float]:
+        """Probability of the inner and the outer half of the free walls, and of the septum."""
+        septum, inner = self._places.wall == Wall.SEPTUM, self._places.depth < 0.5
+        return self._of(
+            {"endocardial half": ~septum & inner, "epicardial half": ~septum & ~inner,
+             "septum": septum}
+        )  # fmt: skip
+
+    @property
+    def segments(self) -> dict[str, float]:
+        """Probability of the left ventricle's 17 segments and of the right one's free wall."""
+        names = ("right ventricular free wall", *SEGMENTS)
+        return self._of({name: self._places.segment == k for k, name in enumerate(names)})
+
+    def _of(self, parts: Mapping[str, Any]) -> dict[str, float]:
+        return {name: float(self.probabilities[inside].sum()) for name, inside in parts.items()}
+
+    def summary(self) -> dict[str, Any]:
+        """All of it but the probabilities of the tetrahedra."""
+        tables = {n: getattr(self, n) for n in ("ventricles", "walls", "layers", "segments")}
+        return {
+            "verdict": self.verdict,
+            "caution": self.caution,
+            "place_mm": self.place.tolist(),
+            "radius_mm": self.radius,
+            "region_ml": float(self.heart.volumes[self.region].sum() / 1000),
+            "explained": self.explained,
+            "least_explained": self.least_explained,
+            "held_out": dict(self.held_out),
+            **tables,
+        }
+
+    def save(self, folder: Path | str) -> Path:
+        """Write ``origin.json`` and, for ParaView, ``origin.vtu`` into a new folder."""
+        with atomic_folder(Path(folder)) as temporary:
+            text = json.dumps(self.summary(), indent=2)
+            (temporary / "origin.json").write_text(text + "\n", encoding="utf-8")
+            data = {
+                "probability_per_ml": 1000 * self.probabilities / self.heart.volumes,
+                "credible_level": self.levels,
+            }
+            heart = self.heart
+            path = temporary / "origin.vtu"
+            write_grid(path, heart.vertices, heart.tetrahedra, TETRAHEDRON, cell_data=data)
+        return Path(folder)
+
+
+def locate(
+    heart: Heart | Path | str,
+    target: Target | Path | str,
+    *,
+    prior_simulations: int | None = None,
+    workers: int | None = None,
+    progress: Progress | Lines | None = "lines",
+    pool: Pool | None = None,
+) -> Origin:
+    """Say where an ectopic or paced beat comes from, with a probability of every place.
+
+    Parameters
+    ----------
+    heart : Heart or path
+        The heart, its folder, or ``"default"``.
+    target : Target or path
+        The beat, of one class: `fascicle.make_target` chooses it.
+    prior_simulations : int, optional
+        Beats to learn from, made once for all recordings of a heart and kept in its folder; by
+        default as many as a fit wants.
+    workers : int, optional
+        Simulations at a time; by default one a core.
+    progress : Progress, "lines" or None
+        Called with the stage, and how far it is.
+    pool : Pool, optional
+        Where beats are simulated, as in `fascicle.fit`.
+
+    Returns
+    -------
+    Origin
+
+    Raises
+    ------
+    InputError
+        If the heart or the target cannot be used.
+
+    Examples
+    --------
+    >>> import fascicle
+    >>> origin = fascicle.locate("HEART", "ectopic.nc")  # doctest: +SKIP
+    >>> origin.verdict, origin.segments  # doctest: +SKIP
+    """
+    check_pool(pool)
+    heart, target = as_heart(heart), as_target(target)
+    count = prior_simulations
+    if count is None:
+        count = FitSettings.model_fields["prior_simulations"].default
+    check_count(count, "prior_simulations")
+    if workers is not None:
+        check_count(workers, "workers")
+    if heart.folder is None or not os.access(heart.folder, os.W_OK):
+        raise InputError(f"{heart.folder or heart.name}: cannot be written to; copy the heart")
+    rows = classified_rows(target)
+    with shown_progress(progress) as shown:
+        if shown is not None:
+            compile_kernels(shown)
+        beats = beats_from_anywhere(ForwardModel(heart, progress=shown), heart.folder)
+        found = classifier_of(
+            beats, rows, count, pool or Threads(workers or os.cpu_count() or 1), shown
+        )
+    return found.origin(heart, target)
+
+
+def beats_from_anywhere(model: ForwardModel, folder: Path) -> BeatsFromAnywhere:
+    """Prior simulations of all that a fit learns or averages over, in beats from anywhere."""
+    space, fixed = study_space("posterior", {}, model.heart)
+    averaged = AveragedOver.of(space, fixed, model.heart)
+    cache = ArrayCache(folder / DISPOSABLE, "prior")
+    return BeatsFromAnywhere(model, space, averaged, fixed, cache)
+
+
+@dataclass(frozen=True)
+class OriginClassifier:
+    """A classifier of origins, and what tells beats that are like none of them."""
+
+    classifier: EcgClassifier
+    patches: Floats  # (c, 3) middles (mm)
+    reference: Floats  # (REFERENCE, r, MODES) simulated beats
+    least_explained: float
+    held_out: Mapping[str, float]
+
+    def origin(self, heart: Heart, target: Target) -> Origin:
+        """Where a recorded beat may begin."""
+        recording = self.classifier.cosines(target)
+        return Origin(
+            heart,
+            of_tetrahedra(heart, self.patches, self.classifier.of_cosines(recording))[0],
+            float(most_alike(recording, self.reference)[0]),
+            self.least_explained,
+            self.held_out,
+        )
+
+
+def classifier_of(
+    beats: BeatsFromAnywhere,
+    rows: Integers,
+    count: int,
+    pool: Pool,
+    progress: Progress | None = None,
+) -> OriginClassifier:
+    """The classifier of a heart's beats from anywhere that looks at leads; made if need be."""
+    cache = ArrayCache(beats.cache.folder, CLASSIFIER)
+    key = f"{count} {rows} of {beats.content}"
+    if (stored := cache.read(key)) is None:
+        beats.simulate(count, pool, progress)
+        stored = _learnt(beats, rows, count, progress)
+        cache.write(key, stored, compress=True)
+    return OriginClassifier(
+        EcgClassifier.from_arrays(stored),
+        stored["patches"],
+        stored["reference"].astype(float),
+        float(stored["least_explained"]),
+        {name: float(stored[name]) for name in ("distance", "region")},
+    )
+
+
+def _learnt(
+    beats: BeatsFromAnywhere, rows: Integers, count: int, progress: Progress | None
+) -> dict[str, Any]:
+    heart, rng = beats.model.heart, np.random.default_rng(SEED)
+    centres, volumes = _centres(heart), heart.volumes
+    examples = beats.examples(count, LENGTH)
+    parts = -(-count // PART)
+    origins = np.concatenate([beats.origins(number) for number in range(parts)])
+    made, held_out = examples.feasible, examples.held_out
+    drawn = centres[rng.choice(len(volumes), 10_000, p=volumes / volumes.sum())]
+    number = max(2, round(volumes.sum() / PATCH))
+    seen, tried = made & ~held_out, made & held_out
+    patches = kmeans2(drawn, number, minit="++", rng=rng)[0]
+    patches = patches[np.unique(cKDTree(patches).query(centres[origins[seen]])[1])]
+    kinds = cKDTree(patches).query(centres[origins])[1]
+    recorder, leads = Recorder.of(examples), in_leads(rows)
+    independent = examples.ecgs[:, : len(INDEPENDENT_LEADS)]
+    ecgs = independent[~held_out[made]]
+    recordings, chosen = recorder.recordings(ecgs, rows, RECORDINGS, rng)
+    bodies = examples.in_bodies[:, : len(INDEPENDENT_LEADS)]
+    others = leads @ recorder.recorded(bodies, rng, in_bodies=True)
+    classifier = learn(
+        Lessons(recordings, kinds[seen][chosen]), Lessons(others, kinds[tried]), rows, rng, progress
+    )
+    reference = leads @ in_cosines(ecgs[rng.permutation(len(ecgs))[:REFERENCE]])
+    given = of_tetrahedra(heart, patches, classifier.of_cosines(others))
+    true = origins[tried]
+    away = [
+        np.linalg.norm(_place(centres, p) - centres[k]) for p, k in zip(given, true, strict=True)
+    ]
+    inside = [levels(p, volumes)[k] < REGION for p, k in zip(given, true, strict=True)]
+    found = {
+        **classifier.arrays(),
+        "patches": patches,
+        "reference": reference.astype(np.float16),
+        "least_explained": np.array(np.quantile(most_alike(others, reference), UNLIKE)),
+        "distance": np.array(np.median(away)),
+        "region": np.array(np.mean(inside)),
+    }
+    return found
+
+
+def of_tetrahedra(heart: Heart, patches: Floats, probabilities: Floats) -> Floats:
+    """Probabilities (n, c) of patches as those of the tetrahedra nearest to each, (n, m)."""
+    kinds, volumes = cKDTree(patches).query(_centres(heart))[1], heart.volumes
+    of_patch = np.maximum(np.bincount(kinds, volumes, len(patches)), 1e-12)
+    found = (probabilities / of_patch)[:, kinds] * volumes
+    return np.asarray(found / found.sum(axis=1, keepdims=True))
+
+
+def levels(probabilities: Floats, volumes: Floats) -> Floats:
+    """Probability of what is more probable than each part, per volume, (m,)."""
+    order = np.argsort(-probabilities / volumes, kind="stable")
+    found = np.empty(len(volumes))
+    found[order] = np.cumsum(probabilities[order]) - probabilities[order]
+    return found
+
+
+def _place(centres: Floats, probabilities: Floats) -> Floats:
+    """That of the centres (m, 3) whose mean distance to all, by probability, is the least."""
+    likely = np.argsort(-probabilities)[:4000]
+    step = max(1, len(likely) // 500)
+    away = np.linalg.norm(centres[likely[::step], None] - centres[likely], axis=2)
+    return np.asarray(centres[likely[::step][np.argmin(away @ probabilities[likely])]])
+
+
+def _centres(heart: Heart) -> Floats:
+    return np.asarray(heart.vertices[heart.tetrahedra].mean(axis=1))
