@@ -14,7 +14,8 @@ every state for the truths of each, and how often it is the most probable one; t
 (mean logarithm of the probability of the true state), and that of the prior; the expected
 calibration error, in ten bins, of the probability of every state and of the most probable one
 alone; how often the most probable one is right where it has 0.9 or more; what the conventional
-criteria say of the same recordings. The figure (`states.png`) is the reliability diagram.
+criteria say of the same recordings, and the logarithmic score of the states that met them in
+recordings of other physics. The figure (`states.png`) is the reliability diagram.
 
 With `--fits` so many of the recordings, one of each state after the other, are fitted with default
 settings and ``--free conduction`` (`000-0-0.json`), to see how many fits name a state, and how long
@@ -24,6 +25,7 @@ they take.
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import tempfile
 import time
@@ -75,6 +77,7 @@ def truths_of(number: int, given: argparse.Namespace) -> None:
     if all(path.exists() for row in paths for path in row):
         return
     threadpool_limits(1)
+    gc.collect()  # of the last draw: gigabytes
     rng = np.random.default_rng([TUNING if given.tuning else HELD_OUT, number, 1])
     heart = fascicle.load_heart(given.heart)
     plain = ForwardModel(heart)
@@ -107,6 +110,7 @@ def classified(paths: list[Path], given: argparse.Namespace) -> list[dict[str, A
         target = read_target(path)
         found.append(
             {
+                "physics": path.stem[:3],
                 "state": NAMES[int(path.stem[-1])],
                 "states": probabilities(classifier, known, priors, target),
                 "criteria": [each.name for each in target.conventional_criteria if each.met],
@@ -146,6 +150,7 @@ def summarise(results: list[dict[str, Any]], folder: Path) -> None:
             first = np.mean([max(p, key=p.__getitem__) == name for p in its])
             print(f"{number} {name:<54}{means}   {first:4.0%} of {len(its)}")
     scored(results, folder / "states.png")
+    print(f"logarithmic score by the conventional criteria: {score_of_criteria(results):.2f}")
     for name in NAMES:
         its = [r["criteria"] for r in results if r["state"] == name]
         met = Counter(criterion for criteria in its for criterion in criteria)
@@ -181,6 +186,22 @@ def scored(results: list[dict[str, Any]], path: Path) -> None:
     save(figure, path)
 
 
+def score_of_criteria(results: list[dict[str, Any]]) -> float:
+    """Logarithmic score of what states recordings of other physics had that met the same criteria.
+
+    With one more of each state, so that none is impossible.
+    """
+    logs = []
+    for one in results:
+        alike = [
+            other["state"]
+            for other in results
+            if other["criteria"] == one["criteria"] and other["physics"] != one["physics"]
+        ]
+        logs.append(np.log((alike.count(one["state"]) + 1) / (len(alike) + len(NAMES))))
+    return float(np.mean(logs))
+
+
 def binned(stated: np.ndarray, true: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of each bin: how many probabilities, their mean, and the share of truths."""
     place = np.clip(np.digitize(stated, BINS) - 1, 0, len(BINS) - 2)
@@ -201,11 +222,7 @@ def main() -> None:
     parser.add_argument("--tuning", action="store_true")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    # what a draw of another physics keeps in memory goes with its process
-    with (
-        TerminalProgress() as progress,
-        ProcessPoolExecutor(given.processes, max_tasks_per_child=5) as pool,
-    ):
+    with TerminalProgress() as progress, ProcessPoolExecutor(given.processes) as pool:
         made = pool.map(partial(truths_of, given=given), range(given.physics))
         for done, _ in enumerate(made, 1):
             progress("truths", done, given.physics, "")

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.special import expit
 
-from fascicle.inference.emulator import Network, _forward, _gradients, train
+from fascicle.inference.emulator import Network, _forward, _gradients, logistic, train
 
 NOISE = 0.3
 

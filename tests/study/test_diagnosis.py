@@ -13,13 +13,15 @@ from fascicle.core.parameters import ParameterSpace, free
 from fascicle.core.quantities import CONDUCTION, fascicle_names
 from fascicle.recording.target import Target, smooth_noise
 from fascicle.reporting.page.content import settings_file
+from fascicle.study import ecg_classifier, prior_simulations, state_classifier
 from fascicle.study.conduction_states import STATES, asked_states, united
-from fascicle.study.diagnosis import _apportioned, _in_question, _log_evidences, probabilities
+from fascicle.study.diagnosis import _apportioned, most_probable
 from fascicle.study.fit import read_inputs
-from fascicle.study.fitted import FittedStudy
-from fascicle.study.population import Posterior
+from fascicle.study.pool import Threads
 from fascicle.study.settings import checked_settings
+from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import read_settings, study_space
+from fascicle.study.state_classifier import classifier_of, probabilities, simulations_of_states
 from fascicle.study.statements import Statements
 
 BLOCK = "left bundle branch block"
@@ -46,9 +48,10 @@ def fitted(target, tmp_path_factory):
 
 def test_a_block_is_recognised(fitted):
     assert fitted.population.states.keys() == PRIORS.keys()
-    assert fitted.population.states[BLOCK] > 0.9
+    assert fitted.population.states[BLOCK] > 0.85
     assert sum(fitted.population.states.values()) == pytest.approx(1)
-    assert fitted.verdict.startswith(f"{BLOCK}: 1.00, others below 0.02; converged; fit acceptable")
+    assert fitted.verdict.startswith(f"{BLOCK}: 0.")
+    assert "converged; fit acceptable" in fitted.verdict
 
 
 def test_each_network_has_its_state(fitted):
@@ -197,37 +200,64 @@ def test_a_known_speed_excludes_slow_tissue(default_heart, target):
         read_inputs(heart, target, slow, checked_settings({}))
 
 
-def test_probabilities_are_of_priors_and_evidences():
-    states = asked_states({"normal": 3.0, BLOCK: 1.0})
-    logs = {"normal": np.log([1.0, 3.0]), BLOCK: np.log([6.0, 6.0])}
-    assert probabilities(states, logs) == pytest.approx({"normal": 0.5, BLOCK: 0.5})
+class Classifier:
+    def probabilities(self, target):
+        return np.array([0.2, 0.5, 0.3])
 
 
-def with_evidences(*logs):
-    """A study of which nothing is known but the evidences of its runs."""
-    none = np.empty(0)
-    posterior = Posterior({}, none, {}, 0.0, none, np.array(logs), none, none, {}, True)
-    return FittedStudy(None, None, (), posterior)
+def test_probabilities_are_of_priors_and_the_classifier():
+    """States that are not asked for are left out."""
+    known = ["normal", BLOCK, "left bundle branch delay"]
+    found = probabilities(Classifier(), known, {"normal": 3.0, BLOCK: 1.0}, None)
+    assert found == pytest.approx({"normal": 6 / 11, BLOCK: 5 / 11})
 
 
-def test_the_most_probable_state_is_fitted_next_until_none_is_left():
-    """What refining changed in one state is expected of the others."""
-    states = asked_states({"normal": 1.0, BLOCK: 1.0, "left bundle branch delay": 1.0})
-    pilots = {
-        "normal": np.array([-20.0, -20.0]),
-        BLOCK: np.array([-22.0, -22.0]),
-        "left bundle branch delay": np.array([-40.0, -40.0]),
-    }
-    assert _in_question(states, pilots, {}).name == "normal"
-    fits = {"normal": with_evidences(-12.0, -12.0)}
-    assert _log_evidences(pilots, fits)[BLOCK] == pytest.approx(-14.0)
-    assert _in_question(states, pilots, fits).name == BLOCK
-    fits[BLOCK] = with_evidences(-16.0, -16.0)
-    assert _log_evidences(pilots, fits)["left bundle branch delay"] == pytest.approx(-33.0)
-    assert _in_question(states, pilots, fits) is None
-    fits["normal"] = with_evidences(-50.0, -50.0)  # it explained too much by what was not known
-    fits[BLOCK] = with_evidences(-52.0, -52.0)
-    assert _in_question(states, pilots, fits) is None
+def test_the_most_probable_states_are_fitted():
+    probable = {"normal": 0.3, BLOCK: 0.61, "left bundle branch delay": 0.09}
+    assert most_probable(probable) == [BLOCK, "normal"]
+    assert most_probable({"normal": 0.05, BLOCK: 0.95}) == [BLOCK]
+
+
+def test_one_intrinsic_beat_is_wanted(target, tmp_path):
+    both, free = [target, (target, "rv-apical-pacing")], {"conduction": "free"}
+    with pytest.raises(InputError, match="learnt from one recording of an intrinsic beat; give"):
+        fascicle.fit("default", both, tmp_path / "s", parameters=free)
+
+
+def test_states_share_simulations_or_have_their_own(default_model, tmp_path):
+    space, fixed = study_space("posterior", {}, default_model.heart)
+    known = simulations_of_states(PointSimulator(default_model, space, fixed), tmp_path, 2000)
+    assert [*known] == [state.name for state in STATES]
+    usual = known["normal"].prior.content
+    assert known["left bundle branch delay"].prior.content == usual
+    assert known["normal"].count == 2000
+    assert known[BLOCK].prior.content != usual
+    assert known[BLOCK].count == 1000
+    (root_time,) = (p for p in known[BLOCK].prior.space.parameters if p.name == "root_time")
+    assert (root_time.lower, root_time.upper) == (-20.0, 20.0)
+    narrow = replace(space.parameters[0], upper=space.parameters[0].lower + 0.1)
+    narrowed = ParameterSpace((narrow, *space.parameters[1:]))
+    own = simulations_of_states(PointSimulator(default_model, narrowed, fixed), tmp_path, 2000)
+    assert own["normal"].prior.content != usual
+
+
+def test_a_heart_without_a_classifier_gets_one(default_model, target, tmp_path, monkeypatch):
+    """Of its own simulations, in the leads that were recorded; it is then kept."""
+    monkeypatch.setattr(state_classifier, "RECORDINGS", 2000)
+    monkeypatch.setattr(state_classifier, "FEWEST", 10)
+    monkeypatch.setattr(ecg_classifier.learn.__wrapped__, "__defaults__", (None, 300))
+    monkeypatch.setattr(prior_simulations, "PART", 100)
+    space, fixed = study_space("posterior", {}, default_model.heart)
+    simulator = PointSimulator(default_model, space, fixed)
+    known = simulations_of_states(simulator, tmp_path, 200)
+    two = {name: known[name] for name in ("left bundle branch delay", "right bundle branch delay")}
+    rows, pool = np.array([0, 1, 6, 7, 8]), Threads(2)
+    made = classifier_of(two, rows, tmp_path, 200, pool)
+    assert made.right > 0.6
+    late = probabilities(made, two, dict.fromkeys(two, 1.0), target)
+    assert late["left bundle branch delay"] > 0.6
+    again = classifier_of(two, rows, tmp_path, 200, None)
+    assert again.probabilities(target) == pytest.approx(made.probabilities(target))
 
 
 def test_draws_are_apportioned():

@@ -233,6 +233,52 @@ def fit(
 
 @app.command()
 @every_command
+def locate(
+    heart: HeartArgument,
+    target: Annotated[Path, Argument(help="Target of the beat, made with 'target'.")],
+    out: OutOption,
+    prior_simulations: Annotated[
+        int | None, Option(min=100, help="Beats to learn from; by default as many as for a fit.")
+    ] = None,
+    workers: Annotated[
+        int | None, Option(min=1, help="Simulations at a time; by default one per core.")
+    ] = None,
+    scheduler: SchedulerOption = None,
+) -> Result:
+    """Say where an ectopic or paced beat comes from, with a probability of every place.
+
+    Make the target of one class of beats: 'fascicle target FILE --class B --out ectopic.nc'. The
+    answer is drawn on the heart (origin.png), and given for each tetrahedron (origin.vtu) and each
+    of the 17 segments (origin.json).
+
+    The first time, beats from all over the ventricles are simulated, for 10 minutes or more; they
+    are stored in the heart's folder and serve every recording. The command may be interrupted: run
+    again, it continues where it stopped.
+    """
+    from fascicle.reporting.origin import origin_figure
+    from fascicle.reporting.style import save
+
+    with TerminalProgress() as progress:
+        found = fascicle.locate(
+            heart, target, prior_simulations=prior_simulations, workers=workers,
+            progress=progress, pool=pool_at(scheduler, progress),
+        )  # fmt: skip
+        found.save(out)
+        save(origin_figure(found), out / "origin.png")
+    print(found.verdict)
+    summary = found.summary()
+    print_row("region", f"{summary['region_ml']:.0f} ml of tissue hold the origin with 90 %")
+    held_out = found.held_out
+    print_row(
+        "held-out beats",
+        f"median distance {held_out['distance']:.0f} mm; {held_out['region']:.0%} in such a region",
+    )
+    print(f"saved to {out}")
+    return summary
+
+
+@app.command()
+@every_command
 def predict(
     study: StudyArgument,
     out: OutOption,

@@ -173,10 +173,10 @@ class EcgClassifier:
 
 @dataclass(frozen=True)
 class Lessons:
-    """Recordings of known kinds: in cosines (n, r, MODES), and the number of the kind of each."""
+    """Recordings in cosines (n, r, MODES), and how probable each kind is to be of each, (n, c)."""
 
     recordings: Singles
-    kinds: Integers
+    kinds: Singles
 
 
 @one_thread
@@ -186,6 +186,7 @@ def learn(
     rows: Integers,
     rng: np.random.Generator,
     progress: Progress | None = None,
+    steps: int = STEPS,
 ) -> EcgClassifier:
     """Train a classifier of recordings in the leads `rows` (`fascicle.core.leads.LEADS`)."""
     every = seen.recordings.reshape(len(seen.kinds), -1)
@@ -196,10 +197,10 @@ def learn(
     sds = (some @ components.T).std(axis=0)
     scale = np.sqrt(sds * sds.max())
     inputs = _inputs(every, mean, components, scale)
-    networks = _trained(inputs, seen.kinds, rng, progress)
+    networks = _trained(inputs, seen.kinds, rng, steps, progress)
     found = EcgClassifier(rows, mean, components, scale, networks, 0.0)
     guessed = found.of_cosines(held_out.recordings).argmax(axis=1)
-    found = replace(found, right=float((guessed == held_out.kinds).mean()))
+    found = replace(found, right=float((guessed == held_out.kinds.argmax(axis=1)).mean()))
     if progress is not None:
         progress("classifier", 1, 1, f"{found.right:.0%} of held-out recordings told right")
     return found
@@ -237,17 +238,20 @@ def _inputs(recordings: NDArray[Any], mean: Floats, components: Floats, scale: F
 
 
 def _trained(
-    inputs: Singles, kinds: Integers, rng: np.random.Generator, progress: Progress | None
+    inputs: Singles,
+    wanted: Singles,
+    rng: np.random.Generator,
+    steps: int,
+    progress: Progress | None,
 ) -> tuple[Network, ...]:
     report, done = stage_progress(progress, "training"), [0] * NETWORKS
-    wanted = np.eye(kinds.max() + 1, dtype=np.float32)[kinds]
 
     def one(number: int, rng: np.random.Generator) -> Network:
         def reported(step: int) -> None:
             done[number] = step
-            report(sum(done), NETWORKS * STEPS)
+            report(sum(done), NETWORKS * steps)
 
-        return train(inputs, wanted, rng, width=WIDTH, steps=STEPS, link=softmax, progress=reported)
+        return train(inputs, wanted, rng, width=WIDTH, steps=steps, link=softmax, progress=reported)
 
     with ThreadPoolExecutor(NETWORKS) as pool:
         return tuple(pool.map(one, range(NETWORKS), rng.spawn(NETWORKS)))

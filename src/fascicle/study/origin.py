@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.cluster.vq import kmeans2
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from fascicle.core.array_cache import ArrayCache
 from fascicle.core.arrays import Booleans, Floats, Integers
@@ -34,6 +35,7 @@ from fascicle.heart.fibres import Wall
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
 from fascicle.heart.sites import SEGMENTS, Places, places
+from fascicle.inference.emulator import Singles
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import as_target
@@ -57,8 +59,11 @@ CLASSIFIER = "origin"  # kind of file
 # Of each ten beats, which begin at the same place, since to find the rays from one takes long; that
 # which is held out has a place of its own
 SAME_ORIGIN = [0, 0, 0, 1, 1, 1, 2, 2, 2, 3]
-PATCH = 1000.0  # mm³ of tissue
+PATCH = 600.0  # mm³ of tissue
+BLUR = 7.0  # mm; places that are nearer to one another are taken as much the same
+STEPS = 4000
 RECORDINGS = 240_000  # to learn from
+TRIED = 300  # held-out beats that are located
 REFERENCE = 2000  # simulated beats with which a recording is compared
 REGION = 0.9  # probability of the region
 UNLIKE = 0.02  # share of simulated recordings that are called unlike simulated beats
@@ -359,43 +364,53 @@ def classifier_of(
 def _learnt(
     beats: BeatsFromAnywhere, rows: Integers, count: int, progress: Progress | None
 ) -> dict[str, Any]:
+    """What `OriginClassifier` is made of, as arrays."""
     heart, rng = beats.model.heart, np.random.default_rng(SEED)
     centres, volumes = _centres(heart), heart.volumes
-    examples = beats.examples(count, LENGTH)
-    parts = -(-count // PART)
-    origins = np.concatenate([beats.origins(number) for number in range(parts)])
+    examples, leads = beats.examples(count, LENGTH), in_leads(rows)
+    origins = np.concatenate([beats.origins(number) for number in range(-(-count // PART))])
     made, held_out = examples.feasible, examples.held_out
+    seen, tried = origins[made & ~held_out], origins[made & held_out]
     drawn = centres[rng.choice(len(volumes), 10_000, p=volumes / volumes.sum())]
     number = max(2, round(volumes.sum() / PATCH))
-    seen, tried = made & ~held_out, made & held_out
     patches = kmeans2(drawn, number, minit="++", rng=rng)[0]
-    patches = patches[np.unique(cKDTree(patches).query(centres[origins[seen]])[1])]
-    kinds = cKDTree(patches).query(centres[origins])[1]
-    recorder, leads = Recorder.of(examples), in_leads(rows)
-    independent = examples.ecgs[:, : len(INDEPENDENT_LEADS)]
-    ecgs = independent[~held_out[made]]
+    recorder, independent = Recorder.of(examples), slice(len(INDEPENDENT_LEADS))
+    ecgs = examples.ecgs[~held_out[made], independent]
     recordings, chosen = recorder.recordings(ecgs, rows, RECORDINGS, rng)
-    bodies = examples.in_bodies[:, : len(INDEPENDENT_LEADS)]
+    bodies = examples.in_bodies[:, independent]
     others = leads @ recorder.recorded(bodies, rng, in_bodies=True)
     classifier = learn(
-        Lessons(recordings, kinds[seen][chosen]), Lessons(others, kinds[tried]), rows, rng, progress
-    )
+        Lessons(recordings, _near(patches, centres[seen])[chosen]),
+        Lessons(others, _near(patches, centres[tried])),
+        rows, rng, progress, STEPS,
+    )  # fmt: skip
     reference = leads @ in_cosines(ecgs[rng.permutation(len(ecgs))[:REFERENCE]])
-    given = of_tetrahedra(heart, patches, classifier.of_cosines(others))
-    true = origins[tried]
-    away = [
-        np.linalg.norm(_place(centres, p) - centres[k]) for p, k in zip(given, true, strict=True)
-    ]
-    inside = [levels(p, volumes)[k] < REGION for p, k in zip(given, true, strict=True)]
-    found = {
+    distance, region = _held_out(heart, patches, classifier.of_cosines(others[:TRIED]), tried)
+    return {
         **classifier.arrays(),
         "patches": patches,
         "reference": reference.astype(np.float16),
         "least_explained": np.array(np.quantile(most_alike(others, reference), UNLIKE)),
-        "distance": np.array(np.median(away)),
-        "region": np.array(np.mean(inside)),
+        "distance": np.array(distance),
+        "region": np.array(region),
     }
-    return found
+
+
+def _held_out(
+    heart: Heart, patches: Floats, probabilities: Floats, origins: Integers
+) -> tuple[float, float]:
+    """Median distance to the origins (mm), and the share of them that the regions hold."""
+    centres, given = _centres(heart), of_tetrahedra(heart, patches, probabilities)
+    pairs = [*zip(given, origins, strict=False)]
+    away = [np.linalg.norm(_place(centres, p) - centres[origin]) for p, origin in pairs]
+    inside = [levels(p, heart.volumes)[origin] < REGION for p, origin in pairs]
+    return float(np.median(away)), float(np.mean(inside))
+
+
+def _near(patches: Floats, points: Floats) -> Singles:
+    """How much points (n, 3) are of patches (c, 3), (n, c): less, the farther away."""
+    near = np.exp(-0.5 * (cdist(points, patches) / BLUR) ** 2)
+    return np.asarray(near / near.sum(axis=1, keepdims=True), dtype=np.float32)
 
 
 def of_tetrahedra(heart: Heart, patches: Floats, probabilities: Floats) -> Floats:

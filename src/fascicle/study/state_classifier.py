@@ -144,7 +144,8 @@ def _lessons(
         held_out.append(in_leads(rows) @ recorder.recorded(in_bodies, rng, in_bodies=True))
     both = []
     for recordings in (seen, held_out):
-        kinds = np.repeat(np.arange(len(recordings)), [len(each) for each in recordings])
+        one_each = np.eye(len(recordings), dtype=np.float32)
+        kinds = np.repeat(one_each, [len(each) for each in recordings], axis=0)
         both.append(Lessons(np.concatenate(recordings), kinds))
     return both[0], both[1]
 

@@ -1,0 +1,121 @@
+"""A classifier of simulated recordings."""
+
+import numpy as np
+import pytest
+
+from fascicle.core.leads import INDEPENDENT_ROWS
+from fascicle.recording.target import Target
+from fascicle.study.ecg_classifier import (
+    CHUNK,
+    GAIN_SD,
+    LENGTH,
+    MODES,
+    EcgClassifier,
+    Lessons,
+    Recorder,
+    in_cosines,
+    in_leads,
+    learn,
+    most_alike,
+)
+from fascicle.study.prior_simulations import BEFORE
+
+ROWS = np.array(INDEPENDENT_ROWS)
+
+
+def normal(rng, means, count):
+    """Recordings whose first coefficient is normal about a mean, which none else depends on."""
+    kinds = np.repeat(np.arange(len(means)), count)
+    recordings = rng.normal(0, 0.2, (len(kinds), 8, MODES)).astype(np.float32)
+    recordings[:, 0, 0] = rng.normal(np.asarray(means)[kinds], 1.0)
+    return Lessons(recordings, np.eye(len(means), dtype=np.float32)[kinds])
+
+
+@pytest.fixture(scope="module")
+def classifier():
+    rng, means = np.random.default_rng(0), (-1.0, 0.0, 2.0)
+    return learn(normal(rng, means, 20_000), normal(rng, means, 2000), ROWS, rng, steps=1500)
+
+
+def test_probabilities_are_those_of_bayes(classifier):
+    """Three normal kinds of equal SD: the exact posterior is known."""
+    values = np.linspace(-2.5, 3.5, 13)
+    recordings = np.zeros((len(values), 8, MODES))
+    recordings[:, 0, 0] = values
+    density = np.exp(-0.5 * (values[:, None] - np.array([-1.0, 0.0, 2.0])) ** 2)
+    exact = density / density.sum(axis=1, keepdims=True)
+    np.testing.assert_allclose(classifier.of_cosines(recordings), exact, atol=0.06)
+
+
+def test_how_often_it_is_right_is_of_held_out_recordings(classifier):
+    # of the best possible one: cuts at -0.5 and 1
+    assert classifier.right == pytest.approx((0.691 + 0.533 + 0.841) / 3, abs=0.02)
+
+
+def test_it_is_stored_as_it_is(classifier):
+    arrays = classifier.arrays()
+    again = EcgClassifier.from_arrays(arrays)
+    assert again.right == classifier.right
+    recordings = np.random.default_rng(1).normal(0, 1, (20, 8, MODES))
+    np.testing.assert_allclose(
+        again.of_cosines(recordings), classifier.of_cosines(recordings), atol=0.01
+    )
+
+
+def test_a_target_is_seen_from_its_onset_on(classifier):
+    """As the simulated ECGs are from the first activation on, and silent after its end."""
+    rng = np.random.default_rng(2)
+    time = np.arange(-100.0, 200.0)
+    beats = rng.normal(0, 1, (3, 12, len(time)))
+    target = Target(beats, time, -40.0, 60.0, 60.0, {}, 4.0, 5.0)
+    seen = np.zeros((1, 8, LENGTH))
+    seen[0, :, BEFORE : BEFORE + 101] = target.mean[ROWS][:, 60:161]
+    np.testing.assert_allclose(classifier.cosines(target), in_cosines(seen), atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def recorder():
+    discrepancy = np.eye(8 * MODES) * np.sqrt(LENGTH / MODES)  # of unit size in time
+    return Recorder(np.zeros((2, 8, 8)), np.zeros((1, 8, MODES)), discrepancy)
+
+
+def pulses(count):
+    ecgs = np.zeros((count, 8, LENGTH))
+    ecgs[:, :, BEFORE : BEFORE + 100] = np.sin(np.linspace(0, np.pi, 100)) ** 2
+    return ecgs
+
+
+def test_recordings_have_other_gains_places_and_discrepancies(recorder):
+    rng, ecgs = np.random.default_rng(3), pulses(3000)
+    recorded = recorder.recorded(ecgs, rng)
+    plain = in_cosines(ecgs[:1])[0]
+    gain = recorded.mean(axis=(0, 1))[0] / plain.mean(axis=0)[0]  # a shift leaves the mean
+    assert gain == pytest.approx(1, abs=3 * GAIN_SD / np.sqrt(3000))
+    # with shifts undone, what is left are gain and discrepancy
+    still = recorder.recorded(ecgs, rng)[:, :, -1]  # a mode without signal
+    size = np.sqrt((ecgs[0] ** 2).mean() * LENGTH / 99)
+    shares = still.std() / np.sqrt(LENGTH / MODES) / size
+    assert 0.2 < shares < 0.35  # root mean square of 10 to 40 %, in spread gains
+
+
+def test_each_ecg_is_taken_as_often(recorder):
+    ecgs = pulses(7)
+    count = CHUNK + 3
+    recordings, chosen = recorder.recordings(ecgs, ROWS, count, np.random.default_rng(4))
+    assert recordings.shape == (count, 8, MODES)
+    assert np.ptp(np.bincount(chosen, minlength=7)) <= 1
+
+
+def test_other_leads_are_those_of_the_potentials():
+    leads = in_leads(np.array([2, 5, 6]))  # III, aVF, V1
+    np.testing.assert_allclose(leads[0, :2], [-1, 1])
+    np.testing.assert_allclose(leads[1, :2], [-0.5, 1], atol=1e-6)
+    np.testing.assert_allclose(leads[2], np.eye(8)[2])
+
+
+def test_what_is_most_alike_whatever_its_size():
+    rng = np.random.default_rng(5)
+    reference = rng.normal(0, 1, (30, 8, MODES))
+    found = most_alike(3 * reference[4:6], reference)
+    np.testing.assert_allclose(found, 1)
+    assert most_alike(-reference[:1], reference[:1]) == 0
