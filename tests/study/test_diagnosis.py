@@ -48,10 +48,9 @@ def fitted(target, tmp_path_factory):
 
 def test_a_block_is_recognised(fitted):
     assert fitted.population.states.keys() == PRIORS.keys()
-    assert fitted.population.states[BLOCK] > 0.85
+    assert fitted.population.states[BLOCK] > 0.9
     assert sum(fitted.population.states.values()) == pytest.approx(1)
-    assert fitted.verdict.startswith(f"{BLOCK}: 0.")
-    assert "converged; fit acceptable" in fitted.verdict
+    assert fitted.verdict.startswith(f"{BLOCK}: 1.00, others below 0.02; converged; fit acceptable")
 
 
 def test_each_network_has_its_state(fitted):
@@ -219,7 +218,7 @@ def test_the_most_probable_states_are_fitted():
 
 
 def test_one_intrinsic_beat_is_wanted(target, tmp_path):
-    both, free = [target, (target, "rv-apical-pacing")], {"conduction": "free"}
+    both, free = [target, target], {"conduction": "free"}
     with pytest.raises(InputError, match="learnt from one recording of an intrinsic beat; give"):
         fascicle.fit("default", both, tmp_path / "s", parameters=free)
 

@@ -58,7 +58,8 @@ class StateSimulations:
         prior = usual_prior(simulator.model, folder, None, state.blocks)
         if not _holds(prior, own, averaged, fixed):
             prior = prior_of(replace(simulator, space=own, fixed=fixed, averaged=averaged), folder)
-        return cls(state, own, prior, count // 2 if prior.space == own else count)
+        half = max(count // 2, 100)  # the fewest that a fit takes
+        return cls(state, own, prior, half if prior.space == own else count)
 
     @property
     def content(self) -> str:
