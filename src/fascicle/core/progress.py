@@ -104,7 +104,7 @@ class ProgressLines:
         self._bars: Bars | None = None
         self._tasks: dict[str, Task] = {}
         self._said: dict[str, float] = {}  # when (s) a stage was last spoken of
-        self._over = threading.Event()
+        self._over, self._lock = threading.Event(), threading.Lock()
 
     def _make_bars(self) -> Bars:
         """The stages, with their pace; shown where there is a terminal, not by this class."""
@@ -113,7 +113,11 @@ class ProgressLines:
         return rich.progress.Progress(disable=True, speed_estimate_period=60.0)
 
     def __call__(self, stage: str, done: int, total: int, message: str) -> None:
-        """See `Progress`."""
+        """See `Progress`; several threads may call."""
+        with self._lock:
+            self._show(stage, done, total, message)
+
+    def _show(self, stage: str, done: int, total: int, message: str) -> None:
         if self._bars is None:
             self._bars = self._make_bars()
             self._bars.start()
