@@ -45,6 +45,9 @@ ALSO = {
     ("read_recording", "shared_gain"): {"bool"},
     ("simulate_prior", "networks"): {"whole"},
     ("simulate_prior", "workers"): {"whole"},
+    ("locate", "heart"): {"heart"},
+    ("locate", "prior_simulations"): {"whole"},
+    ("locate", "workers"): {"whole"},
     ("fit", "heart"): {"heart"},
     ("fit", "out"): {"text"},
     ("report", "out"): {"text"},
@@ -72,8 +75,8 @@ TRIED_ABOVE = {
 }  # fmt: skip
 # What the program itself makes, and what it raises
 MADE = {
-    "Beat", "Comparison", "FittedStudy", "Heart", "InputError", "InvalidTree", "Predicted",
-    "Primitive", "PurkinjeTree", "Replicate", "Simulation", "SimulatedBeat",
+    "Beat", "Comparison", "FittedStudy", "Heart", "InputError", "InvalidTree", "Origin",
+    "Predicted", "Primitive", "PurkinjeTree", "Replicate", "Simulation", "SimulatedBeat",
 }  # fmt: skip
 
 
@@ -154,6 +157,7 @@ def right(study, predicted, recording, default_heart, default_model):
         "cohort": (fascicle.cohort, {"table": "patients.csv", "out": "new"}),
         "ExecutorPool": (fascicle.ExecutorPool, {"executor": ThreadPoolExecutor(1), "workers": 1}),
         "fit": (fascicle.fit, {"heart": default_heart, "target": target, "out": "new"}),
+        "locate": (fascicle.locate, {"heart": default_heart, "target": target}),
         "load_study": (fascicle.load_study, {"folder": study.folder}),
         "plot.ecg": (plot.ecg, dict(fitted)),
         "plot.scenario_ecg": (plot.scenario_ecg, of_two),
@@ -188,7 +192,8 @@ def test_an_argument_of_the_wrong_kind_is_refused_in_one_line(
     """Before any work has begun, and so that the line says what was given."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("fascicle.study.state_fit.simulated_and_compared", begun)
-    monkeypatch.setattr("fascicle.study.heart_emulator.ForwardModel", begun)
+    for module in ("heart_emulator", "origin"):
+        monkeypatch.setattr(f"fascicle.study.{module}.ForwardModel", begun)
     function, arguments = right[name]
     failures = []
     for argument, known in inspect.signature(function).parameters.items():

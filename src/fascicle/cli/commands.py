@@ -255,16 +255,19 @@ def locate(
     are stored in the heart's folder and serve every recording. The command may be interrupted: run
     again, it continues where it stopped.
     """
+    from fascicle.core.files import check_folder
     from fascicle.reporting.origin import origin_figure
     from fascicle.reporting.style import save
+    from fascicle.study.origin import PICTURE
 
+    check_folder(out)
     with TerminalProgress() as progress:
         found = fascicle.locate(
             heart, target, prior_simulations=prior_simulations, workers=workers,
             progress=progress, pool=pool_at(scheduler, progress),
         )  # fmt: skip
         found.save(out)
-        save(origin_figure(found), out / "origin.png")
+        save(origin_figure(found), out / PICTURE)
     print(found.verdict)
     summary = found.summary()
     print_row("region", f"{summary['region_ml']:.0f} ml of tissue hold the origin with 90 %")

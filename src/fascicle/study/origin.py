@@ -23,7 +23,7 @@ from scipy.spatial.distance import cdist
 from fascicle.core.array_cache import ArrayCache
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.core.files import DISPOSABLE, atomic_folder
+from fascicle.core.files import DISPOSABLE, as_path, atomic_folder
 from fascicle.core.leads import INDEPENDENT_LEADS
 from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.ranges import check_count, short_repr
@@ -67,6 +67,7 @@ TRIED = 300  # held-out beats that are located
 REFERENCE = 2000  # simulated beats with which a recording is compared
 REGION = 0.9  # probability of the region
 UNLIKE = 0.02  # share of simulated recordings that are called unlike simulated beats
+PICTURE = "origin.png"  # that the command draws beside the files
 TETRAHEDRON = 10  # VTK's number
 LEAST_NAMED = 0.05  # probability of a segment that is named
 
@@ -231,8 +232,9 @@ class Origin:
         }
 
     def save(self, folder: Path | str) -> Path:
-        """Write ``origin.json`` and, for ParaView, ``origin.vtu`` into a new folder."""
-        with atomic_folder(Path(folder)) as temporary:
+        """Write ``origin.json`` and, for ParaView, ``origin.vtu`` into a folder of their own."""
+        folder = as_path(folder, "folder")
+        with atomic_folder(folder, disposable=[PICTURE]) as temporary:
             text = json.dumps(self.summary(), indent=2)
             (temporary / "origin.json").write_text(text + "\n", encoding="utf-8")
             data = {
@@ -242,7 +244,7 @@ class Origin:
             heart = self.heart
             path = temporary / "origin.vtu"
             write_grid(path, heart.vertices, heart.tetrahedra, TETRAHEDRON, cell_data=data)
-        return Path(folder)
+        return folder
 
 
 def locate(

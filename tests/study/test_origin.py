@@ -1,0 +1,140 @@
+"""Where a beat comes from."""
+
+import json
+
+import numpy as np
+import pytest
+import pyvista as pv
+
+import fascicle
+from fascicle.core.errors import InputError
+from fascicle.heart.folder import write_heart
+from fascicle.heart.sites import Sites
+from fascicle.recording.target import Target, smooth_noise
+from fascicle.reporting.origin import origin_figure
+from fascicle.study import origin as origin_module
+from fascicle.study import prior_simulations
+from fascicle.study.origin import Origin, beats_from_anywhere, levels, of_tetrahedra
+from fascicle.study.pool import Threads
+
+
+@pytest.fixture(scope="module")
+def small():
+    """So few beats, and so little training, that it takes seconds."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(prior_simulations, "PART", 150)
+        patch.setattr(origin_module, "PART", 150)
+        patch.setattr(origin_module, "STEPS", 600)
+        patch.setattr(origin_module, "RECORDINGS", 6000)
+        yield
+
+
+@pytest.fixture(scope="module")
+def folder(small, default_heart, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("origin") / "heart"
+    write_heart(default_heart, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def target(default_model):
+    """A beat from the apex of the right ventricle."""
+    scenario = fascicle.read_scenarios(["rv-apical-pacing"])["rv-apical-pacing"]
+    simulation = default_model.simulate(fascicle.EXAMPLE_PARAMETERS, scenario)
+    clean = np.pad(simulation.leads, ((0, 0), (80, 80)))
+    time = np.arange(clean.shape[1]) - 80 + simulation.onset
+    beats = clean + smooth_noise(np.random.default_rng(0), (10, *clean.shape), 0.02)
+    first, last = simulation.first_activation, np.nanmax(simulation.activation)
+    return Target(beats, time, float(first), float(last), 60.0, {"source": "made"}, 4.0, 5.0)
+
+
+@pytest.fixture(scope="module")
+def origin(folder, target):
+    return fascicle.locate(folder, target, prior_simulations=300, workers=2, progress=None)
+
+
+def test_an_apical_beat_is_found(origin):
+    apex = np.array(Sites(origin.heart).position("rv apex"))
+    assert np.linalg.norm(origin.place - apex) < 30  # 270 beats to learn from
+    assert origin.walls["left ventricular free wall"] < 0.4
+    assert origin.caution is None
+    assert f"with 90% within {origin.radius:.0f} mm of it" in origin.verdict
+
+
+def test_probabilities_add_up(origin):
+    assert origin.probabilities.sum() == pytest.approx(1)
+    for table in (origin.ventricles, origin.walls, origin.layers, origin.segments):
+        assert sum(table.values()) == pytest.approx(1)
+    assert origin.segments["right ventricular free wall"] == pytest.approx(
+        origin.walls["right ventricular free wall"]
+    )
+    inside = origin.probabilities[origin.region].sum()
+    assert 0.9 <= inside < 0.9 + origin.probabilities.max() + 1e-9
+
+
+def test_it_is_made_once(origin, folder, target, monkeypatch):
+    monkeypatch.setattr(origin_module, "learn", None)
+    again = fascicle.locate(folder, target, prior_simulations=300, progress=None)
+    np.testing.assert_allclose(again.probabilities, origin.probabilities)
+
+
+def test_it_is_written(origin, tmp_path):
+    origin.save(tmp_path / "out")
+    summary = json.loads((tmp_path / "out" / "origin.json").read_text())
+    assert summary["verdict"] == origin.verdict
+    assert summary["held_out"]["distance"] > 0
+    mesh = pv.read(tmp_path / "out" / "origin.vtu")
+    volumes = origin.heart.volumes / 1000
+    assert (mesh.cell_data["probability_per_ml"] * volumes).sum() == pytest.approx(1)
+    origin.save(tmp_path / "out")  # again
+    (tmp_path / "out" / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"holds 'notes\.txt', which would be lost"):
+        origin.save(tmp_path / "out")
+    assert origin_figure(origin).axes
+
+
+def test_a_beat_like_no_simulated_one_has_no_origin(origin, target, folder):
+    """As with leads that are exchanged and turned over."""
+    beats = target.beats[:, [0, 1, 2, 3, 4, 5, 11, 6, 10, 7, 9, 8]] * np.array(
+        [1, 1, 1, 1, 1, 1, -1, 1, -1, 1, -1, 1]
+    ).reshape(1, 12, 1)
+    wrong = Target(
+        beats, target.time, target.qrs_onset, target.qrs_offset, 60.0, {"source": "made"}, 4.0, 5.0
+    )
+    found = fascicle.locate(folder, wrong, prior_simulations=300, progress=None)
+    assert found.explained < origin.explained
+    assert found.verdict.startswith(
+        "no origin is named: no simulated beat looks like the recording"
+    )
+
+
+def test_beats_begin_where_they_are_said_to(folder, default_model):
+    beats = beats_from_anywhere(default_model, folder)
+    places, scenarios = beats.origins(0), beats.scenarios(0)
+    assert len({*places[9::10]} & {*np.delete(places, np.s_[9::10])}) == 0  # of held-out ones
+    (values, *_) = beats.parameters(0)
+    simulation = default_model.simulate(values, scenarios[0])
+    corners = default_model.heart.tetrahedra[places[0]]
+    assert np.argmin(simulation.activation) in corners
+
+
+def test_patches_and_levels(default_heart):
+    centres = default_heart.vertices[default_heart.tetrahedra].mean(axis=1)
+    patches = centres[[0, 5000, 40_000]]
+    found = of_tetrahedra(default_heart, patches, np.array([[0.2, 0.3, 0.5]]))[0]
+    nearest = np.linalg.norm(centres[:, None] - patches, axis=2).argmin(axis=1)
+    np.testing.assert_allclose(np.bincount(nearest, found), [0.2, 0.3, 0.5])
+    assert levels(np.array([0.1, 0.6, 0.3]), np.ones(3)) == pytest.approx([0.9, 0.0, 0.6])
+    assert levels(np.array([0.5, 0.5]), np.array([1.0, 4.0])) == pytest.approx([0.0, 0.5])
+
+
+def test_what_cannot_be_used_is_refused(default_heart, target):
+    with pytest.raises(InputError, match="prior_simulations is 0"):
+        fascicle.locate(default_heart, target, prior_simulations=0)
+    with pytest.raises(InputError, match="workers is 0"):
+        fascicle.locate(default_heart, target, workers=0)
+
+
+def test_the_pool_is_that_of_a_fit(folder, target):
+    found = fascicle.locate(folder, target, prior_simulations=300, pool=Threads(1), progress=None)
+    assert isinstance(found, Origin)
