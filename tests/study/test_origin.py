@@ -14,7 +14,7 @@ from fascicle.recording.target import Target, smooth_noise
 from fascicle.reporting.origin import origin_figure
 from fascicle.study import origin as origin_module
 from fascicle.study import prior_simulations
-from fascicle.study.origin import Origin, beats_from_anywhere, levels, of_tetrahedra
+from fascicle.study.origin import Origin, ectopic_beats, levels, of_tetrahedra
 from fascicle.study.pool import Threads
 
 
@@ -109,7 +109,7 @@ def test_a_beat_like_no_simulated_one_has_no_origin(origin, target, folder):
 
 
 def test_beats_begin_where_they_are_said_to(folder, default_model):
-    beats = beats_from_anywhere(default_model, folder)
+    beats = ectopic_beats(default_model, folder)
     places, scenarios = beats.origins(0), beats.scenarios(0)
     assert len({*places[9::10]} & {*np.delete(places, np.s_[9::10])}) == 0  # of held-out ones
     (values, *_) = beats.parameters(0)

@@ -207,7 +207,7 @@ def learn(
 
 
 def most_alike(recordings: NDArray[Any], reference: NDArray[Any]) -> Floats:
-    """Share of the energy of recordings (n, r, MODES) that the likest of a reference explains.
+    """Share of the energy of recordings (n, r, MODES) that the best of a reference explains.
 
     Each of the reference (m, r, MODES) is scaled as it suits.
     """

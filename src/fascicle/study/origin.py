@@ -36,6 +36,7 @@ from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
 from fascicle.heart.sites import SEGMENTS, Places, places
 from fascicle.inference.emulator import Singles
+from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import as_target
@@ -68,12 +69,11 @@ REFERENCE = 2000  # simulated beats with which a recording is compared
 REGION = 0.9  # probability of the region
 UNLIKE = 0.02  # share of simulated recordings that are called unlike simulated beats
 PICTURE = "origin.png"  # that the command draws beside the files
-TETRAHEDRON = 10  # VTK's number
-LEAST_NAMED = 0.05  # probability of a segment that is named
+LEAST_NAMED = 0.05  # probability of a part that is named
 
 
 @dataclass(frozen=True)
-class BeatsFromAnywhere(PriorSimulations):
+class EctopicBeats(PriorSimulations):
     """Prior simulations of beats that begin at points of the tissue, drawn uniformly."""
 
     @cached_property
@@ -110,7 +110,7 @@ class Origin:
     probabilities : (n_tetrahedra,) array
         Of each tetrahedron of the heart; they add up to 1.
     explained, least_explained : float
-        Share of the recorded QRS that the simulated beat most like it explains, scaled; what 98 %
+        Share of the recorded QRS that the most similar simulated beat explains, scaled; what 98 %
         of simulated recordings reach.
     held_out : mapping of str to float
         Of simulated beats that were held out: "distance", the median from the most probable place
@@ -131,8 +131,8 @@ class Origin:
         if self.explained >= self.least_explained:
             return None
         return (
-            f"no simulated beat looks like the recording (the likest explains {self.explained:.0%} "
-            f"of its QRS, {self.least_explained:.0%} expected)"
+            "no simulated beat looks like the recording (the most similar explains "
+            f"{self.explained:.0%} of its QRS, {self.least_explained:.0%} expected)"
         )
 
     @property
@@ -140,19 +140,14 @@ class Origin:
         """Where the beat comes from, in one line."""
         if self.caution is not None:
             return f"no origin is named: {self.caution}"
-        walls = self._ranked(self.walls, LEAST_NAMED)
-        segments = self._ranked(self.segments, LEAST_NAMED)
+        named = [_ranked(self.walls)]
+        if segments := _ranked({n: p for n, p in self.segments.items() if n in SEGMENTS}):
+            named.append(f"segments {segments}")
         x, y, z = self.place
-        return (
-            f"{walls}; {segments}; most probable place {x:.0f}, {y:.0f}, {z:.0f} mm, with "
-            f"{REGION:.0%} within {self.radius:.0f} mm of it"
+        return "; ".join(named) + (
+            f"; most probable place {x:.0f}, {y:.0f}, {z:.0f} mm, with {REGION:.0%} within "
+            f"{self.radius:.0f} mm of it"
         )
-
-    @staticmethod
-    def _ranked(parts: Mapping[str, float], least: float) -> str:
-        ranked = sorted(parts, key=lambda name: -parts[name])
-        named = [name for name in ranked if parts[name] >= least] or ranked[:1]
-        return ", ".join(f"{name} {parts[name]:.2f}" for name in named)
 
     @cached_property
     def place(self) -> Floats:
@@ -303,19 +298,19 @@ def locate(
     with shown_progress(progress) as shown:
         if shown is not None:
             compile_kernels(shown)
-        beats = beats_from_anywhere(ForwardModel(heart, progress=shown), heart.folder)
+        beats = ectopic_beats(ForwardModel(heart, progress=shown), heart.folder)
         found = classifier_of(
             beats, rows, count, pool or Threads(workers or os.cpu_count() or 1), shown
         )
     return found.origin(heart, target)
 
 
-def beats_from_anywhere(model: ForwardModel, folder: Path) -> BeatsFromAnywhere:
+def ectopic_beats(model: ForwardModel, folder: Path) -> EctopicBeats:
     """Prior simulations of all that a fit learns or averages over, in beats from anywhere."""
     space, fixed = study_space("posterior", {}, model.heart)
     averaged = AveragedOver.of(space, fixed, model.heart)
     cache = ArrayCache(folder / DISPOSABLE, "prior")
-    return BeatsFromAnywhere(model, space, averaged, fixed, cache)
+    return EctopicBeats(model, space, averaged, fixed, cache)
 
 
 @dataclass(frozen=True)
@@ -341,11 +336,7 @@ class OriginClassifier:
 
 
 def classifier_of(
-    beats: BeatsFromAnywhere,
-    rows: Integers,
-    count: int,
-    pool: Pool,
-    progress: Progress | None = None,
+    beats: EctopicBeats, rows: Integers, count: int, pool: Pool, progress: Progress | None = None
 ) -> OriginClassifier:
     """The classifier of a heart's beats from anywhere that looks at leads; made if need be."""
     cache = ArrayCache(beats.cache.folder, CLASSIFIER)
@@ -364,7 +355,7 @@ def classifier_of(
 
 
 def _learnt(
-    beats: BeatsFromAnywhere, rows: Integers, count: int, progress: Progress | None
+    beats: EctopicBeats, rows: Integers, count: int, progress: Progress | None
 ) -> dict[str, Any]:
     """What `OriginClassifier` is made of, as arrays."""
     heart, rng = beats.model.heart, np.random.default_rng(SEED)
@@ -407,6 +398,12 @@ def _held_out(
     away = [np.linalg.norm(_place(centres, p) - centres[origin]) for p, origin in pairs]
     inside = [levels(p, heart.volumes)[origin] < REGION for p, origin in pairs]
     return float(np.median(away)), float(np.mean(inside))
+
+
+def _ranked(parts: Mapping[str, float]) -> str:
+    """The parts that are probable, the most probable first."""
+    ranked = sorted(parts, key=lambda name: -parts[name])
+    return ", ".join(f"{name} {parts[name]:.2f}" for name in ranked if parts[name] >= LEAST_NAMED)
 
 
 def _near(patches: Floats, points: Floats) -> Singles:

@@ -19,6 +19,7 @@ from fascicle.core.array_cache import ArrayCache
 from fascicle.core.arrays import Integers
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE
+from fascicle.core.leads import INDEPENDENT_LEADS
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress
 from fascicle.inference.emulator import Singles
@@ -73,8 +74,9 @@ class StateSimulations:
         ranges = [(p.name, p.lower, p.upper) for p in self.space.parameters]
         of_state = np.all([(lo <= values[n]) & (values[n] <= hi) for n, lo, hi in ranges], axis=0)
         made, held_out = examples.feasible, examples.held_out
-        seen = examples.ecgs[(of_state & ~held_out)[made]]
-        tried = examples.in_bodies[of_state[made & held_out]]
+        independent = slice(len(INDEPENDENT_LEADS))
+        seen = examples.ecgs[(of_state & ~held_out)[made], independent]
+        tried = examples.in_bodies[of_state[made & held_out], independent]
         if len(seen) < FEWEST or not len(tried):
             raise InputError(
                 f"only {len(seen)} networks of the prior of '{self.state.name}' fit this heart; "
