@@ -8,8 +8,10 @@ import shutil
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
+from threading import Barrier
 
 import numpy as np
 import pytest
@@ -24,6 +26,7 @@ pytestmark = pytest.mark.usefixtures("blank_pictures")
 COMMANDS = {  # with something of their help
     "simulate": "--root-time", "target": "--out", "parameters": "--free", "fit": "--effective",
     "predict": "--scenario", "compare": "--threshold", "sweep": "--delay", "scenarios": "copy",
+    "locate": "17 segments",
     "report": "Finished study", "cohort": "--only", "template": "--out", "demo": "--out",
     "heart build": "--lv-endocardium", "heart import": "--lv-endocardium", "heart check": "HEART",
     "heart refine": "--out", "heart add-electrodes": "V2R", "heart simulate-prior": "--networks",
@@ -47,10 +50,26 @@ def test_the_options_of_every_command(run, monkeypatch, command):
     "asked",
     ["fit default t.nc --out o", "predict . --out o", "compare . his-pacing intrinsic",
      "sweep . biventricular-pacing --out o --delay=-10:10:10", "report .",
-     "heart simulate-prior default"],
+     "heart simulate-prior default", "locate default t.nc --out o"],
 )  # fmt: skip
 def test_what_simulates_many_networks_may_do_so_on_a_cluster(refused, asked):
     refused([*asked.split(), "--scheduler", "here"], "'here' is not an address of a Dask scheduler")
+
+
+def test_threads_may_show_a_stage_at_the_same_time():
+    """Networks that are trained in parallel begin it together."""
+    for _ in range(20):
+        lines, threads = ProgressLines(lambda line: None), 8
+        together = Barrier(threads)
+
+        def show(number, lines=lines, together=together):
+            together.wait()
+            lines("training", number, 10, "")
+
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(show, range(threads)))
+        assert len(lines._bars.tasks) == 1
+        lines.end()
 
 
 @pytest.mark.parametrize("command", ["compare", "sweep"])

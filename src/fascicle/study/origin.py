@@ -61,7 +61,7 @@ CLASSIFIER = "origin"  # kind of file
 # which is held out has a place of its own
 SAME_ORIGIN = [0, 0, 0, 1, 1, 1, 2, 2, 2, 3]
 PATCH = 600.0  # mm³ of tissue
-BLUR = 7.0  # mm; places that are nearer to one another are taken as much the same
+BLUR = 4.0  # mm; places that are nearer to one another are taken as much the same
 STEPS = 4000
 RECORDINGS = 240_000  # to learn from
 TRIED = 300  # held-out beats that are located
