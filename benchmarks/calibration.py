@@ -51,6 +51,7 @@ import json
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import lru_cache, partial
@@ -75,6 +76,7 @@ from fascicle.core.leads import (
     lead_matrix,
     limb_leads_from,
 )
+from fascicle.core.progress import Progress
 from fascicle.core.quantities import torso_values
 from fascicle.forward.bodies import random_bodies
 from fascicle.forward.ecg.electrocardiogram import first_sample
@@ -640,6 +642,20 @@ def _run(arguments: tuple[int, Path, argparse.Namespace]) -> int:
     return number
 
 
+def in_processes(
+    work: Callable[[Any], Any],
+    items: Sequence[Any],
+    processes: int,
+    progress: Progress,
+    stage: str,
+    before: int = 0,
+) -> None:
+    """Do work on items, each of which keeps its result itself; so many were done before."""
+    with ProcessPoolExecutor(processes) as pool:
+        for done, _ in enumerate(pool.map(work, items), before + 1):
+            progress(stage, done, before + len(items), "")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--heart", required=True)
@@ -668,9 +684,7 @@ def main() -> None:
             model.torso(TORSO_GROUPS)  # kept on disk, where each process finds it
         paths = [given.out / f"truth-{number:04d}.json" for number in range(given.truths)]
         left = [(number, path, given) for number, path in enumerate(paths) if not path.exists()]
-        with ProcessPoolExecutor(given.processes) as pool:
-            for done, _ in enumerate(pool.map(_run, left), len(paths) - len(left) + 1):
-                progress("truths", done, len(paths), "")
+        in_processes(_run, left, given.processes, progress, "truths", len(paths) - len(left))
     summarise([json.loads(path.read_text()) for path in paths], given.out)
 
 

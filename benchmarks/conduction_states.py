@@ -30,7 +30,6 @@ import json
 import tempfile
 import time
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -43,6 +42,7 @@ from benchmarks.calibration import (
     HELD_OUT,
     TUNING,
     another_torso,
+    in_processes,
     other_physics,
     recorded,
     residuals,
@@ -222,17 +222,16 @@ def main() -> None:
     parser.add_argument("--tuning", action="store_true")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    with TerminalProgress() as progress, ProcessPoolExecutor(given.processes) as pool:
-        made = pool.map(partial(truths_of, given=given), range(given.physics))
-        for done, _ in enumerate(made, 1):
-            progress("truths", done, given.physics, "")
+    with TerminalProgress() as progress:
+        make = partial(truths_of, given=given)
+        in_processes(make, range(given.physics), given.processes, progress, "truths")
     paths = sorted(given.out.glob("*.nc"))
     summarise(classified(paths, given), given.out)
     if given.fits:
         chosen = paths[: given.fits]
-        with TerminalProgress() as progress, ProcessPoolExecutor(given.processes) as pool:
-            for done, _ in enumerate(pool.map(partial(one_fit, given=given), chosen), 1):
-                progress("fits", done, len(chosen), "")
+        with TerminalProgress() as progress:
+            fit = partial(one_fit, given=given)
+            in_processes(fit, chosen, given.processes, progress, "fits")
         fits = [json.loads(path.with_suffix(".json").read_text()) for path in chosen]
         print(
             f"{len(fits)} fits: a state is named in {np.mean([f['named'] for f in fits]):.0%}; "

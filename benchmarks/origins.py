@@ -18,7 +18,6 @@ from __future__ import annotations
 import argparse
 import gc
 import json
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 import fascicle
-from benchmarks.calibration import HELD_OUT, another_torso, other_physics, recorded
+from benchmarks.calibration import HELD_OUT, another_torso, in_processes, other_physics, recorded
 from fascicle.cli.output import TerminalProgress
 from fascicle.core.files import write_text
 from fascicle.forward.model import ForwardModel
@@ -94,10 +93,9 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=1, help="2 GB each")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    with TerminalProgress() as progress, ProcessPoolExecutor(given.processes) as pool:
-        made = pool.map(partial(one_physics, given=given), range(given.physics))
-        for done, _ in enumerate(made, 1):
-            progress("physics", done, given.physics, "")
+    with TerminalProgress() as progress:
+        judge = partial(one_physics, given=given)
+        in_processes(judge, range(given.physics), given.processes, progress, "physics")
     paths = sorted(given.out.glob("origins-*.json"))
     results = [each for path in paths for each in json.loads(path.read_text())]
     away = np.array([each["distance"] for each in results])

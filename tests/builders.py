@@ -18,6 +18,7 @@ from fascicle.heart.heart import Heart
 from fascicle.kernels.ray import ray_time
 from fascicle.mesh.measures import signed_volumes
 from fascicle.purkinje.tree import PurkinjeTree
+from fascicle.recording.target import Target, smooth_noise
 
 # Kuhn's six tetrahedra of a cube, corners numbered x + 2y + 4z
 KUHN = np.array(
@@ -267,6 +268,15 @@ def lowest_offers(vertices, corners, metric, time, halvings):
             gram[:] = edges @ metric[e] @ edges.T
             offers[vertex] = min(offers[vertex], brute_force(gram, t, halvings))
     return offers
+
+
+def recorded(simulation) -> Target:
+    """A recording of a simulated beat: ten beats with noise of 0.02 mV."""
+    clean = np.pad(simulation.leads, ((0, 0), (80, 80)))
+    time = np.arange(clean.shape[1]) - 80 + simulation.onset
+    beats = clean + smooth_noise(np.random.default_rng(0), (10, *clean.shape), 0.02)
+    first, last = simulation.first_activation, np.nanmax(simulation.activation)
+    return Target(beats, time, float(first), float(last), 60.0, {"source": "made"}, 4.0, 5.0)
 
 
 def case(stimuli=(), slow=(), *, inactive=(), his=None, delays=None, **options) -> Scenario:

@@ -6,12 +6,12 @@ from dataclasses import replace
 import arviz as az
 import numpy as np
 import pytest
+from builders import recorded
 
 import fascicle
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import ParameterSpace, free
 from fascicle.core.quantities import CONDUCTION, fascicle_names
-from fascicle.recording.target import Target, smooth_noise
 from fascicle.reporting.page.content import settings_file
 from fascicle.study import ecg_classifier, prior_simulations, state_classifier
 from fascicle.study.conduction_states import STATES, asked_states, united
@@ -32,12 +32,7 @@ SETTINGS = {"prior_simulations": 100, "effective": 20, "workers": 2, "progress":
 @pytest.fixture(scope="module")
 def target(default_model):
     parameters = {**fascicle.EXAMPLE_PARAMETERS, "alpha": 0.07, "conduction": BLOCK}
-    simulation = default_model.simulate(parameters)
-    clean = np.pad(simulation.leads, ((0, 0), (80, 80)))
-    time = np.arange(clean.shape[1]) - 80 + simulation.onset
-    beats = clean + smooth_noise(np.random.default_rng(0), (10, *clean.shape), 0.02)
-    first, last = simulation.first_activation, np.nanmax(simulation.activation)
-    return Target(beats, time, float(first), float(last), 60.0, {"source": "made"}, 4.0, 5.0)
+    return recorded(default_model.simulate(parameters))
 
 
 @pytest.fixture(scope="module")

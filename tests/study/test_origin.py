@@ -5,12 +5,13 @@ import json
 import numpy as np
 import pytest
 import pyvista as pv
+from builders import recorded
 
 import fascicle
 from fascicle.core.errors import InputError
 from fascicle.heart.folder import write_heart
 from fascicle.heart.sites import Sites
-from fascicle.recording.target import Target, smooth_noise
+from fascicle.recording.target import Target
 from fascicle.reporting.origin import origin_figure
 from fascicle.study import origin as origin_module
 from fascicle.study import prior_simulations
@@ -40,12 +41,7 @@ def folder(small, default_heart, tmp_path_factory):
 def target(default_model):
     """A beat from the apex of the right ventricle."""
     scenario = fascicle.read_scenarios(["rv-apical-pacing"])["rv-apical-pacing"]
-    simulation = default_model.simulate(fascicle.EXAMPLE_PARAMETERS, scenario)
-    clean = np.pad(simulation.leads, ((0, 0), (80, 80)))
-    time = np.arange(clean.shape[1]) - 80 + simulation.onset
-    beats = clean + smooth_noise(np.random.default_rng(0), (10, *clean.shape), 0.02)
-    first, last = simulation.first_activation, np.nanmax(simulation.activation)
-    return Target(beats, time, float(first), float(last), 60.0, {"source": "made"}, 4.0, 5.0)
+    return recorded(default_model.simulate(fascicle.EXAMPLE_PARAMETERS, scenario))
 
 
 @pytest.fixture(scope="module")

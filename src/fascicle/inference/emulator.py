@@ -14,9 +14,10 @@ uncertainty estimation using deep ensembles", NeurIPS 2017.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,23 @@ class Network(NamedTuple):
         """Give the outputs (n, q) of inputs (n, p)."""
         hidden = _forward(self.weights, inputs)[-1][0]
         return np.asarray(hidden @ self.weights[-2] + self.weights[-1])
+
+
+def weight_arrays(name: str, networks: Sequence[Network]) -> dict[str, Any]:
+    """Weights of networks for a file, in half precision."""
+    return {
+        f"{name} {n} {k:02d}": weight.astype(np.float16)
+        for n, network in enumerate(networks)
+        for k, weight in enumerate(network.weights)
+    }
+
+
+def networks_from(name: str, arrays: Mapping[str, Any]) -> tuple[Network, ...]:
+    """The inverse of `weight_arrays`."""
+    found: dict[str, list[Singles]] = {}
+    for key in sorted(each for each in arrays if each.startswith(f"{name} ")):
+        found.setdefault(key.rpartition(" ")[0], []).append(arrays[key].astype(np.float32))
+    return tuple(Network(tuple(weights)) for weights in found.values())
 
 
 def _forward(weights: tuple[Singles, ...], inputs: Singles) -> list[tuple[Singles, ...]]:
@@ -86,6 +104,28 @@ def _gradients(
         found += [inner.sum(axis=0), given.T @ inner]
         back = back + inner @ weights[k].T if k else inner
     return found[::-1]
+
+
+def train_together(
+    trainings: Sequence[Callable[..., Network]],
+    rng: np.random.Generator,
+    progress: Callable[[int], None],
+) -> list[Network]:
+    """Train networks on two threads; `progress` is called with the steps that are done of all.
+
+    Each of the trainings is `train` with all but its random numbers and `progress`.
+    """
+    done = [0] * len(trainings)
+
+    def one(number: int, rng: np.random.Generator) -> Network:
+        def reported(step: int) -> None:
+            done[number] = step
+            progress(sum(done))
+
+        return trainings[number](rng=rng, progress=reported)
+
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(one, range(len(trainings)), rng.spawn(len(trainings))))
 
 
 def train(

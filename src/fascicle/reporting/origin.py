@@ -20,7 +20,7 @@ COLOURS = ("#B2182B", "#EF8A62", "#FDDBC7", Colour.LIGHT_GREY)
 def origin_figure(origin: Origin) -> Figure:
     """Draw the regions that hold the origin with 50, 90 and 99 %, on the heart and its cavities.
 
-    Above the heart from outside, below the endocardia, seen through the near wall.
+    Above the heart from outside, below its far walls from within.
     """
     heart = origin.heart
     of_vertices = np.ones(len(heart.vertices))  # of the tetrahedra around each the most probable

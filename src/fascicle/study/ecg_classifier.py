@@ -11,8 +11,8 @@ learning", IEEE Trans. Neural Netw. Learn. Syst. 34, 2023).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.fft import dct, idct
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.core.leads import INDEPENDENT_LEADS, independent_rows
+from fascicle.core.leads import INDEPENDENT_LEADS, LEADS, independent_rows
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.threads import one_thread
 from fascicle.forward.likelihood import (
@@ -30,7 +30,15 @@ from fascicle.forward.likelihood import (
     lead_pattern,
     separable,
 )
-from fascicle.inference.emulator import Network, Singles, softmax, train
+from fascicle.inference.emulator import (
+    Network,
+    Singles,
+    networks_from,
+    softmax,
+    train,
+    train_together,
+    weight_arrays,
+)
 from fascicle.recording.target import Target
 from fascicle.study.ecg_emulator import all_leads, body_modes
 from fascicle.study.prior_simulations import BEFORE, Examples
@@ -154,21 +162,15 @@ class EcgClassifier:
         found = {each.name: np.asarray(getattr(self, each.name)) for each in fields(self)[:4]}
         found["right"] = np.asarray(self.right)
         found["components"] = found["components"].astype(np.float32)
-        for n, network in enumerate(self.networks):
-            for k, weight in enumerate(network.weights):
-                found[f"networks {n} {k:02d}"] = weight.astype(np.float16)
-        return found
+        return found | weight_arrays("networks", self.networks)
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Any]) -> EcgClassifier:
         """The inverse of `arrays`."""
-        networks = []
-        for n in range(NETWORKS):
-            names = sorted(name for name in arrays if name.startswith(f"networks {n} "))
-            networks.append(Network(tuple(arrays[name].astype(np.float32) for name in names)))
         parts = ("rows", "mean", "components", "scale")
         rows, mean, components, scale = (np.asarray(arrays[name]) for name in parts)
-        return cls(rows, mean, components, scale, tuple(networks), float(arrays["right"]))
+        networks = networks_from("networks", arrays)
+        return cls(rows, mean, components, scale, networks, float(arrays["right"]))
 
 
 @dataclass(frozen=True)
@@ -197,8 +199,11 @@ def learn(
     sds = (some @ components.T).std(axis=0)
     scale = np.sqrt(sds * sds.max())
     inputs = _inputs(every, mean, components, scale)
-    networks = _trained(inputs, seen.kinds, rng, steps, progress)
-    found = EcgClassifier(rows, mean, components, scale, networks, 0.0)
+    of_kinds = partial(train, inputs, seen.kinds, width=WIDTH, steps=steps, link=softmax)
+    report = stage_progress(progress, "training")
+    total = NETWORKS * steps
+    networks = train_together([of_kinds] * NETWORKS, rng, lambda done: report(done, total))
+    found = EcgClassifier(rows, mean, components, scale, tuple(networks), 0.0)
     guessed = found.of_cosines(held_out.recordings).argmax(axis=1)
     found = replace(found, right=float((guessed == held_out.kinds.argmax(axis=1)).mean()))
     if progress is not None:
@@ -224,7 +229,7 @@ def in_leads(rows: Integers) -> Singles:
 
 def classified_rows(target: Target) -> Integers:
     """Independent leads of a recording, of the standard ones."""
-    return independent_rows(target.used[:12])
+    return independent_rows(target.used[: len(LEADS)])
 
 
 def in_cosines(ecgs: NDArray[Any]) -> Floats:
@@ -235,26 +240,6 @@ def in_cosines(ecgs: NDArray[Any]) -> Floats:
 def _inputs(recordings: NDArray[Any], mean: Floats, components: Floats, scale: Floats) -> Singles:
     flat = recordings.reshape(len(recordings), -1)
     return np.asarray((flat - mean) @ components.T / scale, dtype=np.float32)
-
-
-def _trained(
-    inputs: Singles,
-    wanted: Singles,
-    rng: np.random.Generator,
-    steps: int,
-    progress: Progress | None,
-) -> tuple[Network, ...]:
-    report, done = stage_progress(progress, "training"), [0] * NETWORKS
-
-    def one(number: int, rng: np.random.Generator) -> Network:
-        def reported(step: int) -> None:
-            done[number] = step
-            report(sum(done), NETWORKS * steps)
-
-        return train(inputs, wanted, rng, width=WIDTH, steps=steps, link=softmax, progress=reported)
-
-    with ThreadPoolExecutor(NETWORKS) as pool:
-        return tuple(pool.map(one, range(NETWORKS), rng.spawn(NETWORKS)))
 
 
 def _shifted(ecgs: NDArray[Any], rng: np.random.Generator) -> NDArray[Any]:

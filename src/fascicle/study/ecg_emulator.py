@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,17 @@ from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, LEADS, limb
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.threads import one_thread
-from fascicle.inference.emulator import BATCH, RATE, Network, Singles, logistic, train
+from fascicle.inference.emulator import (
+    BATCH,
+    RATE,
+    Network,
+    Singles,
+    logistic,
+    networks_from,
+    train,
+    train_together,
+    weight_arrays,
+)
 from fascicle.study.prior_simulations import BEFORE, BODIES, PART, Examples
 from fascicle.study.space import AveragedOver
 
@@ -166,9 +176,7 @@ class EcgEmulator:
             value = getattr(self, each.name)
             if each.name in ("networks", "validity"):
                 group = value if each.name == "networks" else (value,)
-                for n, network in enumerate(group):
-                    for k, weight in enumerate(network.weights):
-                        found[f"{each.name} {n} {k:02d}"] = weight.astype(np.float16)
+                found |= weight_arrays(each.name, group)
             elif each.name == "report":
                 found |= {f"report {name}": number for name, number in value.items()}
             elif each.name in SMALL:
@@ -182,18 +190,13 @@ class EcgEmulator:
         """The inverse of `arrays`."""
         parts = {n: np.asarray(arrays[n]) for n in ("centre", "scale")}
         parts |= {name: np.asarray(arrays[name], float) for name in SMALL}
-        networks: dict[str, list[Singles]] = {}
-        for name in sorted(arrays):
-            if name.startswith(("networks ", "validity ")):
-                kind = name.rpartition(" ")[0]
-                networks.setdefault(kind, []).append(arrays[name].astype(np.float32))
-        made = {kind: Network(tuple(weights)) for kind, weights in networks.items()}
+        (validity,) = networks_from("validity", arrays)
         return cls(
             names=tuple(map(str, arrays["names"])),
             unit=float(arrays["unit"]),
             length=int(arrays["length"]),
-            networks=tuple(n for kind, n in made.items() if kind.startswith("networks")),
-            validity=made["validity 0"],
+            networks=networks_from("networks", arrays),
+            validity=validity,
             report={
                 name.removeprefix("report "): float(arrays[name])
                 for name in arrays
@@ -320,19 +323,13 @@ def _trained(
 ) -> list[Network]:
     """Networks of the components, and last that of whether there is a network."""
     steps = max(200, EPOCHS * len(seen) // BATCH)
-    report, done = stage_progress(progress, "training"), [0] * (NETWORKS + 1)
-
-    def train_one(number: int, rng: np.random.Generator) -> Network:
-        def reported(step: int) -> None:
-            done[number] = step
-            report(sum(done), steps * (NETWORKS + 1))
-
-        if number == NETWORKS:
-            return train(every, known, rng, width=64, steps=steps, link=logistic, progress=reported)
-        return train(seen, wanted, rng, steps=steps, progress=reported)
-
-    with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(train_one, range(NETWORKS + 1), rng.spawn(NETWORKS + 1)))
+    of_components = partial(train, seen, wanted, steps=steps)
+    of_validity = partial(train, every, known, width=64, steps=steps, link=logistic)
+    trainings, report = (
+        [of_components] * NETWORKS + [of_validity],
+        stage_progress(progress, "training"),
+    )
+    return train_together(trainings, rng, lambda done: report(done, steps * len(trainings)))
 
 
 def _cosines(ecgs: NDArray[np.float32], count: int) -> Floats:

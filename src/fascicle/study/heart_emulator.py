@@ -54,11 +54,16 @@ def emulator_of(
     prior = usual_prior(simulator.model, folder, scenario, blocks)
     if not prior.covers(simulator.space, simulator.averaged, simulator.fixed):
         prior = prior_of(simulator, folder, scenario)
-    with resources.as_file(resources.files("fascicle") / "data" / "emulators") as packaged:
-        stored = ArrayCache(packaged, EMULATOR).read(prior.content)
+    stored = packaged(EMULATOR, prior.content)
     if stored is not None and float(stored["report networks"]) >= count:
         return EcgEmulator.from_arrays(stored)
     return made_emulator(prior, count, simulator.pool, progress)
+
+
+def packaged(kind: str, key: str) -> Mapping[str, Any] | None:
+    """What comes with the package, of a kind of file; None if nothing does."""
+    with resources.as_file(resources.files("fascicle") / "data" / "emulators") as folder:
+        return ArrayCache(folder, kind).read(key)
 
 
 def made_emulator(
@@ -142,19 +147,30 @@ def simulate_prior(
     InputError
         If the heart cannot be used, or its folder cannot be written to.
     """
-    check_pool(pool)
-    heart = as_heart(heart)
-    default = FitSettings.model_fields["prior_simulations"].default
-    count = default if networks is None else networks
-    check_count(count, "networks")
-    if workers is not None:
-        check_count(workers, "workers")
-    if heart.folder is None or not os.access(heart.folder, os.W_OK):
-        raise InputError(f"{heart.folder or heart.name}: cannot be written to; copy the heart")
+    heart, folder, count, pool = for_simulations(heart, networks, "networks", workers, pool)
     with shown_progress(progress) as shown:
         if shown is not None:
             compile_kernels(shown)
         model = ForwardModel(heart, progress=shown)
-        prior = usual_prior(model, heart.folder)
-        made_emulator(prior, count, pool or Threads(workers or os.cpu_count() or 1), shown)
+        prior = usual_prior(model, folder)
+        made_emulator(prior, count, pool, shown)
     return prior.cache.folder
+
+
+def for_simulations(
+    heart: Heart | Path | str, count: int | None, name: str, workers: int | None, pool: Pool | None
+) -> tuple[Heart, Path, int, Pool]:
+    """Check and settle a heart, its folder, how many networks are simulated, and where.
+
+    `name` is that of the argument `count`, which is by default as many as a fit wants.
+    """
+    check_pool(pool)
+    heart = as_heart(heart)
+    if count is None:
+        count = int(FitSettings.model_fields["prior_simulations"].default)
+    check_count(count, name)
+    if workers is not None:
+        check_count(workers, "workers")
+    if heart.folder is None or not os.access(heart.folder, os.W_OK):
+        raise InputError(f"{heart.folder or heart.name}: cannot be written to; copy the heart")
+    return heart, heart.folder, count, pool or Threads(workers or os.cpu_count() or 1)

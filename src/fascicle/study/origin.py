@@ -8,7 +8,6 @@ says in which patch of the tissue a recorded one may begin.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,17 +21,15 @@ from scipy.spatial.distance import cdist
 
 from fascicle.core.array_cache import ArrayCache
 from fascicle.core.arrays import Booleans, Floats, Integers
-from fascicle.core.errors import InputError
-from fascicle.core.files import DISPOSABLE, as_path, atomic_folder
+from fascicle.core.files import as_path, atomic_folder
 from fascicle.core.leads import INDEPENDENT_LEADS
 from fascicle.core.progress import Lines, Progress, shown_progress
-from fascicle.core.ranges import check_count, short_repr
+from fascicle.core.ranges import short_repr
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.primitives import His, Stimulus
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.fibres import Wall
-from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
 from fascicle.heart.sites import SEGMENTS, Places, places
 from fascicle.inference.emulator import Singles
@@ -51,10 +48,9 @@ from fascicle.study.ecg_classifier import (
     learn,
     most_alike,
 )
-from fascicle.study.pool import Pool, Threads, check_pool
+from fascicle.study.heart_emulator import for_simulations, usual_prior
+from fascicle.study.pool import Pool
 from fascicle.study.prior_simulations import HELD_OUT, PART, SEED, PriorSimulations
-from fascicle.study.settings import FitSettings
-from fascicle.study.space import AveragedOver, study_space
 
 CLASSIFIER = "origin"  # kind of file
 # Of each ten beats, which begin at the same place, since to find the rays from one takes long; that
@@ -91,13 +87,9 @@ class EctopicBeats(PriorSimulations):
 
     def scenarios(self, number: int) -> Sequence[Scenario | None]:
         """A stimulus in the middle of each of these; the His bundle does not fire."""
-        centres = _centres(self.model.heart)[self.origins(number)]
-        return [
-            Scenario(
-                (His(time=np.inf), Stimulus(time=0.0, position=(float(x), float(y), float(z))))
-            )
-            for x, y, z in centres
-        ]
+        centres = _centres(self.model.heart)[self.origins(number)].tolist()
+        stimuli = [Stimulus(time=0.0, position=(x, y, z)) for x, y, z in centres]
+        return [Scenario((His(time=np.inf), stimulus)) for stimulus in stimuli]
 
 
 @dataclass(frozen=True)
@@ -284,33 +276,22 @@ def locate(
     >>> origin = fascicle.locate("HEART", "ectopic.nc")  # doctest: +SKIP
     >>> origin.verdict, origin.segments  # doctest: +SKIP
     """
-    check_pool(pool)
-    heart, target = as_heart(heart), as_target(target)
-    count = prior_simulations
-    if count is None:
-        count = FitSettings.model_fields["prior_simulations"].default
-    check_count(count, "prior_simulations")
-    if workers is not None:
-        check_count(workers, "workers")
-    if heart.folder is None or not os.access(heart.folder, os.W_OK):
-        raise InputError(f"{heart.folder or heart.name}: cannot be written to; copy the heart")
-    rows = classified_rows(target)
+    heart, folder, count, pool = for_simulations(
+        heart, prior_simulations, "prior_simulations", workers, pool
+    )
+    target = as_target(target)
     with shown_progress(progress) as shown:
         if shown is not None:
             compile_kernels(shown)
-        beats = ectopic_beats(ForwardModel(heart, progress=shown), heart.folder)
-        found = classifier_of(
-            beats, rows, count, pool or Threads(workers or os.cpu_count() or 1), shown
-        )
+        beats = ectopic_beats(ForwardModel(heart, progress=shown), folder)
+        found = classifier_of(beats, classified_rows(target), count, pool, shown)
     return found.origin(heart, target)
 
 
 def ectopic_beats(model: ForwardModel, folder: Path) -> EctopicBeats:
     """Prior simulations of all that a fit learns or averages over, in beats from anywhere."""
-    space, fixed = study_space("posterior", {}, model.heart)
-    averaged = AveragedOver.of(space, fixed, model.heart)
-    cache = ArrayCache(folder / DISPOSABLE, "prior")
-    return EctopicBeats(model, space, averaged, fixed, cache)
+    usual = usual_prior(model, folder)
+    return EctopicBeats(model, usual.space, usual.averaged, usual.fixed, usual.cache)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ from fascicle.inference.emulator import Singles
 from fascicle.recording.target import Target
 from fascicle.study.conduction_states import STATES, ConductionState
 from fascicle.study.ecg_classifier import LENGTH, EcgClassifier, Lessons, Recorder, in_leads, learn
-from fascicle.study.heart_emulator import prior_of, usual_prior
+from fascicle.study.heart_emulator import packaged, prior_of, usual_prior
 from fascicle.study.pool import Pool
 from fascicle.study.prior_simulations import SEED, PriorSimulations
 from fascicle.study.simulator import PointSimulator
@@ -35,7 +34,6 @@ from fascicle.study.space import AveragedOver
 CLASSIFIER = "classifier"  # kind of file
 RECORDINGS = 40_000  # of each state to learn from
 FEWEST = 100  # simulations of a state to learn from
-Arrays = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -91,7 +89,8 @@ def probabilities(
     """How probable states with priors are given a recording, by a classifier of the known ones."""
     each = zip(known, classifier.probabilities(target), strict=True)
     found = {name: p * priors[name] for name, p in each if name in priors}
-    return {name: float(p / sum(found.values())) for name, p in found.items()}
+    total = sum(found.values())
+    return {name: float(p / total) for name, p in found.items()}
 
 
 def simulations_of_states(
@@ -113,8 +112,7 @@ def classifier_of(
 ) -> EcgClassifier:
     """The classifier of states that looks at leads, from the package, a heart's folder or made."""
     key = classifier_key(known, rows)
-    with resources.as_file(resources.files("fascicle") / "data" / "emulators") as packaged:
-        stored: Arrays | None = ArrayCache(packaged, CLASSIFIER).read(key)
+    stored = packaged(CLASSIFIER, key)
     if stored is not None and int(stored["networks"]) >= count:
         return EcgClassifier.from_arrays(stored)
     cache = ArrayCache(folder / DISPOSABLE, CLASSIFIER)
