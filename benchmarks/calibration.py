@@ -91,7 +91,7 @@ from fascicle.reporting.style import new_figure, save
 from fascicle.study import paper, posterior
 from fascicle.study.ecg_emulator import EcgEmulator
 from fascicle.study.evaluations import Database, Journal
-from fascicle.study.heart_emulator import made_emulator, simulate_prior, usual_prior
+from fascicle.study.heart_emulator import made_emulator, usual_prior
 from fascicle.study.likelihood import EmulatedLikelihood, emulator_error
 from fascicle.study.pool import Threads
 from fascicle.study.population import Population, Posterior
@@ -678,7 +678,9 @@ def main() -> None:
     identify(given, given.out / "settings.json")
     with TerminalProgress() as progress:
         if given.method == "posterior":
-            simulate_prior(given.heart, given.prior_simulations, progress=progress)
+            heart = fascicle.load_heart(given.heart)
+            prior = usual_prior(ForwardModel(heart, progress=progress), heart.folder)
+            made_emulator(prior, given.prior_simulations, Threads(given.processes), progress)
         if given.physics == "other" and fascicle.load_heart(given.heart).torso is not None:
             model = ForwardModel(fascicle.load_heart(given.heart), progress=progress)
             model.torso(TORSO_GROUPS)  # kept on disk, where each process finds it

@@ -50,10 +50,10 @@ from .study.cluster import Cluster as Cluster
 from .study.fit import fit as fit
 from .study.fit import load_study as load_study
 from .study.fitted import FittedStudy as FittedStudy
-from .study.heart_emulator import simulate_prior as simulate_prior
 from .study.origin import Origin as Origin
 from .study.origin import locate as locate
 from .study.pool import ExecutorPool as ExecutorPool
 from .study.settings import FitSettings as FitSettings
+from .study.state_classifier import simulate_prior as simulate_prior
 
 __version__: str

@@ -303,10 +303,10 @@ class RunAgreement:
     log_evidence: float
     means: Floats
 
-    @property
-    def converged(self) -> bool:
-        """Whether the runs agree."""
-        return self.log_evidence <= EVIDENCE_APART and bool((self.means <= MEANS_APART).all())
+    def within(self, share: float = 1.0) -> bool:
+        """Whether the runs agree, as closely as a whole asks of which they are such a share."""
+        means = bool((share * self.means <= MEANS_APART).all())
+        return share * self.log_evidence <= EVIDENCE_APART and means
 
 
 def agreement(first: SamplingRun, second: SamplingRun) -> RunAgreement:

@@ -18,8 +18,8 @@ from fascicle.core.arrays import Floats
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress
 from fascicle.forward.model import Backend
-from fascicle.inference.tempered_sampling import means_apart
-from fascicle.study.conduction_states import ConductionState, states_of
+from fascicle.inference.tempered_sampling import RunAgreement, means_apart
+from fascicle.study.conduction_states import ConductionState
 from fascicle.study.ecg_classifier import classified_rows
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.likelihood import EmulatedLikelihood
@@ -27,12 +27,7 @@ from fascicle.study.lock import study_lock
 from fascicle.study.pool import Pool
 from fascicle.study.population import Posterior, evenly_spread
 from fascicle.study.posterior import RUNS
-from fascicle.study.state_classifier import (
-    StateSimulations,
-    classifier_of,
-    probabilities,
-    simulations_of_states,
-)
+from fascicle.study.state_classifier import classifier_of, probabilities, simulations_of_states
 from fascicle.study.state_fit import (
     HEART,
     Inputs,
@@ -45,6 +40,7 @@ from fascicle.study.state_fit import (
 from fascicle.study.study import STATES, Study
 
 COVERED = 0.9  # probability of the states that are fitted, together at least
+FEWEST = 20  # draws of a state
 
 
 def diagnosed(
@@ -56,7 +52,6 @@ def diagnosed(
 ) -> FittedStudy:
     """Do what is left of a study that learns the conduction state, and write its results."""
     config, heart = inputs.config, inputs.heart
-    states = states_of(config.states)
     simulator, recordings = simulated_and_compared(
         config, heart, inputs.rules, inputs.recordings, pool, progress, backend
     )
@@ -68,66 +63,64 @@ def diagnosed(
         rows = classified_rows(target)
         classifier = classifier_of(simulations, rows, place, count, simulator.pool, progress)
         probable = probabilities(classifier, simulations, config.states, target)
-        fits: dict[str, FittedStudy] = {}
+        _say(probable, progress)
+        shares = most_probable(probable)
+        counts = _apportioned(np.array([*shares.values()]), -(-config.effective // RUNS))
+        parts: list[tuple[Posterior, int]] = []
         emulated: dict[float, list[EmulatedLikelihood]] = {}
-        for name in most_probable(probable):
-            each = simulations[name]
-            own, its = _of_state(each, inputs), folder / STATES / name.replace(" ", "-")
+        for (name, share), draws in zip(shares.items(), counts, strict=True):
+            state, its = simulations[name].state, folder / STATES / name.replace(" ", "-")
+            own = _of_state(
+                state,
+                inputs,
+                prior_simulations=simulations[name].count,
+                share=share,
+                effective=max(FEWEST, RUNS * draws),
+            )
             # before the link, since a folder that holds something and no study is refused
             Study.create_or_resume(its, own.config)
             if not (its / HEART).exists():
                 (its / HEART).symlink_to(Path("..", "..", HEART), target_is_directory=True)
-            fits[name], emulated[each.state.number] = fit_state(
+            fitted, emulated[state.number] = fit_state(
                 own, its, progress, pool, backend, simulator.model
             )
-        population = _mixture(states, probable, fits)
-        simulator = replace(simulator, space=config.space_of(population.states), remembered={})
+            parts.append((_named(state, fitted), draws))
+        population = _mixture(parts, [*shares.values()], config.effective)
+        population = replace(population, states=probable)
+        simulator = replace(simulator, space=config.space_of(probable), remembered={})
         fitted = FittedStudy(study, simulator, recordings, population)
         fitted = completed(fitted, emulated, progress)
         return replace(fitted, simulator=replace(simulator, remembered=None))
 
 
-def most_probable(probable: Mapping[str, float]) -> list[str]:
-    """The fewest states that are so probable together as `COVERED`."""
+def most_probable(probable: Mapping[str, float]) -> dict[str, float]:
+    """The fewest states that are so probable together as `COVERED`, with their shares of draws."""
     ranked = sorted(probable, key=lambda name: -probable[name])
     before = np.cumsum([0.0, *(probable[name] for name in ranked)])
-    return [name for name, others in zip(ranked, before, strict=False) if others < COVERED]
+    kept = [name for name, others in zip(ranked, before, strict=False) if others < COVERED]
+    total = sum(probable[name] for name in kept)
+    return {name: probable[name] / total for name in kept}
 
 
-def _of_state(simulations: StateSimulations, inputs: Inputs) -> Inputs:
+def _of_state(state: ConductionState, inputs: Inputs, **numbers: float) -> Inputs:
     """What the study of a state is of."""
     config = inputs.config
-    changes = {
-        "space": simulations.space.parameters,
-        "fixed": config.fixed | simulations.state.blocks,
-        "states": {},
-        "prior_simulations": simulations.count,
-    }
-    return replace(inputs, config=config.model_copy(update=changes))
-
-
-def _posterior(fitted: FittedStudy) -> Posterior:
-    assert isinstance(fitted.population, Posterior)
-    return fitted.population
+    space = state.narrowed(ParameterSpace(config.space), config.fixed)
+    assert space is not None
+    own = {"space": space.parameters, "fixed": config.fixed | state.blocks, "states": {}}
+    return replace(inputs, config=config.model_copy(update=own | numbers))
 
 
 def _mixture(
-    states: Sequence[ConductionState],
-    probable: Mapping[str, float],
-    fits: Mapping[str, FittedStudy],
+    given: Sequence[tuple[Posterior, int]], shares: Sequence[float], wanted: int
 ) -> Posterior:
-    """Draws of the states that were fitted, of each as many as it is probable."""
-    fitted = [state for state in states if state.name in fits]
-    parts = [_named(state, fits[state.name]) for state in fitted]
-    shares = np.array([probable[state.name] for state in fitted])
-    shares /= shares.sum()
-    each = len(parts[0]) // RUNS
-    spread = [evenly_spread(each, count) for count in _apportioned(shares, each)]
+    """So many draws of each run of the posteriors of states, which are as probable as shares."""
+    parts = [part for part, _ in given]
     # run by run, since each is a chain
     chosen = [
-        (part, run * each + np.array(numbers, int))
+        (part, run * (len(part) // RUNS) + np.array(evenly_spread(len(part) // RUNS, draws), int))
         for run in range(RUNS)
-        for part, numbers in zip(parts, spread, strict=True)
+        for part, draws in given
     ]
 
     def joined(of: Callable[[Posterior], Floats]) -> Floats:
@@ -139,30 +132,42 @@ def _mixture(
     values = {name: joined(partial(of_part, name)) for name in parts[0].values}
     others = sorted({name for part in parts for name in part.averaged})
     best = min(parts, key=lambda part: part.best_loss)
+    pairs = [*zip(shares, parts, strict=True)]
+    effective = 1 / np.sum([share**2 / part.effective for share, part in pairs], axis=0)
+    evidences = np.sum([share * part.log_evidences for share, part in pairs], axis=0)
+    apart = {n: float(means_apart(*np.split(column, RUNS))) for n, column in values.items()}
+    agree = RunAgreement(float(np.ptp(evidences)), np.array([*apart.values()])).within()
     return Posterior(
         values,
         joined(lambda part: part.losses),
         best.best,
         best.best_loss,
         joined(lambda part: part.log_likelihoods),
-        parts[int(shares.argmax())].log_evidences,
-        1 / sum(share**2 / part.effective for share, part in zip(shares, parts, strict=True)),
+        evidences,
+        effective,
         np.sum([part.evaluations for part in parts], axis=0),
-        {name: float(means_apart(*np.split(column, RUNS))) for name, column in values.items()},
-        all(part.converged for part in parts),
+        apart,
+        agree and bool((effective * RUNS >= wanted).all()),
         {name: joined(partial(of_part, name)) for name in others},
-        states=probable,
     )
 
 
 def _named(state: ConductionState, fitted: FittedStudy) -> Posterior:
     """The posterior of a state, whose networks say that they are of it."""
-    found = _posterior(fitted)
+    found = fitted.population
+    assert isinstance(found, Posterior)
     return replace(
         found,
         averaged={**found.averaged, "conduction": np.full(len(found), state.number)},
         best={**found.best, "conduction": state.number},
     )
+
+
+def _say(probable: Mapping[str, float], progress: Progress | None) -> None:
+    """Tell which states are about to be fitted."""
+    if progress is not None:
+        said = ", ".join(f"{name} {probable[name]:.2f}" for name in most_probable(probable))
+        progress("conduction states", 1, 1, f"{said}, fitted one by one")
 
 
 def _apportioned(shares: Floats, count: int) -> list[int]:

@@ -12,7 +12,9 @@ from typing import Any
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path
+from fascicle.core.parameters import FREE, ParameterSpace
 from fascicle.core.progress import Lines, Progress, shown_progress
+from fascicle.core.quantities import CONDUCTION
 from fascicle.core.ranges import check_kind
 from fascicle.forward.likelihood import Likelihood, constants
 from fascicle.forward.model import Backend
@@ -180,25 +182,13 @@ def read_inputs(
             "the method 'paper' fits one recording of an intrinsic beat; give one without a "
             "scenario, or use the method 'posterior'"
         )
-    wanted = {**parameters}
-    asked = wanted.pop("conduction", None)
+    wanted, alone = {**parameters}, len(recordings) == 1 and recordings[0][1] is None
+    # by default learnt, unless its root times would not be those that are asked for
+    learnt = settings.method == "posterior" and alone and likelihoods is None
+    asked = wanted.pop("conduction", FREE if learnt and "root_time" not in wanted else None)
     space, fixed = study_space(settings.method, wanted, heart)
-    states: tuple[ConductionState, ...] = ()
-    if asked is not None:
-        if settings.method == "paper":
-            raise InputError(
-                "parameter 'conduction': the method 'paper' knows no conduction states; leave it "
-                "out, or use the method 'posterior'"
-            )
-        states = asked_states(asked)
-        known = {**heart.values, **fixed}
-        states = tuple(state for state in states if state.narrowed(space, known) is not None)
-        if not states:
-            raise InputError(
-                "parameter 'conduction': what is fixed, the heart's values or the ranges exclude "
-                "what was asked for; fix less, or leave it out"
-            )
-    if len(states) > 1 and (len(recordings) > 1 or recordings[0][1] is not None):
+    states = () if asked is None else _states(asked, space, fixed, heart, settings)
+    if len(states) > 1 and not alone:
         raise InputError(
             "parameter 'conduction': it is learnt from one recording of an intrinsic beat; give "
             "one without a scenario, or fix the state"
@@ -228,6 +218,31 @@ def read_inputs(
         **settings.model_dump(),
     )
     return Inputs(heart, recordings, config, rules, likelihoods)
+
+
+def _states(
+    asked: Any,
+    space: ParameterSpace,
+    fixed: Mapping[str, float],
+    heart: Heart,
+    settings: FitSettings,
+) -> tuple[ConductionState, ...]:
+    """The conduction states that were asked for and that the rest leaves; of normal alone none."""
+    if settings.method == "paper":
+        raise InputError(
+            "parameter 'conduction': the method 'paper' knows no conduction states; leave it "
+            "out, or use the method 'posterior'"
+        )
+    states, known = asked_states(asked), {**heart.values, **fixed}
+    if [state.name for state in states] == [CONDUCTION[0]]:
+        return ()  # the root time tells a delay
+    states = tuple(state for state in states if state.narrowed(space, known) is not None)
+    if not states:
+        raise InputError(
+            "parameter 'conduction': what is fixed, the heart's values or the ranges exclude "
+            "what was asked for; fix less, or leave it out"
+        )
+    return states
 
 
 def _hashes(recordings: Sequence[Recorded]) -> dict[str, Any]:

@@ -6,7 +6,6 @@ import os
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -14,14 +13,13 @@ import numpy as np
 from fascicle.core.array_cache import ArrayCache
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE
-from fascicle.core.progress import Lines, Progress, shown_progress
+from fascicle.core.progress import Progress
 from fascicle.core.ranges import check_count
-from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
-from fascicle.study.conduction_states import STATES
+from fascicle.study.conduction_states import STATES, ConductionState
 from fascicle.study.ecg_emulator import SOONER, EcgEmulator, learn
 from fascicle.study.pool import Pool, Threads, check_pool
 from fascicle.study.prior_simulations import SEED, PriorSimulations
@@ -41,7 +39,7 @@ def emulator_of(
 ) -> EcgEmulator:
     """Find an emulator for a study, or make one of so many prior simulations.
 
-    That of the heart's usual priors serves wherever a study learns and fixes what it has seen.
+    Those of the heart's usual priors serve wherever a study learns and fixes what they have seen.
 
     Parameters
     ----------
@@ -51,9 +49,10 @@ def emulator_of(
         In which the heart was recorded, and its digest.
     """
     blocks = {n: v for n, v in simulator.fixed.items() if n == "conduction"}
-    prior = usual_prior(simulator.model, folder, scenario, blocks)
-    if not prior.covers(simulator.space, simulator.averaged, simulator.fixed):
-        prior = prior_of(simulator, folder, scenario)
+    states = [None, *STATES] if not blocks else [s for s in STATES if s.blocks == blocks]
+    every = (usual_prior(simulator.model, folder, scenario, state) for state in states)
+    usual = (p for p in every if p.covers(simulator.space, simulator.averaged, simulator.fixed))
+    prior = next(usual, None) or prior_of(simulator, folder, scenario)
     stored = packaged(EMULATOR, prior.content)
     if stored is not None and float(stored["report networks"]) >= count:
         return EcgEmulator.from_arrays(stored)
@@ -101,60 +100,14 @@ def usual_prior(
     model: ForwardModel,
     folder: Path,
     scenario: tuple[Scenario, str] | None = None,
-    fixed: Mapping[str, float] = MappingProxyType({}),
+    state: ConductionState | None = None,
 ) -> PriorSimulations:
-    """Those of what a study varies if nothing else is said than what is fixed."""
-    space, fixed = study_space("posterior", fixed, model.heart)
-    if "conduction" in fixed:
-        state = STATES[round(fixed["conduction"])]
-        space = state.narrowed(space, fixed) or space
+    """Those of what a study varies if nothing is said, or if nothing but its conduction state."""
+    space, fixed = study_space("posterior", {} if state is None else state.blocks, model.heart)
+    if state is not None:
+        space = state.narrowed(space, {**model.heart.values, **fixed}) or space
     averaged = AveragedOver.of(space, fixed, model.heart)
     return prior_of(PointSimulator(model, space, fixed, averaged=averaged), folder, scenario)
-
-
-def simulate_prior(
-    heart: Heart | Path | str,
-    networks: int | None = None,
-    *,
-    workers: int | None = None,
-    progress: Progress | Lines | None = "lines",
-    pool: Pool | None = None,
-) -> Path:
-    """Simulate networks of the prior of a heart once, and train its emulator, for all its fits.
-
-    What is there already is kept, so it goes on where it was interrupted.
-
-    Parameters
-    ----------
-    heart : Heart or path
-        The heart, its folder, or ``"default"``.
-    networks : int, optional
-        How many; by default as many as a fit wants.
-    workers : int, optional
-        Simulations that run at the same time; by default one a core.
-    progress : Progress, "lines" or None
-        Called with how many networks are simulated; by default lines on standard error say so.
-    pool : Pool, optional
-        Where they are simulated, as in `fascicle.fit`; by default on `workers` threads.
-
-    Returns
-    -------
-    Path
-        Folder that holds them.
-
-    Raises
-    ------
-    InputError
-        If the heart cannot be used, or its folder cannot be written to.
-    """
-    heart, folder, count, pool = for_simulations(heart, networks, "networks", workers, pool)
-    with shown_progress(progress) as shown:
-        if shown is not None:
-            compile_kernels(shown)
-        model = ForwardModel(heart, progress=shown)
-        prior = usual_prior(model, folder)
-        made_emulator(prior, count, pool, shown)
-    return prior.cache.folder
 
 
 def for_simulations(

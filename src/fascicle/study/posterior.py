@@ -46,6 +46,7 @@ class PosteriorFit:
     journal: Journal
     emulated: Sequence[Emulated]  # of each recording
     progress: Progress | None = None
+    share: float = 1.0  # of the whole; where it is less, runs need not agree as closely
 
     def run(self) -> Posterior:
         """Do all that is left, and give the result."""
@@ -104,10 +105,10 @@ class PosteriorFit:
         """Random numbers of a run, or of draws from one."""
         return self.journal.rng(Stage.SAMPLING, number + 2 * RUNS * (recordings > 1))
 
-    def _agree(self, runs: Sequence[SamplingRun]) -> bool:
+    def _agree(self, runs: Sequence[SamplingRun], share: float = 1.0) -> bool:
         """Whether runs agree, and are worth as many independent draws as are wanted."""
         enough = all(run.effective * RUNS >= self.settings.effective for run in runs)
-        return enough and agreement(*runs).converged
+        return enough and agreement(*runs).within(share)
 
     def _sample(self, recordings: int) -> list[SamplingRun]:
         """Make the runs, of more and more batches of particles until they agree."""
@@ -116,7 +117,7 @@ class PosteriorFit:
         while True:
             batches.append(sample(recordings, len(batches)))
             runs = [pooled(each) for each in zip(*batches, strict=True)]
-            if self._agree(runs) or len(batches) >= MOST_BATCHES:
+            if self._agree(runs, self.share) or len(batches) >= MOST_BATCHES:
                 return runs
 
     def _batches(self, recordings: int, number: int) -> list[SamplingRun]:

@@ -149,14 +149,16 @@ class PriorSimulations:
         """Scenarios of the networks of a part."""
         return [None if self.scenario is None else self.scenario[0]] * len(self.points(number))
 
-    def simulate(self, count: int, pool: Pool, progress: Progress | None = None) -> None:
-        """Make what is missing of so many networks."""
+    def simulate(
+        self, count: int, pool: Pool, progress: Progress | None = None, said: str = ""
+    ) -> None:
+        """Make what is missing of so many networks; `said` tells people of what."""
         end = -(-count // PART)
         missing = [number for number in range(end) if not self._file(number).is_file()]
         if not missing:
             return
         of, total = ("prior", end * PART) if self.drawn is None else ("posterior", len(self.drawn))
-        report, bodies = stage_progress(progress, f"{of} simulations"), []
+        report, bodies = stage_progress(progress, f"{of} simulations", said), []
         # else each has its own body, or none is wanted
         if self.drawn is None and not torso_values(dict.fromkeys(self.space.names, np.nan)):
             bodies = random_bodies(self.model, np.random.default_rng([SEED, 0, 2]), BODIES)

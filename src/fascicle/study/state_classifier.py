@@ -18,14 +18,23 @@ from fascicle.core.array_cache import ArrayCache
 from fascicle.core.arrays import Integers
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE
-from fascicle.core.leads import INDEPENDENT_LEADS
+from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS
 from fascicle.core.parameters import ParameterSpace
-from fascicle.core.progress import Progress
+from fascicle.core.progress import Lines, Progress, shown_progress
+from fascicle.forward.compile_kernels import compile_kernels
+from fascicle.forward.model import ForwardModel
+from fascicle.heart.heart import Heart
 from fascicle.inference.emulator import Singles
 from fascicle.recording.target import Target
 from fascicle.study.conduction_states import STATES, ConductionState
 from fascicle.study.ecg_classifier import LENGTH, EcgClassifier, Lessons, Recorder, in_leads, learn
-from fascicle.study.heart_emulator import packaged, prior_of, usual_prior
+from fascicle.study.heart_emulator import (
+    for_simulations,
+    made_emulator,
+    packaged,
+    prior_of,
+    usual_prior,
+)
 from fascicle.study.pool import Pool
 from fascicle.study.prior_simulations import SEED, PriorSimulations
 from fascicle.study.simulator import PointSimulator
@@ -34,6 +43,7 @@ from fascicle.study.space import AveragedOver
 CLASSIFIER = "classifier"  # kind of file
 RECORDINGS = 40_000  # of each state to learn from
 FEWEST = 100  # simulations of a state to learn from
+LEAST_SHARE = 1 / 8  # of networks that are of a state, for it to have none of its own
 
 
 @dataclass(frozen=True)
@@ -49,16 +59,16 @@ class StateSimulations:
     def of(
         cls, state: ConductionState, simulator: PointSimulator, folder: Path, count: int
     ) -> StateSimulations:
-        """Those of a simulator that learns all states; usual ones if they hold the state."""
+        """Those of a simulator that learns all states."""
         own = state.narrowed(simulator.space, simulator.fixed)
         assert own is not None
         fixed = simulator.fixed | state.blocks
-        averaged = AveragedOver.of(own, fixed, simulator.model.heart)
-        prior = usual_prior(simulator.model, folder, None, state.blocks)
-        if not _holds(prior, own, averaged, fixed):
-            prior = prior_of(replace(simulator, space=own, fixed=fixed, averaged=averaged), folder)
+        shared = not state.blocks and _share(own, simulator.space) >= LEAST_SHARE
+        space = simulator.space if shared else own
+        averaged = AveragedOver.of(space, fixed, simulator.model.heart)
+        prior = prior_of(replace(simulator, space=space, fixed=fixed, averaged=averaged), folder)
         half = max(count // 2, 100)  # the fewest that a fit takes
-        return cls(state, own, prior, half if prior.space == own else count)
+        return cls(state, own, prior, half if space == own else count)
 
     @property
     def content(self) -> str:
@@ -96,7 +106,28 @@ def probabilities(
 def simulations_of_states(
     simulator: PointSimulator, folder: Path, count: int
 ) -> dict[str, StateSimulations]:
-    """Prior simulations of all states that what is learnt and fixed leaves."""
+    """Prior simulations of all states that what is learnt and fixed leaves.
+
+    Those of the heart's usual priors, of all states, wherever they are of what is learnt and fixed.
+    """
+    found = _of_each(usual_simulator(simulator.model, folder), folder, count)
+    asked = _of_each(simulator, folder, count)
+    if all(
+        name in found
+        and found[name].prior.covers(each.space, each.prior.averaged, each.prior.fixed)
+        for name, each in asked.items()
+    ):
+        return found
+    return asked
+
+
+def usual_simulator(model: ForwardModel, folder: Path) -> PointSimulator:
+    """What a study simulates if nothing is said of what it learns."""
+    usual = usual_prior(model, folder)
+    return PointSimulator(model, usual.space, {**usual.fixed})
+
+
+def _of_each(simulator: PointSimulator, folder: Path, count: int) -> dict[str, StateSimulations]:
     known = {**simulator.model.heart.values, **simulator.fixed}
     left = [state for state in STATES if state.narrowed(simulator.space, known) is not None]
     return {state.name: StateSimulations.of(state, simulator, folder, count) for state in left}
@@ -117,8 +148,9 @@ def classifier_of(
         return EcgClassifier.from_arrays(stored)
     cache = ArrayCache(folder / DISPOSABLE, CLASSIFIER)
     if (stored := cache.read(f"{count} of {key}")) is None:
-        for each in known.values():
-            each.prior.simulate(each.count, pool, progress)
+        for number, each in enumerate(known.values(), 1):
+            said = f"{each.state.name} ({number} of {len(known)} states)"
+            each.prior.simulate(each.count, pool, progress, said)
         rng = np.random.default_rng(SEED)
         lessons = _lessons([*known.values()], rows, rng)
         stored = learn(*lessons, rows, rng, progress).arrays() | {"networks": np.array(count)}
@@ -151,15 +183,60 @@ def _lessons(
     return both[0], both[1]
 
 
-def _holds(
-    usual: PriorSimulations, own: ParameterSpace, averaged: AveragedOver, fixed: Mapping[str, float]
-) -> bool:
-    """Whether usual simulations are the state's but for a range, which is an eighth at least."""
-    if usual.fixed != fixed or usual.averaged != averaged or usual.space.names != own.names:
-        return False
-    pairs = [*zip(usual.space.parameters, own.parameters, strict=True)]
-    if any(replace(q, lower=p.lower, upper=p.upper) != p for p, q in pairs):
-        return False
-    ends = [p.to_unit(np.array([q.lower, q.upper])) for p, q in pairs]
-    inside = all(p.lower <= q.lower and q.upper <= p.upper for p, q in pairs)
-    return inside and float(np.prod([np.ptp(each) for each in ends])) >= 1 / 8
+def simulate_prior(
+    heart: Heart | Path | str,
+    networks: int | None = None,
+    *,
+    workers: int | None = None,
+    progress: Progress | Lines | None = "lines",
+    pool: Pool | None = None,
+) -> Path:
+    """Simulate networks of the prior of a heart once, and train its emulators, for all its fits.
+
+    Those of every conduction state, and the classifier that tells the states apart.
+
+    What is there already is kept, so it goes on where it was interrupted.
+
+    Parameters
+    ----------
+    heart : Heart or path
+        The heart, its folder, or ``"default"``.
+    networks : int, optional
+        How many; by default as many as a fit wants.
+    workers : int, optional
+        Simulations that run at the same time; by default one a core.
+    progress : Progress, "lines" or None
+        Called with how many networks are simulated; by default lines on standard error say so.
+    pool : Pool, optional
+        Where they are simulated, as in `fascicle.fit`; by default on `workers` threads.
+
+    Returns
+    -------
+    Path
+        Folder that holds them.
+
+    Raises
+    ------
+    InputError
+        If the heart cannot be used, or its folder cannot be written to.
+    """
+    heart, folder, count, pool = for_simulations(heart, networks, "networks", workers, pool)
+    with shown_progress(progress) as shown:
+        if shown is not None:
+            compile_kernels(shown)
+        model = ForwardModel(heart, progress=shown)
+        known = simulations_of_states(usual_simulator(model, folder), folder, count)
+        classifier_of(known, np.array(INDEPENDENT_ROWS), folder, count, pool, shown)
+        for each in {each.prior.content: each for each in known.values()}.values():
+            made_emulator(each.prior, each.count, pool, shown)
+    return folder / DISPOSABLE
+
+
+def _share(own: ParameterSpace, whole: ParameterSpace) -> float:
+    """How much of the prior lies within narrower ranges; 0 if they are not within."""
+    inside = 1.0
+    for p, q in zip(whole.parameters, own.parameters, strict=True):
+        if not (p.lower <= q.lower and q.upper <= p.upper):
+            return 0.0
+        inside *= float(np.ptp(p.to_unit(np.array([q.lower, q.upper]))))
+    return inside

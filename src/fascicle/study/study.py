@@ -41,7 +41,7 @@ CONFIGURATION = "study.json"
 DATABASE = "evaluations.sqlite"
 STATES = "states"  # folder of the studies of conduction states
 FORMAT: Final = 8  # of the folder
-MAY_CHANGE = ("workers", "steps", "samples", "effective")  # when a study is resumed
+MAY_CHANGE = ("workers", "steps", "samples", "effective", "share")  # when a study is resumed
 CHECKED = 4  # stored evaluations that are made again
 SAME_LOSS = 1e-6  # relative; another machine rounds otherwise, another model differs by far more
 
@@ -69,6 +69,7 @@ class StudyConfig(FitSettings):
     averaged: tuple[Parameter, ...] = ()  # what is averaged over, and, each as probable, in which
     tissues: tuple[dict[str, float], ...] = ({},)
     states: dict[str, float] = Field(default_factory=dict)  # of conduction, if learnt: their priors
+    share: float = 1.0  # of the draws of a study that this one, of a state, is part of
     version: Literal[8] = FORMAT  # of the folder
 
     @property
@@ -168,7 +169,7 @@ class Study:
             if config.method == "paper":
                 return paper.PaperFit(config, space, journal, progress).run()
             return posterior.PosteriorFit(
-                config, space, averaged, journal, emulated, progress
+                config, space, averaged, journal, emulated, progress, config.share
             ).run()
 
     def check_objective(self, objective: Objective) -> None:
