@@ -255,6 +255,20 @@ def predictions(simulation: Simulation, together: Simulation, axis: np.ndarray) 
     )
 
 
+def predicted_and_map(
+    simulation: Simulation, paced: Simulation, axis: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The scalars of `PREDICTED` of a truth, and its activation map on the heart's own mesh."""
+    expected = predictions(on_mesh(simulation, len(axis)), on_mesh(paced, len(axis)), axis)
+    return expected, simulation.activation[: len(axis)] - simulation.activation.min()
+
+
+def longest_axis(heart: Heart) -> np.ndarray:
+    """Where the vertices lie along the heart's longest axis."""
+    centred = heart.vertices - heart.vertices.mean(axis=0)
+    return np.asarray(centred @ np.linalg.svd(centred[::50], full_matrices=False)[2][0])
+
+
 @lru_cache(1)
 def prepared(heart_path: str, method: Method, count: int) -> tuple[Any, ...]:
     """Simulator, prior and emulator of a heart, and its longest axis, once a process."""
@@ -268,9 +282,8 @@ def prepared(heart_path: str, method: Method, count: int) -> tuple[Any, ...]:
         emulator = made_emulator(prior, count, Threads(1))
     else:
         space, fixed = study_space(method, {}, heart)
-    centred = heart.vertices - heart.vertices.mean(axis=0)
-    axis = centred @ np.linalg.svd(centred[::50], full_matrices=False)[2][0]
-    return PointSimulator(model, space, fixed, averaged=averaged), prior, emulator, axis
+    simulator = PointSimulator(model, space, fixed, averaged=averaged)
+    return simulator, prior, emulator, longest_axis(heart)
 
 
 def fitted(
@@ -367,7 +380,8 @@ def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, A
     if networks:
         paced = true.simulate({**values, **TOGETHER})
         some = [networks[k] for k in rng.permutation(len(networks))[:MAPPED]]
-        result |= places(simulator, population, some, (truth, simulation, paced), axis, rng)
+        of_map = predicted_and_map(simulation, paced, axis)
+        result |= places(simulator, population, some, (truth, *of_map), axis, rng)
     if isinstance(population, Posterior):
         result |= judged(checks) | {
             "converged": population.converged,
@@ -456,21 +470,19 @@ def places(
     simulator: PointSimulator,
     population: Population,
     networks: list[Network],
-    true: tuple[Any, Simulation, Simulation],
+    true: tuple[Any, np.ndarray, np.ndarray],
     axis: np.ndarray,
     rng: np.random.Generator,
 ) -> dict[str, Any]:
-    """Where the truth (parameters, simulation, with both roots together) lies among networks."""
-    truth, simulation, paced = true
-    space, count = simulator.space, len(axis)
+    """Where the truth (parameters, predictions, activation map) lies among networks."""
+    truth, expected, true_map = true
+    space = simulator.space
 
     def together(values: Any) -> Simulation:
         return simulator.model.simulate({**simulator.fixed, **values, **TOGETHER})
 
     found = np.array([predictions(n.simulation, together(n.parameters), axis) for n in networks])
-    expected = predictions(on_mesh(simulation, count), on_mesh(paced, count), axis)
     maps = np.array([n.simulation.activation - n.simulation.activation.min() for n in networks])
-    true_map = simulation.activation[:count] - simulation.activation.min()
     draws = {name: population.values[name] for name in space.names}
     units = {p.name: p.to_unit(draws[p.name]) for p in space.parameters}
     at = {p.name: float(p.to_unit(np.array(truth[p.name]))) for p in space.parameters}

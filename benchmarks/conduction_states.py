@@ -17,9 +17,11 @@ alone; how often the most probable one is right where it has 0.9 or more; what t
 criteria say of the same recordings, and the logarithmic score of the states that met them in
 recordings of other physics. The figure (`states.png`) is the reliability diagram.
 
-With `--fits` so many of the recordings, one of each state after the other, are fitted with default
-settings and ``--free conduction`` (`000-0-0.json`), to see how many fits name a state, and how long
-they take.
+With `--fits` so many of the recordings, of one state and one physics after the other, are fitted
+with default settings (`000-0-0.json`). Printed are how many name a state, how long they take, how
+much of the QRS the best networks explain, and, as `benchmarks.calibration` does, how often
+intervals of the mixture of states hold the truth, which is kept beside the recordings
+(`000-0-0.npz`).
 """
 
 from __future__ import annotations
@@ -40,10 +42,18 @@ from threadpoolctl import threadpool_limits
 import fascicle
 from benchmarks.calibration import (
     HELD_OUT,
+    LEVELS,
+    MAPPED,
+    PREDICTED,
+    TOGETHER,
     TUNING,
     another_torso,
+    coverage,
     in_processes,
+    longest_axis,
     other_physics,
+    places,
+    predicted_and_map,
     recorded,
     residuals,
     truth_of,
@@ -80,17 +90,22 @@ def truths_of(number: int, given: argparse.Namespace) -> None:
     gc.collect()  # of the last draw: gigabytes
     rng = np.random.default_rng([TUNING if given.tuning else HELD_OUT, number, 1])
     heart = fascicle.load_heart(given.heart)
-    plain = ForwardModel(heart)
+    plain, axis = ForwardModel(heart), longest_axis(heart)
     model, space, fixed = other_physics(given.heart, rng)
     noise = None if given.noise is None else residuals(read_target(given.noise))
     for row in paths:
         for state, path in zip(STATES, row, strict=True):
             own = state.narrowed(space, fixed)
             assert own is not None
-            simulation = truth_of(model, own, fixed | state.blocks, rng)[1]
+            point, simulation = truth_of(model, own, fixed | state.blocks, rng)
+            values = {**fixed, **state.blocks, **own.from_unit(point)}
+            true = predicted_and_map(simulation, model.simulate(values | TOGETHER), axis)
             if heart.lead_fields is not None:
                 simulation = another_torso(plain, simulation, len(heart.vertices), rng)
-            write_target(recorded(simulation, FitSettings().gain_sd, rng, noise), path)
+            target = recorded(simulation, FitSettings().gain_sd, rng, noise)
+            with path.with_suffix(".npz").open("wb") as file:
+                np.savez(file, values=json.dumps(values), predicted=true[0], map=true[1])
+            write_target(target, path)
 
 
 def classified(paths: list[Path], given: argparse.Namespace) -> list[dict[str, Any]]:
@@ -127,17 +142,48 @@ def one_fit(path: Path, given: argparse.Namespace) -> None:
     threadpool_limits(1)
     begun = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        fitted = fascicle.fit(
-            given.heart, path, Path(folder) / "study", parameters={"conduction": "free"},
-            workers=1, progress=None,
-        )  # fmt: skip
+        fitted = fascicle.fit(given.heart, path, Path(folder) / "study", workers=1, progress=None)
+        seconds = time.perf_counter() - begun
+        networks = fitted.networks(None)
+    with np.load(path.with_suffix(".npz")) as kept:
+        true = json.loads(str(kept["values"])), kept["predicted"], kept["map"]
+    rng, simulator = np.random.default_rng(0), fitted.simulator
+    some = [networks[k] for k in rng.permutation(len(networks))[:MAPPED]]
+    axis = longest_axis(simulator.model.heart)
     said = {
+        **places(simulator, fitted.population, some, true, axis, rng),
         "verdict": fitted.verdict,
         "explained": None if fitted.checks is None else fitted.checks.explained,
-        "named": fitted.statements.caution is None,
-        "seconds": time.perf_counter() - begun,
+        "converged": fitted.statements.converged,
+        "failures": [] if fitted.checks is None else fitted.checks.failures,
+        "seconds": seconds,
     }
     write_text(result, json.dumps(said, indent=1) + "\n")
+
+
+def summarise_fits(fits: list[dict[str, Any]]) -> None:
+    """Print how often fits name a state, and how often their intervals hold the truth."""
+    poor = [f["failures"] for f in fits if f["failures"]]
+    explained = np.quantile([f["explained"] for f in fits], (0, 0.1, 0.5))
+    print(
+        f"{len(fits)} fits, {np.mean([f['converged'] for f in fits]):.0%} converged, {len(poor)} "
+        "poor; explained {:.0%} (least), {:.0%} (a tenth below), {:.0%} (median); ".format(
+            *explained
+        )
+        + f"{np.median([f['seconds'] for f in fits]):.0f} s on one core (median)"
+    )
+    print(*poor, sep="\n")
+    ranks = {name: np.array([f["ranks"][name] for f in fits]) for name in fits[0]["ranks"]}
+    parts = {
+        "parameters": [ranks[name] for name in ranks if name not in PREDICTED],
+        "predictions": [ranks[name] for name in PREDICTED],
+        "TARP": [np.array([f["tarp"] for f in fits])],
+    }
+    for name, values in parts.items():
+        shares = (coverage(np.concatenate(values), level) for level in LEVELS)
+        print(f"{name:<14}" + " ".join(f"{share:6.0%}" for share in shares))
+    maps = np.mean([f["map"] for f in fits], axis=0)
+    print(f"{'map, vertices':<14}" + " ".join(f"{share:6.0%}" for share in maps))
 
 
 def summarise(results: list[dict[str, Any]], folder: Path) -> None:
@@ -228,15 +274,16 @@ def main() -> None:
     paths = sorted(given.out.glob("*.nc"))
     summarise(classified(paths, given), given.out)
     if given.fits:
-        chosen = paths[: given.fits]
+        every = range(given.fits)
+        chosen = [
+            given.out / f"{k % given.physics:03d}-{k // given.physics}-{k % len(NAMES)}.nc"
+            for k in every
+        ]
         with TerminalProgress() as progress:
             fit = partial(one_fit, given=given)
             in_processes(fit, chosen, given.processes, progress, "fits")
         fits = [json.loads(path.with_suffix(".json").read_text()) for path in chosen]
-        print(
-            f"{len(fits)} fits: a state is named in {np.mean([f['named'] for f in fits]):.0%}; "
-            f"{np.median([f['seconds'] for f in fits]):.0f} s on one core (median)"
-        )
+        summarise_fits(fits)
 
 
 if __name__ == "__main__":

@@ -96,8 +96,9 @@ def _print_agreement(summary: Mapping[str, Any]) -> None:
 
 
 def _print_posterior(posterior: Posterior, fitted: FittedStudy) -> None:
-    one, other = posterior.log_evidences
-    print_row("log evidence", f"{one:.1f} and {other:.1f} in two runs")
+    if not posterior.states:
+        one, other = posterior.log_evidences
+        print_row("log evidence", f"{one:.1f} and {other:.1f} in two runs")
     print_row("effective sample", f"{posterior.effective.sum():.0f}")
     if not posterior.converged:
         print_row("parameters", "not reported: the runs do not agree")

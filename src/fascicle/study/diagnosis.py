@@ -63,12 +63,15 @@ def diagnosed(
         rows = classified_rows(target)
         classifier = classifier_of(simulations, rows, place, count, simulator.pool, progress)
         probable = probabilities(classifier, simulations, config.states, target)
-        _say(probable, progress)
         shares = most_probable(probable)
         counts = _apportioned(np.array([*shares.values()]), -(-config.effective // RUNS))
         parts: list[tuple[Posterior, int]] = []
         emulated: dict[float, list[EmulatedLikelihood]] = {}
-        for (name, share), draws in zip(shares.items(), counts, strict=True):
+        report = progress or (lambda *_: None)
+        for number, (name, share) in enumerate(shares.items()):
+            said = f"{name}, probability {probable[name]:.2f}"
+            report("conduction states", number, len(shares), said)
+            draws = counts[number]
             state, its = simulations[name].state, folder / STATES / name.replace(" ", "-")
             own = _of_state(
                 state,
@@ -85,6 +88,7 @@ def diagnosed(
                 own, its, progress, pool, backend, simulator.model
             )
             parts.append((_named(state, fitted), draws))
+        report("conduction states", len(shares), len(shares), "")
         population = _mixture(parts, [*shares.values()], config.effective)
         population = replace(population, states=probable)
         simulator = replace(simulator, space=config.space_of(probable), remembered={})
@@ -161,13 +165,6 @@ def _named(state: ConductionState, fitted: FittedStudy) -> Posterior:
         averaged={**found.averaged, "conduction": np.full(len(found), state.number)},
         best={**found.best, "conduction": state.number},
     )
-
-
-def _say(probable: Mapping[str, float], progress: Progress | None) -> None:
-    """Tell which states are about to be fitted."""
-    if progress is not None:
-        said = ", ".join(f"{name} {probable[name]:.2f}" for name in most_probable(probable))
-        progress("conduction states", 1, 1, f"{said}, fitted one by one")
 
 
 def _apportioned(shares: Floats, count: int) -> list[int]:

@@ -145,7 +145,8 @@ def _posterior_summary(fitted: FittedStudy, posterior: Posterior) -> dict[str, o
     """What only a posterior has."""
     return {
         "conduction_states": dict(posterior.states),
-        "log_evidences": posterior.log_evidences.tolist(),
+        # of several states each has its own
+        "log_evidences": None if posterior.states else posterior.log_evidences.tolist(),
         "effective_sample_sizes": posterior.effective.tolist(),
         "standard_deviations_between_runs": dict(posterior.means_apart),
         "explained_by_the_best": fitted.checks.explained if fitted.checks else None,
