@@ -92,7 +92,7 @@ from fascicle.study import paper, posterior
 from fascicle.study.ecg_emulator import EcgEmulator
 from fascicle.study.evaluations import Database, Journal
 from fascicle.study.heart_emulator import made_emulator, usual_prior
-from fascicle.study.likelihood import EmulatedLikelihood, emulator_error
+from fascicle.study.likelihood import EmulatedLikelihood, checked
 from fascicle.study.pool import Threads
 from fascicle.study.population import Population, Posterior
 from fascicle.study.predictive import AXIS, DURATION, Checks, predict_recording
@@ -463,7 +463,7 @@ def fit(
     every = [likelihood] * len(networks)
     checks = predict_recording(recording.target, every, networks, rng).checks
     emulated = [EmulatedLikelihood(simulator, emulator, likelihood)] * len(networks)
-    return population, networks, replace(checks, emulator=emulator_error(emulated, networks))
+    return population, networks, checked(checks, emulated, networks)
 
 
 def places(

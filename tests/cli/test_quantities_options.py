@@ -11,7 +11,7 @@ from fascicle.core.quantities import QUANTITIES
 from fascicle.study.study import Study
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")
-SMALL = ("--prior-simulations", 100, "--effective", 20)
+SMALL = ("--prior-simulations", 100, "--effective", 20, "--fix", "conduction=normal")
 PAPER = ("--method", "paper", "--initial", 8, "--steps", 2, "--samples", 2, "--draws", 2000,
          "--rounds", 1)  # fmt: skip
 

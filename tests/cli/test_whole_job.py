@@ -26,6 +26,7 @@ from fascicle.study.agreement import agreement
 from fascicle.study.fit import load_study
 
 BUDGET = {"prior_simulations": 100, "effective": 20, "workers": 2}
+BUDGET |= {"parameters": {"conduction": "normal"}}
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,8 @@ from fascicle.study.ecg_emulator import (
     trained_on,
 )
 from fascicle.study.heart_emulator import emulator_of
-from fascicle.study.likelihood import EmulatedLikelihood, beat_noise, emulator_error, likelihood_of
+from fascicle.study.likelihood import EmulatedLikelihood, beat_noise, checked, likelihood_of
+from fascicle.study.predictive import Checks
 from fascicle.study.prior_simulations import BEFORE, BODIES, HELD_OUT, Examples
 from fascicle.study.settings import FitSettings
 from fascicle.study.simulator import PointSimulator
@@ -218,11 +219,12 @@ def test_the_packaged_heart_has_one(default_model, tmp_path):
             networks.append(Network(values, simulated, simulated.leads, 1.0, 1.0))
     assert np.mean(agreed) > 0.7
     emulated = [EmulatedLikelihood(simulator, found, None)] * len(networks)
-    error, expected = emulator_error(emulated, networks)
+    none = Checks(1.0, {})
+    error, expected = checked(none, emulated, networks).emulator
     assert error < 1.3 * expected == pytest.approx(1.3 * found.report["error"])
     others = [*networks[1:], networks[0]]
     swapped = [replace(n, parameters=o.parameters) for n, o in zip(networks, others, strict=True)]
-    assert emulator_error(emulated, swapped)[0] > 3 * expected
+    assert checked(none, emulated, swapped).emulator[0] > 3 * expected
 
 
 def test_a_faster_heart_is_the_same_on_another_clock(default_model):

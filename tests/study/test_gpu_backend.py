@@ -95,6 +95,7 @@ def test_the_command_says_in_one_line_what_is_missing(tmp_path, monkeypatch, cap
 def test_a_fit_on_a_card_is_opened_without_one(backend, recordings, tmp_path):
     """What threads find again is close enough to what the card found."""
     settings = {"effective": 20, "prior_simulations": 100}
+    settings |= {"parameters": {"conduction": "normal"}}
     fitted = fascicle.fit(
         "default", recordings[0].target, tmp_path / "study", backend=backend, **settings
     )

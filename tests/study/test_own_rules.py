@@ -44,7 +44,7 @@ def test_a_growth_rule_is_recorded_and_needed_again(target, tmp_path, monkeypatc
     term = example("Growth rule")["term"]
     folder, rules = tmp_path / "study", fascicle.GrowthRules(term=term)
     more = {"prior_simulations": 100, "effective": 20}
-    more["parameters"] = {"apical_attraction": "free"}
+    more["parameters"] = {"apical_attraction": "free", "conduction": "normal"}
     fitted = fascicle.fit("default", target, folder, rules=rules, **more)
     assert np.ptp(fitted.population.values["apical_attraction"]) > 0.05
     assert fitted.study.config.growth_term == "to_apex"

@@ -363,7 +363,7 @@ def test_a_fit_on_a_cluster_is_that_of_one_machine(cluster, recordings, tmp_path
     from fascicle.recording.target_files import write_target
 
     write_target(recordings[0].target, tmp_path / "target.nc")
-    small = ["--effective", "20", "--prior-simulations", "100"]
+    small = ["--effective", "20", "--prior-simulations", "100", "--fix", "conduction=normal"]
     found = []
     for name, more in (("here", []), ("there", ["--scheduler", cluster.scheduler_address])):
         folder = tmp_path / name

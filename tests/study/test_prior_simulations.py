@@ -19,13 +19,14 @@ from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import write_heart
 from fascicle.study import ecg_emulator, heart_emulator, refined_emulator
 from fascicle.study import prior_simulations as tested
-from fascicle.study.heart_emulator import emulator_of, made_emulator, simulate_prior
+from fascicle.study.heart_emulator import emulator_of, made_emulator
 from fascicle.study.likelihood import EmulatedLikelihood
 from fascicle.study.pool import Threads
 from fascicle.study.prior_simulations import BEFORE, PriorSimulations
 from fascicle.study.refined_emulator import refined_emulators
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import AveragedOver, study_space
+from fascicle.study.state_classifier import simulate_prior
 
 PART, COUNT = 40, 70
 
@@ -240,7 +241,8 @@ def test_a_heart_in_a_folder_that_cannot_be_written_to(model, tmp_path, monkeypa
         simulate_prior(folder, COUNT)
     target = fascicle.make_target(fascicle.read_recording(demo_recording()))
     monkeypatch.setattr("fascicle.study.posterior.MOST_BATCHES", 1)
-    fitted = fascicle.fit(folder, target, out, prior_simulations=100, effective=20)
+    given = {"prior_simulations": 100, "effective": 20, "parameters": {"conduction": "normal"}}
+    fitted = fascicle.fit(folder, target, out, **given)
     kept = {file.name.partition("-")[0] for file in (out / "heart" / DISPOSABLE).iterdir()}
     assert {"prior", "emulator"} <= kept
     assert not [*folder.rglob("prior-*")]

@@ -43,8 +43,9 @@ class Outcome(BaseModel):
 
     `converged` and `explained` are None without a posterior; `explained_power` is the share of the
     recorded QRS that the mean of the networks explains, over all leads, and
-    `explained_by_the_best` the share that each of the best networks explains. `parameters` is empty
-    if the fit has not converged; `error_file` holds the traceback of a bug.
+    `explained_by_the_best` the share that each of the best networks explains. `states` says how
+    probable each conduction state is, if one can be named; `parameters` is empty if the fit has not
+    converged; `error_file` holds the traceback of a bug.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -63,6 +64,7 @@ class Outcome(BaseModel):
     qrs_duration_ms: float | None = None
     predicted_qrs_duration_ms: float | None = None
     warnings: tuple[str, ...] = ()
+    states: Mapping[str, float] = {}
     parameters: Mapping[str, Estimate] = {}
 
     @property
@@ -89,13 +91,15 @@ class Outcome(BaseModel):
             qrs_duration_ms=qrs["recorded"],
             predicted_qrs_duration_ms=qrs["networks"]["median"],
             warnings=(*fitted.warnings, *noticed),
+            states=getattr(fitted.population, "states", {}) if fitted.statements.states else {},
             parameters=_estimates(fitted),
         )
 
     def row(self) -> dict[str, Any]:
-        """Row of the results table, with three columns for each parameter."""
-        row = self.model_dump(exclude={"error_file", "parameters", "warnings"})
+        """Row of the results table, with three columns for each parameter, one for each state."""
+        row = self.model_dump(exclude={"error_file", "parameters", "states", "warnings"})
         row["warnings"] = "; ".join(self.warnings)
+        row |= {f"P({name})": probability for name, probability in self.states.items()}
         for name, each in self.parameters.items():
             row |= {name: each.median, f"{name}_5": each.lower, f"{name}_95": each.upper}
         return row

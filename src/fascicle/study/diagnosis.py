@@ -18,7 +18,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress
 from fascicle.forward.model import Backend
-from fascicle.inference.tempered_sampling import RunAgreement, means_apart
+from fascicle.inference.tempered_sampling import RunAgreement
 from fascicle.study.conduction_states import ConductionState
 from fascicle.study.ecg_classifier import classified_rows
 from fascicle.study.fitted import FittedStudy
@@ -40,7 +40,6 @@ from fascicle.study.state_fit import (
 from fascicle.study.study import STATES, Study
 
 COVERED = 0.9  # probability of the states that are fitted, together at least
-FEWEST = 20  # draws of a state
 
 
 def diagnosed(
@@ -78,7 +77,7 @@ def diagnosed(
                 inputs,
                 prior_simulations=simulations[name].count,
                 share=share,
-                effective=max(FEWEST, RUNS * draws),
+                effective=max(RUNS * draws, 20),
             )
             # before the link, since a folder that holds something and no study is refused
             Study.create_or_resume(its, own.config)
@@ -118,7 +117,10 @@ def _of_state(state: ConductionState, inputs: Inputs, **numbers: float) -> Input
 def _mixture(
     given: Sequence[tuple[Posterior, int]], shares: Sequence[float], wanted: int
 ) -> Posterior:
-    """So many draws of each run of the posteriors of states, which are as probable as shares."""
+    """So many draws of each run of the posteriors of states, which are as probable as shares.
+
+    Runs are apart as they are in the mean of the states.
+    """
     parts = [part for part, _ in given]
     # run by run, since each is a chain
     chosen = [
@@ -139,7 +141,7 @@ def _mixture(
     pairs = [*zip(shares, parts, strict=True)]
     effective = 1 / np.sum([share**2 / part.effective for share, part in pairs], axis=0)
     evidences = np.sum([share * part.log_evidences for share, part in pairs], axis=0)
-    apart = {n: float(means_apart(*np.split(column, RUNS))) for n, column in values.items()}
+    apart = {name: sum(share * part.means_apart[name] for share, part in pairs) for name in values}
     agree = RunAgreement(float(np.ptp(evidences)), np.array([*apart.values()])).within()
     return Posterior(
         values,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -27,6 +27,7 @@ from fascicle.forward.simulation import Signals
 from fascicle.inference.emulator import Singles
 from fascicle.recording.target import Target
 from fascicle.study.ecg_emulator import EcgEmulator, tissue_inputs
+from fascicle.study.predictive import LEAST_EXPLAINED, LEAST_IN_TORSO, Checks
 from fascicle.study.prior_simulations import BEFORE
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.target_comparison import Network
@@ -134,12 +135,12 @@ class EmulatedLikelihood:
         return tissue_inputs(self.simulator.averaged, ratio)
 
 
-def emulator_error(
-    emulated: Sequence[EmulatedLikelihood], networks: Sequence[Network]
-) -> list[float]:
-    """Root mean square of what is emulated falsely of networks' ECGs, over that of the ECGs.
+def checked(
+    checks: Checks, emulated: Sequence[EmulatedLikelihood], networks: Sequence[Network]
+) -> Checks:
+    """Add to checks how far the emulators are off, and what must be explained.
 
-    With what is to be expected; `emulated` are of each network.
+    `emulated` are of each network.
     """
     off = whole = expected = 0.0
     for each in {id(one): one for one in emulated}.values():
@@ -147,4 +148,9 @@ def emulator_error(
         false, energy = each.energies(its)
         off, whole = off + false, whole + energy
         expected += each.emulator.expected_error**2 * energy
-    return [float(np.sqrt(off / whole)), float(np.sqrt(expected / whole))]
+    in_torso = emulated[0].simulator.model.heart.lead_fields is not None
+    return replace(
+        checks,
+        emulator=[float(np.sqrt(off / whole)), float(np.sqrt(expected / whole))],
+        least_explained=LEAST_IN_TORSO if in_torso else LEAST_EXPLAINED,
+    )

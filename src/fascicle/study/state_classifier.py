@@ -43,7 +43,6 @@ from fascicle.study.space import AveragedOver
 CLASSIFIER = "classifier"  # kind of file
 RECORDINGS = 40_000  # of each state to learn from
 FEWEST = 100  # simulations of a state to learn from
-LEAST_SHARE = 1 / 8  # of networks that are of a state, for it to have none of its own
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ class StateSimulations:
         own = state.narrowed(simulator.space, simulator.fixed)
         assert own is not None
         fixed = simulator.fixed | state.blocks
-        shared = not state.blocks and _share(own, simulator.space) >= LEAST_SHARE
+        shared = not state.blocks and _share(own, simulator.space) >= 1 / 8  # enough are of it
         space = simulator.space if shared else own
         averaged = AveragedOver.of(space, fixed, simulator.model.heart)
         prior = prior_of(replace(simulator, space=space, fixed=fixed, averaged=averaged), folder)

@@ -29,7 +29,7 @@ from fascicle.study.agreement import agreement
 from fascicle.study.ecg_emulator import EcgEmulator
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.heart_emulator import emulator_of
-from fascicle.study.likelihood import EmulatedLikelihood, emulator_error
+from fascicle.study.likelihood import EmulatedLikelihood, checked
 from fascicle.study.lock import study_lock
 from fascicle.study.pool import Pool, Threads
 from fascicle.study.predictive import Checks, predict_recording
@@ -113,8 +113,7 @@ def completed(fitted: FittedStudy, emulated: Emulated, progress: Progress | None
         else:
             own = [emulated[state][number] for state in states]
             found = predict_recording(each.target, [e.likelihood for e in own], its, rng)
-            error = emulator_error(own, its)
-            predictions.append(replace(found, checks=replace(found.checks, emulator=error)))
+            predictions.append(replace(found, checks=checked(found.checks, own, its)))
             agreements.append(found.agreement)
     if predictions:
         checks = Checks.joined([each.checks for each in predictions])
