@@ -33,12 +33,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from pydicom.data import get_testdata_file
 
 import fascicle
 from fascicle.build.build_heart import build_heart
 from fascicle.build.read_anatomy import Source
 from fascicle.build.torso import TorsoOptions
-from fascicle.cli.demo import demo_recording
 from fascicle.cli.output import TerminalProgress
 from fascicle.heart.folder import write_heart
 from fascicle.heart.heart import Heart
@@ -81,6 +81,11 @@ def dti004(data: Path, out: Path, name: str = "dti004") -> Heart:
             built = build_heart(source, torso=surrounding, name=name, progress=progress)
         write_heart(built.heart, folder)
     return fascicle.load_heart(folder)
+
+
+def demo_recording() -> Path:
+    """The 10 s, 1000 Hz, 12-lead DICOM ECG that comes inside the pydicom package."""
+    return Path(str(get_testdata_file("waveform_ecg.dcm", download=False)))
 
 
 def demo_target(data: Path) -> Target:

@@ -11,9 +11,9 @@ import pytest
 from matplotlib import pyplot
 
 import fascicle
+from benchmarks.fits import demo_recording
 from benchmarks.fuzzing.attempts import outcomes
 from benchmarks.fuzzing.calls import CALLS
-from fascicle.cli.demo import demo_recording
 from fascicle.core.errors import InputError
 from fascicle.heart.conduction import CONDUCTIVITIES
 from tests.builders import box

@@ -17,7 +17,7 @@ import xarray as xr
 from matplotlib import pyplot
 
 import fascicle
-from fascicle.cli.demo import demo_recording
+from benchmarks.fits import demo_recording
 from fascicle.core.leads import LEADS
 from fascicle.forward.loss import align
 from fascicle.heart.sites import SEGMENTS

@@ -7,8 +7,8 @@ import pytest
 from quality_recordings import beating, real
 from scipy.signal import bessel, butter, ellip, filtfilt, firwin, sosfilt, sosfiltfilt
 
+from benchmarks.fits import demo_recording
 from benchmarks.synthetic_recordings.rhythms import RHYTHMS, Synthesis, synthetic_recording
-from fascicle.cli.demo import demo_recording
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.recording.detection import r_peaks

@@ -11,8 +11,8 @@ from types import SimpleNamespace
 import pytest
 from matplotlib.figure import Figure
 
+from benchmarks.fits import demo_recording
 from fascicle import cli
-from fascicle.cli.demo import demo_recording
 from fascicle.core.quantities import QUANTITIES
 from fascicle.forward.scenario_files import read_scenarios
 from fascicle.prediction.scenarios import with_intrinsic_beat

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 import fascicle
-from fascicle.cli.demo import demo_recording
+from benchmarks.fits import demo_recording
 from fascicle.study.fit import load_study
 from tests.study.crashing import killed_at_random
 

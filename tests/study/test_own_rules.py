@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import fascicle
-from fascicle.cli.demo import demo_recording
+from benchmarks.fits import demo_recording
 from fascicle.core.errors import InputError
 from fascicle.core.quantities import QUANTITIES
 from fascicle.forward.simulation import Signals

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import fascicle
-from fascicle.cli.demo import demo_recording
+from benchmarks.fits import demo_recording
 from fascicle.core.array_cache import ArrayCache
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE

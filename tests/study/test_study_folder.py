@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import fascicle
-from fascicle.cli.demo import demo_recording
+from benchmarks.fits import demo_recording
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import Parameter, ParameterSpace, free
 from fascicle.inference import optimisation as bo_step
