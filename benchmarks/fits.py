@@ -154,11 +154,15 @@ def main() -> None:
         heart, target = case.heart(given.data, given.out), case.target(given.data)
         for method, seed in product(given.method or ("posterior", "paper"), range(given.seeds)):
             begin = time.perf_counter()
-            settings = case.settings if method == "paper" else {}
+            settings: dict[str, Any] = {"parameters": case.parameters}
+            if method == "paper":
+                settings |= case.settings
+            else:
+                settings["parameters"] = {"conduction": "normal", **case.parameters}
             with TerminalProgress() as progress:
                 fitted = fascicle.fit(
                     heart, target, given.out / f"{name}-{method}-{seed}", method=method,
-                    parameters=case.parameters, seed=seed, progress=progress, **settings,
+                    seed=seed, progress=progress, **settings,
                 )  # fmt: skip
             print(row(name, fitted, time.perf_counter() - begin), flush=True)
 

@@ -185,17 +185,17 @@ def fit(
     ('fascicle fit HEART intrinsic.nc rv-paced.nc:rv.toml --out STUDY'), must be explained by the
     same networks; the result says what the others add to the first.
 
+    The first line of the result begins with what is blocked: how probable it is that a bundle
+    branch or a fascicle is, or that nothing is while a branch is delayed or the tissue is slow
+    (docs/diagnosis.md). '--fix conduction=normal' leaves that out, and takes a quarter of the time.
+
     The first fit of a heart simulates networks of the prior and trains an emulator on them; both
     are kept with the heart. On the emulator the posterior is sampled in two independent runs. The
-    first line of the result says whether they agree, and whether the networks that were simulated
+    first line says, too, whether they agree, and whether the networks that were simulated
     of it explain the recording.
 
     What is simulated is stored at once. The command may be interrupted at any time; run again, it
     continues where it stopped.
-
-    --free conduction learns what is blocked, too: bundle branches, fascicles, or nothing while
-    branches are delayed or the tissue is slow. The first line then begins with how probable each
-    state is (docs/diagnosis.md).
 
     A settings file can also name the quantities to learn and their priors ('fascicle parameters'
     lists them):
