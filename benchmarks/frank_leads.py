@@ -41,10 +41,12 @@ def main() -> None:
     if not (folder / MANIFEST).exists():
         write_heart(add_electrodes(given.heart, [*FRANK]), folder)
     heart = fascicle.load_heart(folder)
-    fascicle.simulate_prior(heart)
     whole = make_target(read_recording(given.recording)).in_leads(heart.leads)
     twelve = make_target(read_recording(given.recording, leads=LEADS))
-    fitted = fascicle.fit(heart, twelve, given.out / "study", effective=given.effective)
+    fitted = fascicle.fit(
+        heart, twelve, given.out / "study", effective=given.effective,
+        parameters={"conduction": "normal"},
+    )  # fmt: skip
     found = agreement(whole, fitted.networks())
     print(fitted.verdict)
     regressed = vectorcardiogram(whole.qrs[: len(LEADS)])

@@ -378,10 +378,11 @@ def heart_simulate_prior(
 ) -> Result:
     """Simulate networks of the prior once, and train the emulators that every fit samples.
 
-    Of every conduction state, with the classifier that tells them apart. All are stored in the heart's folder and serve every recording, if the fit learns default
-    parameters, or others that the simulations vary, within their ranges (docs/posterior.md); a fit
-    makes them if they are missing. The command may be interrupted at any time: run again, it
-    continues where it stopped; a larger number adds to what is stored.
+    Those of every conduction state, with the classifier that tells them apart. All are stored in
+    the heart's folder and serve every recording, if the fit learns default parameters, or others
+    that the simulations vary, within their ranges (docs/posterior.md); a fit makes them if they are
+    missing. The command may be interrupted at any time: run again, it continues where it stopped; a
+    larger number adds to what is stored.
     """
     with TerminalProgress() as progress:
         pool = pool_at(scheduler, progress)
