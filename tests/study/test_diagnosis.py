@@ -17,10 +17,11 @@ from fascicle.study import ecg_classifier, prior_simulations, state_classifier
 from fascicle.study.conduction_states import STATES, asked_states, united
 from fascicle.study.diagnosis import _apportioned, most_probable
 from fascicle.study.fit import read_inputs
+from fascicle.study.heart_emulator import emulator_of
 from fascicle.study.pool import Threads
 from fascicle.study.settings import checked_settings
 from fascicle.study.simulator import PointSimulator
-from fascicle.study.space import read_settings, study_space
+from fascicle.study.space import AveragedOver, read_settings, study_space
 from fascicle.study.state_classifier import classifier_of, probabilities, simulations_of_states
 from fascicle.study.statements import Statements
 
@@ -118,6 +119,38 @@ def test_what_the_ecg_cannot_tell_apart_is_said(fitted):
         "left bundle branch block: 0.60, left bundle branch delay: 0.30, normal: 0.10, others "
         "below 0.02 (block and delay of the left bundle branch give much the same ECG)"
     )
+
+
+def test_states_are_learnt_of_one_intrinsic_beat_unless_something_speaks_against_it(target):
+    def learnt(target, parameters, **more):
+        given = read_inputs("default", target, parameters, checked_settings({}), **more)
+        return given.config.states
+
+    assert [*learnt(target, {})] == [*learnt(target, {"cv": 2.5})] == [s.name for s in STATES]
+    assert sum(learnt(target, {}).values()) == pytest.approx(1)
+    assert learnt(target, {"conduction": "normal"}) == {}
+    assert learnt(target, {"root_time": -60.0}) == {}
+    assert learnt([target, target], {}) == {}
+    assert learnt(target, {}, likelihoods=[None]) == {}
+
+
+def test_normal_alone_has_the_usual_root_times(target):
+    inputs = read_inputs("default", target, {"conduction": "normal"}, checked_settings({}))
+    (root_time,) = (p for p in inputs.config.space if p.name == "root_time")
+    assert (root_time.lower, root_time.upper) == (-75.0, 50.0)
+    assert inputs.config.fixed == {}
+
+
+def test_the_packaged_heart_brings_the_emulators_of_all_states(default_model, tmp_path):
+    """Also where a quantity is fixed; else this would simulate thousands of networks."""
+    space, fixed = study_space("posterior", {"cv": 2.5}, default_model.heart)
+    for state in STATES:
+        own, its = state.narrowed(space, fixed), fixed | state.blocks
+        averaged = AveragedOver.of(own, its, default_model.heart)
+        simulator = PointSimulator(default_model, own, its, averaged=averaged)
+        emulator = emulator_of(simulator, 8000, tmp_path)
+        assert emulator.report["r_squared"] > 0.6
+    assert not [*tmp_path.iterdir()]
 
 
 def test_one_state_is_a_study_of_it(target, tmp_path):

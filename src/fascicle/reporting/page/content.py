@@ -70,10 +70,10 @@ def meaning(fitted: FittedStudy) -> list[str]:
         f"Two independent runs agree. The {count} networks below are equally probable; their "
         "spread is the uncertainty that remains given the ECG."
     ]
-    if states := fitted.statements.states:
+    if fitted.statements.states:
         said.append(
-            f"How probable each conduction state is given this ECG: {states}. Each network is of "
-            "one state, and keeps in every prediction what is blocked in it."
+            "The first line begins with how probable each conduction state is given this ECG. Each "
+            "network is of one state, and keeps in every prediction what is blocked in it."
         )
     if checks is not None and checks.acceptable:
         said.append(
