@@ -18,7 +18,9 @@ from fascicle.core.array_cache import ArrayCache
 from fascicle.core.files import DISPOSABLE
 from fascicle.core.leads import INDEPENDENT_ROWS
 from fascicle.forward.model import ForwardModel
+from fascicle.study import origin
 from fascicle.study.heart_emulator import EMULATOR
+from fascicle.study.pool import Threads
 from fascicle.study.settings import FitSettings
 from fascicle.study.state_classifier import (
     CLASSIFIER,
@@ -42,7 +44,11 @@ def main() -> None:
     known = simulations_of_states(simulator, heart.folder, count)
     for content, its in {each.prior.content: each.count for each in known.values()}.items():
         take(heart.folder, EMULATOR, its, content)
-    take(heart.folder, CLASSIFIER, count, classifier_key(known, np.array(INDEPENDENT_ROWS)))
+    rows = np.array(INDEPENDENT_ROWS)
+    take(heart.folder, CLASSIFIER, count, classifier_key(known, rows))
+    beats = origin.ectopic_beats(simulator.model, heart.folder)
+    origin.classifier_of(beats, rows, count, Threads(2))
+    take(heart.folder, origin.CLASSIFIER, count, origin.classifier_key(beats, rows))
 
 
 def take(heart: Path, kind: str, count: int, key: str) -> None:

@@ -48,7 +48,7 @@ from fascicle.study.ecg_classifier import (
     learn,
     most_alike,
 )
-from fascicle.study.heart_emulator import for_simulations, usual_prior
+from fascicle.study.heart_emulator import for_simulations, packaged, usual_prior
 from fascicle.study.pool import Pool
 from fascicle.study.prior_simulations import HELD_OUT, PART, SEED, PriorSimulations
 
@@ -320,12 +320,14 @@ def classifier_of(
     beats: EctopicBeats, rows: Integers, count: int, pool: Pool, progress: Progress | None = None
 ) -> OriginClassifier:
     """The classifier of a heart's beats from anywhere that looks at leads; made if need be."""
-    cache = ArrayCache(beats.cache.folder, CLASSIFIER)
-    key = f"{count} {rows} of {beats.content}"
-    if (stored := cache.read(key)) is None:
+    cache, key = ArrayCache(beats.cache.folder, CLASSIFIER), classifier_key(beats, rows)
+    stored: Mapping[str, Any] | None = packaged(CLASSIFIER, key)
+    if stored is None or int(stored["networks"]) < count:
+        stored = cache.read(f"{count} of {key}")
+    if stored is None:
         beats.simulate(count, pool, progress)
-        stored = _learnt(beats, rows, count, progress)
-        cache.write(key, stored, compress=True)
+        stored = _learnt(beats, rows, count, progress) | {"networks": np.array(count)}
+        cache.write(f"{count} of {key}", stored, compress=True)
     return OriginClassifier(
         EcgClassifier.from_arrays(stored),
         stored["patches"],
@@ -333,6 +335,11 @@ def classifier_of(
         float(stored["least_explained"]),
         {name: float(stored[name]) for name in ("distance", "region")},
     )
+
+
+def classifier_key(beats: EctopicBeats, rows: Integers) -> str:
+    """What the classifier of beats that looks at leads depends on."""
+    return f"{rows} of {beats.content}"
 
 
 def _learnt(
