@@ -12,6 +12,7 @@ import fascicle
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import ParameterSpace, free
 from fascicle.core.quantities import CONDUCTION, fascicle_names
+from fascicle.prediction.scenarios import prior_networks
 from fascicle.reporting.page.content import settings_file
 from fascicle.study import ecg_classifier, prior_simulations, state_classifier
 from fascicle.study.conduction_states import STATES, asked_states, united
@@ -87,6 +88,14 @@ def test_predictions_keep_the_block(fitted):
     paced = fascicle.predict(fitted, names, progress=None)
     uncorrected, corrected = (paced[name].indices["total_activation_time"] for name in names)
     assert (uncorrected - corrected).mean() > 15
+
+
+def test_networks_of_the_prior_are_of_all_states(fitted, monkeypatch):
+    monkeypatch.setattr("fascicle.prediction.scenarios.PRIOR_NETWORKS", 30)
+    networks = prior_networks(fitted)
+    blocked = [network.parameters.get("conduction", 0.0) == 1.0 for network in networks]
+    assert 0.15 < np.mean(blocked) < 0.65
+    assert all(abs(network.parameters["root_time"]) <= 20 for network in networks)
 
 
 def test_the_settings_file_of_the_report_repeats_it(fitted, target, tmp_path):

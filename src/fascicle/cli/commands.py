@@ -312,7 +312,7 @@ def predict(
         predicted = fascicle.predict(fitted, scenarios, progress)
         write_prediction(fitted, predicted, out, kind, progress)
         if isinstance(fitted.population, Posterior) and fitted.population.converged:
-            networks = prior_networks(fitted.simulator, progress)
+            networks = prior_networks(fitted, progress)
             prior = simulate_scenarios(
                 fitted.simulator, fitted.recordings[0], networks, scenarios, progress, " (prior)"
             )

@@ -11,6 +11,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
+from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
 from fascicle.core.ranges import check_items, check_kind, check_text
 from fascicle.forward.ecg.electrocardiogram import STEP
@@ -24,6 +25,7 @@ from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.indices import Territories, indices
 from fascicle.prediction.predicted import RINGING, Predicted, PredictedBeat
 from fascicle.recording.window import qrs_window
+from fascicle.study.conduction_states import states_of
 from fascicle.study.fit import GivenStudy, as_study
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.simulator import PointSimulator
@@ -183,14 +185,23 @@ def _simulate(
     return PredictedBeat.of(simulation, leads, filtered), values
 
 
-def prior_networks(simulator: PointSimulator, progress: Progress | None = None) -> list[Network]:
-    """Networks drawn from the prior, independent of the recording."""
-    points = np.random.default_rng(0).random((PRIOR_NETWORKS, simulator.dimension))
+def prior_networks(fitted: FittedStudy, progress: Progress | None = None) -> list[Network]:
+    """Networks drawn from the prior of a study, and of its conduction states."""
+    simulator, config, rng = fitted.simulator, fitted.study.config, np.random.default_rng(0)
+    points = rng.random((PRIOR_NETWORKS, simulator.dimension))
+    space = ParameterSpace(config.space)
+    each = [
+        replace(
+            simulator, space=state.narrowed(space, config.fixed), fixed=config.fixed | state.blocks
+        )
+        for state in states_of(config.states)
+    ] or [simulator]
+    numbers = rng.choice(len(each), len(points), p=[*config.states.values()] or None)
     report, networks = stage_progress(progress, "networks of the prior"), []
-    for done, point in enumerate(points, 1):
-        (found,) = simulator.simulate([point])
+    for done, (number, point) in enumerate(zip(numbers, points, strict=True), 1):
+        (found,) = each[number].simulate([point])
         if isinstance(found, Simulation):
-            parameters = simulator.parameters(point)
+            parameters = each[number].parameters(point)
             networks.append(Network(parameters, found, found.leads, 1.0, 1.0))
         report(done, len(points))
     return networks
