@@ -191,10 +191,9 @@ def prior_networks(fitted: FittedStudy, progress: Progress | None = None) -> lis
     points = rng.random((PRIOR_NETWORKS, simulator.dimension))
     space = ParameterSpace(config.space)
     each = [
-        replace(
-            simulator, space=state.narrowed(space, config.fixed), fixed=config.fixed | state.blocks
-        )
+        replace(simulator, space=own, fixed=config.fixed | state.blocks)
         for state in states_of(config.states)
+        if (own := state.narrowed(space, config.fixed)) is not None
     ] or [simulator]
     numbers = rng.choice(len(each), len(points), p=[*config.states.values()] or None)
     report, networks = stage_progress(progress, "networks of the prior"), []
