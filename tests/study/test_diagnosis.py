@@ -14,6 +14,7 @@ from fascicle.core.parameters import ParameterSpace, free
 from fascicle.core.quantities import CONDUCTION, fascicle_names
 from fascicle.prediction.scenarios import prior_networks
 from fascicle.reporting.page.content import settings_file
+from fascicle.reporting.study import drawings
 from fascicle.study import ecg_classifier, prior_simulations, state_classifier
 from fascicle.study.conduction_states import STATES, asked_states, united
 from fascicle.study.diagnosis import _apportioned, most_probable
@@ -119,6 +120,16 @@ def test_nothing_is_said_of_a_poor_fit(fitted):
     checks = replace(fitted.checks, explained=0.5)
     verdict = Statements(replace(fitted, checks=checks)).verdict
     assert verdict.startswith("no conduction state is named (poor fit); converged; poor fit: 50%")
+
+
+def test_the_states_are_drawn_and_not_if_none_is_named(fitted):
+    networks = fitted.networks(chosen=[0])
+    drawn = drawings(fitted, networks)["states"].figure.axes[0]
+    assert [label.get_text() for label in drawn.get_yticklabels()] == ["normal", BLOCK]
+    widths = [bar.get_width() for bar in drawn.patches]
+    assert widths == pytest.approx([fitted.population.states[n] for n in ("normal", BLOCK)])
+    poor = replace(fitted, checks=replace(fitted.checks, explained=0.5))
+    assert "states" not in drawings(poor, networks)
 
 
 def test_what_the_ecg_cannot_tell_apart_is_said(fitted):

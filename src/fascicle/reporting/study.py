@@ -67,6 +67,11 @@ def drawings(
             "bands hold 90 % of the beats or networks. Time is counted from the R peak.",
             agreed,
         )
+    if fitted.statements.states:
+        drawn["states"] = Drawing(
+            states_figure(getattr(population, "states", {}), fitted.study.config.states),
+            "How probable each conduction state is: before the ECG is seen (grey) and given it.",
+        )
     drawn["activation"] = Drawing(
         activation_figure(heart, [best], SINCE_FIRST),
         "Activation of the best network, which has the lowest mismatch.",
@@ -125,6 +130,20 @@ def loss_figure(fitted: FittedStudy) -> Figure:
     records = fitted.study.records()
     losses = np.array([record.evaluation.loss for record in records])
     return convergence_figure(losses, [record.stage for record in records], fitted.null_loss)
+
+
+def states_figure(states: Mapping[str, float], priors: Mapping[str, float]) -> Figure:
+    """Draw how probable conduction states are, the most probable at the top."""
+    ranked = sorted(states, key=lambda name: states[name])
+    figure = new_figure(6.0, 0.6 + 0.24 * len(ranked))
+    axes = figure.subplots()
+    axes.barh(ranked, [states[name] for name in ranked], color=Colour.ORANGE, label="given the ECG")
+    before = [priors[name] for name in ranked]
+    axes.plot(before, ranked, "|", color=Colour.GREY, markersize=10, label="before the ECG")
+    axes.set_xlim(0, 1)
+    axes.set_xlabel("probability")
+    axes.legend(loc="lower right")
+    return figure
 
 
 def emulator_figure(report: Mapping[str, float]) -> Figure:
