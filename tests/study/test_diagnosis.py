@@ -122,6 +122,14 @@ def test_nothing_is_said_of_a_poor_fit(fitted):
     assert verdict.startswith("no conduction state is named (poor fit); converged; poor fit: 50%")
 
 
+def test_a_paced_beat_is_noticed(fitted):
+    assert not [w for w in fitted.warnings if "paced" in str(w)]
+    (one,) = fitted.recordings
+    paced = replace(one, target=replace(one.target, earliest_onset=one.target.qrs_onset))
+    said = Statements(replace(fitted, recordings=(paced,))).warnings
+    assert [w.kind for w in said if "the recorded beats are paced" in w.text] == ["paced"]
+
+
 def test_the_states_are_drawn_and_not_if_none_is_named(fitted):
     networks = fitted.networks(chosen=[0])
     drawn = drawings(fitted, networks)["states"].figure.axes[0]
@@ -152,6 +160,7 @@ def test_states_are_learnt_of_one_intrinsic_beat_unless_something_speaks_against
     assert learnt(target, {"root_time": -60.0}) == {}
     assert learnt([target, target], {}) == {}
     assert learnt(target, {}, likelihoods=[None]) == {}
+    assert learnt(replace(target, earliest_onset=target.qrs_onset), {}) == {}
 
 
 def test_normal_alone_has_the_usual_root_times(target):

@@ -185,6 +185,7 @@ def read_inputs(
     wanted, alone = {**parameters}, len(recordings) == 1 and recordings[0][1] is None
     # by default learnt, unless its root times would not be those that are asked for
     learnt = settings.method == "posterior" and alone and likelihoods is None
+    learnt &= recordings[0][0].earliest_onset is None  # paced beats are of no state
     asked = wanted.pop("conduction", FREE if learnt and "root_time" not in wanted else None)
     space, fixed = study_space(settings.method, wanted, heart)
     states = () if asked is None else _states(asked, space, fixed, heart, settings)

@@ -67,6 +67,7 @@ class Kind(StrEnum):
 
     POOR_FIT = "poor fit"
     NOT_CONVERGED = "not converged"
+    PACED = "paced"
     LEADS = "leads"
     GAIN = "gain"
     FEW_NETWORKS = "few networks"
@@ -347,6 +348,12 @@ def _warnings(result: Result) -> Iterator[tuple[Kind, str]]:
             Kind.EMULATOR,
             f"{result.checks.emulator_off}: the posterior is the emulator's; --prior-simulations "
             f"{2 * result.settings.prior_simulations}, in a new study, makes it better",
+        )
+    if any(r.target.earliest_onset is not None and r.scenario is None for r in result.recordings):
+        yield (
+            Kind.PACED,
+            "the recorded beats are paced, and the networks are of an intrinsic beat: give the "
+            "scenario (target.nc:pacing.toml), or see where they begin ('fascicle locate')",
         )
     yield Kind.LEADS, _poor_leads(result)
     yield Kind.GAIN, _unusual_gain(result)
