@@ -15,6 +15,7 @@ from fascicle.recording.target import Target
 from fascicle.reporting.origin import origin_figure
 from fascicle.study import origin as origin_module
 from fascicle.study import prior_simulations
+from fascicle.study.heart_emulator import packaged
 from fascicle.study.origin import Origin, ectopic_beats, levels, of_tetrahedra
 from fascicle.study.pool import Threads
 
@@ -25,6 +26,7 @@ def small():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(prior_simulations, "PART", 150)
         patch.setattr(origin_module, "PART", 150)
+        patch.setattr(origin_module, "packaged", lambda *_: None)
         patch.setattr(origin_module, "STEPS", 600)
         patch.setattr(origin_module, "RECORDINGS", 6000)
         yield
@@ -66,6 +68,15 @@ def test_probabilities_add_up(origin):
     )
     inside = origin.probabilities[origin.region].sum()
     assert 0.9 <= inside < 0.9 + origin.probabilities.max() + 1e-9
+
+
+def test_the_packaged_heart_brings_its_classifier(target, monkeypatch):
+    monkeypatch.setattr(origin_module, "packaged", packaged)
+    monkeypatch.setattr(origin_module.EctopicBeats, "simulate", None)
+    found = fascicle.locate("default", target, progress=None)
+    apex = np.array(Sites(found.heart).position("rv apex"))
+    assert np.linalg.norm(found.place - apex) < 12
+    assert found.caution is None
 
 
 def test_it_is_made_once(origin, folder, target, monkeypatch):

@@ -251,8 +251,8 @@ def locate(
     answer is drawn on the heart (origin.png), and given for each tetrahedron (origin.vtu) and each
     of the 17 segments (origin.json).
 
-    The first time, beats from all over the ventricles are simulated, for a quarter of an hour or
-    more; they are stored in the heart's folder and serve every recording. The command may be
+    The first time, beats from all over the ventricles of a heart of your own are simulated, for ten
+    minutes or more; they are stored in its folder and serve every recording. The command may be
     interrupted: run again, it continues where it stopped.
     """
     from fascicle.core.files import check_folder
