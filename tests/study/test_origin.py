@@ -75,7 +75,7 @@ def test_the_packaged_heart_brings_its_classifier(target, monkeypatch):
     monkeypatch.setattr(origin_module.EctopicBeats, "simulate", None)
     found = fascicle.locate("default", target, progress=None)
     apex = np.array(Sites(found.heart).position("rv apex"))
-    assert np.linalg.norm(found.place - apex) < 12
+    assert np.linalg.norm(found.place - apex) < found.radius < 30
     assert found.caution is None
 
 
