@@ -61,8 +61,13 @@ def fitted(
         (
             SimpleNamespace(
                 null_loss=2.0,
+                scenario=None,
                 target=SimpleNamespace(
-                    leads=LEADS, qrs=recorded, qrs_samples=slice(2, 42), beats=np.empty(beats)
+                    earliest_onset=None,
+                    leads=LEADS,
+                    qrs=recorded,
+                    qrs_samples=slice(2, 42),
+                    beats=np.empty(beats),
                 ),
                 compared=np.arange(12) != 11,  # all but V6
             ),
