@@ -13,8 +13,8 @@ from fascicle.heart.folder import write_heart
 from fascicle.heart.sites import Sites
 from fascicle.recording.target import Target
 from fascicle.reporting.origin import origin_figure
+from fascicle.study import heart_emulator, prior_simulations
 from fascicle.study import origin as origin_module
-from fascicle.study import prior_simulations
 from fascicle.study.heart_emulator import packaged
 from fascicle.study.origin import Origin, ectopic_beats, levels, of_tetrahedra
 from fascicle.study.pool import Threads
@@ -26,7 +26,7 @@ def small():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(prior_simulations, "PART", 150)
         patch.setattr(origin_module, "PART", 150)
-        patch.setattr(origin_module, "packaged", lambda *_: None)
+        patch.setattr(heart_emulator, "packaged", lambda *_: None)
         patch.setattr(origin_module, "STEPS", 600)
         patch.setattr(origin_module, "RECORDINGS", 6000)
         yield
@@ -71,7 +71,7 @@ def test_probabilities_add_up(origin):
 
 
 def test_the_packaged_heart_brings_its_classifier(target, monkeypatch):
-    monkeypatch.setattr(origin_module, "packaged", packaged)
+    monkeypatch.setattr(heart_emulator, "packaged", packaged)
     monkeypatch.setattr(origin_module.EctopicBeats, "simulate", None)
     found = fascicle.locate("default", target, progress=None)
     apex = np.array(Sites(found.heart).position("rv apex"))

@@ -16,7 +16,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.parameters import ParameterSpace
-from fascicle.core.progress import Progress
+from fascicle.core.progress import Progress, stage_progress
 from fascicle.forward.model import Backend
 from fascicle.inference.tempered_sampling import RunAgreement
 from fascicle.study.conduction_states import ConductionState
@@ -66,11 +66,10 @@ def diagnosed(
         counts = _apportioned(np.array([*shares.values()]), -(-config.effective // RUNS))
         parts: list[tuple[Posterior, int]] = []
         emulated: dict[float, list[EmulatedLikelihood]] = {}
-        report = progress or (lambda *_: None)
-        for number, (name, share) in enumerate(shares.items()):
+        stage = "conduction states"
+        for (name, share), draws in zip(shares.items(), counts, strict=True):
             said = f"{name}, probability {probable[name]:.2f}"
-            report("conduction states", number, len(shares), said)
-            draws = counts[number]
+            stage_progress(progress, stage, said)(len(parts), len(shares))
             state, its = simulations[name].state, folder / STATES / name.replace(" ", "-")
             own = _of_state(
                 state,
@@ -87,7 +86,7 @@ def diagnosed(
                 own, its, progress, pool, backend, simulator.model
             )
             parts.append((_named(state, fitted), draws))
-        report("conduction states", len(shares), len(shares), "")
+        stage_progress(progress, stage)(len(shares), len(shares))
         population = _mixture(parts, [*shares.values()], config.effective)
         population = replace(population, states=probable)
         simulator = replace(simulator, space=config.space_of(probable), remembered={})

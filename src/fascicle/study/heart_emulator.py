@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -49,7 +49,8 @@ def emulator_of(
         In which the heart was recorded, and its digest.
     """
     blocks = {n: v for n, v in simulator.fixed.items() if n == "conduction"}
-    states = [None, *STATES] if not blocks else [s for s in STATES if s.blocks == blocks]
+    alike = [state for state in STATES if state.blocks == blocks]
+    states = alike if blocks else [None, *alike]
     every = (usual_prior(simulator.model, folder, scenario, state) for state in states)
     usual = (p for p in every if p.covers(simulator.space, simulator.averaged, simulator.fixed))
     prior = next(usual, None) or prior_of(simulator, folder, scenario)
@@ -63,6 +64,23 @@ def packaged(kind: str, key: str) -> Mapping[str, Any] | None:
     """What comes with the package, of a kind of file; None if nothing does."""
     with resources.as_file(resources.files("fascicle") / "data" / "emulators") as folder:
         return ArrayCache(folder, kind).read(key)
+
+
+def learnt_or_made(
+    kind: str, key: str, count: int, folder: Path, make: Callable[[], Mapping[str, Any]]
+) -> Mapping[str, Any]:
+    """Arrays that were learnt from so many networks: of the package, of a heart's folder, or made.
+
+    Those of the package also where fewer are asked for.
+    """
+    stored: Mapping[str, Any] | None = packaged(kind, key)
+    if stored is not None and int(stored["networks"]) >= count:
+        return stored
+    cache, key = ArrayCache(folder / DISPOSABLE, kind), f"{count} of {key}"
+    if (stored := cache.read(key)) is None:
+        stored = {**make(), "networks": np.array(count)}
+        cache.write(key, stored, compress=True)
+    return stored
 
 
 def made_emulator(

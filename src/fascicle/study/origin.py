@@ -19,7 +19,6 @@ from scipy.cluster.vq import kmeans2
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from fascicle.core.array_cache import ArrayCache
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.files import as_path, atomic_folder
 from fascicle.core.leads import INDEPENDENT_LEADS
@@ -48,7 +47,7 @@ from fascicle.study.ecg_classifier import (
     learn,
     most_alike,
 )
-from fascicle.study.heart_emulator import for_simulations, packaged, usual_prior
+from fascicle.study.heart_emulator import for_simulations, learnt_or_made, usual_prior
 from fascicle.study.pool import Pool
 from fascicle.study.prior_simulations import HELD_OUT, PART, SEED, PriorSimulations
 
@@ -320,14 +319,13 @@ def classifier_of(
     beats: EctopicBeats, rows: Integers, count: int, pool: Pool, progress: Progress | None = None
 ) -> OriginClassifier:
     """The classifier of a heart's beats from anywhere that looks at leads; made if need be."""
-    cache, key = ArrayCache(beats.cache.folder, CLASSIFIER), classifier_key(beats, rows)
-    stored: Mapping[str, Any] | None = packaged(CLASSIFIER, key)
-    if stored is None or int(stored["networks"]) < count:
-        stored = cache.read(f"{count} of {key}")
-    if stored is None:
+
+    def make() -> Mapping[str, Any]:
         beats.simulate(count, pool, progress)
-        stored = _learnt(beats, rows, count, progress) | {"networks": np.array(count)}
-        cache.write(f"{count} of {key}", stored, compress=True)
+        return _learnt(beats, rows, count, progress)
+
+    folder = beats.cache.folder.parent
+    stored = learnt_or_made(CLASSIFIER, classifier_key(beats, rows), count, folder, make)
     return OriginClassifier(
         EcgClassifier.from_arrays(stored),
         stored["patches"],

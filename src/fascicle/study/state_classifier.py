@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.core.array_cache import ArrayCache
 from fascicle.core.arrays import Integers
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE
@@ -30,8 +29,8 @@ from fascicle.study.conduction_states import STATES, ConductionState
 from fascicle.study.ecg_classifier import LENGTH, EcgClassifier, Lessons, Recorder, in_leads, learn
 from fascicle.study.heart_emulator import (
     for_simulations,
+    learnt_or_made,
     made_emulator,
-    packaged,
     prior_of,
     usual_prior,
 )
@@ -141,19 +140,17 @@ def classifier_of(
     progress: Progress | None = None,
 ) -> EcgClassifier:
     """The classifier of states that looks at leads, from the package, a heart's folder or made."""
-    key = classifier_key(known, rows)
-    stored = packaged(CLASSIFIER, key)
-    if stored is not None and int(stored["networks"]) >= count:
-        return EcgClassifier.from_arrays(stored)
-    cache = ArrayCache(folder / DISPOSABLE, CLASSIFIER)
-    if (stored := cache.read(f"{count} of {key}")) is None:
+
+    def make() -> Mapping[str, Any]:
         for number, each in enumerate(known.values(), 1):
             said = f"{each.state.name} ({number} of {len(known)} states)"
             each.prior.simulate(each.count, pool, progress, said)
         rng = np.random.default_rng(SEED)
         lessons = _lessons([*known.values()], rows, rng)
-        stored = learn(*lessons, rows, rng, progress).arrays() | {"networks": np.array(count)}
-        cache.write(f"{count} of {key}", stored, compress=True)
+        found: Mapping[str, Any] = learn(*lessons, rows, rng, progress).arrays()
+        return found
+
+    stored = learnt_or_made(CLASSIFIER, classifier_key(known, rows), count, folder, make)
     return EcgClassifier.from_arrays(stored)
 
 
