@@ -187,7 +187,7 @@ def fit(
 
     The first line of the result begins with what is blocked: how probable it is that a bundle
     branch or a fascicle is, or that nothing is while a branch is delayed or the tissue is slow
-    (docs/diagnosis.md). '--fix conduction=normal' leaves that out, and takes a quarter of the time.
+    (docs/diagnosis.md). '--fix conduction=normal' leaves that out, and is faster.
 
     The first fit of a heart simulates networks of the prior and trains an emulator on them; both
     are kept with the heart. On the emulator the posterior is sampled in two independent runs. The
@@ -544,22 +544,22 @@ def demo(
 ) -> Result:
     """Diagnose a simulated left bundle branch block, and predict what pacing does, in 3 minutes.
 
-    On the packaged heart. The block and what pacings gain are known, as the ECG is simulated: they
-    stand beside what is found.
+    On the packaged heart. The ECG is simulated, so that the block, and by how much each pacing
+    shortens activation, are known: both are printed with what is found.
     """
     from fascicle.cli.demo import BLOCK, run_demo
     from fascicle.cli.printing import print_fit, print_prediction, print_reductions
 
     with resumable(out), TerminalProgress() as progress:
-        analysis, fitted, predicted, gains = run_demo(out, progress)
+        analysis, fitted, predicted, reductions = run_demo(out, progress)
     print_fit(fitted, written_summary(out / "study"))
     print_row("truth", f"{BLOCK}, simulated on the packaged idealised heart")
     print_analysis(analysis)
     print_prediction(predicted)
     print_reductions(predicted, "intrinsic")
-    print("in truth " + ", ".join(f"{name} by {gain:.0f} ms" for name, gain in gains.items()))
+    print("in truth " + ", ".join(f"{name} by {time:.0f} ms" for name, time in reductions.items()))
     page = out / "report.html"
     print(f"\nin {out}: the recording (target.png), the study, the pacings, and their figures")
     print(f"to read in a browser: {page.resolve().as_uri()}")
     parts = {part: written_summary(out / part) for part in ("study", "pacings")}
-    return {"folder": out, "page": page, "true_gains_ms": gains} | parts
+    return {"folder": out, "page": page, "true_reductions_ms": reductions} | parts

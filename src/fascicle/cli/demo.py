@@ -35,7 +35,7 @@ def run_demo(
     truth = {**fascicle.example_parameters(model), "conduction": float(CONDUCTION.index(BLOCK))}
     scenarios = fascicle.read_scenarios(PACINGS)
     beat, *paced = (_simulated(model, truth, case) for case in (None, *scenarios.values()))
-    gains = [beat.total_activation_time - each.total_activation_time for each in paced]
+    reductions = [beat.total_activation_time - each.total_activation_time for each in paced]
     out.mkdir(parents=True, exist_ok=True)
     write_ecg(out / "ecg.csv", beat.ecg)
     recording = fascicle.read_recording(out / "ecg.csv")
@@ -47,7 +47,7 @@ def run_demo(
     predicted = fascicle.predict(fitted, scenarios, progress, networks)
     write_prediction(fitted, predicted, out / "pacings", progress=progress)
     write_report(fitted, networks, predicted, out / "report.html", ["png"], INTRINSIC)
-    return analysis, fitted, predicted, dict(zip(PACINGS, gains, strict=True))
+    return analysis, fitted, predicted, dict(zip(PACINGS, reductions, strict=True))
 
 
 def _simulated(
