@@ -108,9 +108,7 @@ def remeshed_anatomy(anatomy: Anatomy) -> Anatomy:
     mesh = anatomy.mesh
     new = _remeshed_inside(mesh, mesh.vertices, mesh.tetrahedra, optim=1)
     before, after = (quality(each.vertices, each.tetrahedra).angles.min() for each in (mesh, new))
-    centres = [each.vertices[each.tetrahedra].mean(axis=1) for each in (mesh, new)]
-    distance, near = cKDTree(centres[0]).query(centres[1], k=4)
-    weights = 1 / (distance + 1e-9)  # an unchanged tetrahedron outweighs all others
+    near, weights = nearest_tetrahedra(mesh, new)
     note = (
         f"mesh: its inside was meshed again and its surface kept: {len(mesh.tetrahedra)} "
         f"tetrahedra before, {len(new.tetrahedra)} after; smallest dihedral angle {before:.1f} "
@@ -126,6 +124,13 @@ def remeshed_anatomy(anatomy: Anatomy) -> Anatomy:
         notes=(*anatomy.notes, note),
         own_mesh=False,
     )
+
+
+def nearest_tetrahedra(mesh: LabelledMesh, new: LabelledMesh) -> tuple[Integers, Floats]:
+    """The four tetrahedra (n, 4) of a mesh next to each of a new one, and their weights."""
+    centres = [each.vertices[each.tetrahedra].mean(axis=1) for each in (mesh, new)]
+    distance, near = cKDTree(centres[0]).query(centres[1], k=4)
+    return near, 1 / (distance + 1e-9)  # an unchanged tetrahedron outweighs all others
 
 
 def mean_axes(directions: Floats, weights: Floats) -> Floats:

@@ -10,6 +10,7 @@ import tomllib
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from fascicle.core.errors import FileError, OutputError, printable
 from fascicle.core.ranges import shown
 
 CACHE_VARIABLE = "FASCICLE_CACHE"  # environment variable with another folder for the cache
+PACKAGED = ("default", "camps-dti004")  # hearts: an idealised one, and one subject's
 DISPOSABLE = ".fascicle-cache"  # what is in a folder of this name can be computed again
 _unfinished: set[Path] = set()  # temporary files and folders that are being written
 _outside_allowed = ContextVar("files may name files outside their folder", default=False)
@@ -235,6 +237,13 @@ def read_toml(path: Path, remedy: str) -> dict[str, Any]:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))  # Notepad writes a mark
     except (ValueError, RecursionError) as error:  # of TOML, of UTF-8, of a number too long
         raise FileError(f"{path}: not valid TOML ({error}); {remedy}") from None
+
+
+def packaged(name: Path | str) -> Path | None:
+    """The folder of a packaged heart of this name; None where a file or folder has it."""
+    if str(name) not in PACKAGED or Path(name).exists():
+        return None
+    return Path(str(files("fascicle"))) / "data" / "hearts" / str(name)
 
 
 def user_cache() -> Path:

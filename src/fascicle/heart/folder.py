@@ -6,7 +6,6 @@ import json
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
-from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,6 +21,7 @@ from fascicle.core.files import (
     check_folder,
     check_nothing_lost,
     named_by,
+    packaged,
     read_toml,
     user_cache,
 )
@@ -41,7 +41,6 @@ from fascicle.mesh.measures import signed_volumes
 MANIFEST = "heart.toml"
 PICTURE = "check.png"  # of what the folder holds; whoever writes the folder may draw it
 LABELS_PICTURE = "labels.png"  # of labels that were found from the shape
-DEFAULT_HEART = "default"
 # What a heart is written to, by the manifest's keys
 FILES = {
     "mesh": "mesh.vtu",
@@ -100,7 +99,9 @@ def load_heart(path: Path | str) -> Heart:
     Parameters
     ----------
     path : path
-        The folder, or ``"default"`` for the packaged heart.
+        The folder, or the name of a packaged heart: ``"default"``, an idealised one, or
+        ``"camps-dti004"``, one subject's (Camps et al. 2024, Med Image Anal,
+        doi:10.1016/j.media.2024.103361) with coarser elements.
 
     Raises
     ------
@@ -108,10 +109,9 @@ def load_heart(path: Path | str) -> Heart:
         If anything about it would make the physics wrong; the message names file and remedy.
     """
     folder = as_path(path, "heart")
-    if str(path) == DEFAULT_HEART and not folder.exists():
-        with resources.as_file(resources.files("fascicle") / "data" / "default_heart") as packaged:
-            heart = load_heart(packaged)
-        cache = user_cache() / "default_heart"  # a package is not written to
+    if (own := packaged(path)) is not None:
+        heart = load_heart(own)
+        cache = user_cache() / "hearts" / str(path)  # a package is not written to
         with suppress(OSError):  # nor is every home; then nothing is kept
             cache.mkdir(parents=True, exist_ok=True)
         return replace(heart, folder=cache)

@@ -52,7 +52,8 @@ class LeadFields:
     """Lead fields at the heart's vertices (kΩ), up to a constant, and their origin.
 
     A row (9 + a, n) for each of the heart's electrodes, in the order of `Heart.electrode_names`.
-    `key` is `fascicle.torso.lead_fields.key_of` heart and conduction, `torso` is `torso_key`.
+    `key` is `fascicle.torso.lead_fields.key_of` heart and conduction, `torso` is `torso_key`,
+    or `fascicle.torso.idealised.FITTED` where that torso is not in the folder.
     """
 
     values: Floats

@@ -14,10 +14,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from fascicle.core.errors import FileError, InputError, ValueRefusedError, given_in, one_line
-from fascicle.core.files import as_path, check_file, write_text
+from fascicle.core.files import PACKAGED, as_path, check_file, write_text
 from fascicle.core.progress import Progress
 from fascicle.core.ranges import shown
-from fascicle.heart.folder import DEFAULT_HEART, MANIFEST
+from fascicle.heart.folder import MANIFEST
 from fascicle.patients.outcome import Outcome, Status
 from fascicle.recording.pipeline import make_target
 from fascicle.recording.readers.read import existing_file, read_recording
@@ -42,7 +42,7 @@ class Patient:
 
     name: str  # also of the study
     cohort: Path
-    heart: Path | str  # folder, or "default"
+    heart: Path | str  # folder, or the name of a packaged heart
     recording: Path  # target (.nc), or in any format of `fascicle.read_recording`
     scenario: Path | None = None  # in which it was recorded, if that was not the intrinsic beat
     settings_file: Path | None = None  # TOML file of settings and parameters
@@ -98,7 +98,7 @@ class Patient:
     def check(self) -> Outcome | None:
         """Outcome of a patient whose files are missing or settings invalid; else None."""
         try:
-            if self.heart != DEFAULT_HEART and not (Path(self.heart) / MANIFEST).is_file():
+            if self.heart not in PACKAGED and not (Path(self.heart) / MANIFEST).is_file():
                 raise FileError(
                     f"{self.heart}: not a heart folder (no {MANIFEST}); make one with "
                     "'fascicle heart build'"
@@ -220,7 +220,7 @@ def _patient(folder: Path, given: Mapping[str, str], cohort: Path) -> Patient:
     return Patient(
         given["patient"],
         cohort,
-        DEFAULT_HEART if given["heart"] == DEFAULT_HEART else paths["heart"],
+        given["heart"] if given["heart"] in PACKAGED else paths["heart"],
         paths["recording"],
         paths.get("scenario"),
         paths.get("settings"),

@@ -59,6 +59,7 @@ from fascicle.torso.trunk import (
     trunk_box,
 )
 
+FITTED = "fitted to the electrodes"  # what a heart's lead fields say of a torso that it lacks
 SKIN_MARGIN = 5.0  # mm that must remain between heart and skin
 FARTHEST = 60.0  # mm, of an electrode from the fitted skin, which the deformation can take up
 # One standard deviation of what is fitted: tilt (rad), position of the heart to the left, back and

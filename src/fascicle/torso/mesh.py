@@ -14,27 +14,31 @@ from fascicle.mesh.measures import signed_volumes, winding_number
 from fascicle.mesh.meshing import NOTHING, Interface, tetrahedralise
 from fascicle.mesh.topology import without_unused_vertices
 from fascicle.torso.electrode_sites import FARTHEST
-from fascicle.torso.idealised import idealised_torso
+from fascicle.torso.idealised import FITTED, fitted_torso, idealised_torso
 from fascicle.torso.lead_fields import place_electrodes
 from fascicle.torso.surfaces import Surface
 
 
 def torso_of(heart: Heart, progress: StageProgress = no_progress) -> Torso:
-    """A heart's torso, or the standard one of a heart that carries its lead fields without it.
+    """A heart's torso, or the idealised one of a heart that carries its lead fields without it.
 
-    An error if the heart's electrodes are not on the standard one: then it was another torso.
+    That is the standard one, or the one fitted to the heart's electrodes where its lead fields say
+    `FITTED`. An error if electrodes are not on it: then it was another torso.
     """
     if heart.torso is not None:
         return heart.torso
     mesh = labelled_mesh(heart)
-    surfaces = idealised_torso(mesh)
+    if heart.lead_fields is not None and heart.lead_fields.torso == FITTED:
+        surfaces, _ = fitted_torso(mesh, heart.electrodes, heart.name, {})
+    else:
+        surfaces = idealised_torso(mesh)
     torso = mesh_torso(mesh, surfaces.skin, surfaces.lungs, progress)
     tetrahedra = np.concatenate([heart.tetrahedra, torso.tetrahedra])
     distance = place_electrodes(torso.vertices, tetrahedra, heart.electrodes).moved.max()
     if distance > FARTHEST:
         raise InputError(
             f"{heart.name}: its torso is not in the folder, and electrodes are {distance:.0f} mm "
-            "from the skin of the standard one; build the heart again with its torso"
+            "from the skin of the idealised one; build the heart again with its torso"
         )
     return torso
 

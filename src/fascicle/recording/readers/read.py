@@ -14,7 +14,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, one_line, printable
-from fascicle.core.files import as_path
+from fascicle.core.files import as_path, packaged
 from fascicle.core.isolated import read_isolated
 from fascicle.core.leads import (
     ADDITIONAL_LEADS,
@@ -91,7 +91,8 @@ def read_recording(
     path : path
         WFDB header (or the record name without suffix), DICOM waveform, HL7 aECG, MUSE XML,
         SCP-ECG, EDF, HDF5, MATLAB, a table or another of the formats in ``docs/recordings.md``,
-        or of those added by `register_reader`.
+        or of those added by `register_reader`; or ``"camps-dti004"``, the packaged beat of the
+        subject whose heart is packaged under this name.
     leads : sequence of str, optional
         Leads to use: of `fascicle.core.leads.LEADS` and `ADDITIONAL_LEADS`, by default all, or any
         channels of the file by their names, such as a vest's. Limb leads are computed where two of
@@ -120,7 +121,8 @@ def read_recording(
     InputError
         When the file cannot be used; the message says why and what to do.
     """
-    path = existing_file(as_path(path, "recording"))
+    own, source = packaged(path), str(path)
+    path = existing_file(as_path(path, "recording") if own is None else own / "ecg.csv")
     if leads is not None:
         check_items(leads, str, "leads", f"names of leads, such as {', '.join(LEADS)}, V7, X")
     if sampling_rate is not None:
@@ -140,7 +142,7 @@ def read_recording(
         )
     else:
         raw = read_raw(path, reader.format, sampling_rate)
-    recording = _assemble(raw, str(path), leads, sampling_rate, unit)
+    recording = _assemble(raw, source, leads, sampling_rate, unit)
     notes = {
         "source_sha256": sha256_of([path]),
         "choice_leads": None if leads is None else ", ".join(leads),

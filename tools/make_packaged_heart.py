@@ -1,11 +1,17 @@
-"""Make the packaged default heart: an idealised adult, built as a user's anatomy would be.
+"""Make a packaged heart, built as a user's anatomy would be.
 
-    python tools/make_default_heart.py FOLDER
+    python tools/make_packaged_heart.py default FOLDER
+    python tools/make_packaged_heart.py camps-dti004 FOLDER --published PUBLISHED
 
-A label map is drawn from ellipsoids: the left ventricle is the shell between two truncated
-ellipsoids of revolution, the right one a shell around a third ellipsoid that is leant against it,
-so that its cavity is a crescent. From there on it goes the way of every segmentation: surface,
-mesh, rule-based fibres, idealised torso, lead fields.
+`camps-dti004` is one subject's ventricles (Camps et al. 2024, Med Image Anal,
+doi:10.1016/j.media.2024.103361; MIT licence), meshed again with edges of 2.6 mm, with the published
+fibres and electrodes, and that subject's own averaged beat. The folder PUBLISHED holds `mesh.vtu`
+(mm, with the fibres as point array), `electrodes.csv` and `ecg_beat.csv` (microvolt).
+
+`default` is an idealised adult. A label map is drawn from ellipsoids: the left ventricle is the
+shell between two truncated ellipsoids of revolution, the right one a shell around a third ellipsoid
+that is leant against it, so that its cavity is a crescent. From there on it goes the way of every
+segmentation: surface, mesh, rule-based fibres, idealised torso, lead fields.
 
 Frames (mm). Heart frame: origin in the middle of the LV base, z along the LV axis from apex to
 base, x from the LV towards the RV, y to the anterior-superior side of the septum. Body frame: x to
@@ -29,19 +35,25 @@ import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import igl
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.build.build_heart import heart_of
+from fascicle.build import meshing
+from fascicle.build.build_heart import Seeds, heart_of
 from fascicle.build.labelled_files import Anatomy
 from fascicle.build.meshing import mesh_surface
+from fascicle.build.read_anatomy import Source, read_anatomy
 from fascicle.build.segmentation import Segmentation, SegmentationLabels
 from fascicle.build.segmentation_surface import surface_from_segmentation
+from fascicle.build.surface_repair import compacted
 from fascicle.build.torso import TorsoOptions, in_torso
 from fascicle.heart.endocardium import ChosenSeed
 from fascicle.heart.folder import write_heart
 from fascicle.heart.heart import Heart, LeadFields
+from fascicle.heart.labelled_surface import LabelledMesh, LabelledSurface
 from fascicle.torso.heart_pose import standard_axes
+from fascicle.torso.idealised import FITTED
 
 Floats = NDArray[np.float64]
 
@@ -76,6 +88,7 @@ RV_OUTER = RV_INNER.grown(4.4)
 SPACING = 0.75  # mm, of the label map
 LOW, HIGH = np.array([-38.0, -46.0, -96.0]), np.array([78.0, 46.0, 0.0])  # of the map, mm
 EDGE = 3.0  # mm; two layers of tetrahedra in the RV wall
+CAMPS_EDGE = 2.6  # mm
 HEART_CENTRE = np.array([33.0, -37.0, -5.0])  # of the map's muscle, in the body frame
 
 # Roots and directions of the bundles (heart frame, mm), on the front upper part of the septum,
@@ -124,17 +137,58 @@ def seeds_in_body(drawn: Segmentation) -> dict[str, tuple[ChosenSeed, ChosenSeed
     }
 
 
-def make_heart() -> Heart:
-    """Build the heart with what is small enough to be packaged: no sheets, no torso mesh."""
+def idealised_heart() -> Heart:
+    """The heart of the label map."""
     drawn = label_map()
     surface, _ = surface_from_segmentation(drawn, SegmentationLabels())
-    mesh = mesh_surface(surface, EDGE)
-    mesh = replace(mesh, vertices=rounded(mesh.vertices, POSITION_STEP))
-    heart = heart_of(Anatomy(mesh), seeds=seeds_in_body(drawn), name="idealised adult heart")
+    mesh = with_rounded_vertices(mesh_surface(surface, EDGE))
+    seeds, name = seeds_in_body(drawn), "idealised adult heart"
+    return small(Anatomy(mesh), seeds, name, TorsoOptions(pose="lps"))
+
+
+def camps_heart(published: Path) -> Heart:
+    """The published heart with fewer vertices; its bundles start where they do in the finer one."""
+    source = read_anatomy(Source(file=published / "mesh.vtu", parts={}), CAMPS_EDGE, None)
+    before, fibres = source.mesh, source.fibres
+    assert fibres is not None
+    # one wall of this heart is thinner than two edges: a run within 15 ms wants a coarse mesh
+    meshing.check_edge_length = lambda thickness, edge_length, name: None
+    mesh = with_rounded_vertices(mesh_surface(with_separate_walls(before), CAMPS_EDGE))
+    near, weights = meshing.nearest_tetrahedra(before, mesh)
+    anatomy = Anatomy(mesh, fibres=meshing.mean_axes(fibres[near], weights))
+    seeds: Seeds = {
+        side: (place(own.vertices[own.root]), place(own.vertices[own.direction]))
+        for side, own in zip(("lv", "rv"), heart_of(source).endocardia, strict=True)
+    }
+    body = TorsoOptions(electrodes=published / "electrodes.csv")
+    return small(anatomy, seeds, "camps-dti004", body)
+
+
+def with_separate_walls(mesh: LabelledMesh) -> LabelledSurface:
+    """The surface of a mesh; where two walls meet in a vertex, each is moved outwards by 1 mm."""
+    surface = compacted(LabelledSurface(mesh.vertices, mesh.triangles, mesh.labels, mesh.name))
+    triangles, parent = igl.split_nonmanifold(surface.triangles)[:2]
+    vertices = surface.vertices[parent]
+    doubled = np.bincount(parent)[parent] > 1
+    vertices[doubled] += igl.per_vertex_normals(vertices, triangles)[doubled]
+    return LabelledSurface(vertices, triangles, surface.labels, surface.name)
+
+
+def place(point: Floats) -> ChosenSeed:
+    return point.item(0), point.item(1), point.item(2)
+
+
+def with_rounded_vertices(mesh: LabelledMesh) -> LabelledMesh:
+    return replace(mesh, vertices=rounded(mesh.vertices, POSITION_STEP))
+
+
+def small(anatomy: Anatomy, seeds: Seeds, name: str, body: TorsoOptions) -> Heart:
+    """A heart with what is small enough to be packaged: no sheets, no torso mesh."""
+    heart = heart_of(anatomy, seeds=seeds, name=name)
     fibres = rounded(heart.fibres, FIBRE_STEP)
     # as they will be when the file is read
     heart = replace(heart, fibres=fibres / np.linalg.norm(fibres, axis=1, keepdims=True))
-    heart, _ = in_torso(heart, mesh, TorsoOptions(pose="lps"))
+    heart, _ = in_torso(heart, anatomy.mesh, body)
     assert heart.lead_fields is not None
     single = heart.lead_fields.values.astype(np.float32).astype(float)
     return replace(
@@ -142,7 +196,7 @@ def make_heart() -> Heart:
         fibres=fibres,
         sheets=None,
         torso=None,
-        lead_fields=LeadFields(single, heart.lead_fields.key, torso=""),
+        lead_fields=LeadFields(single, heart.lead_fields.key, FITTED if body.electrodes else ""),
     )
 
 
@@ -152,12 +206,20 @@ def rounded(values: Floats, step: float) -> Floats:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Make the packaged default heart.")
+    parser = argparse.ArgumentParser(description="Make a packaged heart.")
+    parser.add_argument("heart", choices=("default", "camps-dti004"))
     parser.add_argument("folder", type=Path, help="where the files go")
-    folder = parser.parse_args().folder
-    heart = make_heart()
-    write_heart(heart, folder)
-    print(f"{len(heart.vertices)} vertices, {len(heart.tetrahedra)} tetrahedra in {folder}")
+    parser.add_argument("--published", type=Path, help="folder of the published files")
+    given = parser.parse_args()
+    published = given.published
+    heart = idealised_heart() if given.heart == "default" else camps_heart(published)
+    write_heart(heart, given.folder)
+    if published is not None:
+        names, numbers = (published / "ecg_beat.csv").read_text().split("\n", 1)
+        time, *leads = names.split(",")
+        titles = ",".join([time, *(f"{lead}_uV" for lead in leads)])
+        (given.folder / "ecg.csv").write_text(f"{titles}\n{numbers}")
+    print(f"{len(heart.vertices)} vertices, {len(heart.tetrahedra)} tetrahedra in {given.folder}")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""Make the emulators and the classifier of the packaged heart, which come with the package.
+"""Make the emulators and classifiers of the packaged hearts, which come with the package.
 
-    python tools/make_default_emulator.py
+    python tools/make_packaged_emulators.py
 
-Its prior simulations are kept in the user's cache, as those of any fit of this heart, and made if
-they are missing, which takes a quarter of an hour. To be run again whenever they change: the heart,
+Their prior simulations are kept in the user's cache, as those of any fit of this heart, and made if
+they are missing, which takes half an hour. To be run again whenever they change: the heart,
 the forward model, the priors of what is learnt or averaged over, or the version of the package.
 """
 
@@ -15,9 +15,10 @@ import numpy as np
 
 import fascicle
 from fascicle.core.array_cache import ArrayCache
-from fascicle.core.files import DISPOSABLE
+from fascicle.core.files import DISPOSABLE, PACKAGED
 from fascicle.core.leads import INDEPENDENT_ROWS
 from fascicle.forward.model import ForwardModel
+from fascicle.heart.heart import Heart
 from fascicle.study import origin
 from fascicle.study.heart_emulator import EMULATOR
 from fascicle.study.pool import Threads
@@ -33,12 +34,16 @@ FOLDER = Path(fascicle.__file__).parent / "data" / "emulators"
 
 
 def main() -> None:
-    heart = fascicle.load_heart("default")
-    assert heart.folder is not None
-    count = int(FitSettings.model_fields["prior_simulations"].default)
     FOLDER.mkdir(exist_ok=True)
     for old in FOLDER.glob("*.npz"):  # else they are taken for what is asked for
         old.unlink()
+    for name in PACKAGED:
+        make_those_of(fascicle.load_heart(name))
+
+
+def make_those_of(heart: Heart) -> None:
+    assert heart.folder is not None
+    count = int(FitSettings.model_fields["prior_simulations"].default)
     fascicle.simulate_prior(heart)
     simulator = usual_simulator(ForwardModel(heart), heart.folder)
     known = simulations_of_states(simulator, heart.folder, count)
