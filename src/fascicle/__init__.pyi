@@ -6,6 +6,7 @@ from .core.parameters import EXAMPLE_PARAMETERS as EXAMPLE_PARAMETERS
 from .core.parameters import NETWORK_SPACE as NETWORK_SPACE
 from .core.quantities import QUANTITIES as QUANTITIES
 from .core.quantities import Quantity as Quantity
+from .explorer.explore import explore as explore
 from .forward.cable.template import cell_action_potential as cell_action_potential
 from .forward.device.backend import GpuBackend as GpuBackend
 from .forward.example import example_parameters as example_parameters

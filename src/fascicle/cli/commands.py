@@ -282,6 +282,46 @@ def locate(
 
 @app.command()
 @every_command
+def explore(
+    heart: Annotated[
+        str, Argument(metavar="HEART|STUDY", help="Heart folder, study, or a packaged heart.")
+    ] = "camps-dti004",
+    target: Annotated[
+        Path | None, Option(help="Target that simulated ECGs are compared with.")
+    ] = None,
+    port: Annotated[
+        int, Option(min=0, max=65535, help="Port of the local page; by default any free one.")
+    ] = 0,
+    browser: Annotated[
+        bool, Option(help="Open the page; else only its address is printed.")
+    ] = True,
+) -> Result:
+    """Explore a heart: networks, activation and ECG follow every parameter as it is moved.
+
+    A local page opens in the browser. Click the heart to pace there, or a branch to block it; fire
+    the His bundle or the left bundle; step through the networks of a study; pin a beat and compare;
+    save parameters and scenario for 'fascicle simulate', a picture or a film. It ends with the last
+    page, or Ctrl-C. Only this machine can open the page, and nothing is loaded from elsewhere.
+    """
+    import webbrowser
+
+    from fascicle.explorer.explore import session_of
+    from fascicle.explorer.server import serve
+
+    with TerminalProgress() as progress:
+        session = session_of(heart, target, progress)
+
+    def opened(url: str) -> None:
+        print(f"exploring at {url}", flush=True)
+        if browser:
+            webbrowser.open(url)
+
+    serve(session, port, opened)
+    return {}
+
+
+@app.command()
+@every_command
 def predict(
     study: StudyArgument,
     out: OutOption,

@@ -15,7 +15,7 @@ from fascicle.core.ranges import short_repr
 from fascicle.forward.ecg.electrocardiogram import STEP
 from fascicle.forward.eikonal.activation import Activation
 from fascicle.purkinje.tree import PurkinjeTree
-from fascicle.recording.criteria import Criterion, conventional_criteria
+from fascicle.recording.criteria import Criterion, conventional_criteria, frontal_axis
 from fascicle.recording.window import QrsWindows, qrs_windows
 
 LONGEST = 100_000.0  # ms that an activation may take; more is a mistake, and much memory
@@ -91,6 +91,12 @@ class SimulatedBeat:
         """Global QRS duration (ms), that of the outermost leads, by the rule for recordings."""
         onset, offset = self._qrs_windows.global_window
         return (offset - onset) * STEP
+
+    @property
+    def frontal_axis(self) -> float:
+        """Frontal QRS axis (degrees), by the rule for recordings."""
+        onset, offset = self._qrs_windows.global_window
+        return frontal_axis(self.leads[:, onset : offset + 1])
 
     @property
     def conventional_criteria(self) -> tuple[Criterion, ...]:

@@ -1,0 +1,1 @@
+"""The explorer: a page on which a heart, its networks and its ECG follow the hand."""

@@ -1,0 +1,134 @@
+"""The local page of the explorer: served to this machine alone, until its last page is closed."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import secrets
+import socket
+import webbrowser
+from collections.abc import Callable
+from importlib.resources import files
+from typing import Any
+
+from fascicle.core.errors import InputError
+from fascicle.explorer.session import Session
+
+ADDRESS = "127.0.0.1"
+RELOADED_WITHIN = 3.0  # s that a page may be away for before the server ends
+# Nothing from elsewhere is loaded, and no other page may hold this one
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: "
+    "blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+
+
+def serve(session: Session, port: int = 0, opened: Callable[[str], object] | None = None) -> None:
+    """Show a session on a page of this machine; returns when its last page was closed, or Ctrl-C.
+
+    Parameters
+    ----------
+    session : Session
+        What is explored.
+    port : int
+        On which the page is served; any free one if 0.
+    opened : callable, optional
+        Called with the address of the page once it can be opened; a browser by default.
+
+    Raises
+    ------
+    InputError
+        If the port is taken.
+    """
+    import uvicorn
+
+    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind((ADDRESS, port))
+    except OSError as error:
+        listening.close()
+        raise InputError(
+            f"port {port}: {error.strerror}; leave out --port, or give another"
+        ) from None
+    app = Application(session, listening.getsockname()[1], opened or webbrowser.open)
+    config = uvicorn.Config(
+        app.asgi(), log_level="error", ws="websockets-sansio", ws_max_size=2**20, lifespan="on",
+        timeout_graceful_shutdown=1,
+    )  # fmt: skip
+    server = uvicorn.Server(config)
+    app.end = lambda: setattr(server, "should_exit", True)
+    try:
+        server.run(sockets=[listening])
+    finally:
+        listening.close()
+
+
+class Application:
+    """The page, and a socket for each that is open."""
+
+    def __init__(self, session: Session, port: int, opened: Callable[[str], object]) -> None:
+        self.session, self.opened = session, opened
+        self.token = secrets.token_urlsafe(24)
+        self.hosts = {f"{name}:{port}" for name in (ADDRESS, "localhost")}
+        self.url = f"http://{ADDRESS}:{port}/{self.token}/"
+        self.pages = 0
+        self.end: Callable[[], object] = lambda: None
+
+    def asgi(self) -> Any:
+        """The ASGI application: every address begins with the token."""
+        from contextlib import asynccontextmanager
+
+        from starlette.applications import Starlette
+        from starlette.requests import Request
+        from starlette.responses import Response
+        from starlette.routing import Route, WebSocketRoute
+
+        kinds = {"": "text/html", "explorer.css": "text/css", "viewer.js": "text/javascript"}
+
+        async def file(request: Request) -> Response:
+            name = request.path_params.get("name", "")
+            if request.headers.get("host") not in self.hosts or name not in kinds:
+                return Response("not found", 404)
+            content = files("fascicle") / "reporting" / "page" / (name or "explorer.html")
+            headers = {"Content-Security-Policy": POLICY, "Referrer-Policy": "no-referrer"}
+            return Response(content.read_text(encoding="utf-8"), 200, headers, kinds[name])
+
+        @asynccontextmanager
+        async def life(app: Starlette) -> Any:
+            asyncio.get_running_loop().call_soon(self.opened, self.url)
+            yield
+
+        at = f"/{self.token}"
+        routes = [
+            Route(f"{at}/", file),
+            WebSocketRoute(f"{at}/socket", self.socket),
+            Route(f"{at}/{{name}}", file),
+        ]
+        return Starlette(routes=routes, lifespan=life)
+
+    async def socket(self, page: Any) -> None:
+        """Answer the states of one page, one after the other, until it is closed."""
+        from starlette.websockets import WebSocketDisconnect
+
+        origin = page.headers.get("origin", "").removeprefix("http://")
+        if origin not in self.hosts or page.headers.get("host") not in self.hosts:
+            await page.close(1008)  # a page from elsewhere
+            return
+        await page.accept()
+        self.pages += 1
+        try:
+            await page.send_bytes(await asyncio.to_thread(self.session.description))
+            while True:
+                message = json.loads(await page.receive_text())
+                await page.send_bytes(await asyncio.to_thread(self.session.answer, message))
+        except (WebSocketDisconnect, json.JSONDecodeError):
+            pass
+        finally:
+            self.pages -= 1
+            asyncio.get_running_loop().call_later(RELOADED_WITHIN, self.end_without_pages)
+
+    def end_without_pages(self) -> None:
+        """End the server if no page is open."""
+        if self.pages == 0:
+            self.end()

@@ -1,0 +1,247 @@
+"""What the explorer shows: a state goes in; activation, trees and ECG come out.
+
+A page sends its whole state with every change and keeps nothing here, so that undoing, comparing
+and two pages at once need no more than states. An answer is a length (4 bytes, little-endian), that
+many bytes of JSON, and the arrays that it names, each from a multiple of four bytes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, Field, ValidationError
+
+from fascicle.core.arrays import Integers
+from fascicle.core.errors import InputError
+from fascicle.core.leads import LEADS
+from fascicle.core.parameters import NETWORK_SPACE, Parameter, ParameterSpace, free
+from fascicle.core.quantities import CONDUCTION, QUANTITIES, parameter_name
+from fascicle.forward.ecg.electrocardiogram import STEP
+from fascicle.forward.example import example_parameters
+from fascicle.forward.model import ForwardModel
+from fascicle.forward.primitives import His, SlowConduction, Stimulus
+from fascicle.forward.scenario import Primitive, Scenario
+from fascicle.forward.scenario_files import library, read_scenarios, scenario_text
+from fascicle.forward.simulation import Simulation
+from fascicle.heart.labelled_surface import ENDOCARDIA, labelled_mesh
+from fascicle.prediction.scenarios import INTRINSIC
+from fascicle.purkinje.tree import PurkinjeTree
+from fascicle.reporting.surfaces import heart_views
+from fascicle.study.fitted import FittedStudy
+from fascicle.study.target_comparison import TargetComparison
+
+BLOCKED_WITHIN = 3.0  # mm of a place in a tree that is blocked there
+Coordinate = Annotated[float, Field(ge=-1e4, le=1e4, allow_inf_nan=False)]
+Place = tuple[Coordinate, Coordinate, Coordinate]
+
+
+class State(BaseModel, extra="forbid"):
+    """What a page asks for.
+
+    Attributes
+    ----------
+    values : mapping of name to float
+        Quantities of the network, in their units.
+    scenario : str
+        Name in the `library`.
+    stimuli : list of Place
+        Paced places of the myocardium (mm), all at 0 ms; without a scenario no root fires then.
+    blocks : list of (str, Place)
+        Trees, and places of them (mm) that do not conduct.
+    """
+
+    values: dict[str, float]
+    scenario: str = INTRINSIC
+    stimuli: list[Place] = Field(default=[], max_length=20)
+    blocks: list[tuple[str, Place]] = Field(default=[], max_length=20)
+
+    @classmethod
+    def of(cls, message: Any) -> State:
+        """Check what a page sent."""
+        try:
+            return cls.model_validate(message)
+        except ValidationError as error:
+            first = error.errors()[0]
+            place = ".".join(map(str, first["loc"]))
+            raise InputError(f"state: '{place}': {first['msg']}; reload the page") from None
+
+    def beat(self) -> Scenario | None:
+        """The scenario of this state; None of an intrinsic beat without blocks."""
+        name, primitives = self.scenario, list[Primitive]()
+        if name != INTRINSIC:
+            if name not in library():
+                raise InputError(f"scenario: '{name}' is not in the library; reload the page")
+            primitives += read_scenarios(name)[name].primitives
+        elif self.stimuli:  # as in the library's pacings
+            primitives.append(His(time=np.inf))
+        primitives += [Stimulus(time=0.0, position=place) for place in self.stimuli]
+        primitives += [
+            SlowConduction(tree=tree, speed=0.0, centre=place, radius=BLOCKED_WITHIN)
+            for tree, place in self.blocks
+        ]
+        return Scenario(primitives) if primitives else None
+
+
+@dataclass(frozen=True)
+class Session:
+    """What can be explored.
+
+    Attributes
+    ----------
+    model : ForwardModel
+        Of the heart.
+    recording : TargetComparison, optional
+        The recording that simulated ECGs are laid under.
+    study : FittedStudy, optional
+        Whose networks can be looked at one by one.
+    """
+
+    model: ForwardModel
+    recording: TargetComparison | None = None
+    study: FittedStudy | None = None
+
+    @classmethod
+    def of_study(cls, study: FittedStudy) -> Session:
+        """Explore a study: its heart, its first recording, its networks."""
+        return cls(study.simulator.model, study.recordings[0], study)
+
+    @cached_property
+    def space(self) -> ParameterSpace:
+        """What has a slider: the parameters of the study, or of the networks, and α."""
+        if self.study is not None:
+            return self.study.simulator.space
+        return ParameterSpace((*NETWORK_SPACE.parameters, free("alpha")))
+
+    @cached_property
+    def surface(self) -> tuple[Integers, Integers, Integers]:
+        """Vertices (s,) of the heart's surface, triangles (t, 3) of these, and their labels."""
+        mesh = labelled_mesh(self.model.heart)
+        shown, numbered = np.unique(mesh.triangles, return_inverse=True)
+        return shown, numbered.reshape(mesh.triangles.shape), mesh.labels
+
+    def description(self) -> bytes:
+        """Everything that does not change: surface, sliders, scenarios, recording, networks."""
+        shown, triangles, labels = self.surface
+        heart = self.model.heart
+        anterior = heart_views(heart)["anterior"].axes
+        said: dict[str, Any] = {
+            "heart": heart.name,
+            "up": anterior[1].tolist(),
+            "front": (-anterior[2]).tolist(),
+            "leads": list(LEADS),
+            "sliders": [self._slider(parameter) for parameter in self.space.parameters],
+            "conduction": CONDUCTION,
+            "scenarios": [INTRINSIC, *(name for name in library() if name != INTRINSIC)],
+            "start": self.start,
+            "verdict": None if self.study is None else self.study.verdict,
+            "networks": self._networks(),
+        }
+        arrays = {
+            "vertices": heart.vertices[shown].astype("<f4"),
+            "triangles": triangles.astype("<u4"),
+            "inside": np.isin(labels, ENDOCARDIA).astype("<u4"),
+            "electrodes": heart.electrodes.astype("<f4"),
+        }
+        return packed(said, arrays)
+
+    @cached_property
+    def start(self) -> dict[str, float]:
+        """Values that a page begins with: of the study's best network, or the example's."""
+        if self.study is None:
+            return {**example_parameters(self.model), "alpha": self.model.conduction.alpha}
+        return {**self.study.simulator.fixed, **self.study.population.best}
+
+    def answer(self, message: Any) -> bytes:
+        """Simulate a state that a page sent; where that cannot be done the answer says why."""
+        number = message.get("id") if isinstance(message, Mapping) else None
+        try:
+            if not isinstance(message, Mapping):
+                raise InputError("state: not a table; reload the page")
+            state = State.of(message.get("state"))
+            if message.get("ask") == "files":
+                return packed({"id": number, "files": self.files(state)}, {})
+            said, arrays = self._simulated(state)
+            return packed({"id": number, **said}, arrays)
+        except InputError as error:
+            return packed({"id": number, "error": str(error)}, {})
+
+    def files(self, state: State) -> dict[str, str]:
+        """Files by name that `fascicle simulate` takes, to repeat a state."""
+        values = "".join(f"{name} = {value!r}\n" for name, value in state.values.items())
+        beat = state.beat() or Scenario()
+        return {"parameters.toml": values, "scenario.toml": scenario_text(beat)}
+
+    def _simulated(self, state: State) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        found = self.model.simulate(state.values, state.beat())
+        if not isinstance(found, Simulation):
+            raise InputError(f"no network: {found.reason}")
+        begin = float(found.activation.min())
+        said: dict[str, Any] = {
+            "qrs": found.global_qrs_duration,
+            "total": found.total_activation_time,
+            "axis": found.frontal_axis,
+            "criteria": [each.name for each in found.conventional_criteria if each.met],
+        }
+        arrays = {"activation": (found.activation[self.surface[0]] - begin).astype("<f4")}
+        for tree, times in zip(found.trees, found.coupled.trees, strict=True):
+            arrays |= _tree(tree, times - begin)
+        said["trees"] = [tree.side for tree in found.trees]
+        said["ecg_start"] = found.onset - begin
+        arrays["simulated"] = found.leads[: len(LEADS)].astype("<f4")
+        if self.recording is not None:
+            target, alignment = self.recording.target, self.recording.align(found.leads)
+            under = self.recording.predicted(found.leads, alignment)
+            first = alignment.shift - target.qrs_samples.start - found.first_activation
+            said["ecg_start"] = first * STEP
+            said["explained"] = 1 - alignment.loss / self.recording.null_loss
+            arrays["simulated"] = under[: len(LEADS)].astype("<f4")
+            arrays["recorded"] = target.mean[: len(LEADS)].astype("<f4")
+        return said, arrays
+
+    def _slider(self, parameter: Parameter) -> dict[str, Any]:
+        """A parameter's range, and how its values in the study are distributed within it."""
+        name = parameter.name
+        low, high = parameter.lower, parameter.upper
+        drawn = None
+        if self.study is not None and len(self.study.population):
+            values = self.study.population.values[name]
+            drawn = np.histogram(values, bins=30, range=(low, high))[0].tolist()
+        unit = "" if parameter.unit == "1" else parameter.unit
+        return {
+            "name": name, "label": parameter_name(name), "unit": unit, "low": low, "high": high,
+            "prior": parameter.prior, "posterior": drawn, "meaning": QUANTITIES[name].meaning,
+        }  # fmt: skip
+
+    def _networks(self) -> list[dict[str, float]]:
+        if self.study is None:
+            return []
+        population, fixed = self.study.population, self.study.simulator.fixed
+        return [{**fixed, **population.parameters(k)} for k in range(len(population))]
+
+
+def _tree(tree: PurkinjeTree, times: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """Nodes (mm), segments and times (ms) of a tree, after its side."""
+    ends = np.flatnonzero(tree.parents >= 0)
+    return {
+        f"{tree.side}_nodes": tree.nodes.astype("<f4"),
+        f"{tree.side}_segments": np.column_stack([tree.parents[ends], ends]).astype("<u4"),
+        f"{tree.side}_times": times.astype("<f4"),
+    }
+
+
+def packed(said: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """JSON and arrays of four-byte numbers as one message; the JSON says where each array is."""
+    at, places = 0, {}
+    for name, array in arrays.items():
+        places[name] = {"at": at, "shape": array.shape, "type": array.dtype.str}
+        at += array.nbytes
+    text = json.dumps({**said, "arrays": places}, allow_nan=False).encode()
+    text += b" " * (-len(text) % 4)
+    parts = (np.ascontiguousarray(array).tobytes() for array in arrays.values())
+    return b"".join((len(text).to_bytes(4, "little"), text, *parts))

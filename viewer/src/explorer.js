@@ -1,0 +1,484 @@
+// A heart to explore: its networks, activation and ECG follow every change of a state.
+
+import { Mesh, MeshBasicMaterial, SphereGeometry, Vector3 } from "three";
+import { GIFEncoder, applyPalette, quantize } from "gifenc";
+import { addStyle, button, choice, make } from "./controls.js";
+import { EcgPaper } from "./ecg.js";
+import { EXERCISES } from "./exercises.js";
+import { Heart, treeLines } from "./heart.js";
+import { unpacked } from "./message.js";
+import { Stage } from "./stage.js";
+
+const PLAYED_IN = 4; // seconds
+const NEAR = 4; // mm from the line of sight that a branch may be
+const FRAMES = 40; // of a film
+const SIMULATED = "#b34700";
+const RECORDED = "#1f5fa8";
+const PINNED = "#777777";
+
+const plain = (name) => name.replaceAll("-", " ");
+const copy = (state) => JSON.parse(JSON.stringify(state));
+
+export class Explorer {
+  // `send(message)` takes what a session answers; its answers go to `heard`.
+  constructor(element, send) {
+    addStyle();
+    this.element = element;
+    this.send = send;
+    this.number = 0;
+    this.past = [];
+    this.busy = false;
+    this.waiting = false;
+    this.pinned = null;
+    this.latencies = [];
+    element.replaceChildren(make("p", { role: "status" }, "The heart is being prepared …"));
+  }
+
+  heard(buffer) {
+    const { said, arrays } = unpacked(buffer);
+    if (said.sliders) this.begin(said, arrays);
+    else if (said.files) this.download(said.files);
+    else this.show(said, arrays);
+  }
+
+  // The first message: what does not change.
+  begin(said, arrays) {
+    this.said = said;
+    this.fixed = arrays;
+    this.state = { values: { ...said.start }, scenario: "intrinsic", stimuli: [], blocks: [] };
+    this.build();
+    this.ask();
+  }
+
+  build() {
+    const { said, fixed } = this;
+    this.canvas = make("canvas", {
+      tabindex: 0, role: "img", "aria-label": "heart; drag or use the arrow keys to turn it",
+    });
+    this.picture = make("div", { class: "fv-picture" }, this.canvas);
+    this.paper = make("div", { class: "fx-paper" });
+    this.status = make("p", { role: "status", class: "fx-status" });
+    this.measured = make("dl", { class: "fx-measured" });
+    this.element.replaceChildren(
+      make("h1", {}, said.heart, make("small", {}, said.verdict ?? "example network")),
+      make("div", { class: "fx-top" },
+        make("section", { "aria-label": "heart" }, this.actions(), this.picture, this.timeRow()),
+        make("section", { "aria-label": "ECG" }, this.paper, this.measured, this.status)),
+      this.networkRow(),
+      this.sliders(),
+      this.exercises(),
+    );
+    this.stage = new Stage(this.canvas, this.picture, {
+      up: said.up, front: said.front, points: fixed.vertices,
+    });
+    this.heart = new Heart({
+      vertices: fixed.vertices, triangles: fixed.triangles, inside: fixed.inside,
+    });
+    this.heart.seeThrough(true);
+    this.stage.add(this.heart.mesh);
+    this.stage.onClick = (ray) => this.clicked(ray);
+    this.trees = [];
+    this.markers = [];
+    this.ecg = new EcgPaper(this.paper);
+    this.ecg.onCursor = (ms) => this.moveTo(ms);
+    this.keys = (event) => {
+      if ((event.ctrlKey || event.metaKey) && event.key === "z") {
+        event.preventDefault();
+        this.undo();
+      }
+    };
+    addEventListener("keydown", this.keys);
+  }
+
+  actions() {
+    const { said } = this;
+    this.mode = choice("click", ["turns only", "pace here", "block a branch"], () => {});
+    this.scenario = choice("beat", said.scenarios.map(plain), (k) =>
+      this.change((state) => (state.scenario = said.scenarios[k])));
+    this.conduction = choice("conduction", said.conduction, (k) =>
+      this.change((state) => (state.values.conduction = k)));
+    this.opaque = make("input", { type: "checkbox" });
+    this.opaque.addEventListener("change", () => {
+      this.heart.seeThrough(!this.opaque.checked);
+      this.stage.draw();
+    });
+    const views = ["AP", "LAO 45°", "RAO 30°", "left lateral", "inferior", "base"];
+    const fire = [["fire His", "his-pacing"], ["left", "left-bundle-branch-pacing"],
+                  ["right apex", "rv-apical-pacing"]];
+    return make("div", {},
+      make("div", { class: "fv-row" }, this.mode.row, this.scenario.row, this.conduction.row),
+      make("div", { class: "fv-row" },
+        ...fire.map(([text, name]) => button(text, `${text}: ${plain(name)}`, () =>
+          this.change((state) => Object.assign(state, { scenario: name, stimuli: [] })))),
+        button("undo", "undo (Ctrl+Z)", () => this.undo()),
+        button("start again", "start again", () => this.change((state) =>
+          Object.assign(state, copy({ values: said.start, scenario: "intrinsic", stimuli: [], blocks: [] })))),
+        button("pin", "pin this beat to compare with", () => this.pin()),
+        button("save", "save parameters and scenario", () => this.save()),
+        button("picture", "save a picture", () => this.savePicture()),
+        button("film", "save a film", () => this.saveFilm())),
+      make("div", { class: "fv-row" },
+        ...views.map((name) => button(name, `view: ${name}`, () => this.stage.view(name))),
+        make("label", {}, this.opaque, "opaque")));
+  }
+
+  timeRow() {
+    this.time = Infinity;
+    this.play = button("▶", "play or pause", () => this.playOrPause());
+    this.clock = make("span", { class: "fx-clock" });
+    this.slider = make("input", {
+      type: "range", min: 0, max: 200, step: 1, value: 200,
+      "aria-label": "time after the first ventricular activation (ms)",
+    });
+    this.slider.addEventListener("input", () => this.moveTo(Number(this.slider.value)));
+    return make("div", { class: "fv-row" }, this.play, this.slider, this.clock);
+  }
+
+  networkRow() {
+    const { networks } = this.said;
+    if (!networks.length) return "";
+    this.which = make("input", {
+      type: "range", min: 1, max: networks.length, value: 1, step: 1, "aria-label": "network",
+    });
+    const label = make("span", {}, "best network");
+    this.which.addEventListener("input", () => {
+      const k = Number(this.which.value);
+      label.textContent = `network ${k} of ${networks.length}`;
+      this.change((state) => (state.values = { ...networks[k - 1] }));
+    });
+    return make("div", { class: "fv-row" }, "networks of the study", this.which, label);
+  }
+
+  sliders() {
+    this.inputs = {};
+    const rows = this.said.sliders.map((each) => {
+      const { name, low, high, label, unit, meaning, posterior } = each;
+      const input = make("input", {
+        type: "range", min: low, max: high, step: (high - low) / 400, "aria-label": label,
+        title: meaning,
+      });
+      const value = make("output", {});
+      input.addEventListener("input", () => this.slide(name, Number(input.value)));
+      input.addEventListener("change", () => (this.sliding = null));
+      this.inputs[name] = { input, value, unit, digits: high - low > 20 ? 0 : high - low > 1 ? 2 : 3 };
+      return make("div", { class: "fx-slider", "data-name": name },
+        make("span", {}, label), value, density(posterior), input);
+    });
+    return make("section", { class: "fx-sliders", "aria-label": "parameters" }, ...rows);
+  }
+
+  exercises() {
+    const rows = EXERCISES.map(({ name, state, text }) =>
+      make("details", {}, make("summary", {}, name), make("p", {}, text),
+        button("begin", `begin: ${name}`, () => this.change((now) => {
+          Object.assign(now, { scenario: state.scenario, stimuli: [], blocks: [] });
+          now.values = { ...this.said.start, conduction: state.conduction };
+        }))));
+    return make("section", { "aria-label": "exercises" }, make("h2", {}, "Five exercises"), ...rows);
+  }
+
+  // One entry of the history for a whole movement of a slider.
+  slide(name, value) {
+    const same = this.sliding === name;
+    this.sliding = name;
+    this.change((state) => (state.values[name] = value), !same);
+  }
+
+  change(how, remember = true) {
+    if (remember) this.past.push(copy(this.state));
+    how(this.state);
+    this.ask();
+  }
+
+  undo() {
+    const before = this.past.pop();
+    if (!before) return this.say("Nothing to undo.");
+    this.state = before;
+    this.ask();
+  }
+
+  // Asks for the present state; while an answer is awaited the latest state waits, and no other.
+  ask() {
+    this.showState();
+    this.waiting = true;
+    if (this.busy) return;
+    this.waiting = false;
+    this.busy = true;
+    this.number += 1;
+    this.asked = performance.now();
+    this.send({ id: this.number, state: this.state });
+  }
+
+  showState() {
+    const { values, scenario } = this.state;
+    for (const [name, { input, value, unit, digits }] of Object.entries(this.inputs)) {
+      if (values[name] === undefined) continue;
+      input.value = values[name];
+      value.textContent = `${values[name].toFixed(digits)} ${unit}`;
+    }
+    this.scenario.select.value = this.said.scenarios.indexOf(scenario);
+    this.conduction.select.value = values.conduction ?? 0;
+  }
+
+  show(said, arrays) {
+    this.busy = false;
+    if (said.error) this.say(said.error);
+    else this.showBeat(said, arrays);
+    if (this.waiting) this.ask();
+    requestAnimationFrame(() => this.latencies.push(performance.now() - this.asked));
+  }
+
+  showBeat(said, arrays) {
+    this.beat = { said, arrays };
+    const { activation } = arrays;
+    const end = Math.ceil(activation.reduce((a, b) => (b > a && b < Infinity ? b : a), 0));
+    this.end = end;
+    const field = {
+      kind: "time", values: activation.map((t) => (t < Infinity ? t : NaN)), low: 0, high: end,
+      label: "activation", unit: "ms",
+    };
+    this.heart.show(field);
+    this.trees.forEach((tree) => {
+      this.stage.remove(tree);
+      tree.geometry.dispose();
+      tree.material.dispose();
+    });
+    this.trees = said.trees.map((side) => treeLines({
+      nodes: arrays[`${side}_nodes`], segments: arrays[`${side}_segments`],
+      times: arrays[`${side}_times`], low: 0, high: end,
+    }));
+    this.trees.forEach((tree) => this.stage.add(tree));
+    this.mark();
+    this.slider.max = end;
+    this.moveTo(this.time >= (this.ended ?? 0) ? end : Math.min(this.time, end));
+    this.ended = end;
+    this.drawEcg();
+    this.say("");
+    this.write(said);
+  }
+
+  drawEcg() {
+    const { said, arrays } = this.beat;
+    const trace = (name, colour, values) => ({ name, colour, values: this.byLead(values) });
+    const traces = [trace("simulated", SIMULATED, arrays.simulated)];
+    if (arrays.recorded) traces.unshift(trace("recorded", RECORDED, arrays.recorded));
+    if (this.pinned) traces.unshift({ ...this.pinned, dashed: true });
+    this.ecg.show({ leads: this.said.leads, start: said.ecg_start, step: 1, traces });
+  }
+
+  byLead(values) {
+    const { leads } = this.said;
+    const length = values.length / leads.length;
+    return Object.fromEntries(
+      leads.map((lead, k) => [lead, values.subarray(k * length, (k + 1) * length)]),
+    );
+  }
+
+  write(said) {
+    const was = this.pinned?.said;
+    const rows = [
+      ["QRS duration", said.qrs, was?.qrs, "ms"], ["total activation", said.total, was?.total, "ms"],
+      ["frontal axis", said.axis, was?.axis, "°"],
+    ].map(([name, now, before, unit]) => [name, `${now.toFixed(0)} ${unit}${
+      before === undefined ? "" : ` (pinned ${before.toFixed(0)})`}`]);
+    if (said.explained !== undefined) {
+      rows.push(["of the recorded QRS explained", `${(100 * said.explained).toFixed(0)} %`]);
+    }
+    rows.push(["conventional criteria met", said.criteria.join("; ") || "none"]);
+    this.measured.replaceChildren(
+      ...rows.flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, value)]),
+    );
+  }
+
+  say(text) {
+    this.status.textContent = text;
+  }
+
+  moveTo(ms) {
+    this.time = Math.min(Math.max(ms, 0), this.end);
+    this.slider.value = this.time;
+    this.clock.textContent = `${Math.round(this.time)} ms after the first activation`;
+    this.heart.at(this.time, this.end);
+    this.trees.forEach((tree) => {
+      const u = tree.material.uniforms;
+      u.time.value = this.time;
+      if (u.whole) u.whole.value = this.time >= this.end;
+    });
+    this.ecg.cursor(this.time);
+    this.stage.draw();
+  }
+
+  playOrPause() {
+    if (this.playing) return this.stop();
+    this.playing = true;
+    this.play.textContent = "⏸";
+    if (this.time >= this.end) this.moveTo(0);
+    let before = performance.now();
+    const step = (now) => {
+      if (!this.playing) return;
+      this.moveTo(this.time + ((now - before) / 1000 / PLAYED_IN) * this.end);
+      before = now;
+      if (this.time >= this.end) return this.stop();
+      requestAnimationFrame(step);
+    };
+    requestAnimationFrame(step);
+  }
+
+  stop() {
+    this.playing = false;
+    this.play.textContent = "▶";
+  }
+
+  clicked(ray) {
+    const how = Number(this.mode.select.value);
+    if (how === 1) this.paceAt(ray);
+    if (how === 2) this.blockAt(ray);
+  }
+
+  paceAt(ray) {
+    const [hit] = ray.intersectObject(this.heart.mesh);
+    if (!hit) return;
+    const vertex = this.heart.nearest(hit.face, hit.point);
+    const place = [...this.fixed.vertices.subarray(3 * vertex, 3 * vertex + 3)];
+    this.change((state) => state.stimuli.push(place));
+  }
+
+  // Blocks the branch that is nearest to the line of sight.
+  blockAt(ray) {
+    const point = new Vector3();
+    let best = { away: NEAR };
+    for (const side of this.beat.said.trees) {
+      const nodes = this.beat.arrays[`${side}_nodes`];
+      for (let k = 0; k < nodes.length; k += 3) {
+        const away = ray.ray.distanceToPoint(point.fromArray(nodes, k));
+        if (away < best.away) best = { away, side, place: [...nodes.subarray(k, k + 3)] };
+      }
+    }
+    if (!best.side) return this.say("Click nearer to a branch of the network.");
+    this.change((state) => state.blocks.push([best.side, best.place]));
+  }
+
+  mark() {
+    this.markers.forEach((marker) => this.stage.remove(marker));
+    const { stimuli, blocks } = this.state;
+    const ball = (place, color) => {
+      const mesh = new Mesh(new SphereGeometry(2.2), new MeshBasicMaterial({ color }));
+      mesh.position.set(...place);
+      return mesh;
+    };
+    this.markers = [
+      ...stimuli.map((place) => ball(place, "#d40000")),
+      ...blocks.map(([, place]) => ball(place, "#111111")),
+    ];
+    this.markers.forEach((marker) => this.stage.add(marker));
+  }
+
+  pin() {
+    const { said, arrays } = this.beat;
+    const shift = said.ecg_start;
+    this.pinned = {
+      name: "pinned", colour: PINNED, values: this.byLead(arrays.simulated), start: shift, said,
+    };
+    this.drawEcg();
+    this.write(said);
+  }
+
+  save() {
+    this.send({ id: 0, ask: "files", state: this.state });
+  }
+
+  download(files) {
+    for (const [name, text] of Object.entries(files)) keep(name, new Blob([text]));
+  }
+
+  savePicture() {
+    this.frame().toBlob((blob) => keep("heart.png", blob));
+  }
+
+  // The heart and, under it, the ECG.
+  frame() {
+    this.stage.render();
+    const [heart, ecg] = [this.canvas, this.paper.querySelector("canvas")];
+    const canvas = make("canvas", { width: 960, height: 0 });
+    const heights = [heart, ecg].map((each) => Math.round((960 * each.height) / each.width));
+    canvas.height = heights[0] + heights[1];
+    const pen = canvas.getContext("2d", { willReadFrequently: true });
+    pen.fillStyle = "#fff";
+    pen.fillRect(0, 0, canvas.width, canvas.height);
+    pen.drawImage(heart, 0, 0, 960, heights[0]);
+    pen.drawImage(ecg, 0, heights[0], 960, heights[1]);
+    return canvas;
+  }
+
+  async saveFilm() {
+    keep("heart.gif", new Blob([await this.film()], { type: "image/gif" }));
+  }
+
+  // The front through trees and tissue, as GIF.
+  async film() {
+    const film = GIFEncoder();
+    const until = this.time;
+    for (let k = 0; k <= FRAMES; k += 1) {
+      this.moveTo((k / FRAMES) * this.end);
+      const canvas = this.frame();
+      const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+      const palette = quantize(data, 128);
+      film.writeFrame(applyPalette(data, palette), canvas.width, canvas.height, {
+        palette, delay: k === FRAMES ? 1500 : 80,
+      });
+      this.say(`film: ${k} of ${FRAMES}`);
+      await new Promise((done) => setTimeout(done));
+    }
+    film.finish();
+    this.moveTo(until);
+    this.say("");
+    return film.bytes();
+  }
+
+  dispose() {
+    this.stop();
+    removeEventListener("keydown", this.keys);
+    this.stage?.dispose();
+    this.ecg?.dispose();
+    this.heart?.dispose();
+  }
+}
+
+// A file for the reader.
+function keep(name, blob) {
+  const link = make("a", { href: URL.createObjectURL(blob), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1e4);
+}
+
+// How a parameter is distributed in the study, within its slider; nothing without a study.
+function density(counts) {
+  const bars = make("div", { class: "fx-density", "aria-hidden": "true" });
+  if (!counts) return bars;
+  const most = Math.max(...counts, 1);
+  bars.append(...counts.map((n) => make("i", { style: `height:${(100 * n) / most}%` })));
+  return bars;
+}
+
+window.fascicleExplorer = (element, send) => {
+  const probe = document.createElement("canvas");
+  if (!probe.getContext("webgl2")) {
+    element.textContent = "This browser has no WebGL, which the heart is drawn with.";
+    return null;
+  }
+  return new Explorer(element, send);
+};
+
+// The page of `fascicle explore`: one socket; where it ends the page says so.
+const page = document.querySelector("[data-fascicle-explorer]");
+if (page) {
+  const socket = new WebSocket(new URL("socket", location.href.replace(/^http/, "ws")));
+  socket.binaryType = "arraybuffer";
+  const explorer = window.fascicleExplorer(page, (message) => socket.send(JSON.stringify(message)));
+  socket.onmessage = (event) => explorer?.heard(event.data);
+  socket.onclose = () => {
+    page.prepend(make("p", { role: "alert", class: "fx-ended" },
+      "The explorer has ended; start it again with “fascicle explore”."));
+  };
+  window.explorer = explorer;
+}
