@@ -1,5 +1,6 @@
-// Colour maps that are even for every kind of colour vision (viridis reversed, cividis reversed),
-// between a few of their colours, so early or small is light.
+// Colour maps between a few of their colours. Of those that are even for every kind of colour
+// vision (viridis reversed, cividis reversed) early or small is light; of the other, turbo reversed
+// without its dark ends, early is red.
 
 import { DataTexture, LinearFilter, RGBAFormat, SRGBColorSpace } from "three";
 
@@ -8,6 +9,8 @@ const STOPS = {
          "#482878", "#440154"],
   scalar: ["#fee838", "#e1cc55", "#c3b369", "#a59c74", "#8a8678", "#70717b", "#575d6d", "#3b496c",
            "#123570", "#00224e"],
+  red: ["#c82803", "#f05b12", "#fe992c", "#eccf3a", "#c1f334", "#7cfd5f", "#31f299", "#1bcfd5",
+        "#3e9bfe", "#4662d7"],
 };
 
 const channel = (hex, at) => parseInt(hex.slice(at, at + 2), 16);

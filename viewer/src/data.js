@@ -1,4 +1,4 @@
-// What a scene holds, as typed arrays.
+// What a scene holds, as typed arrays: base64 of little-endian numbers, or such an array itself.
 
 const NONE = 65535;
 const STEPS = 65534;
@@ -10,11 +10,12 @@ function bytes(text) {
   return out.buffer;
 }
 
-export const whole = (text) => new Uint32Array(bytes(text));
+export const whole = (given) => (ArrayBuffer.isView(given) ? given : new Uint32Array(bytes(given)));
 
 // Positions (mm) of quantised points.
-export function positions(text, box) {
-  const quantised = new Uint16Array(bytes(text));
+export function positions(given, box) {
+  if (ArrayBuffer.isView(given)) return given;
+  const quantised = new Uint16Array(bytes(given));
   const out = new Float32Array(quantised.length);
   for (let k = 0; k < quantised.length; k++) {
     const low = box.low[k % 3];
@@ -25,8 +26,9 @@ export function positions(text, box) {
 
 // Values of a field; NaN where there is none.
 export function values(field) {
-  const quantised = new Uint16Array(bytes(field.values ?? field.times));
-  return Float32Array.from(quantised, (q) =>
+  const given = field.values ?? field.times;
+  if (ArrayBuffer.isView(given)) return given;
+  return Float32Array.from(new Uint16Array(bytes(given)), (q) =>
     q === NONE ? NaN : field.low + (q / STEPS) * (field.high - field.low),
   );
 }

@@ -1,106 +1,190 @@
-// The heart's surface and its trees as the graphics card draws them.
+// The heart's surface and its Purkinje trees as the graphics card draws them: in one colour map,
+// with one front.
 
 import {
-  BufferAttribute, BufferGeometry, DoubleSide, LineSegments, Mesh, ShaderMaterial,
+  BufferAttribute, BufferGeometry, DoubleSide, InstancedBufferAttribute, InstancedBufferGeometry,
+  Mesh, ShaderMaterial, Vector2,
 } from "three";
 import { positions, values, whole } from "./data.js";
 import { texture } from "./colours.js";
 
 const FRONT = 8; // ms that the front is bright
 const ISOCHRONES = 10; // ms
+const TREE_WIDTH = 3.6; // CSS pixels, with the dark edge
+
+const COLOURED = `
+uniform sampler2D map; uniform float low, high, time; uniform bool ofTime, whole;
+const vec3 NONE = vec3(0.55), BRIGHT = vec3(1.0, 0.55, 0.25);
+vec3 coloured(float value) {
+  return texture2D(map, vec2((value - low) / (high - low), 0.5)).rgb;
+}
+vec3 withFront(vec3 colour, vec3 rest, float value) {
+  float since = (time - value) / ${FRONT.toFixed(1)};
+  return since < 0.0 ? rest : mix(BRIGHT, colour, min(since, 1.0));
+}`;
 
 const VERTEX = `
-attribute float value;
-varying float vValue; varying vec3 vNormal;
+#include <clipping_planes_pars_vertex>
+attribute float value, scar;
+varying float vValue, vScar; varying vec3 vNormal, vPlace;
 void main() {
   vValue = value;
+  vScar = scar;
+  vPlace = position;
   vNormal = normalize(normalMatrix * normal);
-  gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+  vec4 mvPosition = modelViewMatrix * vec4(position, 1.0);
+  #include <clipping_planes_vertex>
+  gl_Position = projectionMatrix * mvPosition;
 }`;
 
 // What has no value is marked by one far below zero, so that triangles at its border are grey, too.
+// A translucent wall is clearer where it faces the eye. Scar is hatched, 2.5 mm apart.
 const FRAGMENT = `
-uniform sampler2D map; uniform float low, high, time, opacity; uniform bool ofTime, whole;
-varying float vValue; varying vec3 vNormal;
-const vec3 NONE = vec3(0.55), REST = vec3(0.86, 0.84, 0.82), BRIGHT = vec3(1.0, 0.55, 0.25);
+#include <clipping_planes_pars_fragment>
+uniform bool translucent;
+varying float vValue, vScar; varying vec3 vNormal, vPlace;
+const vec3 REST = vec3(0.86, 0.84, 0.82);
+${COLOURED}
 void main() {
-  float light = 0.5 + 0.5 * abs(normalize(vNormal).z);
+  #include <clipping_planes_fragment>
+  float facing = abs(normalize(vNormal).z);
   vec3 colour = NONE;
   if (vValue >= low - 0.5) {
-    colour = texture2D(map, vec2((vValue - low) / (high - low), 0.5)).rgb;
+    colour = coloured(vValue);
     if (ofTime) {
       float line = vValue / ${ISOCHRONES.toFixed(1)};
       float away = abs(fract(line - 0.5) - 0.5) / max(fwidth(line), 1e-6);
       colour *= mix(0.55, 1.0, smoothstep(0.5, 1.3, away));
-      if (!whole) {
-        float since = (time - vValue) / ${FRONT.toFixed(1)};
-        colour = since < 0.0 ? REST : mix(BRIGHT, colour, min(since, 1.0));
-      }
+      if (!whole) colour = withFront(colour, REST, vValue);
     }
   }
-  gl_FragColor = vec4(colour * light, opacity);
+  if (vScar > 0.5 && fract((vPlace.x + vPlace.y + vPlace.z) / 2.5) < 0.4) colour *= 0.25;
+  float opacity = translucent ? mix(0.6, 0.16, facing) : 1.0;
+  gl_FragColor = vec4(colour * (0.5 + 0.5 * facing), opacity);
   #include <colorspace_fragment>
 }`;
 
+// A segment is a band that faces the eye, from one end to the other, of some pixels in width.
 const TREE_VERTEX = `
-attribute float value; varying float vValue;
+attribute vec3 begin, end; attribute vec2 times;
+uniform vec2 size; uniform float width;
+varying float vValue, vAcross;
 void main() {
-  vValue = value;
-  gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+  vec4 from = projectionMatrix * modelViewMatrix * vec4(begin, 1.0);
+  vec4 to = projectionMatrix * modelViewMatrix * vec4(end, 1.0);
+  vec2 along = (to.xy / to.w - from.xy / from.w) * size;
+  along = length(along) > 1e-6 ? normalize(along) : vec2(1.0, 0.0);
+  vec4 place = mix(from, to, position.x);
+  vec2 offset = position.y * vec2(-along.y, along.x) + (2.0 * position.x - 1.0) * along * 0.5;
+  place.xy += offset * width / size * place.w;
+  gl_Position = place;
+  vValue = times.x < -1e5 || times.y < -1e5 ? -1e6 : mix(times.x, times.y, position.x);
+  vAcross = position.y;
 }`;
 
 const TREE_FRAGMENT = `
-uniform float time; varying float vValue;
+varying float vValue, vAcross;
+const vec3 REST = vec3(0.3);
+${COLOURED}
 void main() {
-  gl_FragColor = vec4(vValue <= time ? vec3(0.83, 0.3, 0.0) : vec3(0.25), 1.0);
+  vec3 colour = REST;
+  if (ofTime && vValue > -1e5) {
+    colour = coloured(vValue);
+    if (!whole) colour = withFront(colour, REST, vValue);
+  }
+  gl_FragColor = vec4(abs(vAcross) > 0.62 ? colour * 0.08 : colour, 1.0);
   #include <colorspace_fragment>
 }`;
 
-const FAR_BELOW = -1e6;
-const marked = (array) => array.map((value) => (Number.isNaN(value) ? FAR_BELOW : value));
+const NONE = -1e6;
+
+// Copies values, NaN as what is far below all others.
+function mark(into, given, index) {
+  for (let k = 0; k < index.length; k++) {
+    const value = given[index[k]];
+    into[k] = Number.isFinite(value) ? value : NONE;
+  }
+}
 
 export class Heart {
   constructor(surface, box) {
     this.index = whole(surface.index);
+    this.triangles = whole(surface.triangles);
+    this.endocardial = surface.endocardial ?? 0; // so many triangles come first
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(positions(surface.vertices, box), 3));
-    geometry.setIndex(new BufferAttribute(whole(surface.triangles), 1));
+    geometry.setIndex(new BufferAttribute(this.triangles, 1));
     geometry.computeVertexNormals();
+    const scar = new Float32Array(this.index.length);
+    for (const vertex of whole(surface.scar ?? new Uint32Array())) scar[vertex] = 1;
+    geometry.setAttribute("scar", new BufferAttribute(scar, 1));
     geometry.setAttribute("value", new BufferAttribute(new Float32Array(this.index.length), 1));
-    this.maps = { time: texture("time"), scalar: texture("scalar") };
-    const uniforms = {
+    this.maps = { time: texture("time"), scalar: texture("scalar"), red: texture("red") };
+    this.early = "time"; // the map of activation times, or "red"
+    // shared with the trees
+    this.shared = {
       map: { value: null }, low: { value: 0 }, high: { value: 1 }, time: { value: 0 },
-      opacity: { value: 1 }, ofTime: { value: true }, whole: { value: true },
+      ofTime: { value: true }, whole: { value: true },
     };
-    const material = new ShaderMaterial({
-      uniforms, vertexShader: VERTEX, fragmentShader: FRAGMENT, side: DoubleSide,
+    this.translucent = { value: false };
+    this.material = new ShaderMaterial({
+      uniforms: { ...this.shared, translucent: this.translucent }, vertexShader: VERTEX,
+      fragmentShader: FRAGMENT, side: DoubleSide, clipping: true,
     });
-    this.mesh = new Mesh(geometry, material);
-    this.uniforms = uniforms;
+    this.mesh = new Mesh(geometry, this.material);
   }
 
+  // A field {values, low, high, kind}, of which the values are in base64 or a Float32Array.
   show(field) {
     this.field = field;
-    this.values = values(field);
-    const attribute = this.mesh.geometry.getAttribute("value");
-    attribute.array.set(marked(Float32Array.from(this.index, (k) => this.values[k])));
-    attribute.needsUpdate = true;
-    const u = this.uniforms;
-    u.map.value = this.maps[field.kind];
+    const u = this.shared;
+    u.map.value = this.maps[field.kind === "time" ? this.early : field.kind];
     u.low.value = field.low;
     u.high.value = field.high;
     u.ofTime.value = field.kind === "time";
+    this.update(values(field));
+  }
+
+  // Other values of the same field, as often as the screen is drawn.
+  update(given) {
+    this.values = given;
+    const attribute = this.mesh.geometry.getAttribute("value");
+    mark(attribute.array, given, this.index);
+    attribute.needsUpdate = true;
+  }
+
+  // Which colours activation times have: "time", early is light, or "red", early is red.
+  colourTimes(name) {
+    this.early = name;
+    if (this.field?.kind === "time") this.shared.map.value = this.maps[name];
   }
 
   at(time, duration) {
-    this.uniforms.time.value = time;
-    this.uniforms.whole.value = time >= duration;
+    this.shared.time.value = time;
+    this.shared.whole.value = time >= duration;
   }
 
   seeThrough(yes) {
-    this.uniforms.opacity.value = yes ? 0.35 : 1;
-    this.mesh.material.transparent = yes;
-    this.mesh.material.depthWrite = !yes;
+    this.translucent.value = yes;
+    this.material.transparent = yes;
+    this.material.depthWrite = !yes;
+  }
+
+  onlyEndocardia(yes) {
+    this.mesh.geometry.setDrawRange(0, yes ? 3 * this.endocardial : Infinity);
+  }
+
+  // Cuts away what is on the far side of a plane; null cuts nothing.
+  cutBy(plane) {
+    this.material.clippingPlanes = plane && [plane];
+  }
+
+  // Where a ray first meets what is shown of the surface, with the nearest `vertex`; or null.
+  hit(ray) {
+    const planes = this.material.clippingPlanes ?? [];
+    const there = ({ point }) => planes.every((plane) => plane.distanceToPoint(point) >= 0);
+    const found = ray.intersectObject(this.mesh).find(there);
+    return found ? { ...found, vertex: this.nearest(found.face, found.point) } : null;
   }
 
   // The vertex of a triangle that is nearest to a point.
@@ -122,26 +206,49 @@ export class Heart {
 
   dispose() {
     this.mesh.geometry.dispose();
-    this.mesh.material.dispose();
+    this.material.dispose();
     Object.values(this.maps).forEach((map) => map.dispose());
   }
 }
 
-export function treeLines(tree, box) {
-  const nodes = positions(tree.nodes, box);
-  const times = marked(values(tree)).map((t) => (t === FAR_BELOW ? Infinity : t));
-  const segments = whole(tree.segments);
-  const place = new Float32Array(3 * segments.length);
-  const when = new Float32Array(segments.length);
-  segments.forEach((node, k) => {
-    place.set(nodes.subarray(3 * node, 3 * node + 3), 3 * k);
-    when[k] = Math.min(times[node], 1e6);
-  });
-  const geometry = new BufferGeometry();
-  geometry.setAttribute("position", new BufferAttribute(place, 3));
-  geometry.setAttribute("value", new BufferAttribute(when, 1));
-  const material = new ShaderMaterial({
-    uniforms: { time: { value: 0 } }, vertexShader: TREE_VERTEX, fragmentShader: TREE_FRAGMENT,
-  });
-  return new LineSegments(geometry, material);
+export class Tree {
+  // A tree {nodes, segments, times, low, high} in the colours, and with the front, of a heart.
+  constructor(tree, box, heart) {
+    this.nodes = positions(tree.nodes, box);
+    this.segments = whole(tree.segments);
+    const count = this.segments.length / 2;
+    const geometry = new InstancedBufferGeometry();
+    geometry.instanceCount = count;
+    const corners = new Float32Array([0, -1, 0, 0, 1, 0, 1, -1, 0, 1, 1, 0]);
+    geometry.setAttribute("position", new BufferAttribute(corners, 3));
+    geometry.setIndex([0, 2, 1, 1, 2, 3]);
+    const ends = [new Float32Array(3 * count), new Float32Array(3 * count)];
+    this.segments.forEach((node, k) => {
+      ends[k % 2].set(this.nodes.subarray(3 * node, 3 * node + 3), 3 * (k >> 1));
+    });
+    geometry.setAttribute("begin", new InstancedBufferAttribute(ends[0], 3));
+    geometry.setAttribute("end", new InstancedBufferAttribute(ends[1], 3));
+    geometry.setAttribute("times", new InstancedBufferAttribute(new Float32Array(2 * count), 2));
+    const size = new Vector2(1, 1);
+    const material = new ShaderMaterial({
+      uniforms: { ...heart.shared, size: { value: size }, width: { value: TREE_WIDTH } },
+      vertexShader: TREE_VERTEX, fragmentShader: TREE_FRAGMENT, side: DoubleSide,
+    });
+    this.mesh = new Mesh(geometry, material);
+    this.mesh.frustumCulled = false; // its sphere knows nothing of the ends
+    this.mesh.onBeforeRender = (renderer) => renderer.getSize(size);
+    this.update(values(tree));
+  }
+
+  // Other times of the nodes (ms), as often as the screen is drawn.
+  update(times) {
+    const attribute = this.mesh.geometry.getAttribute("times");
+    mark(attribute.array, times, this.segments);
+    attribute.needsUpdate = true;
+  }
+
+  dispose() {
+    this.mesh.geometry.dispose();
+    this.mesh.material.dispose();
+  }
 }

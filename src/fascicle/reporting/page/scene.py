@@ -14,6 +14,7 @@ from fascicle.heart.heart import Heart
 from fascicle.prediction.predicted import Predicted, PredictedBeat
 from fascicle.reporting.surfaces import heart_views
 from fascicle.study.activation_maps import since_first
+from fascicle.torso.variation.conductor import torso_axes
 
 NONE = 65_535  # marks a missing quantised value; others are lower
 # Fields over all networks: name in `Predicted.maps`, label, unit, kind
@@ -43,7 +44,7 @@ def scene(heart: Heart, predicted: Mapping[str, Predicted]) -> dict[str, Any]:
         top = float(values[np.isfinite(values)].max(initial=0.0)) or 1.0
         for field in alike:
             field.update(low=0.0, high=top, values=_quantised(field["values"], 0.0, top))
-    anterior = heart_views(heart)["anterior"].axes
+    _, back, up = torso_axes(heart.electrodes)
     surface = {
         "name": "heart",
         "vertices": _positions(heart.vertices[shown], low, high),
@@ -54,8 +55,9 @@ def scene(heart: Heart, predicted: Mapping[str, Predicted]) -> dict[str, Any]:
     return {
         "surfaces": [surface],
         "box": {"low": low.tolist(), "high": high.tolist()},
-        "up": anterior[1].tolist(),
-        "front": (-anterior[2]).tolist(),
+        "up": up.tolist(),
+        "front": (-back).tolist(),
+        "base": (-heart_views(heart)["base"].axes[2]).tolist(),
         "scenarios": [
             {
                 "name": name,

@@ -1,0 +1,211 @@
+// A canvas with a scene, a camera that orbits about its middle, and named views of the body.
+
+import {
+  MathUtils, PerspectiveCamera, Plane, Raycaster, Scene, Vector2, Vector3, WebGLRenderer,
+} from "three";
+import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
+import { make } from "./controls.js";
+
+const TURN = 0.15; // rad by an arrow key
+const CLICK = 5; // pixels that a click may move
+const HALF_VIEW = 15; // degrees that the camera sees on either side
+const STEPS = 50; // towards the centre of the smallest sphere
+
+// A sphere about points (x, y, z, x, …) that is hardly larger than the smallest: the centre goes
+// towards the point that is furthest away, by smaller and smaller steps (Badoiu and Clarkson 2003).
+function enclosing(points) {
+  const centre = new Vector3().fromArray(points);
+  const point = new Vector3();
+  const furthest = new Vector3();
+  let reach = 0;
+  for (let step = 0; step <= STEPS; step += 1) {
+    reach = 0;
+    for (let k = 0; k < points.length; k += 3) {
+      const away = point.fromArray(points, k).distanceTo(centre);
+      if (away > reach) {
+        reach = away;
+        furthest.copy(point);
+      }
+    }
+    if (step < STEPS) centre.lerp(furthest, 1 / (step + 2));
+  }
+  return { centre, reach };
+}
+
+// Where the eye is, and what is up on the screen, in each view. LAO 45° and RAO 30° turn about the
+// body's long axis to the patient's left and right; `base` looks along the axis of the ventricles.
+function namedViews(up, front, base) {
+  const left = new Vector3().crossVectors(up, front);
+  const about = (degrees) => front.clone().applyAxisAngle(up, MathUtils.degToRad(degrees));
+  const back = front.clone().negate();
+  return {
+    AP: [front, up],
+    "LAO 45°": [about(45), up],
+    "RAO 30°": [about(-30), up],
+    "left lateral": [left, up],
+    inferior: [up.clone().negate(), front],
+    base: [base, back.addScaledVector(base, -back.dot(base)).normalize()],
+  };
+}
+
+export class Stage {
+  // `up` and `front` are unit vectors of the body, `base` points from apex to base; `points` is a
+  // Float32Array (x, y, z, x, …) of what the picture has to hold.
+  constructor(canvas, picture, { up, front, base = up, points }) {
+    this.canvas = canvas;
+    this.picture = picture;
+    this.renderer = new WebGLRenderer({
+      canvas, antialias: true, alpha: true, preserveDrawingBuffer: true,
+    });
+    this.renderer.localClippingEnabled = true;
+    this.scene = new Scene();
+    const { centre, reach } = enclosing(points);
+    this.centre = centre;
+    this.reach = reach;
+    this.views = namedViews(...[up, front, base].map((axis) => new Vector3(...axis)));
+    // Cuts away what is nearer to the eye, of materials that have it among their clippingPlanes
+    this.clip = new Plane();
+    this.cut = 0; // share of the depth that is cut away
+    this.onClick = null; // (ray) => {}
+    this.onTurn = null; // () => {}, after the camera moved
+    this.camera = new PerspectiveCamera(2 * HALF_VIEW, 1, reach / 50, reach * 20);
+    this.distance = reach / Math.sin(MathUtils.degToRad(HALF_VIEW));
+    this.orbit = new OrbitControls(this.camera, canvas);
+    this.orbit.enablePan = false;
+    this.orbit.minDistance = reach;
+    this.orbit.maxDistance = 8 * reach;
+    this.orbit.target.copy(centre);
+    this.orbit.addEventListener("change", () => this.turned());
+    this.view("AP");
+    this.listen();
+  }
+
+  listen() {
+    const when = (target, kind, heard) =>
+      target.addEventListener(kind, heard, { signal: this.ended.signal });
+    this.ended = new AbortController();
+    this.observer = new ResizeObserver(() => this.resize());
+    this.observer.observe(this.picture);
+    let pressed = null;
+    when(this.canvas, "pointerdown", (event) => (pressed = [event.clientX, event.clientY]));
+    when(this.canvas, "click", (event) => {
+      const [x, y] = pressed ?? [event.clientX, event.clientY];
+      if (Math.hypot(event.clientX - x, event.clientY - y) >= CLICK) return;
+      this.onClick?.(this.ray(event.clientX, event.clientY));
+    });
+    when(this.canvas, "keydown", (event) => this.turnByKey(event));
+    when(window, "beforeprint", () => this.toImage());
+    when(window, "afterprint", () => this.toCanvas());
+    when(matchMedia("print"), "change", (event) =>
+      event.matches ? this.toImage() : this.toCanvas(),
+    );
+  }
+
+  add(object) {
+    this.scene.add(object);
+    this.draw();
+  }
+
+  remove(object) {
+    this.scene.remove(object);
+    this.draw();
+  }
+
+  view(name) {
+    const [from, up] = this.views[name];
+    this.camera.up.copy(up);
+    this.camera.position.copy(this.centre).addScaledVector(from, this.distance);
+    this.camera.lookAt(this.centre);
+    this.orbit.update();
+    this.turned();
+  }
+
+  // Looks as another stage does.
+  follow(other) {
+    this.camera.up.copy(other.camera.up);
+    this.camera.position.copy(other.camera.position);
+    this.camera.lookAt(this.centre);
+    this.orbit.update();
+    this.draw();
+  }
+
+  turned() {
+    this.draw();
+    this.onTurn?.();
+  }
+
+  turnByKey(event) {
+    const [across, along] = {
+      ArrowLeft: [-TURN, 0], ArrowRight: [TURN, 0], ArrowUp: [0, -TURN], ArrowDown: [0, TURN],
+    }[event.key] ?? [0, 0];
+    if (!across && !along) return;
+    event.preventDefault();
+    const away = this.camera.position.clone().sub(this.centre);
+    const right = new Vector3().crossVectors(this.camera.up, away).normalize();
+    away.applyAxisAngle(this.camera.up, across).applyAxisAngle(right, along);
+    this.camera.position.copy(this.centre).add(away);
+    this.orbit.update();
+    this.turned();
+  }
+
+  // From the eye through a place of the window.
+  ray(x, y) {
+    const area = this.canvas.getBoundingClientRect();
+    const ray = new Raycaster();
+    ray.setFromCamera(
+      new Vector2((2 * (x - area.left)) / area.width - 1, 1 - (2 * (y - area.top)) / area.height),
+      this.camera,
+    );
+    return ray;
+  }
+
+  resize() {
+    const width = this.picture.clientWidth;
+    const height = this.picture.clientHeight;
+    if (!width || !height) return;
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.renderer.setSize(width, height, false);
+    this.camera.aspect = width / height;
+    // the sphere fits the shorter side
+    const half = Math.tan(MathUtils.degToRad(HALF_VIEW)) / Math.min(this.camera.aspect, 1);
+    this.camera.fov = 2 * MathUtils.radToDeg(Math.atan(half));
+    this.camera.updateProjectionMatrix();
+    this.draw();
+  }
+
+  // Renders with the next frame, however often it is called.
+  draw() {
+    this.pending ??= requestAnimationFrame(() => this.render());
+  }
+
+  render() {
+    this.pending = null;
+    const away = this.camera.position.clone().sub(this.centre).normalize();
+    const depth = this.reach * (1 - 2 * this.cut);
+    const place = this.centre.clone().addScaledVector(away, depth);
+    this.clip.setFromNormalAndCoplanarPoint(away.negate(), place);
+    this.renderer.render(this.scene, this.camera);
+  }
+
+  toImage() {
+    if (this.image) return;
+    this.render();
+    this.image = make("img", { src: this.canvas.toDataURL(), alt: "the heart as it was turned" });
+    this.canvas.replaceWith(this.image);
+  }
+
+  toCanvas() {
+    if (!this.image) return;
+    this.image.replaceWith(this.canvas);
+    this.image = null;
+    this.resize();
+  }
+
+  dispose() {
+    cancelAnimationFrame(this.pending);
+    this.ended.abort();
+    this.observer.disconnect();
+    this.orbit.dispose();
+    this.renderer.dispose();
+  }
+}
