@@ -48,13 +48,13 @@ export class EcgPaper {
   }
 
   // {leads: ["I", …], start, step (ms), traces: [{name, colour, dashed, values: {lead: mV}}],
-  // zero: what 0 ms is}
+  // zero: what 0 ms is, scale: {speed (mm/s), gain (mm/mV)}}
   show(content) {
     this.content = content;
     const { start, step, traces, leads } = content;
     const each = traces.flatMap(({ values }) => leads.map((lead) => values[lead] ?? []));
     this.end = start + step * (Math.max(2, ...each.map((trace) => trace.length)) - 1);
-    this.scale = SCALES.find(({ upTo }) => this.end - start <= upTo);
+    this.scale = content.scale ?? SCALES.find(({ upTo }) => this.end - start <= upTo);
     this.low = this.high = 0;
     for (const trace of each) {
       for (const value of trace) {

@@ -5,13 +5,15 @@ import { GIFEncoder, applyPalette, quantize } from "gifenc";
 import { addStyle, button, choice, make } from "./controls.js";
 import { EcgPaper } from "./ecg.js";
 import { EXERCISES } from "./exercises.js";
-import { Heart, treeLines } from "./heart.js";
+import { Heart, Tree } from "./heart.js";
 import { unpacked } from "./message.js";
 import { Stage } from "./stage.js";
 
 const PLAYED_IN = 4; // seconds
+const FROM = -40; // ms before the first activation that the ECG is shown from
 const NEAR = 4; // mm from the line of sight that a branch may be
 const FRAMES = 40; // of a film
+const SCALE = { speed: 100, gain: 10 }; // mm/s, mm/mV
 const SIMULATED = "#b34700";
 const RECORDED = "#1f5fa8";
 const PINNED = "#777777";
@@ -72,7 +74,8 @@ export class Explorer {
       up: said.up, front: said.front, points: fixed.vertices,
     });
     this.heart = new Heart({
-      vertices: fixed.vertices, triangles: fixed.triangles, inside: fixed.inside,
+      vertices: fixed.vertices, triangles: fixed.triangles, endocardial: said.endocardial,
+      index: Uint32Array.from({ length: fixed.vertices.length / 3 }, (_, k) => k),
     });
     this.heart.seeThrough(true);
     this.stage.add(this.heart.mesh);
@@ -239,39 +242,51 @@ export class Explorer {
     };
     this.heart.show(field);
     this.trees.forEach((tree) => {
-      this.stage.remove(tree);
-      tree.geometry.dispose();
-      tree.material.dispose();
+      this.stage.remove(tree.mesh);
+      tree.dispose();
     });
-    this.trees = said.trees.map((side) => treeLines({
+    this.trees = said.trees.map((side) => new Tree({
       nodes: arrays[`${side}_nodes`], segments: arrays[`${side}_segments`],
-      times: arrays[`${side}_times`], low: 0, high: end,
-    }));
-    this.trees.forEach((tree) => this.stage.add(tree));
+      values: arrays[`${side}_times`],
+    }, null, this.heart));
+    this.trees.forEach((tree) => this.stage.add(tree.mesh));
     this.mark();
     this.slider.max = end;
+    this.drawEcg();
     this.moveTo(this.time >= (this.ended ?? 0) ? end : Math.min(this.time, end));
     this.ended = end;
-    this.drawEcg();
     this.say("");
     this.write(said);
   }
 
+  // All traces on one clock, whose window changes in steps, so that the paper stays where it is.
   drawEcg() {
     const { said, arrays } = this.beat;
-    const trace = (name, colour, values) => ({ name, colour, values: this.byLead(values) });
-    const traces = [trace("simulated", SIMULATED, arrays.simulated)];
-    if (arrays.recorded) traces.unshift(trace("recorded", RECORDED, arrays.recorded));
-    if (this.pinned) traces.unshift({ ...this.pinned, dashed: true });
-    this.ecg.show({ leads: this.said.leads, start: said.ecg_start, step: 1, traces });
+    const end = Math.max(160, 20 * Math.ceil((this.end + 50) / 20));
+    const trace = (name, colour, { said: { ecg_start }, arrays: given }, values = given[name]) => ({
+      name, colour, values: this.byLead(values, ecg_start, end),
+    });
+    const traces = [trace("simulated", SIMULATED, this.beat)];
+    if (arrays.recorded) traces.unshift(trace("recorded", RECORDED, this.beat));
+    if (this.pinned) {
+      const before = trace("pinned", PINNED, this.pinned, this.pinned.arrays.simulated);
+      traces.unshift({ ...before, dashed: true });
+    }
+    const zero = "first ventricular activation";
+    this.ecg.show({ leads: this.said.leads, start: FROM, step: 1, traces, zero, scale: SCALE });
   }
 
-  byLead(values) {
+  // Potentials of each lead every ms from FROM to an end, of samples that begin at a time.
+  byLead(values, start, end) {
     const { leads } = this.said;
     const length = values.length / leads.length;
-    return Object.fromEntries(
-      leads.map((lead, k) => [lead, values.subarray(k * length, (k + 1) * length)]),
-    );
+    const sampled = (first) => Float32Array.from({ length: end - FROM + 1 }, (_, k) => {
+      const at = FROM + k - start;
+      const below = Math.floor(at);
+      if (below < 0 || below + 1 >= length) return NaN;
+      return values[first + below] + (at - below) * (values[first + below + 1] - values[first + below]);
+    });
+    return Object.fromEntries(leads.map((lead, k) => [lead, sampled(k * length)]));
   }
 
   write(said) {
@@ -299,11 +314,6 @@ export class Explorer {
     this.slider.value = this.time;
     this.clock.textContent = `${Math.round(this.time)} ms after the first activation`;
     this.heart.at(this.time, this.end);
-    this.trees.forEach((tree) => {
-      const u = tree.material.uniforms;
-      u.time.value = this.time;
-      if (u.whole) u.whole.value = this.time >= this.end;
-    });
     this.ecg.cursor(this.time);
     this.stage.draw();
   }
@@ -336,10 +346,9 @@ export class Explorer {
   }
 
   paceAt(ray) {
-    const [hit] = ray.intersectObject(this.heart.mesh);
+    const hit = this.heart.hit(ray);
     if (!hit) return;
-    const vertex = this.heart.nearest(hit.face, hit.point);
-    const place = [...this.fixed.vertices.subarray(3 * vertex, 3 * vertex + 3)];
+    const place = [...this.fixed.vertices.subarray(3 * hit.vertex, 3 * hit.vertex + 3)];
     this.change((state) => state.stimuli.push(place));
   }
 
@@ -374,13 +383,9 @@ export class Explorer {
   }
 
   pin() {
-    const { said, arrays } = this.beat;
-    const shift = said.ecg_start;
-    this.pinned = {
-      name: "pinned", colour: PINNED, values: this.byLead(arrays.simulated), start: shift, said,
-    };
+    this.pinned = this.beat;
     this.drawEcg();
-    this.write(said);
+    this.write(this.beat.said);
   }
 
   save() {

@@ -5,6 +5,7 @@ import { drawBar } from "./colours.js";
 import { addStyle, button, choice, make } from "./controls.js";
 import { Heart, Tree } from "./heart.js";
 import { Stage } from "./stage.js";
+import "./explorer.js";
 
 const PLAYED_IN = 5; // seconds
 

@@ -119,21 +119,27 @@ class Session:
         return ParameterSpace((*NETWORK_SPACE.parameters, free("alpha")))
 
     @cached_property
-    def surface(self) -> tuple[Integers, Integers, Integers]:
-        """Vertices (s,) of the heart's surface, triangles (t, 3) of these, and their labels."""
+    def surface(self) -> tuple[Integers, Integers, int]:
+        """Vertices (s,) of the surface, triangles (t, 3) of these, and how many are endocardial.
+
+        Those come first.
+        """
         mesh = labelled_mesh(self.model.heart)
-        shown, numbered = np.unique(mesh.triangles, return_inverse=True)
-        return shown, numbered.reshape(mesh.triangles.shape), mesh.labels
+        inside = np.isin(mesh.labels, ENDOCARDIA)
+        triangles = mesh.triangles[np.argsort(~inside, kind="stable")]
+        shown, numbered = np.unique(triangles, return_inverse=True)
+        return shown, numbered.reshape(triangles.shape), int(inside.sum())
 
     def description(self) -> bytes:
         """Everything that does not change: surface, sliders, scenarios, recording, networks."""
-        shown, triangles, labels = self.surface
+        shown, triangles, endocardial = self.surface
         heart = self.model.heart
         anterior = heart_views(heart)["anterior"].axes
         said: dict[str, Any] = {
             "heart": heart.name,
             "up": anterior[1].tolist(),
             "front": (-anterior[2]).tolist(),
+            "endocardial": endocardial,
             "leads": list(LEADS),
             "sliders": [self._slider(parameter) for parameter in self.space.parameters],
             "conduction": CONDUCTION,
@@ -145,7 +151,6 @@ class Session:
         arrays = {
             "vertices": heart.vertices[shown].astype("<f4"),
             "triangles": triangles.astype("<u4"),
-            "inside": np.isin(labels, ENDOCARDIA).astype("<u4"),
             "electrodes": heart.electrodes.astype("<f4"),
         }
         return packed(said, arrays)

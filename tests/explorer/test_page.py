@@ -1,0 +1,252 @@
+"""The explorer in a real browser: what is moved there is what is simulated; nobody else gets in."""
+
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+
+import numpy as np
+import pytest
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+ARGUMENTS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+
+class Server:
+    """`fascicle explore` in a process of its own."""
+
+    def __init__(self, *arguments):
+        # as a terminal would: a shell's background job ignores Ctrl-C
+        command = [sys.executable, "-m", "fascicle.cli", "explore", *arguments, "--no-browser"]
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        )  # fmt: skip
+        line = self.process.stdout.readline()
+        self.url = re.search(r"http://\S+", line)[0]
+
+    def ended(self):
+        """Its exit status, and what it said on standard error."""
+        return self.process.wait(20), self.process.stderr.read()
+
+
+@pytest.fixture
+def server():
+    made = Server("default")
+    yield made
+    if made.process.poll() is None:
+        made.process.kill()
+    made.process.communicate()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    if CHROMIUM is None:
+        pytest.skip("no chromium on the path")
+    with sync_api.sync_playwright() as playwright:
+        opened = playwright.chromium.launch(
+            executable_path=CHROMIUM, args=[*ARGUMENTS, "--no-sandbox"]
+        )
+        yield opened
+        opened.close()
+
+
+@pytest.fixture
+def visit(browser):
+    """Open pages; in the end none complained, or asked for anything elsewhere."""
+    said, asked, contexts = [], [], []
+
+    def open_page(url):
+        # the policy of the page forbids what the test's own questions need
+        context = browser.new_context(bypass_csp=True, viewport={"width": 1300, "height": 1000})
+        contexts.append(context)
+        page = context.new_page()
+        page.on("console", lambda message: said.append(message.text))
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(url)
+        answered(page, 1)
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert said == []
+    assert [u for u in asked if not re.match(r"(http|ws)://127\.0\.0\.1|data:|blob:", u)] == []
+
+
+def answered(page, count):
+    """Wait for so many answers in all."""
+    page.wait_for_function(f"window.explorer?.latencies?.length >= {count}", timeout=60_000)
+    page.wait_for_function("!window.explorer.busy && !window.explorer.waiting")
+
+
+def change(page, act):
+    """Do something that asks for another beat, and wait for it."""
+    before = page.evaluate("explorer.latencies.length")
+    act()
+    answered(page, before + 1)
+
+
+def slide(page, name, value):
+    row = page.locator(f"[data-name={name}] input")
+    row.evaluate("(e, v) => { e.value = v; e.dispatchEvent(new Event('input')) }", value)
+
+
+def shown(page):
+    """State, numbers and simulated leads of the beat on the page."""
+    return page.evaluate(
+        "({ state: explorer.state, said: explorer.beat.said,"
+        " leads: [...explorer.beat.arrays.simulated], pixels: explorer.canvas.toDataURL() })"
+    )
+
+
+def total(page):
+    return shown(page)["said"]["total"]
+
+
+def in_the_middle(page):
+    box = page.locator(".fx canvas").first.bounding_box()
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] * 0.55
+
+
+def test_a_slider_gives_the_ecg_that_simulate_gives(server, visit, default_model):
+    page = visit(server.url)
+    before = shown(page)
+    change(page, lambda: slide(page, "lv_initial_length", 60))
+    after = shown(page)
+    expected = default_model.simulate(after["state"]["values"])
+    assert after["state"]["values"]["lv_initial_length"] == pytest.approx(60, abs=0.2)
+    found = np.array(after["leads"]).reshape(12, -1)
+    np.testing.assert_allclose(found, expected.leads[:12], atol=1e-6)
+    assert after["pixels"] != before["pixels"]
+    text = page.locator(".fx-measured").inner_text()
+    assert f"{expected.global_qrs_duration:.0f} ms" in text
+    change(page, lambda: page.keyboard.press("Control+z"))
+    assert shown(page)["leads"] == before["leads"]
+
+
+def test_clicks_pace_and_block_and_undo_takes_them_back(server, visit):
+    page = visit(server.url)
+    sinus = total(page)
+    page.get_by_label("click", exact=True).select_option("pace here")
+    change(page, lambda: page.mouse.click(*in_the_middle(page)))
+    paced = shown(page)
+    assert len(paced["state"]["stimuli"]) == 1
+    assert paced["said"]["total"] > sinus
+    change(page, lambda: page.get_by_role("button", name="undo").click())
+    assert total(page) == sinus
+    page.get_by_label("click", exact=True).select_option("block a branch")
+    change(page, lambda: page.mouse.click(*in_the_middle(page)))
+    blocked = shown(page)
+    assert len(blocked["state"]["blocks"]) == 1
+    assert blocked["pixels"] != paced["pixels"]
+
+
+def test_states_and_pacings_are_chosen_and_compared_with_a_pinned_beat(server, visit):
+    page = visit(server.url)
+    sinus = shown(page)["said"]
+    page.get_by_role("button", name="pin").click()
+    conduction = page.get_by_label("conduction", exact=True)
+    change(page, lambda: conduction.select_option("left bundle branch block"))
+    assert total(page) > sinus["total"] + 10
+    assert f"(pinned {sinus['total']:.0f})" in page.locator(".fx-measured").inner_text()
+    change(page, lambda: page.get_by_role("button", name="left: left bundle").click())
+    assert shown(page)["state"]["scenario"] == "left-bundle-branch-pacing"
+    assert shown(page)["state"]["values"]["conduction"] == 1  # stays blocked
+    change(page, lambda: page.get_by_role("button", name="start again").click())
+    assert shown(page)["said"] == sinus | {"id": shown(page)["said"]["id"]}
+
+
+def test_heart_and_ecg_have_one_cursor(server, visit):
+    page = visit(server.url)
+    page.get_by_label("time after the first").evaluate(
+        "e => { e.value = 30; e.dispatchEvent(new Event('input')) }"
+    )
+    assert page.evaluate("explorer.ecg.time") == 30
+    page.get_by_label("time in the ECG").press("ArrowRight")
+    assert page.evaluate("explorer.time") == 31
+
+
+def test_what_was_found_is_saved(server, visit, tmp_path):
+    page = visit(server.url)
+    kept = []
+    page.on("download", lambda each: kept.append(each))
+    page.get_by_role("button", name="save parameters").click()
+    page.wait_for_timeout(500)
+    assert {each.suggested_filename for each in kept} == {"parameters.toml", "scenario.toml"}
+    with page.expect_download() as picture:
+        page.get_by_role("button", name="picture").click()
+    picture.value.save_as(tmp_path / "heart.png")
+    assert (tmp_path / "heart.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_every_exercise_can_be_begun(server, visit):
+    page = visit(server.url)
+    for summary in page.locator("summary").all():
+        summary.click()
+        change(page, lambda one=summary: one.locator("..").get_by_role("button").click())
+        assert page.locator(".fx-status").inner_text() == ""
+    assert page.locator("summary").count() == 5
+
+
+def test_two_pages_and_the_server_ends_with_the_last(server, visit):
+    one, other = visit(server.url), visit(server.url)
+    change(one, lambda: slide(one, "cv", 2.0))
+    assert total(one) != total(other)
+    one.close()
+    change(other, lambda: slide(other, "cv", 2.0))
+    other.reload()
+    answered(other, 1)
+    other.close()
+    assert server.ended() == (0, "")
+
+
+def test_a_page_says_that_its_server_has_gone(server, visit):
+    page = visit(server.url)
+    server.process.kill()
+    page.get_by_role("alert").wait_for()
+    assert "fascicle explore" in page.get_by_role("alert").inner_text()
+
+
+def test_ctrl_c_ends_it(server):
+    server.process.send_signal(signal.SIGINT)
+    status, said = server.ended()
+    assert status == 130
+    assert "Traceback" not in said
+
+
+def test_nobody_else_gets_in(server):
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+
+    port = server.url.split(":")[2].split("/")[0]
+    own = f"http://127.0.0.1:{port}"
+    socket = server.url.replace("http", "ws") + "socket"
+    for url in (f"{own}/", f"{own}/other/", f"{own}/other/viewer.js", f"{server.url}../x"):
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            urllib.request.urlopen(url)
+    stranger = urllib.request.Request(server.url, headers={"Host": "example.org"})
+    with pytest.raises(urllib.error.HTTPError, match="404"):
+        urllib.request.urlopen(stranger)
+    for origin in (None, "http://example.org", f"http://example.org:{port}", "null"):
+        with pytest.raises(InvalidStatus, match="403"), connect(socket, origin=origin):
+            pass
+    with connect(socket, origin=own, max_size=None) as page:
+        assert b'"sliders"' in page.recv()
+        page.send(json.dumps({"id": 1, "state": {"values": {}}}))
+        assert b"missing parameters" in page.recv()
+
+
+def test_a_port_that_is_taken_is_said(server):
+    port = server.url.split(":")[2].split("/")[0]
+    command = [sys.executable, "-m", "fascicle.cli", "explore", "default", "--port", port]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 2
+    assert f"port {port}" in ended.stderr.splitlines()[-1]

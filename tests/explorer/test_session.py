@@ -1,0 +1,174 @@
+"""What the explorer answers is what the forward model gives, or one line of what is wrong."""
+
+import json
+
+import numpy as np
+import pytest
+
+import fascicle
+from fascicle.core.parameters import read_parameters
+from fascicle.explorer.explore import session_of
+from fascicle.explorer.session import Session, State
+from fascicle.forward.scenario_files import read_scenario
+from fascicle.forward.simulation_files import write_ecg
+from fascicle.recording.pipeline import analyse
+from fascicle.study.target_comparison import TargetComparison
+
+
+@pytest.fixture(scope="module")
+def session(default_model):
+    return Session(default_model)
+
+
+def opened(answer):
+    """JSON and arrays of an answer."""
+    size = int.from_bytes(answer[:4], "little")
+    said = json.loads(answer[4 : 4 + size])
+    arrays = {}
+    for name, place in said.pop("arrays").items():
+        count = int(np.prod(place["shape"]))
+        part = np.frombuffer(answer, place["type"], count, 4 + size + place["at"])
+        arrays[name] = part.reshape(place["shape"])
+    assert (4 + size) % 4 == 0  # arrays of a browser begin there only
+    return said, arrays
+
+
+def ask(session, **state):
+    return opened(session.answer({"id": 7, "state": {"values": session.start, **state}}))
+
+
+def nearest_branch(simulation, side=0):
+    """A place within the bundle of a tree."""
+    tree = simulation.trees[side]
+    return tree.nodes[np.flatnonzero(tree.parts["bundle"])[10]].tolist()
+
+
+def test_it_describes_the_surface_and_the_sliders(session):
+    said, arrays = opened(session.description())
+    heart = session.model.heart
+    triangles = arrays["triangles"]
+    assert len(triangles) == len(heart.boundary[0])
+    shown = np.unique(heart.boundary[0])
+    np.testing.assert_allclose(arrays["vertices"], heart.vertices[shown], rtol=1e-6)
+    # the endocardial triangles come first, and no other lies on an endocardium
+    inside = {tuple(p) for e in heart.endocardia for p in e.vertices.astype("<f4").tolist()}
+    on = [[tuple(p) in inside for p in arrays["vertices"][t].tolist()] for t in triangles]
+    lined = np.all(on, axis=1)
+    assert lined[: said["endocardial"]].mean() > 0.99
+    assert lined[said["endocardial"] :].mean() < 0.05
+    names = [each["name"] for each in said["sliders"]]
+    assert {"lv_initial_length", "root_time", "cv", "alpha"} <= {*names}
+    assert all(
+        each["low"] <= said["start"][each["name"]] <= each["high"] for each in said["sliders"]
+    )
+    assert said["networks"] == []
+
+
+def test_an_answer_is_what_simulate_gives(session):
+    values = {**session.start, "cv": 2.4, "root_time": -20.0}
+    said, arrays = ask(session, values=values)
+    expected = session.model.simulate(values)
+    begin = expected.activation.min()
+    shown = np.unique(session.model.heart.boundary[0])
+    np.testing.assert_allclose(arrays["activation"], expected.activation[shown] - begin, atol=1e-4)
+    np.testing.assert_allclose(arrays["simulated"], expected.leads[:12], atol=1e-6)
+    for tree, times in zip(expected.trees, expected.coupled.trees, strict=True):
+        np.testing.assert_allclose(arrays[f"{tree.side}_nodes"], tree.nodes, rtol=1e-6)
+        np.testing.assert_allclose(arrays[f"{tree.side}_times"], times - begin, atol=1e-4)
+    assert said["id"] == 7
+    assert said["total"] == pytest.approx(expected.total_activation_time)
+    assert said["qrs"] == expected.global_qrs_duration
+    assert said["axis"] == pytest.approx(expected.frontal_axis)
+
+
+def test_a_place_that_is_paced_activates_first_and_no_root_fires(session):
+    place = session.model.heart.vertices[np.unique(session.model.heart.boundary[0])[200]].tolist()
+    said, arrays = ask(session, stimuli=[place])
+    assert arrays["activation"][200] == 0
+    roots = [arrays[f"{side}_times"][0] for side in ("lv", "rv")]
+    assert min(roots) > 1  # entered from the tissue
+    assert said["total"] > ask(session)[0]["total"]
+
+
+def test_a_branch_that_is_blocked_delays_what_lies_behind(session):
+    place = nearest_branch(session.model.simulate(session.start))
+    before, after = ask(session), ask(session, blocks=[["lv", place]])
+    assert after[0]["total"] > before[0]["total"] + 5
+    assert after[1]["lv_times"].max() > before[1]["lv_times"].max() + 5
+
+
+def test_a_scenario_of_the_library_keeps_what_is_blocked(session):
+    name, scenario = "rv-apical-pacing", fascicle.read_scenarios("rv-apical-pacing")
+    values = {**session.start, "conduction": 1.0}
+    said, _ = ask(session, values=values, scenario=name)
+    expected = session.model.simulate(values, scenario[name])
+    assert said["total"] == pytest.approx(expected.total_activation_time)
+
+
+def test_files_repeat_the_state(session, tmp_path):
+    place = session.model.heart.vertices[50].tolist()
+    branch = nearest_branch(session.model.simulate(session.start))
+    state = {"values": {**session.start, "cv": 2.2}, "stimuli": [place], "blocks": [["lv", branch]]}
+    said, _ = opened(session.answer({"id": 0, "ask": "files", "state": state}))
+    for name, text in said["files"].items():
+        (tmp_path / name).write_text(text)
+    scenario, _ = read_scenario(tmp_path / "scenario.toml")
+    found = session.model.simulate(read_parameters(tmp_path / "parameters.toml"), scenario)
+    again, _ = ask(session, **state)
+    assert again["total"] == pytest.approx(found.total_activation_time)
+
+
+def test_a_recording_lies_under_the_simulation(default_model, tmp_path):
+    values = fascicle.example_parameters(default_model)
+    write_ecg(tmp_path / "ecg.csv", default_model.simulate(values).ecg)
+    recording = fascicle.read_recording(tmp_path / "ecg.csv")
+    target = analyse(recording, fascicle.TargetOptions(noise=0.02)).target
+    session = Session(default_model, TargetComparison(target))
+    said, arrays = ask(session)
+    assert said["explained"] > 0.99
+    difference = arrays["simulated"] - arrays["recorded"]
+    assert np.linalg.norm(difference) < 0.1 * np.linalg.norm(arrays["recorded"])
+    # both on the clock of the first activation: the simulation's own first sample
+    aligned = said["ecg_start"] + np.abs(arrays["recorded"]).sum(axis=0).argmax()
+    alone, of_it = ask(Session(default_model))
+    own = alone["ecg_start"] + np.abs(of_it["simulated"]).sum(axis=0).argmax()
+    assert abs(aligned - own) < 1.5
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        (3, "state: not a table"),
+        ({"state": {"values": {"cv": "fast"}}}, "state: 'values.cv'"),
+        ({"state": {"values": {}, "other": 1}}, "state: 'other'"),
+        ({"state": {"values": {"cv": 3.0}}}, "missing parameters"),
+        ({"state": {"values": {"xyz": 3.0}}}, "xyz"),
+        ({"state": {"values": {}, "scenario": "/etc/passwd"}}, "not in the library"),
+        ({"state": {"values": {}, "stimuli": [[0, 0, 1e9]]}}, "stimuli.0.2"),
+    ],
+)
+def test_what_cannot_be_simulated_is_said_in_a_line(session, message, words):
+    said, arrays = opened(session.answer(message))
+    assert words in said["error"]
+    assert "\n" not in said["error"]
+    assert arrays == {}
+
+
+def test_a_stimulus_far_from_the_heart_is_refused(session):
+    assert "stimulus" in ask(session, stimuli=[[9e3, 0, 0]])[0]["error"]
+
+
+def test_a_tree_that_does_not_fit_is_said(session):
+    values = {**session.start, "lv_initial_length": 400.0}
+    assert ask(session, values=values)[0]["error"].startswith("no network: ")
+
+
+def test_what_is_given_must_be_there(tmp_path):
+    with pytest.raises(fascicle.InputError, match="no such heart folder"):
+        session_of(tmp_path / "none", None, None)
+    with pytest.raises(fascicle.InputError, match="target"):
+        session_of("default", 3, None)
+
+
+def test_a_state_of_the_intrinsic_beat_has_no_scenario():
+    assert State(values={}).beat() is None
