@@ -10,8 +10,10 @@ the forward model, the priors of what is learnt or averaged over, or the version
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import fascicle
 from fascicle.core.array_cache import ArrayCache
@@ -57,10 +59,22 @@ def make_those_of(heart: Heart) -> None:
 
 
 def take(heart: Path, kind: str, count: int, key: str) -> None:
-    """Copy a file of the heart's folder into the package."""
+    """Copy a file of the heart's folder into the package, its weights rounded."""
     arrays = ArrayCache(heart / DISPOSABLE, kind).read(f"{count} of {key}")
     assert arrays is not None
-    ArrayCache(FOLDER, kind).write(key, arrays, compress=True)
+    smaller = {name: rounded(each) for name, each in arrays.items()}
+    ArrayCache(FOLDER, kind).write(key, smaller, compress=True)
+
+
+def rounded(array: NDArray[Any]) -> NDArray[Any]:
+    """Half-precision numbers to five binary digits, which zlib makes a third smaller.
+
+    What an emulator gives changes by 0.6 % of its size then; its error is 20 %.
+    """
+    if array.dtype != np.float16:
+        return array
+    bits = array.view(np.uint16).astype(np.uint32)
+    return ((bits + 16) // 32 * 32).astype(np.uint16).view(np.float16)
 
 
 if __name__ == "__main__":
