@@ -7,11 +7,13 @@ import pytest
 pytestmark = pytest.mark.slow
 
 
-def test_the_demonstration_names_the_block_and_ends_with_a_report(run, tmp_path):
-    """What pacing gains in truth lies within the intervals."""
+def test_the_demonstration_explains_a_beat_names_a_block_and_ends_with_a_report(run, tmp_path):
+    """By how much pacing shortens activation in truth lies within the intervals."""
     ended = run("demo", "--out", tmp_path / "demo")
     assert ended.status == 0
-    first = ended.out.splitlines()[0]
+    lines = ended.out.splitlines()
+    assert lines[0].split(maxsplit=2)[2].startswith("converged; fit acceptable: 9")
+    (first,) = [line for line in lines if line.startswith("result")]
     assert first.partition("result")[2].strip().startswith("left bundle branch block: 0.")
     assert "; converged; fit acceptable: " in first
     page = tmp_path / "demo" / "report.html"

@@ -1,4 +1,4 @@
-"""The whole job on the packaged heart and an ECG that is simulated, so that the truth is known."""
+"""The whole job on one subject's heart: its own beat, and a block whose truth is known."""
 
 from __future__ import annotations
 
@@ -19,35 +19,53 @@ from fascicle.reporting.prediction import write_prediction
 from fascicle.reporting.recording import recording_figure
 from fascicle.reporting.style import save
 
+HEART = "camps-dti004"
 BLOCK = "left bundle branch block"  # what the pacing of the demonstration treats
 
 
-def run_demo(
+def fit_own_beat(out: Path, progress: Progress) -> FittedStudy:
+    """Fit the beat that was recorded from the subject of the heart; `out` gets target and study.
+
+    The subject is healthy: nothing is blocked. The study resumes.
+    """
+    analysis = _analysed(HEART, out)
+    fixed = {"conduction": 0.0}
+    return fascicle.fit(HEART, analysis.target, out / "study", parameters=fixed, progress=progress)
+
+
+def treat_block(
     out: Path, progress: Progress
-) -> tuple[Analysis, FittedStudy, dict[str, Predicted], dict[str, float]]:
-    """Simulate a block, make the target of its ECG, fit, and compare three pacings.
+) -> tuple[FittedStudy, dict[str, Predicted], dict[str, float]]:
+    """Simulate a block on the same heart, fit, and compare three pacings.
 
     The folder `out` gets ``ecg.csv``, ``target.nc`` and ``target.png``, ``study``, ``pacings`` and
     ``report.html``; run again, the study resumes. The last of what is returned is by how much each
     pacing shortens the total activation time (ms) in truth.
     """
-    model = fascicle.ForwardModel("default", progress=progress)
+    model = fascicle.ForwardModel(HEART, progress=progress)
     truth = {**fascicle.example_parameters(model), "conduction": float(CONDUCTION.index(BLOCK))}
     scenarios = fascicle.read_scenarios(PACINGS)
     beat, *paced = (_simulated(model, truth, case) for case in (None, *scenarios.values()))
     reductions = [beat.total_activation_time - each.total_activation_time for each in paced]
     out.mkdir(parents=True, exist_ok=True)
     write_ecg(out / "ecg.csv", beat.ecg)
-    recording = fascicle.read_recording(out / "ecg.csv")
-    analysis = fascicle.analyse(recording, fascicle.TargetOptions(noise=0.03))  # mV
-    write_target(analysis.target, out / "target.nc")
-    save(recording_figure(analysis), out / "target.png")
-    fitted = fascicle.fit("default", analysis.target, out / "study", progress=progress)
+    analysis = _analysed(out / "ecg.csv", out)
+    fitted = fascicle.fit(HEART, analysis.target, out / "study", progress=progress)
     networks = fitted.networks(progress)
     predicted = fascicle.predict(fitted, scenarios, progress, networks)
     write_prediction(fitted, predicted, out / "pacings", progress=progress)
     write_report(fitted, networks, predicted, out / "report.html", ["png"], INTRINSIC)
-    return analysis, fitted, predicted, dict(zip(PACINGS, reductions, strict=True))
+    return fitted, predicted, dict(zip(PACINGS, reductions, strict=True))
+
+
+def _analysed(source: Path | str, out: Path) -> Analysis:
+    """One beat as a target, which is written and drawn."""
+    options = fascicle.TargetOptions(noise=0.03)  # mV
+    analysis = fascicle.analyse(fascicle.read_recording(source), options)
+    out.mkdir(parents=True, exist_ok=True)
+    write_target(analysis.target, out / "target.nc")
+    save(recording_figure(analysis), out / "target.png")
+    return analysis
 
 
 def _simulated(
