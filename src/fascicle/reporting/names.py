@@ -10,8 +10,6 @@ from fascicle.forward.scenario_files import library
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.scenarios import INTRINSIC
 
-CAPITALS = {"his": "His", "lv": "LV", "rv": "RV", "pvc": "PVC"}
-
 
 class Measure(NamedTuple):
     """A measure of recorded and simulated ECGs: name, unit and definition."""
@@ -65,4 +63,5 @@ def scenario_name(name: str) -> str:
 
 def capitals(text: str) -> str:
     """The text with the capitals of names: His, LV, RV, PVC."""
-    return re.sub(r"\b(his|lv|rv|pvc)\b", lambda m: CAPITALS[m[0]], text)
+    text = re.sub(r"\bhis\b", "His", text)
+    return re.sub(r"\b(lv|rv|pvc)\b", lambda found: found[0].upper(), text)

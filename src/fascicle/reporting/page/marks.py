@@ -27,13 +27,16 @@ def marks(
     `values` are the network's parameters, `trees` those of its beat in the scenario.
     """
     own = [tree for tree, _ in trees[: len(trees) - len(scenario.trees)]]
-    scenario, found = in_state(scenario, values.get("conduction", 0.0)), []
+    scenario = in_state(scenario, values.get("conduction", 0.0))
+    found: list[tuple[str, str, Floats]] = []
     roots = np.array([tree.nodes[tree.root] for tree in own])
     for primitive in scenario.primitives:
         if isinstance(primitive, Stimulus):
             site, place = primitive.site, primitive.position
-            place = sites.position(site) if place is None and site is not None else place
-            found.append(("paced", site if isinstance(site, str) else "stimulus", place))
+            if place is None:
+                assert site is not None
+                place = sites.position(site)
+            found.append(("paced", site if isinstance(site, str) else "stimulus", np.array(place)))
         elif isinstance(primitive, His) and primitive.stimulus_time is not None:
             found.append(("paced", "His bundle", roots[:2].mean(axis=0)))
         if not primitive.blocked:
@@ -43,8 +46,8 @@ def marks(
         text = ", ".join(sorted(each.removeprefix("the ") for each in primitive.blocked))
         branches = beat.his.branches if beat.his is not None else ()
         places = [root for root, way in zip(roots, branches, strict=False) if np.isinf(way)]
-        parts = np.split(np.broadcast_to(beat.speed, sum(len(t.nodes) for t in beat.trees)),
-                         np.cumsum([len(tree.nodes) for tree in beat.trees])[:-1])  # fmt: skip
+        ends = np.cumsum([len(tree.nodes) for tree in beat.trees])
+        parts = np.split(np.broadcast_to(beat.speed, ends[-1]), ends[:-1])
         for tree, speed in zip(beat.trees, parts, strict=True):
             places += _where_blocked(tree, speed)
         found += [("blocked", text, place) for place in places]

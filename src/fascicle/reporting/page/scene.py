@@ -36,9 +36,7 @@ MAPS = (  # over all networks: name in `Predicted.maps`, label, unit, kind
 )
 MOST_NETWORKS = 40
 MOST_BYTES = 3_000_000  # of the networks together; compressed they are little more than half
-DRAWN_NODES = 3  # one in so many between two forks of a tree
 ECG_STEP = 2  # ms
-TAIL = 30.0  # ms after the last activation
 
 
 def scene(
@@ -80,7 +78,8 @@ def scene(
     low, high = points.min(axis=0), points.max(axis=0)
     begin = min((_first_in_trees(beat) for beat in every), default=0.0)
     last = max(float(np.nanmax(since_first(beat.activation))) for beat in every)
-    start, end = 10 * np.floor((begin - 5) / 10), 10 * np.ceil((last + TAIL) / 10)
+    # whole boxes of ECG paper, up to where the QRS has ended
+    start, end = 10 * np.floor((begin - 5) / 10), 10 * np.ceil((last + 30) / 10)
     window = np.arange(start, end + 1, ECG_STEP)
     _, back, up = torso_axes(heart.electrodes)
     fields, scar = _fields(predicted, shown), _scar(heart, model)[shown]
@@ -221,16 +220,14 @@ def _tree_times(beat: PredictedBeat) -> list[Floats]:
 def _thinned(tree: PurkinjeTree) -> tuple[Integers, Integers]:
     """Nodes of a tree to draw, ascending, and how many of them before each its parent stands.
 
-    These are the root (0 before), forks and ends, and some of the nodes between.
+    These are the root (0 before), forks and ends, and every third node between.
     """
     parents, depth = tree.parents, np.zeros(len(tree.parents), dtype=np.int64)
     above = parents.copy()
     while (below := above >= 0).any():
         depth += below
         above = np.where(below, parents[above], -1)
-    drawn = (np.bincount(parents[parents >= 0], minlength=len(parents)) != 1) | (
-        depth % DRAWN_NODES == 0
-    )
+    drawn = (np.bincount(parents[parents >= 0], minlength=len(parents)) != 1) | (depth % 3 == 0)
     above = parents.copy()
     while (passed := (above >= 0) & ~drawn[above]).any():
         above[passed] = parents[above[passed]]
@@ -255,7 +252,7 @@ def _key(tree: PurkinjeTree) -> bytes:
 def _ecg(beat: PredictedBeat, window: Floats) -> Floats:
     """The twelve leads (12, t) (mV) at times from the first activation on (ms)."""
     leads = beat.filtered[: len(LEADS)]
-    begin = first_sample(beat.activation) - float(beat.activation.min()) - RINGING
+    begin = first_sample(beat.activation.astype(float)) - float(beat.activation.min()) - RINGING
     time = begin + np.arange(leads.shape[1])
     return np.array([np.interp(window, time, lead, left=0.0, right=0.0) for lead in leads])
 
@@ -275,7 +272,9 @@ def _recorded(
     target, begins = recording.target, []
     for beat in beats[name]:
         sample = recording.align(beat.leads).shift - target.qrs_samples.start
-        begins.append(first_sample(beat.activation) + sample - float(beat.activation.min()))
+        begins.append(
+            first_sample(beat.activation.astype(float)) + sample - float(beat.activation.min())
+        )
     used = np.flatnonzero(target.used[: len(LEADS)])
     return {
         "scenario": name,
