@@ -43,7 +43,7 @@ from fascicle.study.study import CONFIGURATION
 def ecg(
     fitted: GivenStudy, recording: int = 0, progress: Progress | Lines | None = "lines"
 ) -> list[Axes]:
-    """Recorded and predicted QRS of a study, one axes a lead.
+    """Recorded and simulated QRS of a study, one axes a lead.
 
     Parameters
     ----------

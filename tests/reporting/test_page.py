@@ -5,21 +5,25 @@ from __future__ import annotations
 import base64
 import json
 import re
+import zlib
 from dataclasses import replace
 from types import SimpleNamespace
 
+import igl
 import numpy as np
 import pytest
 
-from fascicle.core.parameters import Parameter, ParameterSpace
+from fascicle.core.parameters import EXAMPLE_PARAMETERS, Parameter, ParameterSpace
+from fascicle.forward.primitives import His, SlowConduction, Stimulus
 from fascicle.forward.scenario import Scenario
 from fascicle.prediction.index_names import INDICES
-from fascicle.prediction.predicted import Predicted, PredictedBeat
+from fascicle.prediction.predicted import RINGING, Predicted, PredictedBeat
 from fascicle.recording.criteria import Criterion
-from fascicle.reporting.names import MEASURES
+from fascicle.reporting.names import MEASURES, scenario_name
 from fascicle.reporting.page.content import meaning, prediction
+from fascicle.reporting.page.marks import marks
 from fascicle.reporting.page.page import _safe, _template
-from fascicle.reporting.page.scene import NONE, scene
+from fascicle.reporting.page.scene import MOST_NETWORKS, NONE, scene
 from fascicle.reporting.scenarios import scenario_activation_figure, scenario_ecg_figure
 from fascicle.study.population import Posterior
 from fascicle.study.predictive import Checks
@@ -107,7 +111,7 @@ class TestAnswers:
 
 def decoded(text, kind, columns=1):
     """Array (n, columns), or (n,), of what a scene holds."""
-    array = np.frombuffer(base64.b64decode(text), dtype=kind)
+    array = np.frombuffer(zlib.decompress(base64.b64decode(text)), dtype=kind)
     return array.reshape(-1, columns) if columns > 1 else array
 
 
@@ -118,13 +122,12 @@ def positions(content, packed):
 
 
 def kept(simulation):
-    return PredictedBeat.of(simulation, simulation.leads, simulation.leads)
+    filtered = np.pad(simulation.leads, ((0, 0), (RINGING, RINGING)))
+    return PredictedBeat.of(simulation, simulation.leads, filtered)
 
 
 @pytest.fixture(scope="module")
 def shown(default_heart, default_model):
-    from fascicle.core.parameters import EXAMPLE_PARAMETERS
-
     simulation = default_model.simulate(EXAMPLE_PARAMETERS)
     late = replace(simulation, activation=np.where(
         default_heart.vertices[:, 0] > default_heart.vertices[:, 0].mean(), np.inf,
@@ -146,59 +149,157 @@ class TestScene:
         (surface,) = content["surfaces"]
         vertices = positions(content, surface["vertices"])
         triangles = decoded(surface["triangles"], "<u4", 3)
-        used, boundary = np.unique(default_heart.boundary[0]), default_heart.boundary[0]
+        boundary = default_heart.boundary[0]
+        used = np.unique(boundary)
         np.testing.assert_allclose(vertices, default_heart.vertices[used], atol=0.01)
-        expected = default_heart.vertices[boundary]
-        np.testing.assert_allclose(vertices[triangles], expected, atol=0.01)
+        numbers = {tuple(triangle) for triangle in used[triangles]}
+        assert numbers == {tuple(triangle) for triangle in boundary}
+
+    def test_endocardial_triangles_come_first(self, shown, default_heart):
+        _, content = shown
+        (surface,) = content["surfaces"]
+        middle = positions(content, surface["vertices"])[
+            decoded(surface["triangles"], "<u4", 3)
+        ].mean(axis=1)  # fmt: skip
+        apart = np.inf
+        for e in default_heart.endocardia:
+            square, _, _ = igl.point_mesh_squared_distance(middle, e.vertices, e.triangles)
+            apart = np.minimum(apart, np.sqrt(square))
+        count = surface["endocardial"]
+        assert 0.2 * len(middle) < count < 0.6 * len(middle)
+        assert apart[:count].max() < 0.35 * default_heart.edge_length
+        assert (apart[count:] > 0.35 * default_heart.edge_length).mean() > 0.95
 
     def test_times_come_back(self, shown, default_heart):
         """On one scale in all scenarios; what is never reached is none."""
         simulation, content = shown
         used = np.unique(default_heart.boundary[0])
-        field = content["scenarios"][0]["fields"][0]
-        assert (field["name"], field["unit"], field["kind"]) == ("activation_median", "ms", "time")
-        times = decoded(field["values"], "<u2") / (NONE - 1) * field["high"]
+        high = content["times"]["high"]
+        first, second = (scenario["activations"] for scenario in content["scenarios"])
         expected = simulation.activation - simulation.activation.min()
-        np.testing.assert_allclose(times, expected[used], atol=0.01)
+        for text in first:
+            times = decoded(text, "<u1") / 254 * high
+            np.testing.assert_allclose(times, expected[used], atol=0.51 * high / 254)
         right = default_heart.vertices[used, 0] > default_heart.vertices[:, 0].mean()
+        for text in second:
+            np.testing.assert_array_equal(decoded(text, "<u1") == 255, right)
         one, other = (scenario["fields"] for scenario in content["scenarios"])
+        assert (one[0]["name"], one[0]["unit"], one[0]["kind"]) == ("activation_mean", "ms", "time")
+        mean = decoded(one[0]["values"], "<u2") / (NONE - 1) * one[0]["high"]
+        np.testing.assert_allclose(mean, expected[used], atol=0.01)
         for field in other:
             values = decoded(field["values"], "<u2")
             np.testing.assert_array_equal(values == NONE, right)
         assert [field["high"] for field in one] == [field["high"] for field in other]
         assert {field["low"] for field in one} == {0.0}
 
-    def test_the_scale_ends_with_what_is_shown(self, default_heart, shown):
-        """One slow network stretches the scale of the slowest, not that of the median ones."""
+    def test_the_scale_ends_with_the_median_network(self, default_heart, shown):
+        """One slow network stretches the times that are stored, not the colours."""
         simulation, _ = shown
-        found = {}
-        for name, factor in (("intrinsic", 1.0), ("slower", 1.5)):
-            totals = np.array([100.0, 100.0, 300.0])
-            beat = kept(simulation)
-            beats = [replace(beat, activation=beat.activation * factor)] * 2
-            slow = replace(beat, activation=beat.activation * 3 * factor)
-            found[name] = Predicted(Scenario(), [*beats, slow], {"total_activation_time": totals})
-        fields = [s["fields"] for s in scene(default_heart, found)["scenarios"]]
+        beat, totals = kept(simulation), np.array([100.0, 100.0, 100.0, 300.0])
+        slow = replace(beat, activation=3 * beat.activation)
+        found = {"intrinsic": Predicted(Scenario(), [beat] * 3 + [slow], {
+            "total_activation_time": totals,
+        })}  # fmt: skip
+        content = scene(default_heart, found)
         used = np.unique(default_heart.boundary[0])
-        longest = np.ptp(simulation.activation) - (
-            simulation.activation.max() - simulation.activation[used].max()
-        )
-        for scenario in fields:
-            tops = {field["name"]: field["high"] for field in scenario}
-            assert tops["activation_median"] == pytest.approx(1.5 * longest, rel=1e-3)
-            assert tops["activation_maximum"] == pytest.approx(4.5 * longest, rel=1e-3)
+        longest = np.ptp(simulation.activation)
+        mean = 1.5 * (simulation.activation[used].max() - simulation.activation.min())
+        assert content["times"]["high"] == pytest.approx(3 * longest, rel=1e-3)
+        assert content["times"]["top"] == pytest.approx(max(longest, mean), rel=1e-3)
 
     def test_trees_come_back(self, shown):
+        """Root, forks and ends of each tree once, with their times since the first activation."""
         simulation, content = shown
-        trees = simulation.trees, simulation.coupled.trees, content["scenarios"][0]["trees"]
-        for tree, times, packed in zip(*trees, strict=True):
+        assert len(content["trees"]) == 2  # both scenarios in both networks have the same
+        scenario, low, high = content["scenarios"][1], *(
+            content["times"][end] for end in ("low", "high")
+        )  # fmt: skip
+        for tree, times, packed, text in zip(
+            simulation.trees, simulation.coupled.trees, content["trees"],
+            scenario["tree_times"][0], strict=True,
+        ):  # fmt: skip
             nodes = positions(content, packed["nodes"])
-            np.testing.assert_allclose(nodes, tree.nodes, atol=0.01)
-            segments = decoded(packed["segments"], "<u4", 2)
-            assert (tree.parents[segments[:, 1]] == segments[:, 0]).all()
-            shares = decoded(packed["times"], "<u2") / (NONE - 1)
-            since = packed["low"] + shares * (packed["high"] - packed["low"])
-            np.testing.assert_allclose(since, times - simulation.activation.min(), atol=0.02)
+            apart = np.linalg.norm(nodes[:, None] - tree.nodes, axis=2)
+            drawn = apart.argmin(axis=1)
+            assert apart.min(axis=1).max() < 0.02
+            assert {*tree.junctions, tree.root} <= {*drawn}
+            assert len(drawn) < 0.7 * len(tree.nodes)
+            before = decoded(packed["before"], "<i4")
+            for end in np.flatnonzero(before):  # the parent is the next of those above
+                above = tree.parents[drawn[end]]
+                while above not in drawn:
+                    above = tree.parents[above]
+                assert above == drawn[end - before[end]]
+            since = low + decoded(text, "<u1") / 254 * (high - low)
+            expected = times[drawn] - simulation.activation.min()
+            np.testing.assert_allclose(since, expected, atol=0.51 * (high - low) / 254)
+
+    def test_ecgs_begin_with_the_first_activation(self, default_heart, shown):
+        """Of beats that are later in the simulation's time, or longer on the way, the same."""
+        simulation, content = shown
+        window = content["ecg"]
+        time = window["start"] + window["step"] * np.arange(window["count"])
+        ecg = decoded(content["scenarios"][0]["ecgs"][0], "<i2").reshape(12, -1) / 1000
+        begins = simulation.onset - simulation.activation.min()
+        for lead, found in zip(simulation.leads, ecg, strict=True):
+            own = np.interp(time, begins + np.arange(len(lead)), lead, left=0, right=0)
+            np.testing.assert_allclose(found, own, atol=6e-4)
+
+    def test_networks_are_spread_over_total_activation_time(self, default_heart, shown):
+        simulation, _ = shown
+        totals = np.random.default_rng(0).permutation(np.arange(100.0, 400.0))
+        found = {"intrinsic": Predicted(Scenario(), [kept(simulation)] * 300, {
+            "total_activation_time": totals,
+        })}  # fmt: skip
+        networks = [
+            SimpleNamespace(parameters={"cv": total / 100, "alpha": 1.0}) for total in totals
+        ]
+        content = scene(default_heart, found, networks)
+        assert len(content["networks"]) == MOST_NETWORKS
+        total, speed = content["orders"]  # alpha is the same in all
+        np.testing.assert_array_equal(total["values"], totals[np.array(content["networks"]) - 1])
+        assert total["values"][0] == 100
+        assert total["values"][-1] == 399
+        assert 6 < np.diff(total["values"]).max() < 9
+        assert total["values"][content["median"]] == 249
+        assert (speed["label"], speed["unit"]) == ("Purkinje conduction velocity", "m/s")
+
+
+class TestNames:
+    def test_of_scenarios(self):
+        for name, said in {
+            "intrinsic": "intrinsic beat", "left-bundle-branch-block": "left bundle branch block",
+            "his-pacing": "His pacing", "rv-apical-pacing": "RV apical pacing",
+            "my-own": "my-own",
+        }.items():  # fmt: skip
+            assert scenario_name(name) == said
+
+
+class TestMarks:
+    def test_what_is_paced_and_blocked(self, default_model):
+        simulation = default_model.simulate(EXAMPLE_PARAMETERS)
+        trees, sites = kept(simulation).trees, default_model.sites
+        his = Scenario((His(time=0.0), Stimulus(time=0.0, site="rv apex")))
+        state = EXAMPLE_PARAMETERS | {"conduction": 1.0}  # left bundle branch block
+        paced = {m["text"]: m for m in marks(his, EXAMPLE_PARAMETERS, trees, sites)}
+        assert {mark["kind"] for mark in paced.values()} == {"paced"}
+        assert paced["RV apex"]["place"] == pytest.approx(sites.position("rv apex"), abs=0.05)
+        assert "His bundle" in paced
+        (block,) = marks(Scenario(), state, trees, sites)
+        lv = simulation.trees[0]
+        assert (block["kind"], block["text"]) == ("blocked", "left bundle branch")
+        assert block["place"] == pytest.approx(lv.nodes[lv.root], abs=0.05)
+
+    def test_a_fascicle_is_blocked_where_it_begins(self, default_model):
+        simulation = default_model.simulate(EXAMPLE_PARAMETERS)
+        slow = SlowConduction(tree="lv", part="anterior fascicle", speed=0.0)
+        trees = kept(simulation).trees
+        (block,) = marks(Scenario((slow,)), EXAMPLE_PARAMETERS, trees, default_model.sites)
+        lv = simulation.trees[0]
+        forks = lv.nodes[np.bincount(lv.parents[1:], minlength=len(lv.parents)) > 1]
+        assert block["text"] == "LV anterior fascicle"
+        assert np.linalg.norm(forks - block["place"], axis=1).min() < 0.1
 
 
 def page(**values):

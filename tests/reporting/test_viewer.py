@@ -5,17 +5,21 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from builders import case
+from builders import case, recorded
 from matplotlib.image import imread
 
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.primitives import His
+from fascicle.forward.scenario import Scenario
+from fascicle.heart.conduction import Region
 from fascicle.prediction.predicted import Predicted, PredictedBeat
 from fascicle.reporting.page.page import _file
 from fascicle.reporting.page.scene import scene
+from fascicle.study.target_comparison import TargetComparison
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 # WebGL without a graphics card
@@ -29,15 +33,32 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on the pat
 
 @pytest.fixture(scope="module")
 def content(default_heart, default_model):
+    """Two scenarios in three networks, of which the second is fitted to a recorded beat."""
+    scar = Region(
+        label=None, conductivity=0.0, centre=tuple(default_heart.vertices[0]), radius=15.0
+    )
+    model = replace_conduction(default_model, (scar,))
+    learnt = [EXAMPLE_PARAMETERS | {"cv": cv} for cv in (2.0, 3.0, 4.0)]
+    networks = [SimpleNamespace(parameters=each) for each in learnt]
     found = {}
-    for name, his in (("intrinsic", His()), ("block", His(left=0.0))):
-        scenario = case(his=his, description=f"<b>{name}</b>")
-        simulation = default_model.simulate(EXAMPLE_PARAMETERS, scenario)
-        beat = PredictedBeat.of(simulation, simulation.leads, simulation.leads)
-        faster = replace(beat, activation=beat.activation / 2)
-        totals = {"total_activation_time": np.array([100.0, 50.0])}
-        found[name] = Predicted(scenario, [beat, faster], totals)
-    return scene(default_heart, found)
+    for name, his in (("intrinsic", His()), ("left-bundle-branch-block", His(left=0.0))):
+        scenario = (
+            case(his=his, description=f"<b>{name}</b>") if name != "intrinsic" else Scenario()
+        )
+        each = [default_model.simulate(values, scenario) for values in learnt]
+        beats = [
+            PredictedBeat.of(one, one.leads, np.pad(one.leads, ((0, 0), (40, 40)))) for one in each
+        ]
+        totals = {"total_activation_time": np.array([one.total_activation_time for one in each])}
+        found[name] = Predicted(scenario, beats, totals)
+        if name == "intrinsic":
+            recording = TargetComparison(recorded(each[1]))
+    return scene(default_heart, found, networks, recording, model)
+
+
+def replace_conduction(model, regions):
+    """The sites of a model, and its conduction with other regions."""
+    return SimpleNamespace(sites=model.sites, conduction=replace(model.conduction, regions=regions))
 
 
 @pytest.fixture(scope="module")
@@ -85,18 +106,19 @@ def settle(page):
     page.evaluate("new Promise(r => requestAnimationFrame(() => requestAnimationFrame(r)))")
 
 
-def picture(page):
+def picture(page, what=".fv-picture"):
     settle(page)
-    return imread(io.BytesIO(page.locator(".fv-picture").screenshot()), format="png")[..., :3]
+    image = page.locator(what).first.screenshot()
+    return imread(io.BytesIO(image), format="png")[..., :3]
 
 
 def state(page):
     return page.evaluate("viewer.state()")
 
 
-def slide(page, time):
-    page.get_by_role("slider").evaluate(
-        "(e, t) => { e.value = t; e.dispatchEvent(new Event('input')) }", time
+def slide(page, value, name="time"):
+    page.get_by_role("slider", name=re.compile(f"^{name}")).first.evaluate(
+        "(e, t) => { e.value = t; e.dispatchEvent(new Event('input')) }", value
     )
 
 
@@ -142,7 +164,7 @@ def test_the_slider_and_play_move_the_front(page):
 
 
 def test_it_plays_to_the_end_and_begins_anew(page):
-    end = float(page.get_by_role("slider").get_attribute("max"))
+    end = float(page.locator(".fv-row input[aria-label^=time]").get_attribute("max"))
     slide(page, end - 2)
     page.get_by_label("play or pause").click()
     page.wait_for_function("!viewer.state().playing")
@@ -153,51 +175,52 @@ def test_it_plays_to_the_end_and_begins_anew(page):
 
 def test_scenarios_and_fields_are_shown(page, content):
     before = picture(page)
-    page.get_by_label("scenario").select_option("block")
-    assert state(page)["scenario"] == "block"
-    assert differ(before, picture(page)) > 0.02
+    page.get_by_label("scenario").select_option("left bundle branch block")
+    assert state(page)["scenario"] == "left-bundle-branch-block"
+    assert differ(before, picture(page)) > 0.05
     page.get_by_label("shown").select_option(label="spread: standard deviation over the networks")
     assert state(page)["field"] == "activation_sd"
-    assert page.get_by_role("slider").is_disabled()
+    assert page.locator(".fv-row input[aria-label^=time]").is_disabled()
     assert (
         "standard deviation over the networks (ms)" in page.locator(".fv-keep").first.inner_text()
     )
-    page.get_by_label("scenario").select_option("intrinsic")
+    page.get_by_label("scenario").select_option("intrinsic beat")
     assert state(page)["field"] == "activation_sd"  # stays
 
 
-def test_a_click_tells_the_time(page, content, default_heart):
+def middle_of_the_heart(page):
     box = page.locator("canvas").first.bounding_box()
-    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    return box, [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]
+
+
+def picked(page, place):
+    return page.evaluate("([x, y]) => viewer.pick(viewer.stage.ray(x, y))", place)
+
+
+def test_a_click_tells_the_time(page, content):
+    box, middle = middle_of_the_heart(page)
+    page.mouse.click(*middle)
     text = page.locator(".fv-read").inner_text()
-    value = page.evaluate(
-        "([x, y]) => viewer.pick(viewer.stage.ray(x, y))",
-        [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2],
-    )
-    assert re.match(rf"{value:.0f} ms — .*, intrinsic", text)
-    assert 0 <= value <= content["scenarios"][0]["fields"][0]["high"]
-    page.mouse.click(box["x"] + 3, box["y"] + 3)
-    assert (
-        page.evaluate(
-            "([x, y]) => viewer.pick(viewer.stage.ray(x, y))", [box["x"] + 3, box["y"] + 3]
-        )
-        is None
-    )
+    value = picked(page, middle)
+    assert re.match(rf"{value:.0f} ms — .*, intrinsic beat", text)
+    assert 0 <= value <= content["times"]["high"]
+    beside = [box["x"] + 3, box["y"] + 3]
+    page.mouse.click(*beside)
+    assert picked(page, beside) is None
 
 
 def test_a_clicked_value_is_read_anew_from_what_is_shown(page):
-    box = page.locator("canvas").first.bounding_box()
-    middle = [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]
+    box, middle = middle_of_the_heart(page)
     page.mouse.click(*middle)
     read = page.locator(".fv-read")
-    for control, chosen in (("scenario", "block"), ("shown", "1"), ("scenario", "intrinsic")):
+    titles = {"intrinsic": "intrinsic beat", "left-bundle-branch-block": "left bundle branch block"}
+    for control, chosen in (("scenario", "1"), ("shown", "1"), ("scenario", "0")):
         before = read.inner_text()
         page.get_by_label(control).select_option(chosen)
         text = read.inner_text()
         assert text != before
-        assert text.endswith(f", {state(page)['scenario']}")
-        value = page.evaluate("([x, y]) => viewer.pick(viewer.stage.ray(x, y))", middle)
-        assert text.startswith(f"{value:.0f} ms — ")
+        assert text.endswith(f", {titles[state(page)['scenario']]}")
+        assert text.startswith(f"{picked(page, middle):.0f} ms — ")
         assert read.inner_text() == text
     page.mouse.click(box["x"] + 3, box["y"] + 3)
     assert read.inner_text() == "Click on the heart for a value."
@@ -239,33 +262,191 @@ def test_views_are_those_of_the_body(page, content):
         np.testing.assert_allclose(axes @ away / np.linalg.norm(away), direction, atol=1e-3)
 
 
-def test_trees_are_seen_through_the_wall(page):
+def test_networks_are_seen_at_once_and_lit_by_the_front(page):
     before = picture(page)
-    page.get_by_label("trees").check()
-    through = picture(page)
-    assert differ(before, through) > 0.05
-    slide(page, 5)
-    assert differ(through, picture(page)) > 0.05
-    page.get_by_label("trees").uncheck()
-    slide(page, 10_000)
-    assert differ(before, picture(page)) < 0.01
+    page.get_by_label("Purkinje network").uncheck()
+    without = picture(page)
+    assert differ(before, without) > 0.05
+    page.get_by_label("Purkinje network").check()
+    assert differ(before, picture(page)) < 0.001
+    page.get_by_label("opaque").check()
+    assert differ(before, picture(page)) > 0.1
+    page.get_by_label("opaque").uncheck()
+    # before the ventricles only the network is activated, from the root on
+    slide(page, -30)
+    early = picture(page)
+    slide(page, -1)
+    assert 0.001 < differ(early, picture(page)) < 0.05
+    assert page.evaluate("viewer.panels[0].heart.values.every((time) => time >= 0)")
+
+
+def test_the_heart_is_cut_open(page):
+    before, share = picture(page), []
+    for depth in (20, 50, 90):
+        slide(page, depth, "cut")
+        share.append(painted(picture(page)))
+    assert share[0] > share[1] > share[2]
+    _, middle = middle_of_the_heart(page)
+    picked(page, middle)
+    deep = page.evaluate("viewer.stage.isCut(viewer.panels[0].marker.position)")
+    assert not deep  # a click meets what is left
+    slide(page, 0, "cut")
+    page.mouse.click(3, 3)
+    assert differ(before, picture(page)) < 0.02
+
+
+def test_endocardia_alone_are_shown(page, content):
+    surface = content["surfaces"][0]
+    before = picture(page)
+    page.get_by_label("opaque").check()
+    page.get_by_label("endocardia only").check()
+    assert painted(picture(page)) < 0.85 * painted(before)
+    drawn = page.evaluate("viewer.panels[0].heart.mesh.geometry.drawRange.count")
+    assert drawn == 3 * surface["endocardial"]
+
+
+def test_colours_and_isochrones(page):
+    page.get_by_label("opaque").check()
+    bright = picture(page)
+    page.get_by_label("colours", exact=True).select_option("early is red")
+    red = picture(page)
+    assert differ(bright, red) > 0.1
+    assert page.evaluate("viewer.panels[0].heart.early") == "red"
+    page.get_by_label("isochrones in ms").uncheck()
+    plain = picture(page)
+    assert 0.0005 < differ(red, plain) < 0.1
+    labels = page.evaluate(
+        "viewer.panels[0].isochrones.map((l) => [l.text, viewer.panels[0].heart.valueAt(l.vertex)])"
+    )
+    assert len({text for text, _ in labels}) > 3
+    for text, value in labels:
+        assert abs(value - (0 if text == "first activation" else float(text))) <= 1
+
+
+def test_a_slider_goes_through_the_networks(page, content):
+    before, ecg, first = picture(page), picture(page, ".fv-ecg"), state(page)["network"]
+    assert first == 2  # the median one
+    slide(page, 0, "network")
+    assert differ(before, picture(page)) > 0.01
+    other = picture(page, ".fv-ecg")  # perhaps of another height
+    assert ecg.shape != other.shape or differ(ecg, other) > 0.002
+    slowest = state(page)["network"]
+    page.get_by_label("ordered by").select_option(label="Purkinje conduction velocity (m/s)")
+    assert state(page)["network"] == slowest  # stays
+    for rank, speed in enumerate((2, 3, 4)):
+        slide(page, rank, "network")
+        said = f"{rank + 1} of 3: Purkinje conduction velocity {speed} m/s"
+        assert page.locator(".fv-clock").first.inner_text() == said
+        assert state(page)["network"] == rank + 1
+
+
+def test_two_scenarios_are_seen_from_one_side(page):
+    page.get_by_label("compare with").select_option("left bundle branch block")
+    settle(page)
+    assert page.locator(".fv-panel").count() == 2
+    assert page.locator(".fv-title").all_inner_texts() == [
+        "intrinsic beat", "left bundle branch block",
+    ]  # fmt: skip
+    assert page.evaluate("viewer.panels[0].heart.shared.high.value") == page.evaluate(
+        "viewer.panels[1].heart.shared.high.value"
+    )
+    for canvas, arrow in ((0, "ArrowLeft"), (1, "ArrowUp")):
+        before = state(page)["camera"]
+        page.locator(".fv-picture canvas[tabindex]").nth(canvas).focus()
+        page.keyboard.press(arrow)
+        assert not np.allclose(before, state(page)["camera"], atol=1)
+        both = page.evaluate("viewer.panels.map((p) => p.stage.camera.position.toArray())")
+        np.testing.assert_allclose(both[0], both[1], atol=1e-6)
+    assert "simulated, left bundle branch block" in page.locator(".fv-ecg").inner_text()
+    page.get_by_label("compare with").select_option("nothing")
+    assert page.locator(".fv-panel").count() == 1
+
+
+def test_ecg_and_heart_share_one_time(page):
+    paper = page.get_by_label("time in the ECG")
+    slide(page, 40)
+    assert paper.get_attribute("aria-valuenow") == "40"
+    at_40, heart = picture(page, ".fv-ecg"), picture(page)
+    paper.focus()
+    for _ in range(3):
+        page.keyboard.press("PageUp")
+    page.keyboard.press("ArrowRight")
+    assert state(page)["time"] == 71
+    assert 0.001 < differ(at_40, picture(page, ".fv-ecg")) < 0.1
+    assert differ(heart, picture(page)) > 0.02
+    box = paper.bounding_box()
+    left, unit, width = page.evaluate(
+        "[viewer.ecg.layout.offsets[0], viewer.ecg.layout.unit, viewer.ecg.layout.width]"
+    )
+    page.mouse.click(box["x"] + unit * (left + width / 2), box["y"] + 20)
+    middle = page.evaluate("(viewer.start + viewer.end) / 2")
+    assert state(page)["time"] == pytest.approx(middle, abs=3)
+    assert float(page.locator("input[aria-label^=time]").input_value()) == pytest.approx(
+        middle, abs=3
+    )
+
+
+def test_the_paper_is_to_scale(page):
+    assert re.search(
+        r"100 mm/s, (10|20) mm/mV; time in ms, 0: first ventricular activation",
+        page.locator(".fv-ecg").inner_text(),
+    )
+    width, duration, unit = page.evaluate(
+        "[viewer.ecg.layout.width, viewer.end - viewer.start, viewer.ecg.layout.unit]"
+    )
+    assert width == pytest.approx(duration / 1000 * 100)  # mm
+    assert unit == pytest.approx(96 / 25.4)  # pixels
+
+
+def test_the_recorded_beat_lies_on_the_simulated_one(page):
+    """The recording is network 2 with noise of 0.02 mV / √10, from 80 ms before it on."""
+    assert page.locator(".fv-ecg").inner_text().split("\n")[:2] == ["recorded", "simulated"]
+    apart = page.evaluate("""() => {
+      const [recorded, simulated] = viewer.ecg.content.traces.map(({ values }) => values.V3);
+      const apart = recorded.map((value, k) => value - simulated[k]);
+      const known = apart.filter((value) => !Number.isNaN(value));
+      return [known.length, Math.hypot(...known) / Math.sqrt(known.length),
+              Math.hypot(...simulated) / Math.sqrt(known.length)];
+    }""")
+    assert apart[0] > 60
+    assert apart[1] < 0.05 < apart[2]
+
+
+def test_blocks_and_scar_are_marked(page, content):
+    (mark,) = content["scenarios"][1]["marks"][0]
+    assert (mark["kind"], mark["text"]) == ("blocked", "left bundle branch")
+    assert content["scenarios"][0]["marks"] == [[], [], []]
+    assert content["surfaces"][0]["scarred"]
+    assert "Hatched: scar." in page.locator(".fv").inner_text()
+    page.get_by_label("scenario").select_option("left bundle branch block")
+    with_mark = picture(page)
+    page.evaluate("viewer.panels[0].overlay.labels = []; viewer.stage.draw()")
+    assert 0.0005 < differ(with_mark, picture(page)) < 0.1
 
 
 def test_a_picture_is_printed(page):
     page.emulate_media(media="print")
     settle(page)
     assert page.locator(".fv-picture img").count() == 1
-    assert page.locator(".fv-picture canvas").count() == 0
+    assert page.locator(".fv-picture canvas[tabindex]").count() == 0
     page.emulate_media(media="screen")
     settle(page)
-    assert page.locator(".fv-picture canvas").count() == 1
+    assert page.locator(".fv-picture canvas[tabindex]").count() == 1
     assert painted(picture(page)) > 0.1
 
 
-def test_texts_are_texts(page, content):
+def test_texts_are_texts(browser, path, content, tmp_path):
     """Names from files are never taken for elements."""
-    assert content["scenarios"][0]["label"] == "<b>intrinsic</b>"
-    assert page.locator(".fv b").count() == 0
+    evil = json.loads(json.dumps(content))
+    evil["scenarios"][0]["title"] = "<b>intrinsic</b>"
+    page = tmp_path / "evil.html"
+    page.write_text(path.read_text(encoding="utf-8").replace(json.dumps(content), json.dumps(evil)))
+    opened = browser.new_page()
+    opened.goto(page.as_uri())
+    settle(opened)
+    assert "<b>intrinsic</b>" in opened.locator(".fv").inner_text()
+    assert opened.locator(".fv b").all_inner_texts() == [f"{opened.evaluate('viewer.end')} ms"]
+    opened.close()
 
 
 @pytest.mark.parametrize("width", [320, 700])

@@ -2,8 +2,16 @@
 
 const STYLE = `
 .fv { position: relative; color: var(--fg, CanvasText); }
-.fv-picture { position: relative; width: 100%; aspect-ratio: 4 / 3; max-height: 75vh;
+.fv-pictures { display: flex; flex-wrap: wrap; gap: .5rem; }
+.fv-panel { flex: 1 1 20rem; min-width: 0; }
+.fv-title { display: none; text-align: center; font-weight: 600; }
+.fv-two .fv-title { display: block; }
+.fv-picture { position: relative; width: 100%; aspect-ratio: 4 / 3; max-height: 60vh;
   touch-action: none; }
+.fv-picture .fv-over { position: absolute; inset: 0; pointer-events: none; }
+.fv-clock { font-variant-numeric: tabular-nums; }
+.fv-long { flex: 1 1 12rem; }
+.fv-ecg { overflow: hidden; margin: .5rem 0; }
 .fv-picture canvas, .fv-picture img { width: 100%; height: 100%; display: block; }
 .fv-row { display: flex; flex-wrap: wrap; gap: .5rem 1rem; align-items: center; margin: .5rem 0; }
 .fv label { display: inline-flex; gap: .4rem; align-items: center; max-width: 100%; }
@@ -16,7 +24,7 @@ const STYLE = `
 .fv :focus-visible { outline: 2px solid var(--accent, #b34700); outline-offset: 1px; }
 .fv-bar { width: 280px; max-width: 100%; height: 40px; }
 .fv-read { min-height: 1.5em; }
-@media print { .fv-row:not(.fv-keep) { display: none; } }
+@media print { .fv-title { display: block; } .fv-row:not(.fv-keep) { display: none; } }
 `;
 
 export function addStyle() {
@@ -45,4 +53,11 @@ export function button(text, label, pressed) {
   const made = make("button", { type: "button", "aria-label": label }, text);
   made.addEventListener("click", pressed);
   return made;
+}
+
+export function check(label, checked, changed) {
+  const box = make("input", { type: "checkbox" });
+  box.checked = checked;
+  box.addEventListener("change", changed);
+  return { box, row: make("label", {}, box, label) };
 }

@@ -1,13 +1,14 @@
-// What a scene holds, as typed arrays: base64 of little-endian numbers, or such an array itself.
+// What a scene holds, as typed arrays: compressed little-endian numbers in base64, or such an array
+// itself.
+
+import { unzlibSync } from "three/examples/jsm/libs/fflate.module.js";
 
 const NONE = 65535;
 const STEPS = 65534;
 
 function bytes(text) {
   const binary = atob(text);
-  const out = new Uint8Array(binary.length);
-  for (let k = 0; k < binary.length; k++) out[k] = binary.charCodeAt(k);
-  return out.buffer;
+  return unzlibSync(Uint8Array.from(binary, (letter) => letter.charCodeAt(0))).slice().buffer;
 }
 
 export const whole = (given) => (ArrayBuffer.isView(given) ? given : new Uint32Array(bytes(given)));
@@ -31,4 +32,24 @@ export function values(field) {
   return Float32Array.from(new Uint16Array(bytes(given)), (q) =>
     q === NONE ? NaN : field.low + (q / STEPS) * (field.high - field.low),
   );
+}
+
+// The same of values in a byte each.
+export const times = (text, low, high) =>
+  Float32Array.from(new Uint8Array(bytes(text)), (q) =>
+    q === 255 ? NaN : low + (q / 254) * (high - low),
+  );
+
+// Pairs of nodes, from how many before each node its parent stands.
+export function segments(text) {
+  const pairs = [];
+  new Int32Array(bytes(text)).forEach((back, node) => back && pairs.push(node - back, node));
+  return Uint32Array.from(pairs);
+}
+
+// Potentials (mV) by the names of the leads.
+export function potentials(text, leads) {
+  const all = Float32Array.from(new Int16Array(bytes(text)), (microvolts) => microvolts / 1000);
+  const count = all.length / leads.length;
+  return Object.fromEntries(leads.map((name, k) => [name, all.subarray(k * count, (k + 1) * count)]));
 }

@@ -3,23 +3,31 @@
 import { make } from "./controls.js";
 
 const PIXELS_A_MM = 96 / 25.4; // CSS
-const SCALES = [ // the first that a window (ms) is short enough for
-  { upTo: 400, speed: 100, gain: 20 },
-  { upTo: Infinity, speed: 25, gain: 10 },
-];
-const HEIGHT = 30; // mm of a row, at least
-const MARGIN = { top: 9, bottom: 11, left: 12, between: 6, right: 3 }; // mm
+const SPEEDS = [[400, 100], [Infinity, 25]]; // windows (ms) up to which length have which mm/s
+const GAIN = 10; // mm/mV
+const ENLARGED = 20; // the same of a short window that spans at most HIGH mV
+const HIGH = 2.5;
+const MARGIN = { top: 4, bottom: 6, left: 12, between: 6, right: 3 }; // mm
+const PAPER = "#fffdfb";
 const FINE = "#f6d5d2";
 const THICK = "#e8a39d";
 const INK = "#222222";
 const CURSOR = "#0060c0";
-const MIN_SIZE = 0.45; // of the scale, before fewer columns are drawn
+const SMALLEST = 0.45; // of the scale, before fewer columns are drawn
 
-// The columns of the clinical layout, of as many leads each.
-const columnsOf = (leads, columns) => {
-  const rows = Math.ceil(leads.length / columns);
-  return Array.from({ length: columns }, (_, k) => leads.slice(k * rows, (k + 1) * rows))
-    .filter((column) => column.length);
+// Columns of leads: limb over chest leads, or in threes or sixes as on paper.
+function columnsOf(leads, count) {
+  const rows = Math.ceil(leads.length / count);
+  return Array.from({ length: count }, (_, k) =>
+    count === 6 ? leads.filter((_, n) => n % 6 === k) : leads.slice(k * rows, (k + 1) * rows),
+  ).filter((column) => column.length);
+}
+
+// A trace in the legend.
+const entry = ({ name, colour, dashed }) => {
+  const line = `border-top: 2px ${dashed ? "dashed" : "solid"} ${colour}`;
+  const swatch = make("span", { style: `${line}; width: 1.6em; margin-right: .4em` });
+  return make("span", { style: "display: inline-flex; align-items: center" }, swatch, name);
 };
 
 export class EcgPaper {
@@ -31,7 +39,15 @@ export class EcgPaper {
       style: "display: block; touch-action: pan-y; cursor: ew-resize",
     });
     this.element = element;
-    element.replaceChildren(this.canvas);
+    const row = "display: flex; flex-wrap: wrap; gap: .2rem 1rem; padding: .2rem .4rem";
+    this.legend = make("div", { style: row });
+    this.note = make("div", { style: row });
+    this.sheet = make(
+      "div", { style: `background: ${PAPER}; color: ${INK}; font-size: 13px; width: fit-content;
+        max-width: 100%; color-scheme: light; print-color-adjust: exact` },
+      this.legend, this.canvas, this.note,
+    );
+    element.replaceChildren(this.sheet);
     this.observer = new ResizeObserver(() => this.draw());
     this.observer.observe(element);
     let held = false;
@@ -48,20 +64,29 @@ export class EcgPaper {
   }
 
   // {leads: ["I", …], start, step (ms), traces: [{name, colour, dashed, values: {lead: mV}}],
-  // zero: what 0 ms is, scale: {speed (mm/s), gain (mm/mV)}}
+  // zero: what 0 ms is}
   show(content) {
     this.content = content;
-    const { start, step, traces, leads } = content;
+    const { start, step, traces, leads, zero } = content;
     const each = traces.flatMap(({ values }) => leads.map((lead) => values[lead] ?? []));
     this.end = start + step * (Math.max(2, ...each.map((trace) => trace.length)) - 1);
-    this.scale = content.scale ?? SCALES.find(({ upTo }) => this.end - start <= upTo);
-    this.low = this.high = 0;
-    for (const trace of each) {
-      for (const value of trace) {
-        if (value < this.low) this.low = value;
-        if (value > this.high) this.high = value;
+    const speed = SPEEDS.find(([upTo]) => this.end - start <= upTo)[1];
+    this.range = {}; // of each lead (mV)
+    for (const lead of leads) {
+      const range = (this.range[lead] = [0, 0]);
+      for (const { values } of traces) {
+        for (const value of values[lead] ?? []) {
+          if (value < range[0]) range[0] = value;
+          if (value > range[1]) range[1] = value;
+        }
       }
     }
+    const highest = Math.max(...Object.values(this.range).map(([low, high]) => high - low));
+    this.scale = content.scale ?? { speed, gain: speed > 25 && highest <= HIGH ? ENLARGED : GAIN };
+    this.now = make("b", { style: `color: ${CURSOR}; margin-left: auto` });
+    this.legend.replaceChildren(...traces.map(entry), this.now);
+    const said = `${this.scale.speed} mm/s, ${this.scale.gain} mm/mV; time in ms`;
+    this.note.textContent = zero ? `${said}, 0: ${zero}` : said;
     this.canvas.setAttribute("aria-valuemin", start);
     this.canvas.setAttribute("aria-valuemax", this.end);
     this.draw();
@@ -71,7 +96,8 @@ export class EcgPaper {
   cursor(time) {
     this.time = Math.min(Math.max(time, this.content.start), this.end);
     this.canvas.setAttribute("aria-valuenow", Math.round(this.time));
-    this.canvas.setAttribute("aria-valuetext", `${Math.round(this.time)} ms`);
+    this.now.textContent = `${Math.round(this.time)} ms`;
+    this.canvas.setAttribute("aria-valuetext", this.now.textContent);
     this.draw();
   }
 
@@ -119,25 +145,30 @@ export class EcgPaper {
     const wide = this.element.clientWidth / PIXELS_A_MM;
     const total = (count) =>
       MARGIN.left + count * width + (count - 1) * MARGIN.between + MARGIN.right;
-    const counts = [4, 2, 1].filter((count) => count <= leads.length);
-    const count = counts.find((k) => wide / total(k) >= MIN_SIZE) ?? 1;
-    const columns = columnsOf(leads, count);
-    const rows = Math.max(...columns.map((column) => column.length));
-    const up = Math.ceil(Math.max(this.high * gain, gain) / 5) * 5 + 2;
-    const down = Math.ceil(Math.max(-this.low * gain, 5) / 5) * 5;
-    const row = Math.max(up + down, HEIGHT * (gain / 20));
+    const fits = (count) => count <= leads.length && wide / total(count) >= (count > 4 ? 1 : SMALLEST);
+    const columns = columnsOf(leads, [6, 4, 2].find(fits) ?? 1);
+    // a row is as high as its leads need, in whole boxes
+    const zeros = [];
+    let below = MARGIN.top;
+    for (let k = 0; k < columns[0].length; k++) {
+      const ranges = columns.flatMap((column) => (column[k] ? [this.range[column[k]]] : []));
+      const up = Math.max(gain, ...ranges.map(([, high]) => high * gain));
+      const down = Math.max(2, ...ranges.map(([low]) => -low * gain));
+      zeros.push(below + 5 * Math.ceil((up + 2) / 5));
+      below = zeros[k] + 5 * Math.ceil((down + 1) / 5);
+    }
     return {
-      columns, width, row, up,
-      unit: PIXELS_A_MM * Math.min(1, wide / total(count)),
+      columns, width, zeros, bottom: below,
+      unit: PIXELS_A_MM * Math.min(1, wide / total(columns.length)),
       offsets: columns.map((_, k) => MARGIN.left + k * (width + MARGIN.between)),
-      paper: [total(count), MARGIN.top + rows * row + MARGIN.bottom],
+      paper: [total(columns.length), below + MARGIN.bottom],
     };
   }
 
   paint() {
+    if (!(this.element.clientWidth > 0)) return;
     const layout = (this.layout = this.arrange());
     const { unit, paper } = layout;
-    if (!(this.element.clientWidth > 0)) return;
     const ratio = window.devicePixelRatio || 1;
     this.canvas.width = Math.round(paper[0] * unit * ratio);
     this.canvas.height = Math.round(paper[1] * unit * ratio);
@@ -146,7 +177,7 @@ export class EcgPaper {
     const pen = this.canvas.getContext("2d");
     pen.scale(unit * ratio, unit * ratio); // draws in mm
     this.text = 12 / unit; // of letters, mm
-    pen.fillStyle = "#fffdfb";
+    pen.fillStyle = PAPER;
     pen.fillRect(0, 0, ...paper);
     this.paintGrid(pen, paper, unit * ratio);
     this.paintLabels(pen, layout);
@@ -156,13 +187,12 @@ export class EcgPaper {
 
   // A line every mm, and a thick one every 5; 0 ms lies on a line of the first column.
   paintGrid(pen, [width, height], pixels) {
-    const first = MARGIN.left % 1;
     for (const [step, colour, thick] of [[1, FINE, 1], [5, THICK, 1.4]]) {
       if (step * pixels < 2.5) continue;
       pen.strokeStyle = colour;
       pen.lineWidth = thick / pixels;
       pen.beginPath();
-      for (let x = first + (MARGIN.left % step); x <= width; x += step) {
+      for (let x = MARGIN.left % step; x <= width; x += step) {
         pen.moveTo(x, 0);
         pen.lineTo(x, height);
       }
@@ -174,66 +204,40 @@ export class EcgPaper {
     }
   }
 
-  paintLabels(pen, { columns, offsets, width, row, up, paper }) {
-    const { start, traces, zero } = this.content;
-    const { speed, gain } = this.scale;
+  // The calibration mark (1 mV for 5 mm), the leads' names, and times.
+  paintLabels(pen, { columns, offsets, width, zeros, bottom }) {
+    const { gain } = this.scale;
     const size = this.text;
     pen.fillStyle = pen.strokeStyle = INK;
-    pen.font = `${size}px system-ui, sans-serif`;
-    pen.textBaseline = "alphabetic";
-    pen.textAlign = "left";
-    // which trace is which
-    let x = 2;
-    for (const { name, colour, dashed } of traces) {
-      pen.strokeStyle = colour;
-      pen.lineWidth = 0.6;
-      pen.setLineDash(dashed ? [1.6, 1.2] : []);
-      pen.beginPath();
-      pen.moveTo(x, size * 0.9);
-      pen.lineTo(x + 7, size * 0.9);
-      pen.stroke();
-      pen.setLineDash([]);
-      pen.fillText(name, x + 8, size * 1.25);
-      x += 12 + pen.measureText(name).width;
-    }
-    // 1 mV for 5 mm, and the leads' names
-    pen.strokeStyle = INK;
     pen.lineWidth = 0.4;
-    const rows = Math.max(...columns.map((column) => column.length));
-    for (let k = 0; k < rows; k++) {
-      const zeroLine = MARGIN.top + k * row + up;
+    for (const zero of zeros) {
       pen.beginPath();
-      pen.moveTo(2, zeroLine);
-      pen.lineTo(3.5, zeroLine);
-      pen.lineTo(3.5, zeroLine - gain);
-      pen.lineTo(8.5, zeroLine - gain);
-      pen.lineTo(8.5, zeroLine);
-      pen.lineTo(10, zeroLine);
+      [[2, 0], [3.5, 0], [3.5, gain], [8.5, gain], [8.5, 0], [10, 0]].forEach(([x, up]) =>
+        pen.lineTo(x, zero - up),
+      );
       pen.stroke();
     }
+    pen.textAlign = "left";
     pen.font = `600 ${size}px system-ui, sans-serif`;
     columns.forEach((column, c) =>
-      column.forEach((lead, k) => pen.fillText(lead, offsets[c] + 0.5, MARGIN.top + k * row + size)),
+      column.forEach((lead, k) => pen.fillText(lead, offsets[c], zeros[k] - gain - 0.5)),
     );
-    // time, and the scale of paper and voltage
     pen.font = `${size}px system-ui, sans-serif`;
-    const length = this.end - start;
-    const tick = [20, 50, 100, 200, 500, 1000].find((t) => (t / length) * width > 3.2 * size) ?? 1000;
     pen.textAlign = "center";
-    pen.lineWidth = 0.3;
+    const { start } = this.content;
+    const length = this.end - start;
+    const wide = (t) => (t / length) * width > 2.8 * size;
+    const tick = [20, 50, 100, 200, 500].find(wide) ?? 1000;
     for (const left of offsets) {
       for (let t = Math.ceil(start / tick) * tick; t <= this.end; t += tick) {
         const at = left + ((t - start) / length) * width;
-        pen.fillRect(at - 0.15, paper[1] - MARGIN.bottom, 0.3, 1.2);
-        pen.fillText(String(t), at, paper[1] - MARGIN.bottom + 1.2 + size);
+        pen.fillRect(at - 0.15, bottom, 0.3, 1.2);
+        pen.fillText(String(t), at, bottom + 1.2 + size);
       }
     }
-    pen.textAlign = "left";
-    const said = `${speed} mm/s, ${gain} mm/mV; time (ms${zero ? `; 0: ${zero}` : ""})`;
-    pen.fillText(said, 2, paper[1] - size * 0.4);
   }
 
-  paintTrace(pen, { columns, offsets, width, row, up }, { values, colour, dashed }) {
+  paintTrace(pen, { columns, offsets, width, zeros }, { values, colour, dashed }) {
     const { start, step } = this.content;
     const across = (width / (this.end - start)) * step;
     pen.strokeStyle = colour;
@@ -242,7 +246,7 @@ export class EcgPaper {
     pen.setLineDash(dashed ? [1.6, 1.2] : []);
     columns.forEach((column, c) =>
       column.forEach((lead, k) => {
-        const zero = MARGIN.top + k * row + up;
+        const zero = zeros[k];
         let drawn = false;
         pen.beginPath();
         (values[lead] ?? []).forEach((value, n) => {
@@ -258,22 +262,15 @@ export class EcgPaper {
     pen.setLineDash([]);
   }
 
-  paintCursor(pen, { columns, offsets, width, row }) {
+  paintCursor(pen, { offsets, width, bottom }) {
     const share = (this.time - this.content.start) / (this.end - this.content.start);
-    const said = `${Math.round(this.time)} ms`;
     pen.fillStyle = CURSOR;
-    pen.font = `600 ${this.text}px system-ui, sans-serif`;
-    columns.forEach((column, c) => {
-      const x = offsets[c] + share * width;
-      pen.fillRect(x - 0.15, MARGIN.top - 1, 0.3, column.length * row + 1);
-      pen.textAlign = share > 0.7 ? "right" : "left";
-      pen.fillText(said, x + (share > 0.7 ? -0.8 : 0.8), MARGIN.top);
-    });
+    for (const left of offsets) pen.fillRect(left + share * width - 0.2, 1, 0.4, bottom - 1);
   }
 
   dispose() {
     cancelAnimationFrame(this.pending);
     this.observer.disconnect();
-    this.canvas.remove();
+    this.sheet.remove();
   }
 }

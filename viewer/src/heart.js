@@ -84,15 +84,16 @@ void main() {
 
 const TREE_FRAGMENT = `
 varying float vValue, vAcross;
-const vec3 REST = vec3(0.3);
+const vec3 REST = vec3(0.6);
 ${COLOURED}
 void main() {
-  vec3 colour = REST;
+  vec3 colour = REST, edge = REST * 0.4;
   if (ofTime && vValue > -1e5) {
     colour = coloured(vValue);
     if (!whole) colour = withFront(colour, REST, vValue);
+    if (whole || vValue <= time) edge = colour * 0.08;
   }
-  gl_FragColor = vec4(abs(vAcross) > 0.62 ? colour * 0.08 : colour, 1.0);
+  gl_FragColor = vec4(abs(vAcross) > 0.62 ? edge : colour, 1.0);
   #include <colorspace_fragment>
 }`;
 

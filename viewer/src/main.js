@@ -1,27 +1,34 @@
-// A heart that can be turned: activations of scenarios on its surface, the front over time, trees.
+// The heart of a report: scenarios in the networks of a population, with the ECG, in one time.
 
-import { Mesh, MeshBasicMaterial, SphereGeometry } from "three";
 import { drawBar } from "./colours.js";
-import { addStyle, button, choice, make } from "./controls.js";
-import { Heart, Tree } from "./heart.js";
-import { Stage } from "./stage.js";
+import { addStyle, button, check, choice, make } from "./controls.js";
+import { potentials } from "./data.js";
+import { EcgPaper } from "./ecg.js";
+import { Panel } from "./panel.js";
 import "./explorer.js";
 
 const PLAYED_IN = 5; // seconds
+const ZERO = "first ventricular activation";
+const RECORDED = "#1a1a1a";
+const SIMULATED = ["#d55e00", "#0072b2"]; // of the scenario, and of the one it is compared with
 
 class Viewer {
   constructor(element, data) {
     this.data = data;
-    this.scenario = 0;
+    this.scenarios = [0, null];
+    this.network = data.median;
     this.field = 0;
     this.playing = false;
     this.picked = null;
+    this.start = data.ecg.start;
+    this.end = this.start + data.ecg.step * (data.ecg.count - 1);
+    this.time = this.end;
     addStyle();
-    this.canvas = make("canvas", {
-      tabindex: 0, role: "img", "aria-label": "heart; drag or use the arrow keys to turn it",
-    });
     this.build(element);
-    this.chooseScenario(0);
+    this.panels = [];
+    this.addPanel();
+    this.order(0);
+    this.show();
     this.dark = matchMedia("(prefers-color-scheme: dark)");
     this.whenDark = () => this.drawBar();
     this.dark.addEventListener("change", this.whenDark);
@@ -29,99 +36,203 @@ class Viewer {
 
   build(element) {
     const { data } = this;
-    this.heart = new Heart(data.surfaces[0], data.box);
-    this.marker = new Mesh(new SphereGeometry(1.5), new MeshBasicMaterial({ color: "#d40000" }));
-    this.marker.visible = false;
-    this.trees = [];
-    const labels = data.scenarios.map((scenario) => scenario.name);
-    const scenario = choice("scenario", labels, (k) => this.chooseScenario(k));
-    const field = choice("shown", [], (k) => this.chooseField(k));
-    this.fieldSelect = field.select;
-    this.slider = make("input", { type: "range", min: 0, step: 0.5, "aria-label": "time (ms)" });
+    const titles = data.scenarios.map(({ title }) => title);
+    this.scenarioChoice = choice("scenario", titles, (k) => this.chooseScenario(k));
+    this.otherChoice = choice("compare with", ["nothing", ...titles], (k) => this.compare(k - 1));
+    const fields = data.scenarios[0].fields.map(({ label }) => label);
+    this.fieldChoice = choice("shown", ["activation of one network", ...fields], (k) =>
+      this.chooseField(k),
+    );
+    const orders = data.orders.map(({ label, unit }) => (unit === "1" ? label : `${label} (${unit})`));
+    const order = choice("ordered by", orders, (k) => this.order(k));
+    const last = data.networks.length - 1;
+    this.networkSlider = make("input", { type: "range", min: 0, max: last, "aria-label": "network" });
+    this.networkSlider.addEventListener("input", () => {
+      this.network = this.ranked[Number(this.networkSlider.value)];
+      this.show();
+    });
+    this.networkText = make("span", { class: "fv-clock" });
+    this.slider = make("input", {
+      type: "range", min: this.start, max: this.end, step: 0.5, "aria-label": `time (ms; 0: ${ZERO})`,
+    });
     this.slider.addEventListener("input", () => this.moveTo(Number(this.slider.value)));
     this.play = button("▶", "play or pause", () => this.playOrPause());
-    this.clock = make("span", {});
-    this.box = make("input", { type: "checkbox" });
-    this.box.addEventListener("change", () => this.showTrees());
+    this.clock = make("span", { class: "fv-clock" });
+    const looked = () => this.look();
+    this.cut = make("input", { type: "range", min: 0, max: 95, value: 0, "aria-label": "cut" });
+    this.cut.addEventListener("input", looked);
+    this.opaque = check("opaque", false, looked);
+    this.only = check("endocardia only", false, looked);
+    this.networks = check("Purkinje network", true, looked);
+    this.labelled = check("isochrones in ms", true, looked);
+    this.early = choice("colours", ["early is bright", "early is red"], looked);
     this.read = make("span", { "aria-live": "polite" });
     this.barUnit = make("span", {});
     this.bar = make("canvas", { class: "fv-bar", role: "img" });
-    this.picture = make("div", { class: "fv-picture" }, this.canvas);
-    this.stage = new Stage(this.canvas, this.picture, {
-      up: data.up, front: data.front, base: data.base,
-      points: this.heart.mesh.geometry.getAttribute("position").array,
-    });
-    this.stage.add(this.heart.mesh);
-    this.stage.add(this.marker);
-    this.stage.onClick = (ray) => this.pick(ray);
-    const views = Object.keys(this.stage.views).map((name) =>
-      button(name, `view: ${name}`, () => this.stage.view(name)),
-    );
+    this.pictures = make("div", { class: "fv-pictures" });
+    this.views = make("div", { class: "fv-row" });
+    const paper = make("div", { class: "fv-ecg" });
+    const scarred = data.surfaces[0].scarred ? ["Hatched: scar."] : [];
     this.root = make(
       "div", { class: "fv" },
-      make("div", { class: "fv-row" }, scenario.row, field.row),
-      this.picture,
+      make("div", { class: "fv-row" }, this.scenarioChoice.row, this.otherChoice.row),
+      make("div", { class: "fv-row" }, this.fieldChoice.row, this.early.row),
+      this.pictures,
+      make("div", { class: "fv-row fv-keep" }, this.bar, this.barUnit, ...scarred),
+      this.views,
+      make("div", { class: "fv-row" }, this.networks.row, this.opaque.row, this.only.row,
+        this.labelled.row, make("label", {}, "cut", this.cut)),
+      make("div", { class: "fv-row" }, make("label", { class: "fv-long" }, "network",
+        this.networkSlider), this.networkText, order.row),
       make("div", { class: "fv-row" }, this.play, this.slider, this.clock),
-      make("div", { class: "fv-row fv-keep" }, this.bar, this.barUnit),
-      make("div", { class: "fv-row" }, ...views, make("label", {}, this.box, "trees")),
+      paper,
       make("div", { class: "fv-row fv-keep fv-read" }, this.read),
     );
     element.replaceChildren(this.root);
+    this.ecg = new EcgPaper(paper);
+    this.ecg.onCursor = (time) => {
+      this.stop();
+      this.moveTo(time);
+    };
+  }
+
+  addPanel() {
+    const panel = new Panel(this.data);
+    this.panels.push(panel);
+    this.pictures.append(panel.root);
+    panel.stage.onClick = (ray) => this.pick(ray, panel);
+    panel.stage.onTurn = () =>
+      this.panels.filter((other) => other !== panel).forEach(({ stage }) => stage.follow(panel.stage));
+    if (this.panels.length === 1) {
+      this.views.replaceChildren(
+        ...Object.keys(panel.stage.views).map((name) =>
+          button(name, `view: ${name}`, () => panel.stage.view(name)),
+        ),
+      );
+    } else panel.stage.follow(this.panels[0].stage);
+  }
+
+  get stage() {
+    return this.panels[0].stage;
   }
 
   chooseScenario(k) {
-    this.scenario = k;
-    const { fields, trees } = this.data.scenarios[k];
-    this.fieldSelect.replaceChildren(
-      ...fields.map((field, at) => make("option", { value: at }, field.label)),
-    );
-    this.trees.forEach((tree) => {
-      this.stage.remove(tree.mesh);
-      tree.dispose();
-    });
-    this.trees = trees.map((tree) => new Tree(tree, this.data.box, this.heart));
-    this.trees.forEach((tree) => this.stage.add(tree.mesh));
-    this.chooseField(Math.min(this.field, fields.length - 1));
-    this.showTrees();
+    this.scenarios[0] = k;
+    this.show();
+  }
+
+  // Shows another scenario beside the first; -1 none.
+  compare(k) {
+    this.scenarios[1] = k < 0 ? null : k;
+    if (k < 0) this.panels.splice(1).forEach((panel) => panel.dispose());
+    else if (this.panels.length === 1) this.addPanel();
+    this.pictures.classList.toggle("fv-two", this.panels.length === 2);
+    this.show();
   }
 
   chooseField(k) {
     this.field = k;
-    this.fieldSelect.value = String(k);
-    this.shown = this.data.scenarios[this.scenario].fields[k];
-    this.heart.show(this.shown);
-    this.readPicked();
-    this.end = Math.ceil(this.shown.high);
-    this.slider.max = this.end;
     this.stop();
+    this.time = this.end;
+    this.show();
+  }
+
+  // Puts the networks into the order of a quantity; the one that is shown stays.
+  order(k) {
+    const { values } = (this.ordered = this.data.orders[k]);
+    this.ranked = values.map((_, n) => n).sort((a, b) => values[a] - values[b]);
+    this.nameNetwork();
+  }
+
+  nameNetwork() {
+    const { label, unit, values } = this.ordered;
+    const rank = this.ranked.indexOf(this.network);
+    this.networkSlider.value = String(rank);
+    const value = `${values[this.network]}${unit === "1" ? "" : ` ${unit}`}`;
+    this.networkText.textContent = `${rank + 1} of ${values.length}: ${label} ${value}`;
+    this.networkSlider.setAttribute("aria-valuetext", this.networkText.textContent);
+  }
+
+  // What is shown of a scenario: a map over all networks, or undefined for one of them.
+  fieldOf(scenario) {
+    return scenario.fields[this.field - 1];
+  }
+
+  get shown() {
+    const { top } = this.data.times;
+    const one = { name: "activation", label: "activation", unit: "ms", kind: "time", low: 0, high: top };
+    return this.fieldOf(this.data.scenarios[this.scenarios[0]]) ?? one;
+  }
+
+  show() {
+    this.panels.forEach((panel, k) => {
+      const scenario = this.data.scenarios[this.scenarios[k]];
+      panel.show(scenario, this.network, this.fieldOf(scenario));
+    });
     this.slider.disabled = this.play.disabled = this.shown.kind !== "time";
-    this.moveTo(this.end);
+    this.nameNetwork();
+    this.look();
+    this.showEcg();
+    this.moveTo(this.time);
+    this.readPicked();
+  }
+
+  look() {
+    const early = ["time", "red"][Number(this.early.select.value)];
+    const look = {
+      opaque: this.opaque.box.checked, only: this.only.box.checked, early,
+      networks: this.networks.box.checked, labelled: this.labelled.box.checked,
+      cut: Number(this.cut.value) / 100,
+    };
+    this.panels.forEach((panel) => panel.look(look));
     this.drawBar();
+  }
+
+  showEcg() {
+    const { data } = this;
+    const { leads, start, step } = data.ecg;
+    const simulated = this.panels.map(({ scenario }, k) => ({
+      name: k || this.panels.length > 1 ? `simulated, ${scenario.title}` : "simulated",
+      colour: SIMULATED[k], dashed: k === 1, values: potentials(scenario.ecgs[this.network], leads),
+    }));
+    const recorded = data.recorded ? [this.recordedTrace()] : [];
+    this.ecg.show({ leads, start, step, zero: ZERO, traces: [...recorded, ...simulated] });
+  }
+
+  // The recorded beat where the fit puts it under the simulated one of this network.
+  recordedTrace() {
+    const { recorded, ecg, scenarios } = this.data;
+    const first = ecg.start - recorded.begins[this.network];
+    const all = potentials(recorded.values, recorded.leads);
+    const values = {};
+    for (const [lead, each] of Object.entries(all)) {
+      values[lead] = Float32Array.from(
+        { length: ecg.count }, (_, n) => each[Math.round(first + n * ecg.step)] ?? NaN,
+      );
+    }
+    const its = scenarios.find(({ name }) => name === recorded.scenario);
+    const same = its === this.panels[0].scenario && this.panels.length === 1;
+    return { name: same ? "recorded" : `recorded, ${its.title}`, colour: RECORDED, values };
   }
 
   moveTo(time) {
     this.time = time;
     this.slider.value = String(time);
     this.clock.textContent = this.shown.kind === "time" ? `${Math.round(time)} ms` : "";
-    this.heart.at(time, this.end);
-    this.stage.draw();
-  }
-
-  showTrees() {
-    this.trees.forEach((tree) => (tree.mesh.visible = this.box.checked));
-    this.heart.seeThrough(this.box.checked);
-    this.moveTo(this.time);
+    this.slider.setAttribute("aria-valuetext", `${Math.round(time)} ms`);
+    this.panels.forEach((panel) => panel.at(time, this.end));
+    this.ecg.cursor(time);
   }
 
   playOrPause() {
     if (this.playing) return this.stop();
     this.playing = true;
     this.play.textContent = "⏸";
-    if (this.time >= this.end) this.moveTo(0);
+    if (this.time >= this.end) this.moveTo(this.start);
     let before = performance.now();
     const step = (now) => {
       if (!this.playing) return;
-      const next = this.time + ((now - before) / 1000 / PLAYED_IN) * this.end;
+      const next = this.time + ((now - before) / 1000 / PLAYED_IN) * (this.end - this.start);
       before = now;
       this.moveTo(Math.min(next, this.end));
       if (next >= this.end) return this.stop();
@@ -137,21 +248,27 @@ class Viewer {
   }
 
   // Value where a ray meets the heart; null beside it.
-  pick(ray) {
-    const hit = this.heart.hit(ray);
-    this.marker.visible = Boolean(hit);
-    this.picked = hit ? hit.vertex : null;
-    if (hit) this.marker.position.copy(hit.point);
+  pick(ray, panel = this.panels[0]) {
+    const vertex = panel.pick(ray);
+    this.panels.forEach((other) => {
+      if (other === panel) return;
+      other.marker.visible = panel.marker.visible;
+      other.marker.position.copy(panel.marker.position);
+    });
+    this.picked = vertex;
     this.readPicked();
-    this.stage.draw();
-    return hit ? this.heart.valueAt(this.picked) : null;
+    return vertex === null ? null : panel.heart.valueAt(vertex);
   }
 
-  // Writes the value at the place that was picked.
+  // Writes the values at the place that was picked.
   readPicked() {
-    this.read.textContent = this.picked === null ? "Click on the heart for a value." : `${
-      this.written(this.heart.valueAt(this.picked))} — ${this.shown.label}, ${
-      this.data.scenarios[this.scenario].name}`;
+    if (this.picked === null) {
+      this.read.textContent = "Click on the heart for a value.";
+      return;
+    }
+    const said = this.panels.map(({ heart, scenario }) =>
+      `${this.written(heart.valueAt(this.picked))} — ${this.shown.label}, ${scenario.title}`);
+    this.read.textContent = said.join("; ");
   }
 
   written(value) {
@@ -161,17 +278,19 @@ class Viewer {
   }
 
   drawBar() {
-    const ink = getComputedStyle(this.root).color;
-    drawBar(this.bar, this.shown, ink);
-    const unit = this.shown.unit === "1" ? "" : ` (${this.shown.unit})`;
-    this.barUnit.textContent = `${this.shown.label}${unit}`;
+    const { label, unit, kind } = this.shown;
+    const map = kind === "time" ? this.panels[0].heart.early : kind;
+    drawBar(this.bar, { ...this.shown, kind: map }, getComputedStyle(this.root).color);
+    const zero = kind === "time" ? `; 0: ${ZERO}` : "";
+    this.barUnit.textContent = unit === "1" ? label : `${label} (${unit}${zero})`;
     this.bar.setAttribute("aria-label", `colours of ${this.barUnit.textContent}`);
   }
 
   state() {
     return {
-      scenario: this.data.scenarios[this.scenario].name,
+      scenario: this.data.scenarios[this.scenarios[0]].name,
       field: this.shown.name,
+      network: this.data.networks[this.network],
       time: this.time,
       playing: this.playing,
       camera: this.stage.camera.position.toArray(),
@@ -181,9 +300,8 @@ class Viewer {
   dispose() {
     this.stop();
     this.dark.removeEventListener("change", this.whenDark);
-    this.trees.forEach((tree) => tree.dispose());
-    this.heart.dispose();
-    this.stage.dispose();
+    this.ecg.dispose();
+    this.panels.forEach((panel) => panel.dispose());
     this.root.remove();
   }
 }

@@ -68,6 +68,7 @@ export class Stage {
     this.cut = 0; // share of the depth that is cut away
     this.onClick = null; // (ray) => {}
     this.onTurn = null; // () => {}, after the camera moved
+    this.onRender = null; // () => {}, after the picture was drawn
     this.camera = new PerspectiveCamera(2 * HALF_VIEW, 1, reach / 50, reach * 20);
     this.distance = reach / Math.sin(MathUtils.degToRad(HALF_VIEW));
     this.orbit = new OrbitControls(this.camera, canvas);
@@ -122,16 +123,18 @@ export class Stage {
 
   // Looks as another stage does.
   follow(other) {
+    this.following = true;
     this.camera.up.copy(other.camera.up);
     this.camera.position.copy(other.camera.position);
     this.camera.lookAt(this.centre);
     this.orbit.update();
+    this.following = false;
     this.draw();
   }
 
   turned() {
     this.draw();
-    this.onTurn?.();
+    if (!this.following) this.onTurn?.();
   }
 
   turnByKey(event) {
@@ -180,11 +183,20 @@ export class Stage {
 
   render() {
     this.pending = null;
+    this.setClip();
+    this.renderer.render(this.scene, this.camera);
+    this.onRender?.();
+  }
+
+  setClip() {
     const away = this.camera.position.clone().sub(this.centre).normalize();
     const depth = this.reach * (1 - 2 * this.cut);
     const place = this.centre.clone().addScaledVector(away, depth);
     this.clip.setFromNormalAndCoplanarPoint(away.negate(), place);
-    this.renderer.render(this.scene, this.camera);
+  }
+
+  isCut(place) {
+    return this.cut > 0 && this.clip.distanceToPoint(place) < 0;
   }
 
   toImage() {

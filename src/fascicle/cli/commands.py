@@ -530,7 +530,7 @@ def report(
 ) -> Result:
     """Write the results of a study as one HTML file that opens offline.
 
-    First the answer in words; then the recorded and the predicted ECG, a heart in 3-D with the
+    First the answer in words; then the recorded and the simulated ECG, a heart in 3-D with the
     activation of every scenario, the scenarios compared, parameters, convergence, inputs.
     """
     from fascicle.reporting.page.page import PACINGS

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from typing import NamedTuple
 
 from fascicle.core.quantities import in_words, parameter_name
+from fascicle.forward.scenario_files import library
 from fascicle.prediction.index_names import INDICES
+from fascicle.prediction.scenarios import INTRINSIC
 
 
 class Measure(NamedTuple):
@@ -49,3 +52,16 @@ def index_label(index: str) -> str:
 
 def _with_unit(name: str, unit: str) -> str:
     return name if unit == "1" else f"{name} ({unit})"
+
+
+def scenario_name(name: str) -> str:
+    """Name of a scenario for readers: that of the library in words, any other as it is."""
+    if name == INTRINSIC:
+        return "intrinsic beat"
+    return capitals(name.replace("-", " ")) if name in library() else name
+
+
+def capitals(text: str) -> str:
+    """The text with the capitals of names: His, LV, RV, PVC."""
+    text = re.sub(r"\bhis\b", "His", text)
+    return re.sub(r"\b(lv|rv|pvc)\b", lambda found: found[0].upper(), text)

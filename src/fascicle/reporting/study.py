@@ -164,7 +164,7 @@ def emulator_figure(report: Mapping[str, float]) -> Figure:
 
 
 def recorded_ecg_figure(fitted: FittedStudy, recording: int, networks: Sequence[Network]) -> Figure:
-    """Draw recorded and predicted QRS of one recording, counted from 0.
+    """Draw recorded and simulated QRS of one recording, counted from 0.
 
     The networks are the population in that recording's scenario.
     """
@@ -177,10 +177,10 @@ def _ecg(target: Target, networks: Sequence[Network], found: Agreement) -> Figur
     """Bands hold 90 % of each, because whole ranges grow with the number of ECGs."""
     window = target.qrs_samples
     time = target.time[window]
-    predicted = np.stack([network.predicted for network in networks])[:, :, window]
+    simulated = np.stack([network.predicted for network in networks])[:, :, window]
     groups = [
         EcgGroup("recorded", "beat", time, target.qrs_beats, Colour.BLUE, 0.9),
-        EcgGroup("predicted", "network", time, predicted, Colour.VERMILION, 0.9),
+        EcgGroup("simulated", "network", time, simulated, Colour.VERMILION, 0.9),
     ]
     notes = [f"r {r:.2f}" if np.isfinite(r) else "" for r in found.correlation]
     title = f"Recorded QRS and {len(networks)} networks"
@@ -188,7 +188,7 @@ def _ecg(target: Target, networks: Sequence[Network], found: Agreement) -> Figur
 
 
 def _caption(found: Agreement) -> str:
-    """Variance explained by the networks' mean; durations and axis, recorded and predicted."""
+    """Variance explained by the networks' mean; durations and axis, recorded and simulated."""
     parts = [
         f"mean explains {found.explained_over_all:.0%} of the variance, "
         f"r {found.correlation_over_all:.2f}"
@@ -198,6 +198,6 @@ def _caption(found: Agreement) -> str:
             low, middle, high = found.percentiles(key)
             parts.append(
                 f"{measure.name} {found.recorded[key]:.0f} {measure.unit}, "
-                f"predicted {middle:.0f} ({low:.0f} to {high:.0f})"
+                f"simulated {middle:.0f} ({low:.0f} to {high:.0f})"
             )
     return "; ".join(parts)

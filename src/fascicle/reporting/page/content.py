@@ -17,7 +17,7 @@ from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import INTRINSIC
 from fascicle.purkinje.growth import GrowthRules
 from fascicle.recording.target import Target
-from fascicle.reporting.names import index_name
+from fascicle.reporting.names import index_name, scenario_name
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.recordings import recording_paths
 from fascicle.study.settings import OF_THE_PAPER, OF_THE_POSTERIOR
@@ -105,7 +105,7 @@ def prediction(
         return f"{sentence}."
     if missing := missing_blocks(name, predicted, against):
         sentence = f"{sentence}. Caution: {missing}"
-    beat = "the intrinsic beat" if against == INTRINSIC else against
+    beat = "the intrinsic beat" if against == INTRINSIC else scenario_name(against)
     index = "total_activation_time"
     reduction = compare(paced, other, index)
     change = f"shortened by {reduction}"

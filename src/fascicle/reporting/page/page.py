@@ -29,7 +29,7 @@ from fascicle.prediction.scenarios import (
     predict,
     with_intrinsic_beat,
 )
-from fascicle.reporting.names import MEASURES, index_label
+from fascicle.reporting.names import MEASURES, index_label, scenario_name
 from fascicle.reporting.page import content as words
 from fascicle.reporting.page.scene import scene
 from fascicle.reporting.prediction import latest_segments
@@ -109,12 +109,12 @@ def write_report(
     against: str = INTRINSIC,
 ) -> list[Path]:
     """Write the `report` of a population and of scenarios over it, the intrinsic beat first."""
-    drawn = drawings(fitted, networks, predicted)
+    drawn, model = drawings(fitted, networks, predicted), fitted.simulator.model
     content = {
         **_content(fitted, predicted, against),
         "criteria": [each.target.conventional_criteria for each in fitted.recordings],
         "pictures": {name: picture(drawing) for name, drawing in drawn.items()},
-        "scene": _safe(scene(fitted.simulator.model.heart, predicted)),
+        "scene": _safe(scene(model.heart, predicted, networks, fitted.recordings[0], model)),
         "style": _file("style.css"),
         "viewer": _file("viewer.js"),
     }
@@ -170,7 +170,8 @@ def _content(
         "unidentifiable": [each for each in said.parameters if not each.constrained],
         "correlated": said.correlated,
         "predictions": [
-            (name, words.prediction(name, predicted, against, said.caution)) for name in predicted
+            (scenario_name(name), words.prediction(name, predicted, against, said.caution))
+            for name in predicted
         ],
         "measures": [each for each in MEASURES.values() if each.meaning],
         "columns": [index_label(index) for index in SHOWN],
@@ -194,7 +195,7 @@ def _content(
 def _row(name: str, found: Predicted) -> tuple[str, list[Any], tuple[str, float]]:
     """Percentiles of the indices of the table, and the segment most often activated last."""
     cells = [np.nanpercentile(found.indices[index], [5, 50, 95]) for index in SHOWN]
-    return name, cells, next(iter(latest_segments(found).items()))
+    return scenario_name(name), cells, next(iter(latest_segments(found).items()))
 
 
 def _template() -> Any:

@@ -1,117 +1,314 @@
-"""Data of the report's viewer, quantised and in base64 to keep the page small."""
+"""Data of the report's viewer, quantised and compressed to keep the page small."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping
+import zlib
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats, Integers
+from fascicle.core.leads import LEADS
+from fascicle.core.quantities import parameter_name, quantity
+from fascicle.forward.ecg.electrocardiogram import first_sample
+from fascicle.forward.model import ForwardModel
+from fascicle.forward.scenario import Scenario
 from fascicle.heart.heart import Heart
-from fascicle.prediction.predicted import Predicted, PredictedBeat
+from fascicle.heart.labelled_surface import ENDOCARDIA, labelled_mesh
+from fascicle.prediction.predicted import RINGING, Predicted, PredictedBeat
+from fascicle.purkinje.tree import PurkinjeTree
+from fascicle.reporting.names import scenario_name
+from fascicle.reporting.page.marks import marks
 from fascicle.reporting.surfaces import heart_views
 from fascicle.study.activation_maps import since_first
+from fascicle.study.population import evenly_spread
+from fascicle.study.target_comparison import Network, TargetComparison
 from fascicle.torso.variation.conductor import torso_axes
 
 NONE = 65_535  # marks a missing quantised value; others are lower
-# Fields over all networks: name in `Predicted.maps`, label, unit, kind
-MAPS = (
+MAPS = (  # over all networks: name in `Predicted.maps`, label, unit, kind
     ("activation_mean", "mean of the networks", "ms", "time"),
     ("activation_sd", "spread: standard deviation over the networks", "ms", "scalar"),
     ("probability_latest_fifth", "P(among the latest-activated 20 %)", "1", "scalar"),
 )
+MOST_NETWORKS = 40
+MOST_BYTES = 3_000_000  # of the networks together; compressed they are little more than half
+ECG_STEP = 2  # ms
 
 
-def scene(heart: Heart, predicted: Mapping[str, Predicted]) -> dict[str, Any]:
-    """Surface of a heart with the activations of scenarios, JSON for ``fascicleViewer``.
+def scene(
+    heart: Heart,
+    predicted: Mapping[str, Predicted],
+    networks: Sequence[Network] = (),
+    recording: TargetComparison | None = None,
+    model: ForwardModel | None = None,
+) -> dict[str, Any]:
+    """Surface of a heart with scenarios in some of the networks, JSON for ``fascicleViewer``.
 
-    Fields of one name share one scale, so that colours mean the same in all scenarios. The scale
-    ends at the largest value of these fields; one slow network does not stretch that of the median.
+    All times are counted from the first activation of the ventricles. The networks shown are
+    evenly spread over the order of total activation time, the median one among them.
+
+    Parameters
+    ----------
+    heart : Heart
+        The heart.
+    predicted : mapping of name to Predicted
+        Scenarios, the intrinsic beat first.
+    networks : sequence of Network, optional
+        The population, for the parameters by which it can be ordered.
+    recording : TargetComparison, optional
+        What was recorded.
+    model : ForwardModel, optional
+        Where the scenarios' sites and blocks are, and what is scar.
     """
-    triangles = heart.boundary[0]
-    shown, numbered = np.unique(triangles, return_inverse=True)
-    beats = {name: each.beats[each.extremes()["median"]] for name, each in predicted.items()}
+    first = next(iter(predicted.values()))
+    triangles, shown, endocardial = _boundary(heart)
+    chosen = _chosen(first, len(shown), len(predicted))
+    beats = {name: [each.beats[k] for k in chosen] for name, each in predicted.items()}
+    every = [beat for each in beats.values() for beat in each]
+    geometry: dict[bytes, tuple[int, PurkinjeTree]] = {}  # each tree once
+    for tree in (tree for beat in every for tree, _ in beat.trees):
+        geometry.setdefault(_key(tree), (len(geometry), tree))
+    trees = [tree for _, tree in geometry.values()]
     # roots may lie outside the mesh
-    nodes = [tree.nodes for beat in beats.values() for tree, _ in beat.trees]
-    points = np.concatenate([heart.vertices, *nodes])
+    points = np.concatenate([heart.vertices, *(tree.nodes for tree in trees)])
     low, high = points.min(axis=0), points.max(axis=0)
-    fields = {name: _fields(each, shown) for name, each in predicted.items()}
-    for alike in zip(*fields.values(), strict=True):
-        values = np.concatenate([field["values"] for field in alike])
-        top = float(values[np.isfinite(values)].max(initial=0.0)) or 1.0
-        for field in alike:
-            field.update(low=0.0, high=top, values=_quantised(field["values"], 0.0, top))
+    begin = min((_first_in_trees(beat) for beat in every), default=0.0)
+    last = max(float(np.nanmax(since_first(beat.activation))) for beat in every)
+    # whole boxes of ECG paper, up to where the QRS has ended
+    start, end = 10 * np.floor((begin - 5) / 10), 10 * np.ceil((last + 30) / 10)
+    window = np.arange(start, end + 1, ECG_STEP)
     _, back, up = torso_axes(heart.electrodes)
-    surface = {
-        "name": "heart",
-        "vertices": _positions(heart.vertices[shown], low, high),
-        "triangles": _encoded(numbered.reshape(triangles.shape).astype("<u4")),
-        "index": _encoded(np.arange(len(shown), dtype="<u4")),
-        "opacity": 1.0,
-    }
+    fields, scar = _fields(predicted, shown), _scar(heart, model)[shown]
     return {
-        "surfaces": [surface],
+        "surfaces": [
+            {
+                "name": "heart",
+                "vertices": _positions(heart.vertices[shown], low, high),
+                "triangles": _encoded(triangles.astype("<u4")),
+                "index": _encoded(np.arange(len(shown), dtype="<u4")),
+                "endocardial": endocardial,
+                "scar": _encoded(np.flatnonzero(scar).astype("<u4")),
+                "scarred": bool(scar.any()),
+            }
+        ],
         "box": {"low": low.tolist(), "high": high.tolist()},
         "up": up.tolist(),
         "front": (-back).tolist(),
         "base": (-heart_views(heart)["base"].axes[2]).tolist(),
+        "trees": [_tree(tree, low, high) for tree in trees],
+        "networks": [int(k) + 1 for k in chosen],
+        "median": [*chosen].index(first.extremes()["median"]),
+        "orders": _orders(predicted, networks, chosen),
+        "times": {"low": begin, "high": last, "top": fields[0][0]["high"]},
+        "ecg": {"start": float(start), "step": ECG_STEP, "count": len(window), "leads": LEADS},
+        "recorded": _recorded(recording, predicted, beats),
         "scenarios": [
             {
                 "name": name,
+                "title": scenario_name(name),
                 "label": each.scenario.description or name,
-                "fields": fields[name],
-                "trees": _trees(beats[name], low, high),
+                "fields": own,
+                "activations": [
+                    _bytes(since_first(beat.activation)[shown], 0.0, last) for beat in beats[name]
+                ],
+                "trees": [
+                    [geometry[_key(tree)][0] for tree, _ in beat.trees] for beat in beats[name]
+                ],
+                "tree_times": [
+                    [_bytes(times, begin, last) for times in _tree_times(beat)]
+                    for beat in beats[name]
+                ],
+                "ecgs": [_microvolts(_ecg(beat, window)) for beat in beats[name]],
+                "marks": [
+                    marks(each.scenario, networks[k].parameters, beat.trees, model.sites)
+                    if model is not None and len(networks)
+                    else []
+                    for k, beat in zip(chosen, beats[name], strict=True)
+                ],
             }
-            for name, each in predicted.items()
+            for (name, each), own in zip(predicted.items(), fields, strict=True)
         ],
     }
 
 
-def _fields(found: Predicted, shown: Integers) -> list[dict[str, Any]]:
-    extremes = found.extremes()
-    fields = [
-        (f"activation_{which}", f"network of {which} total activation time", "ms", "time",
-         since_first(found.beats[extremes[which]].activation))
-        for which in ("median", "minimum", "maximum")
-    ]  # fmt: skip
-    fields += [(*each, found.maps[each[0]]) for each in MAPS]
+def _boundary(heart: Heart) -> tuple[Integers, Integers, int]:
+    """Triangles of the boundary, endocardial ones first, the vertices they number, how many."""
+    labels = labelled_mesh(heart).labels
+    inside = np.isin(labels, ENDOCARDIA)
+    order = np.argsort(~inside, kind="stable")
+    shown, numbered = np.unique(heart.boundary[0][order], return_inverse=True)
+    return numbered.reshape(-1, 3), shown, int(inside.sum())
+
+
+def _scar(heart: Heart, model: ForwardModel | None) -> NDArray[np.bool_]:
+    """Which vertices lie in tissue that does not conduct, shape (n,)."""
+    scar = np.zeros(len(heart.vertices), dtype=bool)
+    for region in model.conduction.regions if model is not None else ():
+        if region.conductivity == 0:
+            scar[heart.tetrahedra[region.elements(heart)]] = True
+    return scar
+
+
+def _chosen(first: Predicted, vertices: int, scenarios: int) -> Integers:
+    """Networks by total activation time, as many as the page has room for."""
+    order = np.argsort(first.indices["total_activation_time"], kind="stable")
+    nodes = sum(len(tree.nodes) for tree, _ in first.beats[order[0]].trees) // 2
+    ecg = 2 * len(LEADS) * 250 // ECG_STEP
+    size = scenarios * (vertices + nodes + ecg) + 8 * nodes
+    count = int(np.clip(MOST_BYTES // size, 3, MOST_NETWORKS))
+    ranks = {*evenly_spread(len(order), count - 1), (len(order) - 1) // 2}
+    return np.asarray(order[sorted(ranks)])
+
+
+def _orders(
+    predicted: Mapping[str, Predicted], networks: Sequence[Network], chosen: Integers
+) -> list[dict[str, Any]]:
+    """What the networks can be ordered by: label, unit and values."""
+    total = "total activation time"
+    found = [
+        (f"{total}, {scenario_name(name)}", "ms", each.indices["total_activation_time"][chosen])
+        for name, each in predicted.items()
+    ]
+    for name in networks[0].parameters if len(networks) else ():
+        values = np.array([networks[k].parameters[name] for k in chosen], dtype=float)
+        if len(np.unique(values)) > 1:
+            unit = {"mm/ms": "m/s"}.get(quantity(name).unit, quantity(name).unit)
+            found.append((parameter_name(name), unit, values))
+    return [
+        {"label": label, "unit": unit, "values": [float(f"{v:.4g}") for v in values]}
+        for label, unit, values in found
+    ]
+
+
+def _fields(predicted: Mapping[str, Predicted], shown: Integers) -> list[list[dict[str, Any]]]:
+    """Maps over all networks, of each scenario. Fields of one name share one scale.
+
+    Times end with the latest of the mean maps and of the median networks, in any scenario: one
+    slow network does not stretch the scale.
+    """
     keys = ("name", "label", "unit", "kind")
-    return [dict(zip(keys, said, strict=True), values=v[shown]) for *said, v in fields]
+    fields = [
+        [dict(zip(keys, said, strict=True), values=each.maps[said[0]][shown]) for said in MAPS]
+        for each in predicted.values()
+    ]
+    slow = [since_first(e.beats[e.extremes()["median"]].activation) for e in predicted.values()]
+    for alike in zip(*fields, strict=True):
+        values = [field["values"] for field in alike]
+        joined = np.concatenate(values + (slow if alike[0]["kind"] == "time" else []))
+        top = float(joined[np.isfinite(joined)].max(initial=0.0)) or 1.0
+        for field in alike:
+            field.update(low=0.0, high=top, values=_quantised(field["values"], 0.0, top))
+    return fields
 
 
-def _trees(beat: PredictedBeat, low: Floats, high: Floats) -> list[dict[str, Any]]:
-    trees, begin = [], float(beat.activation.min())
-    for tree, times in beat.trees:
-        ends = np.flatnonzero(tree.parents >= 0)
-        since = times.astype(float) - begin
-        known = since[np.isfinite(since)]
-        first, last = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
-        trees.append(
-            {
-                "side": tree.side,
-                "nodes": _positions(tree.nodes, low, high),
-                "segments": _encoded(np.column_stack([tree.parents[ends], ends]).astype("<u4")),
-                "times": _quantised(since, first, last),
-                "low": first,
-                "high": last,
-            }
+def _first_in_trees(beat: PredictedBeat) -> float:
+    """First activation of a tree, from that of the ventricles on (ms); 0 at most."""
+    return min([0.0, *(float(np.nanmin(times, initial=0.0)) for times in _tree_times(beat))])
+
+
+def _tree_times(beat: PredictedBeat) -> list[Floats]:
+    """Times of the drawn nodes of each tree (ms); NaN where no front arrives."""
+    begin = float(beat.activation.min())
+    every = [(times[_thinned(tree)[0]].astype(float), tree) for tree, times in beat.trees]
+    return [np.where(np.isfinite(times), times, np.nan) - begin for times, _ in every]
+
+
+def _thinned(tree: PurkinjeTree) -> tuple[Integers, Integers]:
+    """Nodes of a tree to draw, ascending, and how many of them before each its parent stands.
+
+    These are the root (0 before), forks and ends, and every third node between.
+    """
+    parents, depth = tree.parents, np.zeros(len(tree.parents), dtype=np.int64)
+    above = parents.copy()
+    while (below := above >= 0).any():
+        depth += below
+        above = np.where(below, parents[above], -1)
+    drawn = (np.bincount(parents[parents >= 0], minlength=len(parents)) != 1) | (depth % 3 == 0)
+    above = parents.copy()
+    while (passed := (above >= 0) & ~drawn[above]).any():
+        above[passed] = parents[above[passed]]
+    nodes, number = np.flatnonzero(drawn), np.cumsum(drawn) - 1
+    return nodes, number[nodes] - np.where(above >= 0, number[above], number)[nodes]
+
+
+def _tree(tree: PurkinjeTree, low: Floats, high: Floats) -> dict[str, Any]:
+    drawn, before = _thinned(tree)
+    return {
+        "side": tree.side,
+        "nodes": _positions(tree.nodes[drawn], low, high),
+        "before": _encoded(before.astype("<i4")),
+    }
+
+
+def _key(tree: PurkinjeTree) -> bytes:
+    """What identifies a tree."""
+    return tree.nodes.tobytes() + tree.parents.tobytes()
+
+
+def _ecg(beat: PredictedBeat, window: Floats) -> Floats:
+    """The twelve leads (12, t) (mV) at times from the first activation on (ms)."""
+    leads = beat.filtered[: len(LEADS)]
+    begin = first_sample(beat.activation.astype(float)) - float(beat.activation.min()) - RINGING
+    time = begin + np.arange(leads.shape[1])
+    return np.array([np.interp(window, time, lead, left=0.0, right=0.0) for lead in leads])
+
+
+def _recorded(
+    recording: TargetComparison | None,
+    predicted: Mapping[str, Predicted],
+    beats: Mapping[str, Sequence[PredictedBeat]],
+) -> dict[str, Any] | None:
+    """The mean recorded beat, and where it begins in each network that was fitted to it (ms)."""
+    if recording is None:
+        return None
+    scenario = recording.scenario or Scenario()
+    name = next((name for name, each in predicted.items() if each.scenario == scenario), None)
+    if name is None:
+        return None
+    target, begins = recording.target, []
+    for beat in beats[name]:
+        sample = recording.align(beat.leads).shift - target.qrs_samples.start
+        begins.append(
+            first_sample(beat.activation.astype(float)) + sample - float(beat.activation.min())
         )
-    return trees
+    used = np.flatnonzero(target.used[: len(LEADS)])
+    return {
+        "scenario": name,
+        "leads": [LEADS[k] for k in used],
+        "values": _microvolts(target.mean[used]),
+        "begins": [round(begin, 1) for begin in begins],
+    }
+
+
+def _microvolts(leads: Floats) -> str:
+    """Leads (mV) as whole µV."""
+    return _encoded(np.round(np.clip(1000 * leads, -32_767, 32_767)).astype("<i2"))
 
 
 def _positions(points: Floats, low: Floats, high: Floats) -> str:
     return _encoded(np.round((points - low) / (high - low) * NONE).astype("<u2"))
 
 
+def _bytes(values: Floats, low: float, high: float) -> str:
+    """Values from `low` to `high` in 254 steps; 255 where there is none."""
+    return _encoded(_steps(values, low, high, 255).astype("<u1"))
+
+
 def _quantised(values: Floats, low: float, high: float) -> str:
-    """Values from `low` to `high` in steps; non-finite ones are `NONE`."""
+    """Values from `low` to `high` in steps; `NONE` where there is none."""
+    return _encoded(_steps(values, low, high, NONE).astype("<u2"))
+
+
+def _steps(values: Floats, low: float, high: float, none: int) -> Floats:
     share = (np.where(np.isfinite(values), values, low) - low) / max(high - low, 1e-9)
-    steps = np.round(np.clip(share, 0, 1) * (NONE - 1))
-    return _encoded(np.where(np.isfinite(values), steps, NONE).astype("<u2"))
+    steps = np.round(np.clip(share, 0, 1) * (none - 1))
+    return np.where(np.isfinite(values), steps, none)
 
 
 def _encoded(array: NDArray[Any]) -> str:
-    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode("ascii")
+    packed = zlib.compress(np.ascontiguousarray(array).tobytes(), 9)
+    return base64.b64encode(packed).decode("ascii")

@@ -1,0 +1,64 @@
+"""Where a scenario stimulates a network, and where it or the network's state is blocked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from fascicle.core.arrays import Floats, Singles
+from fascicle.forward.blocks import in_state
+from fascicle.forward.primitives import His, Stimulus
+from fascicle.forward.scenario import Scenario
+from fascicle.heart.sites import Sites
+from fascicle.purkinje.tree import PurkinjeTree
+from fascicle.reporting.names import capitals
+
+
+def marks(
+    scenario: Scenario,
+    values: Mapping[str, float],
+    trees: Sequence[tuple[PurkinjeTree, Singles]],
+    sites: Sites,
+) -> list[dict[str, Any]]:
+    """Kind (``"paced"`` or ``"blocked"``), text and place (mm) of each, for the viewer.
+
+    `values` are the network's parameters, `trees` those of its beat in the scenario.
+    """
+    own = [tree for tree, _ in trees[: len(trees) - len(scenario.trees)]]
+    scenario = in_state(scenario, values.get("conduction", 0.0))
+    found: list[tuple[str, str, Floats]] = []
+    roots = np.array([tree.nodes[tree.root] for tree in own])
+    for primitive in scenario.primitives:
+        if isinstance(primitive, Stimulus):
+            site, place = primitive.site, primitive.position
+            if place is None:
+                assert site is not None
+                place = sites.position(site)
+            found.append(("paced", site if isinstance(site, str) else "stimulus", np.array(place)))
+        elif isinstance(primitive, His) and primitive.stimulus_time is not None:
+            found.append(("paced", "His bundle", roots[:2].mean(axis=0)))
+        if not primitive.blocked:
+            continue
+        alone = Scenario((primitive,), scenario.trees)
+        beat = alone.beat(own, values.get("root_time", 0.0), values, sites)
+        text = ", ".join(sorted(each.removeprefix("the ") for each in primitive.blocked))
+        branches = beat.his.branches if beat.his is not None else ()
+        places = [root for root, way in zip(roots, branches, strict=False) if np.isinf(way)]
+        ends = np.cumsum([len(tree.nodes) for tree in beat.trees])
+        parts = np.split(np.broadcast_to(beat.speed, ends[-1]), ends[:-1])
+        for tree, speed in zip(beat.trees, parts, strict=True):
+            places += _where_blocked(tree, speed)
+        found += [("blocked", text, place) for place in places]
+    return [
+        {"kind": kind, "text": capitals(text), "place": np.round(place, 1).tolist()}
+        for kind, text, place in found
+    ]
+
+
+def _where_blocked(tree: PurkinjeTree, speed: Floats) -> list[Floats]:
+    """Where the parts of a tree begin that do not conduct; `speed` is the factor of segments."""
+    blocked = (speed == 0) & (tree.parents >= 0)
+    begins = blocked & ~blocked[tree.parents]
+    return list(tree.nodes[np.unique(tree.parents[begins])])
