@@ -81,6 +81,14 @@ def test_an_answer_is_what_simulate_gives(session):
     assert said["axis"] == pytest.approx(expected.frontal_axis)
 
 
+def test_the_criteria_count_along_once_the_hand_rests(session):
+    message = {"id": 1, "state": {"values": session.start | {"conduction": 1.0}}}
+    assert "criteria" not in opened(session.answer({**message, "moving": True}))[0]
+    said, _ = opened(session.answer(message))
+    expected = session.model.simulate(message["state"]["values"]).conventional_criteria
+    assert said["criteria"] == [each.name for each in expected if each.met]
+
+
 def test_a_place_that_is_paced_activates_first_and_no_root_fires(session):
     place = session.model.heart.vertices[np.unique(session.model.heart.boundary[0])[200]].tolist()
     said, arrays = ask(session, stimuli=[place])

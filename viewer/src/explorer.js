@@ -1,12 +1,13 @@
 // A heart to explore: its networks, activation and ECG follow every change of a state.
 
-import { Mesh, MeshBasicMaterial, SphereGeometry, Vector3 } from "three";
+import { Vector3 } from "three";
 import { GIFEncoder, applyPalette, quantize } from "gifenc";
 import { addStyle, button, choice, make } from "./controls.js";
 import { EcgPaper } from "./ecg.js";
 import { EXERCISES } from "./exercises.js";
 import { Heart, Tree } from "./heart.js";
 import { unpacked } from "./message.js";
+import { Overlay } from "./overlay.js";
 import { Stage } from "./stage.js";
 
 const PLAYED_IN = 4; // seconds
@@ -80,8 +81,8 @@ export class Explorer {
     this.heart.seeThrough(true);
     this.stage.add(this.heart.mesh);
     this.stage.onClick = (ray) => this.clicked(ray);
+    this.overlay = new Overlay(this.stage, said);
     this.trees = [];
-    this.markers = [];
     this.ecg = new EcgPaper(this.paper);
     this.ecg.onCursor = (ms) => this.moveTo(ms);
     this.keys = (event) => {
@@ -95,7 +96,7 @@ export class Explorer {
 
   actions() {
     const { said } = this;
-    this.mode = choice("click", ["turns only", "pace here", "block a branch"], () => {});
+    this.mode = choice("click", ["read a time", "pace here", "block a branch"], () => {});
     this.scenario = choice("beat", said.scenarios.map(plain), (k) =>
       this.change((state) => (state.scenario = said.scenarios[k])));
     this.conduction = choice("conduction", said.conduction, (k) =>
@@ -162,7 +163,10 @@ export class Explorer {
       });
       const value = make("output", {});
       input.addEventListener("input", () => this.slide(name, Number(input.value)));
-      input.addEventListener("change", () => (this.sliding = null));
+      input.addEventListener("change", () => {
+        this.sliding = null;
+        this.ask();
+      });
       this.inputs[name] = { input, value, unit, digits: high - low > 20 ? 0 : high - low > 1 ? 2 : 3 };
       return make("div", { class: "fx-slider", "data-name": name },
         make("span", {}, label), value, density(posterior), input);
@@ -209,7 +213,7 @@ export class Explorer {
     this.busy = true;
     this.number += 1;
     this.asked = performance.now();
-    this.send({ id: this.number, state: this.state });
+    this.send({ id: this.number, state: this.state, moving: Boolean(this.sliding) });
   }
 
   showState() {
@@ -299,7 +303,8 @@ export class Explorer {
     if (said.explained !== undefined) {
       rows.push(["of the recorded QRS explained", `${(100 * said.explained).toFixed(0)} %`]);
     }
-    rows.push(["conventional criteria met", said.criteria.join("; ") || "none"]);
+    const met = said.criteria ? said.criteria.join("; ") || "none" : "…";
+    rows.push(["conventional criteria met", met]);
     this.measured.replaceChildren(
       ...rows.flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, value)]),
     );
@@ -341,8 +346,16 @@ export class Explorer {
 
   clicked(ray) {
     const how = Number(this.mode.select.value);
+    if (how === 0) this.readAt(ray);
     if (how === 1) this.paceAt(ray);
     if (how === 2) this.blockAt(ray);
+  }
+
+  readAt(ray) {
+    const hit = this.heart.hit(ray);
+    if (!hit) return;
+    const time = this.heart.valueAt(hit.vertex);
+    this.say(Number.isNaN(time) ? "never activated" : `activated after ${time.toFixed(0)} ms`);
   }
 
   paceAt(ray) {
@@ -367,19 +380,19 @@ export class Explorer {
     this.change((state) => state.blocks.push([best.side, best.place]));
   }
 
+  // What was done, and where activation begins.
   mark() {
-    this.markers.forEach((marker) => this.stage.remove(marker));
     const { stimuli, blocks } = this.state;
-    const ball = (place, color) => {
-      const mesh = new Mesh(new SphereGeometry(2.2), new MeshBasicMaterial({ color }));
-      mesh.position.set(...place);
-      return mesh;
-    };
-    this.markers = [
-      ...stimuli.map((place) => ball(place, "#d40000")),
-      ...blocks.map(([, place]) => ball(place, "#111111")),
+    const mark = (kind, text, place) => ({ kind, text, place: new Vector3(...place), time: 0 });
+    const first = this.beat.arrays.activation.indexOf(0);
+    this.overlay.labels = [
+      ...stimuli.map((place) => mark("paced", "paced", place)),
+      ...blocks.map(([, place]) => mark("blocked", "blocked", place)),
     ];
-    this.markers.forEach((marker) => this.stage.add(marker));
+    if (first >= 0 && !stimuli.length) {
+      const place = this.fixed.vertices.subarray(3 * first, 3 * first + 3);
+      this.overlay.labels.push(mark("first", "first activation", place));
+    }
   }
 
   pin() {

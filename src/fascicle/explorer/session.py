@@ -171,7 +171,7 @@ class Session:
             state = State.of(message.get("state"))
             if message.get("ask") == "files":
                 return packed({"id": number, "files": self.files(state)}, {})
-            said, arrays = self._simulated(state)
+            said, arrays = self._simulated(state, bool(message.get("moving")))
             return packed({"id": number, **said}, arrays)
         except InputError as error:
             return packed({"id": number, "error": str(error)}, {})
@@ -182,7 +182,13 @@ class Session:
         beat = state.beat() or Scenario()
         return {"parameters.toml": values, "scenario.toml": scenario_text(beat)}
 
-    def _simulated(self, state: State) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    def _simulated(
+        self, state: State, moving: bool
+    ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """Numbers and arrays of a beat; while something moves without the conventional criteria.
+
+        These take as long as the simulation.
+        """
         found = self.model.simulate(state.values, state.beat())
         if not isinstance(found, Simulation):
             raise InputError(f"no network: {found.reason}")
@@ -191,8 +197,9 @@ class Session:
             "qrs": found.global_qrs_duration,
             "total": found.total_activation_time,
             "axis": found.frontal_axis,
-            "criteria": [each.name for each in found.conventional_criteria if each.met],
         }
+        if not moving:
+            said["criteria"] = [each.name for each in found.conventional_criteria if each.met]
         arrays = {"activation": (found.activation[self.surface[0]] - begin).astype("<f4")}
         for tree, times in zip(found.trees, found.coupled.trees, strict=True):
             arrays |= _tree(tree, times - begin)
