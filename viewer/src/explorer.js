@@ -13,7 +13,8 @@ import { Stage } from "./stage.js";
 const PLAYED_IN = 4; // seconds
 const FROM = -40; // ms before the first activation that the ECG is shown from
 const NEAR = 4; // mm from the line of sight that a branch may be
-const FRAMES = 40; // of a film
+const FRAMES = 24; // of a film
+const TALL = 360; // pixels of its frames
 const SCALE = { speed: 100, gain: 10 }; // mm/s, mm/mV
 const SIMULATED = "#b34700";
 const RECORDED = "#1f5fa8";
@@ -410,21 +411,22 @@ export class Explorer {
   }
 
   savePicture() {
-    this.frame().toBlob((blob) => keep("heart.png", blob));
+    this.frame(2 * TALL).toBlob((blob) => keep("heart.png", blob));
   }
 
-  // The heart and, under it, the ECG.
-  frame() {
+  // The heart, what is written over it, and the ECG to its right.
+  frame(height = TALL) {
     this.stage.render();
-    const [heart, ecg] = [this.canvas, this.paper.querySelector("canvas")];
-    const canvas = make("canvas", { width: 960, height: 0 });
-    const heights = [heart, ecg].map((each) => Math.round((960 * each.height) / each.width));
-    canvas.height = heights[0] + heights[1];
+    this.ecg.paint();
+    const parts = [this.canvas, this.paper.querySelector("canvas")];
+    const widths = parts.map((each) => Math.round((height * each.width) / each.height));
+    const canvas = make("canvas", { width: widths[0] + widths[1], height });
     const pen = canvas.getContext("2d", { willReadFrequently: true });
     pen.fillStyle = "#fff";
-    pen.fillRect(0, 0, canvas.width, canvas.height);
-    pen.drawImage(heart, 0, 0, 960, heights[0]);
-    pen.drawImage(ecg, 0, heights[0], 960, heights[1]);
+    pen.fillRect(0, 0, canvas.width, height);
+    pen.drawImage(parts[0], 0, 0, widths[0], height);
+    pen.drawImage(this.overlay.canvas, 0, 0, widths[0], height);
+    pen.drawImage(parts[1], widths[0], 0, widths[1], height);
     return canvas;
   }
 
@@ -440,9 +442,9 @@ export class Explorer {
       this.moveTo((k / FRAMES) * this.end);
       const canvas = this.frame();
       const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
-      const palette = quantize(data, 128);
+      const palette = quantize(data, 32);
       film.writeFrame(applyPalette(data, palette), canvas.width, canvas.height, {
-        palette, delay: k === FRAMES ? 1500 : 80,
+        palette, delay: k === FRAMES ? 1500 : 120,
       });
       this.say(`film: ${k} of ${FRAMES}`);
       await new Promise((done) => setTimeout(done));
