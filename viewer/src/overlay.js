@@ -65,15 +65,22 @@ export class Overlay {
     pen.font = `${SIZE}px system-ui, sans-serif`;
     pen.textBaseline = "middle";
     pen.lineJoin = "round";
-    const ends = [];
-    for (const label of this.labels.filter((each) => this.shows(each))) {
+    const place = (label) => {
       const { x, y } = label.place.clone().project(this.stage.camera);
-      const at = [((x + 1) / 2) * width, ((1 - y) / 2) * height];
+      return [((x + 1) / 2) * width, ((1 - y) / 2) * height];
+    };
+    const ends = [];
+    const marked = this.labels.filter(({ normal }) => !normal).map(place);
+    for (const label of this.labels.filter((each) => this.shows(each))) {
+      const at = place(label);
       // isochrones give way to one another
       if (label.kind === "isochrone") {
         if (ends.some((end) => Math.hypot(end[0] - at[0], end[1] - at[1]) < 2.2 * SIZE)) continue;
         ends.push(at);
       }
+      // a mark at the first activation says more than that it is the first
+      const near = (end) => Math.hypot(end[0] - at[0], end[1] - at[1]) < 3 * SIZE;
+      if (label.kind === "first" && marked.some(near)) continue;
       this.write(pen, label, ...at, width);
     }
     this.paintAxes(pen, height);
