@@ -13,7 +13,7 @@ const STYLE = `
 .fv-picture .fv-over { position: absolute; inset: 0; pointer-events: none; }
 .fv-clock { font-variant-numeric: tabular-nums; }
 .fv-long { flex: 1 1 12rem; }
-.fv-ecg { flex: 0 1 28rem; min-width: 0; overflow: hidden; }
+.fv-ecg { flex: 0 1 33rem; min-width: 0; overflow: hidden; }
 @media (max-width: 58rem) { .fv-ecg { flex-basis: 100%; } }
 .fv-picture canvas, .fv-picture img { width: 100%; height: 100%; display: block; }
 .fv-row { display: flex; flex-wrap: wrap; gap: .5rem 1rem; align-items: center; margin: .5rem 0; }
