@@ -117,7 +117,7 @@ def state(page):
 
 
 def slide(page, value, name="time"):
-    page.get_by_role("slider", name=re.compile(f"^{name}")).first.evaluate(
+    page.locator(f"input[aria-label^={name}]").evaluate(
         "(e, t) => { e.value = t; e.dispatchEvent(new Event('input')) }", value
     )
 
@@ -336,7 +336,7 @@ def test_a_slider_goes_through_the_networks(page, content):
     for rank, speed in enumerate((2, 3, 4)):
         slide(page, rank, "network")
         said = f"{rank + 1} of 3: Purkinje conduction velocity {speed} m/s"
-        assert page.locator(".fv-clock").first.inner_text() == said
+        assert page.locator(".fv-clock").last.inner_text() == said
         assert state(page)["network"] == rank + 1
 
 

@@ -226,7 +226,7 @@ export class EcgPaper {
     pen.textAlign = "center";
     const { start } = this.content;
     const length = this.end - start;
-    const wide = (t) => (t / length) * width > 2.8 * size;
+    const wide = (t) => (t / length) * width > 2.2 * size;
     const tick = [20, 50, 100, 200, 500].find(wide) ?? 1000;
     for (const left of offsets) {
       for (let t = Math.ceil(start / tick) * tick; t <= this.end; t += tick) {

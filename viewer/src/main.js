@@ -75,17 +75,16 @@ class Viewer {
     const scarred = data.surfaces[0].scarred ? ["Hatched: scar."] : [];
     this.root = make(
       "div", { class: "fv" },
-      make("div", { class: "fv-row" }, this.scenarioChoice.row, this.otherChoice.row),
-      make("div", { class: "fv-row" }, this.fieldChoice.row, this.early.row),
-      this.pictures,
+      make("div", { class: "fv-row" }, this.scenarioChoice.row, this.otherChoice.row,
+        this.fieldChoice.row, this.early.row),
+      make("div", { class: "fv-both" }, this.pictures, paper),
+      make("div", { class: "fv-row" }, this.play, this.slider, this.clock),
       make("div", { class: "fv-row fv-keep" }, this.bar, this.barUnit, ...scarred),
       this.views,
       make("div", { class: "fv-row" }, this.networks.row, this.opaque.row, this.only.row,
         this.labelled.row, make("label", {}, "cut", this.cut)),
       make("div", { class: "fv-row" }, make("label", { class: "fv-long" }, "network",
         this.networkSlider), this.networkText, order.row),
-      make("div", { class: "fv-row" }, this.play, this.slider, this.clock),
-      paper,
       make("div", { class: "fv-row fv-keep fv-read" }, this.read),
     );
     element.replaceChildren(this.root);
@@ -126,7 +125,7 @@ class Viewer {
     this.scenarios[1] = k < 0 ? null : k;
     if (k < 0) this.panels.splice(1).forEach((panel) => panel.dispose());
     else if (this.panels.length === 1) this.addPanel();
-    this.pictures.classList.toggle("fv-two", this.panels.length === 2);
+    this.root.classList.toggle("fv-two", this.panels.length === 2);
     this.show();
   }
 
@@ -145,11 +144,12 @@ class Viewer {
   }
 
   nameNetwork() {
-    const { label, unit, values } = this.ordered;
+    const { label, unit, values, words } = this.ordered;
     const rank = this.ranked.indexOf(this.network);
     this.networkSlider.value = String(rank);
-    const value = `${values[this.network]}${unit === "1" ? "" : ` ${unit}`}`;
-    this.networkText.textContent = `${rank + 1} of ${values.length}: ${label} ${value}`;
+    const value = values[this.network];
+    const said = words?.[value] ?? `${value}${unit === "1" ? "" : ` ${unit}`}`;
+    this.networkText.textContent = `${rank + 1} of ${values.length}: ${label} ${said}`;
     this.networkSlider.setAttribute("aria-valuetext", this.networkText.textContent);
   }
 

@@ -65,15 +65,22 @@ export class Overlay {
     pen.font = `${SIZE}px system-ui, sans-serif`;
     pen.textBaseline = "middle";
     pen.lineJoin = "round";
-    const ends = [];
-    for (const label of this.labels.filter((each) => this.shows(each))) {
+    const place = (label) => {
       const { x, y } = label.place.clone().project(this.stage.camera);
-      const at = [((x + 1) / 2) * width, ((1 - y) / 2) * height];
+      return [((x + 1) / 2) * width, ((1 - y) / 2) * height];
+    };
+    const ends = [];
+    const marked = this.labels.filter(({ normal }) => !normal).map(place);
+    for (const label of this.labels.filter((each) => this.shows(each))) {
+      const at = place(label);
       // isochrones give way to one another
       if (label.kind === "isochrone") {
         if (ends.some((end) => Math.hypot(end[0] - at[0], end[1] - at[1]) < 2.2 * SIZE)) continue;
         ends.push(at);
       }
+      // a mark at the first activation says more than that it is the first
+      const near = (end) => Math.hypot(end[0] - at[0], end[1] - at[1]) < 3 * SIZE;
+      if (label.kind === "first" && marked.some(near)) continue;
       this.write(pen, label, ...at, width);
     }
     this.paintAxes(pen, height);
@@ -88,22 +95,22 @@ export class Overlay {
   }
 
   write(pen, { kind, text }, x, y, width) {
-    const [before, shown] = kind === "isochrone" ? ["", text] : [KINDS[kind], ` ${text}`];
+    const said = kind === "blocked" ? `${text} blocked` : text;
+    const sign = KINDS[kind] ?? "";
     pen.font = `${kind === "isochrone" ? "" : "600 "}${SIZE}px system-ui, sans-serif`;
-    const long = pen.measureText(before + shown).width;
+    const whole = [`${sign} ${said}`.trim(), `${said} ${sign}`];
+    const long = pen.measureText(whole[0]).width;
+    const half = pen.measureText(sign || said).width / 2;
     // the sign stands on the place, the text to the right of it where there is room
-    let left = x - pen.measureText(before || shown).width / 2;
-    let said = before + shown;
-    if (before && left + long > width - 2) {
-      said = `${text} ${before}`;
-      left = x + pen.measureText(before).width / 2 - long;
-    }
+    const turned = sign && x - half + long > width - 2;
+    const left = turned ? x + half - long : x - half;
+    const drawn = whole[Number(Boolean(turned))];
     pen.textAlign = "left";
     pen.strokeStyle = "rgb(255 255 255 / 85%)";
     pen.lineWidth = 3.5;
     pen.fillStyle = COLOURS[kind] ?? "#000000";
-    pen.strokeText(said, left, y);
-    pen.fillText(said, left, y);
+    pen.strokeText(drawn, left, y);
+    pen.fillText(drawn, left, y);
   }
 
   // Letters of left, right, anterior, posterior, head and feet, as they lie to the eye.

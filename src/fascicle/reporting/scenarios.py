@@ -31,7 +31,7 @@ from fascicle.reporting.activation import (
     total_time,
 )
 from fascicle.reporting.ecg import EcgGroup, ecg_figure
-from fascicle.reporting.names import index_label, index_name
+from fascicle.reporting.names import index_label, index_name, scenario_name
 from fascicle.reporting.style import Colour
 
 # Indices in the figure and the table of a report
@@ -59,7 +59,7 @@ def index_figure(predicted: Mapping[str, Predicted]) -> Figure:
         panel.grid(axis="x", color="#EAEAEA", linewidth=0.6)
         panel.set_xlabel(index_label(index))
     panel.set(yticks=range(len(predicted)), ylim=(len(predicted) - 0.5, -0.5))
-    panel.set_yticklabels([style.short(name, 30) for name in predicted])
+    panel.set_yticklabels([style.short(scenario_name(name), 30) for name in predicted])
     return figure
 
 

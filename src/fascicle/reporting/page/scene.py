@@ -173,13 +173,20 @@ def _orders(
         (f"{total}, {scenario_name(name)}", "ms", each.indices["total_activation_time"][chosen])
         for name, each in predicted.items()
     ]
+    words: dict[str, Sequence[str]] = {}  # of what is counted
     for name in networks[0].parameters if len(networks) else ():
         values = np.array([networks[k].parameters[name] for k in chosen], dtype=float)
         if len(np.unique(values)) > 1:
-            unit = {"mm/ms": "m/s"}.get(quantity(name).unit, quantity(name).unit)
-            found.append((parameter_name(name), unit, values))
+            known, label = quantity(name), parameter_name(name)
+            found.append((label, {"mm/ms": "m/s"}.get(known.unit, known.unit), values))
+            words[label] = known.choices
     return [
-        {"label": label, "unit": unit, "values": [float(f"{v:.4g}") for v in values]}
+        {
+            "label": label,
+            "unit": unit,
+            "values": [float(f"{v:.4g}") for v in values],
+            "words": words.get(label, ()),
+        }
         for label, unit, values in found
     ]
 
