@@ -76,6 +76,13 @@ def scenario_ecg_figure(predicted: Mapping[str, Predicted], name: str) -> Figure
     return ecg_figure(groups, "Predicted ECG", time_zero="QRS onset")
 
 
+def prediction_ecg_figure(found: Predicted) -> Figure:
+    """Draw the twelve leads of a scenario: mean, 90 % of the networks."""
+    time, (ecgs,) = qrs_aligned(found)
+    group = EcgGroup("predicted", "network", time, ecgs[:, : len(LEADS)], Colour.VERMILION, 0.9)
+    return ecg_figure([group], "Predicted ECG", time_zero="QRS onset")
+
+
 def scenario_activation_figure(
     heart: Heart, predicted: Mapping[str, Predicted], name: str
 ) -> Figure:
