@@ -80,7 +80,7 @@ def simulation(simulation: Simulation, heart: Heart | Path | str | None = None) 
 def prediction(predicted: Predicted) -> list[Axes]:
     """ECG of one scenario, one axes a lead: mean, and what 90 % of the networks span."""
     check_kind(predicted, Predicted, "predicted", "one of what fascicle.predict returned")
-    return _shown(prediction_ecg_figure, predicted)
+    return _shown(prediction_ecg_figure, {"predicted": predicted})
 
 
 def ecg(

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from fascicle.core import above, html_card
@@ -22,9 +23,6 @@ from fascicle.heart.heart import Heart
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.recording.criteria import Criterion, conventional_criteria
 from fascicle.recording.window import QrsWindows, qrs_windows
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 LONGEST = 100_000.0  # ms that an activation may take; more is a mistake, and much memory
 
@@ -153,13 +151,12 @@ class Simulation(SimulatedBeat):
         path = as_path(folder, "folder")
         above("forward.simulation_files").write_simulation(heart, self, path, {})
 
-    def index_table(self, heart: Heart, stimulus: float | None = None) -> DataFrame:
+    def index_table(self, heart: Heart, stimulus: float | None = None) -> pd.DataFrame:
         """Indices of its activation and ECG, a row each: ``value``, ``unit`` and ``name``.
 
         Those counted from the first `stimulus` (ms) are NaN without one.
         """
-        table: DataFrame = above("prediction.indices").index_table(self, heart, stimulus)
-        return table
+        return pd.DataFrame(above("prediction.indices").index_table(self, heart, stimulus))
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ Definitions and sources stand in docs/predictions.md, which a test holds to the 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from fascicle.core import above
 from fascicle.core.arrays import Booleans, Floats, Integers
@@ -22,9 +22,6 @@ from fascicle.heart.heart import Heart
 from fascicle.heart.sites import APEX, RIGHT, Places, places
 from fascicle.prediction.index_names import INDICES
 from fascicle.recording.window import qrs_window
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 SMALLEST_R = 0.05  # mV; a lead whose largest potential is less has no R wave
 
@@ -85,10 +82,8 @@ def indices(
     return {**_of_activation(simulation.activation, territories), **_of_ecg(simulation, stimulus)}
 
 
-def index_table(simulation: Simulation, heart: Heart, stimulus: float | None) -> DataFrame:
+def index_table(simulation: Simulation, heart: Heart, stimulus: float | None) -> pd.DataFrame:
     """Indices of a simulation on its heart, as `Simulation.index_table` says."""
-    import pandas as pd
-
     check_kind(heart, Heart, "heart", "the heart that was simulated")
     found = indices(simulation, Territories.of(heart, places(heart)), stimulus)
     name = above("reporting.names").index_name

@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from fascicle.core import above, html_card
 from fascicle.core.arrays import Booleans, Floats, Singles
@@ -19,9 +20,6 @@ from fascicle.forward.simulation import Simulation
 from fascicle.prediction.index_names import INDICES
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.study.activation_maps import activation_maps
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 RINGING = 40  # samples on either side, for the ringing of the recorder's filters
 
@@ -82,10 +80,8 @@ class Predicted:
         """Write `index_table` as CSV; `fascicle.predict` keeps the rest in the study's folder."""
         write_text(as_path(path, "path"), self.index_table().to_csv(lineterminator="\n"))
 
-    def index_table(self) -> DataFrame:
+    def index_table(self) -> pd.DataFrame:
         """`indices` as a table: a row a network, a column an index, with its unit in the name."""
-        import pandas as pd
-
         columns = {i: f"{i}_{unit}" for i, unit in INDICES.items() if unit != "1"}
         return pd.DataFrame(dict(self.indices)).rename(columns=columns).rename_axis("network")
 

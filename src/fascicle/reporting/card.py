@@ -6,13 +6,14 @@ import base64
 import io
 from functools import singledispatch
 from html import escape
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from fascicle.core.arrays import Floats
+from fascicle.core.quantities import quantity
 from fascicle.forward.simulation import Simulation
-from fascicle.heart.heart import Heart
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import Predicted
 from fascicle.purkinje.tree import PurkinjeTree
@@ -35,7 +36,7 @@ def card(shown: object) -> str:
     facts, figure = _facts(shown)
     rows = "".join(
         f'<tr><th style="text-align:left">{escape(name)}</th>'
-        f'<td style="text-align:left">{escape(str(fact))}</td></tr>'
+        f'<td style="text-align:left;overflow-wrap:anywhere">{escape(str(fact))}</td></tr>'
         for name, fact in facts.items()
     )
     picture = io.BytesIO()
@@ -44,19 +45,14 @@ def card(shown: object) -> str:
     return (
         f"<b>fascicle.{type(shown).__name__}</b>"
         f'<div style="display:flex;flex-wrap:wrap;gap:1em;align-items:start">'
-        f'<table style="max-width:40em;overflow-wrap:anywhere">{rows}</table>'
-        f'<img style="max-width:36em;height:auto" src="data:image/png;base64,{content}"></div>'
+        f'<table style="max-width:36em">{rows}</table>'
+        f'<img style="max-width:30em;height:auto" src="data:image/png;base64,{content}"></div>'
     )
 
 
 @singledispatch
-def _facts(shown: object) -> Facts:
-    """What is said of an object, with units, and a picture of it."""
-    raise TypeError(f"there is no card of a {type(shown).__name__}")
-
-
-@_facts.register
-def _(heart: Heart) -> Facts:
+def _facts(heart: Any) -> Facts:
+    """What is said of an object, with units, and a picture; here, of a heart."""
     torso = heart.torso
     return {
         "name": heart.name,
@@ -66,7 +62,7 @@ def _(heart: Heart) -> Facts:
         "volume of the myocardium": f"{heart.volumes.sum() / 1000:.0f} ml",
         "electrodes": ", ".join(heart.electrode_names),
         "torso": "none in the folder" if torso is None else f"{len(torso.vertices)} vertices",
-        **heart.values,
+        **{parameter_label(n, quantity(n).unit): f"{v:.4g}" for n, v in heart.values.items()},
     }, one_axes(draw_heart, heart, "anterior")
 
 
@@ -113,7 +109,12 @@ def _(target: Target) -> Facts:
 
 @_facts.register
 def _(fitted: FittedStudy) -> Facts:
-    space, values = fitted.simulator.space, fitted.population.values
+    space, population = fitted.simulator.space, fitted.population
+    values = (
+        population.values
+        if len(population)
+        else {n: np.array([v]) for n, v in population.best.items()}
+    )
     facts: dict[str, object] = {"verdict": fitted.verdict, "folder": fitted.folder}
     facts |= {f"warning {k}": text for k, text in enumerate(fitted.warnings, 1)}
     facts |= {"networks": len(fitted.population)}
@@ -129,7 +130,7 @@ def _(predicted: Predicted) -> Facts:
     facts = {"scenario": predicted.scenario.description, "networks": len(predicted.beats)}
     known = {k: v for k, v in predicted.indices.items() if INDICES[k] != "1"}
     facts |= {index_label(index): _median(values) for index, values in known.items()}
-    return facts, prediction_ecg_figure(predicted)
+    return facts, prediction_ecg_figure({"predicted": predicted})
 
 
 def _median(values: Floats) -> str:

@@ -100,7 +100,7 @@ def new_figure(width: float, height: float, title: str = "") -> Figure:
     size = None if set_by_user("figure.figsize") else (width, height)
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
-    if title:
+    if title and size:  # in a size of the user's it may lie under the legend
         head(figure, title)
     return figure
 
