@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import inspect
+import re
 from concurrent.futures import ThreadPoolExecutor
+from html import escape
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib import pyplot
 
@@ -60,6 +63,11 @@ ALSO = {
     ("Conduction", "endocardial_speed"): {"whole"},
     **{("Conduction", name): {"whole"} for name in CONDUCTIVITIES},
     ("plot.activation", "heart"): {"heart"},
+    ("plot.heart", "heart"): {"heart"},
+    ("plot.simulation", "heart"): {"heart"},
+    ("plot.ecg", "caption"): {"bool"},
+    ("read_tree", "side"): {"text"},
+    ("read_tree", "file_first"): {"bool"},
     ("plot.activation_spread", "heart"): {"heart"},
     ("Scenario", "source"): {"text", "nul"},
     ("Scenario", "description"): {"none", "text", "nul"},
@@ -103,8 +111,10 @@ def predicted(study):
 
 
 @pytest.fixture(scope="module")
-def right(study, predicted, recording, default_heart, default_model):
+def right(study, predicted, recording, default_heart, default_model, tmp_path_factory):
     """Every public function, with arguments that it takes."""
+    simulation = study.best_network.simulation
+    simulation.trees[0].save(tree_file := tmp_path_factory.mktemp("trees") / "lv.vtu")
     fitted, target, plot = {"fitted": study}, study.recordings[0].target, fascicle.plot
     of_two = {"predicted": predicted, "name": "left-bundle-branch-pacing"}
     pacing = predicted["left-bundle-branch-pacing"]
@@ -149,6 +159,7 @@ def right(study, predicted, recording, default_heart, default_model):
             {"cell": fascicle.CellModel("none", lambda *given: None, (0.0,), ())},
         ),
         "read_action_potential": (fascicle.read_action_potential, {"path": "u.csv"}),
+        "read_tree": (fascicle.read_tree, {"path": tree_file, "side": "lv"}),
         "read_target": (fascicle.read_target, {"path": study.folder / "target.nc"}),
         "report": (fascicle.report, dict(fitted)),
         "simulate_prior": (fascicle.simulate_prior, {"heart": default_heart}),
@@ -159,6 +170,10 @@ def right(study, predicted, recording, default_heart, default_model):
         "fit": (fascicle.fit, {"heart": default_heart, "target": target, "out": "new"}),
         "locate": (fascicle.locate, {"heart": default_heart, "target": target}),
         "load_study": (fascicle.load_study, {"folder": study.folder}),
+        "plot.heart": (plot.heart, {"heart": default_heart}),
+        "plot.tree": (plot.tree, {"tree": fascicle.read_tree(tree_file, "lv")}),
+        "plot.simulation": (plot.simulation, {"simulation": simulation}),
+        "plot.prediction": (plot.prediction, {"predicted": pacing}),
         "plot.ecg": (plot.ecg, dict(fitted)),
         "plot.scenario_ecg": (plot.scenario_ecg, of_two),
         "plot.activation": (plot.activation, {"heart": study} | of_two),
@@ -251,6 +266,50 @@ def test_pyplot_saves_the_figure_that_was_drawn_last(study, tmp_path):
     assert drawn.std() > 10, "the picture is blank"
     saved = 255 * pyplot.imread(tmp_path / "drawn.png")
     assert np.abs(saved - drawn).mean() < 1
+
+
+def test_a_study_copies_itself_and_says_what_it_is(study, tmp_path):
+    study.save(tmp_path / "copy")
+    again = fascicle.load_study(tmp_path / "copy")
+    assert again.folder == tmp_path / "copy"
+    for name, values in study.population.values.items():
+        np.testing.assert_array_equal(again.population.values[name], values)
+    card = study._repr_html_()
+    assert escape(study.verdict) in card
+    assert "conduction velocity (m/s)" in card
+    draws = {name: values[:1] for name, values in study.population.values.items()}
+    with pytest.raises(InputError, match="draws of your own"):
+        study.with_draws(draws).save(tmp_path / "draws")
+
+
+def test_a_prediction_says_what_it_is(predicted, tmp_path):
+    found = predicted["left-bundle-branch-pacing"]
+    table = found.index_table()
+    assert list(table["qrs_area_µVs"]) == list(found.indices["qrs_area"])
+    assert "latest_segment" in table
+    found.save(tmp_path / "indices.csv")
+    again = pd.read_csv(tmp_path / "indices.csv", index_col="network")
+    pd.testing.assert_frame_equal(again, table)
+    median = f"{np.median(found.indices['qrs_area']):.4g}"
+    assert re.search(rf"QRS area \(µVs\)</th><td[^>]*>{median} ", found._repr_html_())
+    assert len(found.plot()) == 12
+    pyplot.close("all")
+
+
+def test_a_caption_stands_below_only_where_it_is_asked_for(study):
+    for caption in (False, True):
+        (text,) = {axes.figure.get_supxlabel() for axes in study.plot(caption=caption)}
+        assert ("of the variance" in text) == caption
+    pyplot.close("all")
+
+
+def test_convergence_is_drawn_into_the_user_s_axes(study):
+    figure, (left, right) = pyplot.subplots(1, 2)
+    assert fascicle.plot.convergence(study, ax=right) == [right]
+    assert right.get_ylabel() == "loss (mV²)"
+    assert not left.lines
+    assert pyplot.get_fignums() == [figure.number]
+    pyplot.close("all")
 
 
 def test_another_heart_than_that_of_the_predictions_is_refused(predicted):

@@ -8,12 +8,16 @@
 ('lead', 'time')
 """
 
+from importlib import import_module
 from importlib.metadata import version
 
 import lazy_loader
+
+from fascicle import core
 
 __version__ = version("fascicle")
 
 # What `__init__.pyi` lists is loaded when first used: the package imports in milliseconds, its
 # numerics do not.
+core.above = lambda module: import_module(f"fascicle.{module}")
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

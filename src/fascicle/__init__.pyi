@@ -41,6 +41,7 @@ from .purkinje.growth import GrowthRules as GrowthRules
 from .purkinje.growth import GrowthTerm as GrowthTerm
 from .purkinje.tree import InvalidTree as InvalidTree
 from .purkinje.tree import PurkinjeTree as PurkinjeTree
+from .purkinje.tree_files import read_tree as read_tree
 from .recording.pipeline import analyse as analyse
 from .recording.pipeline import make_target as make_target
 from .recording.readers.read import read_recording as read_recording

@@ -4,44 +4,91 @@ The figure is pyplot's current one, so that a notebook shows it, and after
 ``import matplotlib.pyplot as plt`` a script shows it by ``plt.show()`` and saves it by
 ``fascicle.plot.ecg("STUDY"); plt.savefig("ecg.png")``. ``plt.close()`` frees its memory.
 
-A study is passed as an object or as its folder; `predicted` is the result of `fascicle.predict`.
+A study or a heart is passed as an object or as its folder, and a study in place of its heart, too;
+`predicted` is the result of `fascicle.predict`, and `name` that of a scenario in it.
+The size of figures, resolution, fonts and looks that you have set in Matplotlib count. Functions
+that take `ax` draw into axes of yours.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import NoneType
+from typing import Any
 
 from matplotlib import pyplot
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from fascicle.core.arrays import Floats, Singles
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path
 from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.ranges import check_kind
-from fascicle.heart.folder import load_heart
+from fascicle.forward.simulation import Simulation
+from fascicle.heart.folder import as_heart, load_heart
 from fascicle.heart.heart import Heart
 from fascicle.prediction.predicted import Predicted
+from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import as_target
+from fascicle.reporting.activation import draw_tree
 from fascicle.reporting.ecg import target_figure
+from fascicle.reporting.heart import draw_heart
 from fascicle.reporting.parameters import pair_figure, prior_figure
+from fascicle.reporting.prediction import simulated_activation_figure, simulated_ecg_figure
 from fascicle.reporting.scenarios import (
     index_figure,
+    prediction_ecg_figure,
     scenario_activation_figure,
     scenario_ecg_figure,
     spread_figure,
 )
-from fascicle.reporting.study import loss_figure, recorded_ecg_figure
+from fascicle.reporting.study import draw_losses, recorded_ecg_figure
+from fascicle.reporting.style import P, one_axes, user_first
 from fascicle.study.fit import GivenStudy, as_study
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.state_fit import HEART
 from fascicle.study.study import CONFIGURATION
 
 
+def heart(heart: Heart | Path | str, view: str = "anterior", ax: Axes | None = None) -> list[Axes]:
+    """Endocardia of a heart, or of its folder, within its surface, and the roots of its bundles.
+
+    A `view` is ``"anterior"``, ``"RV side"``, ``"LV side"`` or ``"base"``.
+    """
+    return _into(ax, draw_heart, as_heart(heart), view)
+
+
+def tree(tree: PurkinjeTree, ax: Axes | None = None) -> list[Axes]:
+    """Bundle, fascicles and branches of a Purkinje tree, in three dimensions."""
+    check_kind(tree, PurkinjeTree, "tree", "one that a ForwardModel grows")
+    return _into(ax, draw_tree, tree, projection="3d")
+
+
+def simulation(simulation: Simulation, heart: Heart | Path | str | None = None) -> list[Axes]:
+    """ECG of a simulation, one axes a lead; with its heart, or the folder of that, activation."""
+    check_kind(simulation, Simulation, "simulation", "what a ForwardModel simulates")
+    if heart is None:
+        return _shown(simulated_ecg_figure, simulation)
+    heart = as_heart(heart)
+    _check_vertices(heart, "the simulation", simulation.activation)
+    return _shown(simulated_activation_figure, heart, simulation)
+
+
+def prediction(predicted: Predicted) -> list[Axes]:
+    """ECG of one scenario, one axes a lead: mean, and what 90 % of the networks span."""
+    check_kind(predicted, Predicted, "predicted", "one of what fascicle.predict returned")
+    return _shown(prediction_ecg_figure, {"predicted": predicted})
+
+
 def ecg(
-    fitted: GivenStudy, recording: int = 0, progress: Progress | Lines | None = "lines"
+    fitted: GivenStudy,
+    recording: int = 0,
+    progress: Progress | Lines | None = "lines",
+    *,
+    caption: bool = False,
 ) -> list[Axes]:
     """Recorded and simulated QRS of a study, one axes a lead.
 
@@ -53,24 +100,20 @@ def ecg(
         Which of its recordings, counted from 0.
     progress : Progress, "lines" or None
         Called with how many networks are simulated; by default lines on standard error say so.
+    caption : bool
+        Whether to write below how well recording and networks agree.
     """
+    check_kind(caption, bool, "caption", "True or False")
     fitted = as_study(fitted, progress)
     with shown_progress(progress) as shown:
         networks = fitted.networks(shown, recording)
-    return _shown(recorded_ecg_figure(fitted, recording, networks))
+    return _shown(recorded_ecg_figure, fitted, recording, networks, caption)
 
 
 def scenario_ecg(predicted: Mapping[str, Predicted], name: str) -> list[Axes]:
-    """ECG of a scenario over that of the intrinsic beat: means, and what 90 % of the networks span.
-
-    Parameters
-    ----------
-    predicted : mapping of name to Predicted
-    name : str
-        Of the scenario.
-    """
+    """ECG of a scenario over that of the intrinsic beat: means, and what 90 % of networks span."""
     _check_predicted(predicted)
-    return _shown(scenario_ecg_figure(predicted, name))
+    return _shown(scenario_ecg_figure, predicted, name)
 
 
 def activation(
@@ -78,59 +121,45 @@ def activation(
 ) -> list[Axes]:
     """Activation by the networks with the least, median and largest total activation time.
 
-    Parameters
-    ----------
-    heart : Heart, FittedStudy or path
-        The heart, the study, or the folder of either.
-    predicted : mapping of name to Predicted
-        The intrinsic beat's median network stands above, in the same colours.
-    name : str
-        The scenario.
+    The intrinsic beat's median network stands above, in the same colours.
     """
     _check_predicted(predicted)
-    return _shown(scenario_activation_figure(_heart(heart, predicted), predicted, name))
+    return _shown(scenario_activation_figure, _heart(heart, predicted), predicted, name)
 
 
 def activation_spread(heart: Heart | GivenStudy, predicted: Mapping[str, Predicted]) -> list[Axes]:
-    """Standard deviation of the activation over the networks, a row a scenario.
-
-    Parameters
-    ----------
-    heart : Heart, FittedStudy or path
-        The heart, the study, or the folder of either.
-    predicted : mapping of name to Predicted
-    """
+    """Standard deviation of the activation over the networks, a row a scenario."""
     _check_predicted(predicted)
-    return _shown(spread_figure(_heart(heart, predicted), predicted))
+    return _shown(spread_figure, _heart(heart, predicted), predicted)
 
 
 def indices(predicted: Mapping[str, Predicted]) -> list[Axes]:
     """Indices of scenarios, one axes an index: medians, and what half and 90 % of networks span."""
     _check_predicted(predicted)
-    return _shown(index_figure(predicted))
+    return _shown(index_figure, predicted)
 
 
 def pairs(fitted: GivenStudy) -> list[Axes]:
     """Pairs of the parameters that were learnt, on the whole ranges of their priors."""
     fitted = as_study(fitted)
     population = fitted.population
-    return _shown(pair_figure(fitted.simulator.space, population.values, population.best))
+    return _shown(pair_figure, fitted.simulator.space, population.values, population.best)
 
 
 def priors(fitted: GivenStudy) -> list[Axes]:
     """Prior density of each parameter (lines), and the networks (histograms)."""
     fitted = as_study(fitted)
-    return _shown(prior_figure(fitted.simulator.space, fitted.population.values))
+    return _shown(prior_figure, fitted.simulator.space, fitted.population.values)
 
 
-def convergence(fitted: GivenStudy) -> list[Axes]:
+def convergence(fitted: GivenStudy, ax: Axes | None = None) -> list[Axes]:
     """Mismatch of every evaluation of a study."""
-    return _shown(loss_figure(as_study(fitted)))
+    return _into(ax, draw_losses, as_study(fitted), size=(7.0, 3.8))
 
 
 def target(target: Target | Path | str) -> list[Axes]:
     """Beats of a target, or of its netCDF file, and its QRS window, one axes a lead."""
-    return _shown(target_figure(as_target(target)))
+    return _shown(target_figure, as_target(target))
 
 
 def _check_predicted(predicted: Mapping[str, Predicted]) -> None:
@@ -152,16 +181,33 @@ def _heart(given: Heart | GivenStudy, predicted: Mapping[str, Predicted]) -> Hea
         folder = as_path(given, "heart", "a heart, a fitted study, or the folder of either")
         heart = load_heart(folder / HEART if (folder / CONFIGURATION).exists() else folder)
     for name, each in predicted.items():
-        count = len(each.beats[0].activation)
-        if count != len(heart.vertices):
-            raise InputError(
-                f"heart '{heart.name}' has {len(heart.vertices)} vertices, '{name}' was predicted "
-                f"on one of {count}; give the heart of the study"
-            )
+        _check_vertices(heart, f"'{name}'", each.beats[0].activation)
     return heart
 
 
-def _shown(figure: Figure) -> list[Axes]:
-    """The axes of a figure, which becomes pyplot's current one."""
+def _check_vertices(heart: Heart, what: str, activation: Floats | Singles) -> None:
+    if len(activation) != len(heart.vertices):
+        raise InputError(
+            f"heart '{heart.name}' has {len(heart.vertices)} vertices, {what} was predicted "
+            f"on one of {len(activation)}; give that heart"
+        )
+
+
+def _into(ax: Axes | None, draw: Callable[..., None], *given: Any, **looks: Any) -> list[Axes]:
+    """Draw into the user's axes, or into those of a new figure."""
+    check_kind(ax, (Axes, NoneType), "ax", "Matplotlib axes")
+    if ax is None:
+        return _shown(one_axes, draw, *given, **looks)
+    draw(ax, *given)
+    return [ax]
+
+
+def _shown(draw: Callable[P, Figure], *args: P.args, **kwargs: P.kwargs) -> list[Axes]:
+    """Draw a figure by the user's settings of Matplotlib; it becomes pyplot's current one."""
+    token = user_first.set(True)
+    try:
+        figure = draw(*args, **kwargs)
+    finally:
+        user_first.reset(token)
     pyplot.figure(figure)
     return list(figure.axes)

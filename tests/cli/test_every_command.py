@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import time
+import tomllib
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -17,6 +18,7 @@ import numpy as np
 import pytest
 from rich.progress import Progress as Bars
 
+from fascicle.cli.commands import documentation
 from fascicle.cli.output import Output, TerminalProgress, _as_json
 from fascicle.core.errors import ValueRefusedError
 from fascicle.core.progress import ProgressLines, shown_progress, time_left, write_with_time
@@ -26,7 +28,7 @@ pytestmark = pytest.mark.usefixtures("blank_pictures")
 COMMANDS = {  # with something of their help
     "simulate": "--root-time", "target": "--out", "parameters": "--free", "fit": "--effective",
     "predict": "--scenario", "compare": "--threshold", "sweep": "--delay", "scenarios": "copy",
-    "locate": "17 segments",
+    "locate": "17 segments", "docs": "pages",
     "report": "Finished study", "cohort": "--only", "template": "--out", "demo": "--out",
     "heart build": "--lv-endocardium", "heart import": "--lv-endocardium", "heart check": "HEART",
     "heart refine": "--out", "heart add-electrodes": "V2R", "heart simulate-prior": "--networks",
@@ -340,3 +342,35 @@ def test_completion(run):
     program = Path(sys.executable).with_name("fascicle")
     ended = subprocess.run([program], env=environment, capture_output=True, text=True)
     assert ended.stdout.split() == ["scenarios"]
+
+
+class TestDocs:
+    """`fascicle docs`: where messages lead somebody who has no checkout."""
+
+    def test_shows_the_page_that_is_asked_for(self, run, refused):
+        page = Path(__file__).parents[2] / "docs" / "files.md"
+        for asked in ("files", "files.md", "docs/files.md"):
+            assert run("docs", asked).out == page.read_text("utf-8")
+        assert re.search(r"^files +Files and conventions$", run("docs").out, re.MULTILINE)
+        refused(["docs", "file"], "there is no page 'file'", "files")
+
+    def test_what_messages_name_is_installed(self):
+        """As data-files of setuptools, which are found above the package."""
+        repository = Path(__file__).parents[2]
+        project = tomllib.loads((repository / "pyproject.toml").read_text("utf-8"))
+        (pattern,) = project["tool"]["setuptools"]["data-files"]["share/doc/fascicle"]
+        installed = {path.stem for path in repository.glob(pattern)}
+        text = "".join(path.read_text("utf-8") for path in (repository / "src").rglob("*.py"))
+        words = re.sub(r'"\s*\n\s*"|\s+', " ", text).replace("docs  ", "docs ")
+        named = set(re.findall(r"fascicle docs ([a-z]+[a-z-]*)", words))
+        assert len(named) >= 8
+        assert named | set(re.findall(r"docs/([\w-]+)\.md", text)) <= installed
+
+    def test_pages_beside_an_installed_package(self, monkeypatch, tmp_path):
+        package = tmp_path / "lib" / "python3" / "site-packages" / "fascicle"
+        shared = tmp_path / "share" / "doc" / "fascicle"
+        for folder in (package, shared):
+            folder.mkdir(parents=True)
+        (shared / "api.md").touch()
+        monkeypatch.setattr("fascicle.__file__", str(package / "__init__.py"))
+        assert documentation() == {"api": shared / "api.md"}

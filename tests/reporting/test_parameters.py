@@ -8,7 +8,8 @@ import pytest
 from fascicle.core.parameters import NETWORK_SPACE, Parameter, ParameterSpace
 from fascicle.core.quantities import parameter_name
 from fascicle.reporting.names import MEASURES, index_name
-from fascicle.reporting.parameters import convergence_figure, pair_figure, prior_figure
+from fascicle.reporting.parameters import draw_convergence, pair_figure, prior_figure
+from fascicle.reporting.style import one_axes
 
 SPACE = ParameterSpace(
     (
@@ -132,7 +133,7 @@ def test_priors_are_densities_on_the_networks_histograms():
 
 
 def test_each_evaluation_is_a_dot_or_a_tick_and_the_best_never_rises():
-    (axes,) = convergence_figure(LOSSES, STAGES, 0.9).axes
+    (axes,) = one_axes(draw_convergence, LOSSES, STAGES, 0.9).axes
     lines = {line.get_label(): line for line in axes.lines}
     np.testing.assert_array_equal(
         lines["evaluation"].get_xydata().T, [[2, 3, 4, 6, 7], [0.8, 0.3, 0.5, 0.1, 0.2]]
@@ -151,7 +152,7 @@ def test_each_evaluation_is_a_dot_or_a_tick_and_the_best_never_rises():
 @pytest.mark.parametrize("losses", [LOSSES, np.array([0.0, 0.4]), np.array([0.63, 0.97, 5.2])])
 def test_the_log_axis_holds_every_loss_and_can_be_read(losses):
     """Plain numbers, two at least, however narrow the range is; also with a perfect fit."""
-    figure = convergence_figure(losses, STAGES[: len(losses)], 0.9)
+    figure = one_axes(draw_convergence, losses, STAGES[: len(losses)], 0.9)
     figure.canvas.draw()
     (axes,) = figure.axes
     low, high = axes.get_ylim()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from pydoc import pager
 from typing import Annotated, Any
 
 import typer
@@ -79,7 +80,7 @@ def simulate(
         str | None,
         Option(
             help="Name ('fascicle scenarios' lists them), or TOML file with stimuli, blocked or "
-            "slow segments, junction delays, scar, additional trees (docs/files.md)."
+            "slow segments, junction delays, scar, additional trees ('fascicle docs files')."
         ),
     ] = None,
     action_potential: Annotated[
@@ -87,7 +88,7 @@ def simulate(
         Option(
             metavar="TABLE",
             help="CSV table time_ms,potential_mV of the action potential, 0 ms at the upstroke, "
-            "in place of the heart's or ten Tusscher and Panfilov's (docs/extending.md).",
+            "in place of the heart's or ten Tusscher and Panfilov's ('fascicle docs extending').",
         ),
     ] = None,
     kind: FormatOption = "png",
@@ -174,7 +175,7 @@ def fit(
     scheduler: SchedulerOption = None,
     device: Annotated[
         str | None,
-        Option(help="NVIDIA GPU to simulate on: cuda, or cuda:1 for the second one (docs/gpu.md)."),
+        Option(help="NVIDIA GPU to simulate on: cuda, cuda:1 the second ('fascicle docs gpu')."),
     ] = None,
     **settings: Any,
 ) -> Result:
@@ -186,7 +187,7 @@ def fit(
 
     The first line of the result begins with what is blocked: how probable it is that a bundle
     branch or a fascicle is, or that nothing is while a branch is delayed or the tissue is slow
-    (docs/diagnosis.md). '--fix conduction=normal' leaves that out, and is faster.
+    ('fascicle docs diagnosis'). '--fix conduction=normal' leaves that out, and is faster.
 
     The first fit of a heart simulates networks of the prior and trains an emulator on them; both
     are kept with the heart. On the emulator the posterior is sampled in two independent runs. The
@@ -337,8 +338,8 @@ def predict(
     """Predict pacing, blocks and ectopic beats with every network of the population.
 
     Each is compared with the intrinsic beat: QRS duration, activation times, dyssynchrony, QRS area
-    and more (docs/predictions.md), twelve-lead ECGs as the recorder would show them, activation
-    maps. Intervals are over the networks: they show what the ECG does not determine.
+    and more ('fascicle docs predictions'), twelve-lead ECGs as the recorder would show them, and
+    activation maps. Intervals are over the networks: they show what the ECG does not determine.
     """
     from fascicle.cli.printing import print_prediction, print_verdict
     from fascicle.prediction.scenarios import prior_networks, simulate_scenarios
@@ -468,6 +469,33 @@ def scenarios(
     found = {name: read_scenario(path)[0].description for name, path in library().items()}
     print_table([*found.items()])
     return found
+
+
+@app.command()
+@every_command
+def docs(
+    page: Annotated[str | None, Argument(help="Show this page, such as hearts or files.")] = None,
+) -> Result:
+    """List the pages of the documentation, or show one."""
+    pages = documentation()
+    if page is None:
+        titles = {name: path.open(encoding="utf-8").readline() for name, path in pages.items()}
+        print_table([(name, title.strip("# \n")) for name, title in titles.items()])
+        return pages
+    name = page.removeprefix("docs/").removesuffix(".md")
+    if name not in pages:
+        raise InputError(f"there is no page '{page}'; there are {', '.join(pages)}")
+    text = pages[name].read_text(encoding="utf-8")
+    pager(text)
+    return {"page": name, "text": text}
+
+
+def documentation() -> dict[str, Path]:
+    """Pages of the documentation by their names: of the checkout, or as they were installed."""
+    above = Path(fascicle.__file__).parents
+    installed = (folder / "share/doc/fascicle" for folder in above)  # data-files in pyproject.toml
+    folders = [f for f in (above[2] / "docs", *installed) if (f / "api.md").exists()]
+    return {path.stem: path for folder in folders[:1] for path in sorted(folder.glob("*.md"))}
 
 
 @app.command()

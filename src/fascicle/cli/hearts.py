@@ -294,7 +294,7 @@ def heart_check(
     """Validate a heart folder; print and draw what it holds, with warnings and their remedies.
 
     Points are numbers of an endocardium's vertices, as --lv-root and --lv-direction of 'heart
-    build' take them. docs/hearts.md explains the lines.
+    build' take them. 'fascicle docs hearts' explains the lines.
     """
     from fascicle.core.files import check_writable
     from fascicle.heart.folder import PICTURE
@@ -316,7 +316,7 @@ def heart_refine(heart: HeartArgument, out: OutOption) -> Result:
     """Cut every tetrahedron of a heart into eight.
 
     The error of activation times, and so of the ECG, halves with the edge length
-    (docs/error-budget.md). Fibres, regions and lead fields are those of the coarser mesh;
+    ('fascicle docs error-budget'). Fibres, regions and lead fields are those of the coarser mesh;
     endocardia, electrodes and bundles stay. The torso is left out: the mesh holds the lead fields.
     """
     from fascicle.build.refinement import refined
@@ -380,9 +380,9 @@ def heart_simulate_prior(
 
     Those of every conduction state, with the classifier that tells them apart. All are stored in
     the heart's folder and serve every recording, if the fit learns default parameters, or others
-    that the simulations vary, within their ranges (docs/posterior.md); a fit makes them if they are
-    missing. The command may be interrupted at any time: run again, it continues where it stopped; a
-    larger number adds to what is stored.
+    that the simulations vary, within their ranges ('fascicle docs posterior'); a fit makes them if
+    they are missing. The command may be interrupted at any time: run again, it continues where it
+    stopped; a larger number adds to what is stored.
     """
     with TerminalProgress() as progress:
         pool = pool_at(scheduler, progress)

@@ -30,7 +30,7 @@ SchedulerOption = Annotated[
         "--scheduler",
         metavar="ADDRESS",
         help="Dask scheduler, such as tcp://10.0.0.1:8786, whose workers simulate "
-        "(docs/cluster.md); by default the cores of this machine do.",
+        "('fascicle docs cluster'); by default the cores of this machine do.",
     ),
 ]
 IndexOption = Annotated[

@@ -113,7 +113,7 @@ def study_export(
     out: OutOption,
     to: Annotated[
         Literal["opencarp", "vtu", "csv"],
-        Option("--to", help="openCARP in µm, VTU and CSV in mm; docs/exchange.md lists the files."),
+        Option("--to", help="openCARP in µm, VTU and CSV in mm ('fascicle docs exchange')."),
     ] = "opencarp",
     networks: Annotated[
         int | None,
@@ -151,7 +151,7 @@ def _parameters(fitted: fascicle.FittedStudy) -> Mapping[str, Floats]:
 
 def cohort(
     table: Annotated[
-        Path, Argument(metavar="TABLE", help="CSV file: a patient a row (docs/files.md).")
+        Path, Argument(metavar="TABLE", help="CSV file: a patient a row ('fascicle docs files').")
     ],
     out: OutOption,
     scheduler: SchedulerOption = None,
@@ -178,7 +178,7 @@ def cohort(
     if all are fitted, 1 if some are not, 2 if the table is wrong.
 
     Without a scheduler patients are fitted here, one after the other, on all cores; with one, each
-    by a worker of a Dask cluster (docs/cluster.md).
+    by a worker of a Dask cluster ('fascicle docs cluster').
     """
     from fascicle.patients.cohort import PAGE, RESULTS, outcomes
     from fascicle.patients.outcome import Status

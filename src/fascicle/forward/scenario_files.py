@@ -140,7 +140,7 @@ def read_scenario(path: Path | str) -> tuple[Scenario, tuple[Region, ...]]:
     """
     path = Path(path)
     check_file(path, (".toml",), "scenario")
-    values = read_toml(path, "see docs/files.md")
+    values = read_toml(path, "see 'fascicle docs files'")
     texts = {key: values.pop(key, "") for key in ("description", "reference")}
     try:
         for key, text in texts.items():
@@ -155,7 +155,7 @@ def read_scenario(path: Path | str) -> tuple[Scenario, tuple[Region, ...]]:
         trees = tuple((tree.read(path), tree.time) for tree in _read(TreeFile, values))
         scenario = Scenario(found, trees, str(path), **texts)
     except InputError as error:
-        raise InputError(f"{path}: {error}; see docs/files.md") from None
+        raise InputError(f"{path}: {error}; see 'fascicle docs files'") from None
     return scenario, regions
 
 

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
+from fascicle.core import above, html_card
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
+from fascicle.core.files import as_path
 from fascicle.core.leads import LEADS
-from fascicle.core.ranges import short_repr
+from fascicle.core.ranges import check_kind, short_repr
 from fascicle.forward.ecg.electrocardiogram import STEP
 from fascicle.forward.eikonal.activation import Activation
+from fascicle.heart.heart import Heart
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.recording.criteria import Criterion, conventional_criteria, frontal_axis
 from fascicle.recording.window import QrsWindows, qrs_windows
@@ -132,6 +138,31 @@ class Simulation(SimulatedBeat):
         return np.asarray(np.bincount(self.capture_groups, self.coupled.captured) > 0)
 
     __repr__ = short_repr
+    _repr_html_ = html_card
+
+    def plot(self, heart: Heart | Path | str | None = None) -> list[Any]:
+        """Draw its ECG, or activation, by `fascicle.plot.simulation`; returns Matplotlib axes."""
+        return list(above("plot").simulation(self, heart))
+
+    def to_pyvista(self, heart: Heart | None = None) -> Any:
+        """`pyvista.MultiBlock` (mm) of trees, junctions, and the heart if it is given."""
+        return above("forward.simulation_files").beat_blocks(self, heart)
+
+    def save(self, folder: Path | str, heart: Heart) -> None:
+        """Write the folder that ``fascicle simulate`` writes, whole or not at all.
+
+        `fascicle.read_tree` reads its trees, `fascicle.read_recording` its ECG.
+        """
+        check_kind(heart, Heart, "heart", "the heart that was simulated")
+        path = as_path(folder, "folder")
+        above("forward.simulation_files").write_simulation(heart, self, path, {})
+
+    def index_table(self, heart: Heart, stimulus: float | None = None) -> pd.DataFrame:
+        """Indices of its activation and ECG, a row each: ``value``, ``unit`` and ``name``.
+
+        Those counted from the first `stimulus` (ms) are NaN without one.
+        """
+        return pd.DataFrame(above("prediction.indices").index_table(self, heart, stimulus))
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,10 @@ from fascicle.forward.example import example_parameters
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Simulation
-from fascicle.heart.folder import cell_arrays
+from fascicle.heart.folder import cell_arrays, heart_mesh
 from fascicle.heart.heart import Heart
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, VERTEX
-from fascicle.mesh.formats.vtk import write_grid
+from fascicle.mesh.formats.vtk import pyvista_blocks, pyvista_grid, write_grid
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 from fascicle.purkinje.tree_files import read_tree, write_tree
 from fascicle.torso.variation.conductor import InvalidTorso
@@ -196,12 +196,29 @@ def write_beat(folder: Path, heart: Heart, simulation: Simulation) -> None:
     write_grid(file, heart.vertices, heart.tetrahedra, TETRAHEDRON, points, cells)
     for tree, times in zip(simulation.trees, coupled.trees, strict=True):
         write_tree(folder / f"{tree.side}_tree.vtu", tree, times)
+    write_grid(folder / "junctions.vtu", *_junction_points(simulation))
+    write_text(folder / "sites.csv", sites_table(simulation))
+
+
+def beat_blocks(simulation: Simulation, heart: Heart | None = None) -> Any:
+    """What `write_beat` writes as `pyvista.MultiBlock`; of the heart, if given, every array."""
+    trees = zip(simulation.trees, simulation.coupled.trees, strict=True)
+    blocks = {f"{tree.side}_tree": tree.to_pyvista(times) for tree, times in trees}
+    blocks["junctions"] = pyvista_grid(*_junction_points(simulation))
+    if heart is not None:
+        blocks["heart"] = pyvista_grid(*heart_mesh(heart))
+        blocks["heart"].point_data["activation_ms"] = simulation.activation
+        blocks["heart"].point_data["origin"] = simulation.coupled.origin
+    return pyvista_blocks(blocks)
+
+
+def _junction_points(simulation: Simulation) -> Any:
+    """Points, cells and their kind, point arrays and cell arrays of junctions, for `write_grid`."""
     places, times = junctions(simulation)
-    how = np.where(np.concatenate(coupled.retrograde), -1, 1) * np.isfinite(times)
+    how = np.where(np.concatenate(simulation.coupled.retrograde), -1, 1) * np.isfinite(times)
     numbers = np.arange(len(times))
     arrays = {"activation": times, "direction": how, "site": numbers}
-    write_grid(folder / "junctions.vtu", places, numbers[:, None], VERTEX, arrays)
-    write_text(folder / "sites.csv", sites_table(simulation))
+    return places, numbers[:, None], VERTEX, arrays, {}
 
 
 def junctions(simulation: Simulation) -> tuple[Floats, Floats]:

@@ -296,6 +296,11 @@ def write_torso(path: Path, torso: Torso) -> None:
 
 def write_mesh(heart: Heart, path: Path) -> None:
     """Write the tetrahedra and every array of a heart as one VTU file (mm)."""
+    write_grid(path, *heart_mesh(heart))
+
+
+def heart_mesh(heart: Heart) -> Any:
+    """Points, cells and their kind, point arrays and cell arrays of a heart, for `write_grid`."""
     points: dict[str, NDArray[Any]] = {}
     if heart.lead_fields is not None:
         # no field of an electrode that was added since
@@ -304,7 +309,7 @@ def write_mesh(heart: Heart, path: Path) -> None:
     if heart.coordinates is not None:
         places = heart.coordinates.arrays.items()
         points |= {name: values.astype(np.float32) for name, values in places}
-    write_grid(path, heart.vertices, heart.tetrahedra, TETRAHEDRON, points, cell_arrays(heart))
+    return heart.vertices, heart.tetrahedra, TETRAHEDRON, points, cell_arrays(heart)
 
 
 def cell_arrays(heart: Heart) -> dict[str, NDArray[Any]]:

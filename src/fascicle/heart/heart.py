@@ -14,12 +14,15 @@ import igl
 import numpy as np
 from numpy.typing import NDArray
 
+from fascicle.core import above, html_card
 from fascicle.core.arrays import Floats, Integers
+from fascicle.core.files import as_path
 from fascicle.core.leads import ELECTRODES, LEADS, additional_leads
 from fascicle.core.ranges import short_repr
 from fascicle.heart.action_potential import TabulatedPotential
 from fascicle.heart.coordinate_arrays import VentricularCoordinates
 from fascicle.heart.endocardium import Endocardium
+from fascicle.mesh.formats.vtk import pyvista_grid
 from fascicle.mesh.measures import edge_lengths, signed_volumes
 from fascicle.mesh.topology import boundary_triangles
 
@@ -119,6 +122,19 @@ class Heart:
     folder: Path | None = None
 
     __repr__ = short_repr
+    _repr_html_ = html_card
+
+    def plot(self, view: str = "anterior", ax: Any = None) -> list[Any]:
+        """Draw it by `fascicle.plot.heart`; returns Matplotlib axes."""
+        return list(above("plot").heart(self, view, ax))
+
+    def to_pyvista(self) -> Any:
+        """`pyvista.UnstructuredGrid` (mm) with every array of it."""
+        return pyvista_grid(*above("heart.folder").heart_mesh(self))
+
+    def save(self, folder: Path | str) -> None:
+        """Write its folder, whole or not at all; `fascicle.load_heart` reads it."""
+        above("heart.folder").write_heart(self, as_path(folder, "folder"))
 
     @property
     def endocardia(self) -> tuple[Endocardium, Endocardium]:

@@ -41,8 +41,8 @@ def missing_blocks(name: str, predicted: Mapping[str, Predicted], against: str) 
     if not missing or not pacing.of(Stimulus):
         return ""
     return (
-        f"{against} blocks {' and '.join(missing)}, and {name} does not: what it shortens is "
-        "also due to the missing block; give the pacing the block, too (see docs/predictions.md)"
+        f"{against} blocks {' and '.join(missing)}, and {name} does not: what it shortens is also "
+        "due to the missing block; give the pacing the block, too ('fascicle docs predictions')"
     )
 
 

@@ -9,14 +9,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 
+from fascicle.core import above
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.leads import LEADS
+from fascicle.core.ranges import check_kind
 from fascicle.forward.ecg.electrocardiogram import STEP
 from fascicle.forward.simulation import Simulation
 from fascicle.heart.fibres import Wall
 from fascicle.heart.heart import Heart
-from fascicle.heart.sites import APEX, RIGHT, Places
+from fascicle.heart.sites import APEX, RIGHT, Places, places
+from fascicle.prediction.index_names import INDICES
 from fascicle.recording.window import qrs_window
 
 SMALLEST_R = 0.05  # mV; a lead whose largest potential is less has no R wave
@@ -76,6 +80,15 @@ def indices(
     Indices counted from the stimulus are NaN without one; those of a missing wave are NaN.
     """
     return {**_of_activation(simulation.activation, territories), **_of_ecg(simulation, stimulus)}
+
+
+def index_table(simulation: Simulation, heart: Heart, stimulus: float | None) -> pd.DataFrame:
+    """Indices of a simulation on its heart, as `Simulation.index_table` says."""
+    check_kind(heart, Heart, "heart", "the heart that was simulated")
+    found = indices(simulation, Territories.of(heart, places(heart)), stimulus)
+    name = above("reporting.names").index_name
+    rows = [(key, value, INDICES[key], name(key)) for key, value in found.items()]
+    return pd.DataFrame(rows, columns=["index", "value", "unit", "name"]).set_index("index")
 
 
 def vectorcardiogram(leads: Floats) -> Floats:

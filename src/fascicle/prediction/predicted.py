@@ -5,13 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
+from fascicle.core import above, html_card
 from fascicle.core.arrays import Booleans, Floats, Singles
+from fascicle.core.files import as_path, write_text
 from fascicle.core.ranges import short_repr
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Simulation
+from fascicle.prediction.index_names import INDICES
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.study.activation_maps import activation_maps
 
@@ -64,6 +70,20 @@ class Predicted:
     effective: float = np.inf
 
     __repr__ = short_repr
+    _repr_html_ = html_card
+
+    def plot(self) -> list[Any]:
+        """Draw its ECG by `fascicle.plot.prediction`; returns Matplotlib axes."""
+        return list(above("plot").prediction(self))
+
+    def save(self, path: Path | str) -> None:
+        """Write `index_table` as CSV; `fascicle.predict` keeps the rest in the study's folder."""
+        write_text(as_path(path, "path"), self.index_table().to_csv(lineterminator="\n"))
+
+    def index_table(self) -> pd.DataFrame:
+        """`indices` as a table: a row a network, a column an index, with its unit in the name."""
+        columns = {i: f"{i}_{unit}" for i, unit in INDICES.items() if unit != "1"}
+        return pd.DataFrame(dict(self.indices)).rename(columns=columns).rename_axis("network")
 
     def extremes(self) -> dict[str, int]:
         """Networks with the least, the median and the largest total activation time."""

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from fascicle.core import above, html_card
 from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.core.files import as_path
 from fascicle.core.ranges import short_repr
+from fascicle.mesh.formats.vtk import pyvista_grid
 
 # A tree with fewer junctions than this has hardly branched. In 500 networks drawn from the ranges
 # of `NETWORK_SPACE`, the packaged heart's trees have a median of 280 (left) and 345 (right)
@@ -44,6 +49,19 @@ class PurkinjeTree:
     triangles: Integers | None = None
 
     __repr__ = short_repr
+    _repr_html_ = html_card
+
+    def plot(self, ax: Any = None) -> list[Any]:
+        """Draw it by `fascicle.plot.tree`; returns Matplotlib axes."""
+        return list(above("plot").tree(self, ax))
+
+    def to_pyvista(self, activation: Floats | None = None) -> Any:
+        """`pyvista.UnstructuredGrid` of lines (mm), with times of the nodes (n,) (ms) if given."""
+        return pyvista_grid(*above("purkinje.tree_files").tree_lines(self, activation))
+
+    def save(self, path: Path | str) -> None:
+        """Write it as VTU, without labels; `fascicle.read_tree` reads it."""
+        above("purkinje.tree_files").write_tree(as_path(path, "path"), self)
 
     @property
     def root(self) -> int:

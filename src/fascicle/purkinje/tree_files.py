@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -27,8 +28,8 @@ from scipy.sparse.csgraph import breadth_first_order
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.core.files import check_file
-from fascicle.core.ranges import check_array
+from fascicle.core.files import as_path, check_file
+from fascicle.core.ranges import check_array, check_kind, check_position, check_text
 from fascicle.mesh.formats import opencarp
 from fascicle.mesh.formats.mesh_file import LINE, OPENCARP_FORMATS, MeshFile
 from fascicle.mesh.formats.read import read_mesh
@@ -41,21 +42,24 @@ FURTHEST_ROOT = 2.0  # mm, between the place given for a root and the tree's nea
 SAME_POINT = 1e-4  # mm; ends of polylines closer than this are one node (single precision)
 
 
-def write_tree(path: Path, tree: PurkinjeTree, activation: Floats) -> None:
-    """Write a tree as VTU lines, with the activation time of each node (n,) (ms).
+def write_tree(path: Path, tree: PurkinjeTree, activation: Floats | None = None) -> None:
+    """Write a tree as VTU lines, with the activation time of each node (n,) (ms) if it is known."""
+    write_grid(path, *tree_lines(tree, activation))
+
+
+def tree_lines(tree: PurkinjeTree, activation: Floats | None = None) -> Any:
+    """Points, cells and their kind, point arrays and cell arrays of a tree, for `write_grid`.
 
     Cell arrays are ``length``, of the segments (mm), and ``direction``, see `directions`; point
     arrays ``activation`` and ``root``, which is 1 at the root.
     """
     child = np.flatnonzero(tree.parents >= 0)
-    write_grid(
-        path,
-        tree.nodes,
-        np.column_stack([tree.parents[child], child]),
-        LINE,
-        point_data={"activation": activation, "root": (tree.parents < 0).astype(np.int64)},
-        cell_data={"length": tree.lengths[child], "direction": directions(tree, activation)[child]},
-    )
+    points: dict[str, Any] = {"root": (tree.parents < 0).astype(np.int64)}
+    cells: dict[str, Any] = {"length": tree.lengths[child]}
+    if activation is not None:
+        points["activation"] = activation
+        cells["direction"] = directions(tree, activation)[child]
+    return tree.nodes, np.column_stack([tree.parents[child], child]), LINE, points, cells
 
 
 def directions(tree: PurkinjeTree, activation: Floats) -> Integers:
@@ -91,7 +95,7 @@ def write_opencarp_tree(stem: Path, tree: PurkinjeTree) -> None:
 
 
 def read_tree(
-    path: Path | str, side: str, near: Floats, *, file_first: bool = False
+    path: Path | str, side: str, near: Floats | None = None, *, file_first: bool = False
 ) -> PurkinjeTree:
     """Read a tree of lines or polylines (mm), or openCARP's by this module's convention.
 
@@ -100,10 +104,15 @@ def read_tree(
     taken as they are; else points in one place are made one first.
 
     The root is the node nearest to the point `near` (3,) (mm): an end, a fork or neither. Where
-    `file_first`, the root that the file marks, if it does, counts before that. InputError is that
-    the file is not one connected tree without loops, or that no node is within 2 mm of the point.
+    `file_first`, or without that point, the root that the file marks, if it does, counts before
+    that. InputError is that the file is not one connected tree without loops, or that no node is
+    within 2 mm of the point. The `side` is ``"lv"``, ``"rv"`` or another name.
     """
-    path = Path(path)
+    path = as_path(path, "tree")
+    check_text(side, "side")
+    check_kind(file_first, bool, "file_first", "True or False")
+    if near is not None:
+        check_position(near, "near")
     purpose = f"{side.upper()} tree"
     check_file(path, (".vtu", ".vtp", ".vtk", *OPENCARP_FORMATS), purpose)
     is_opencarp = path.suffix.lower() in OPENCARP_FORMATS
@@ -118,7 +127,10 @@ def read_tree(
         problem = _why_no_tree(segments, len(nodes))
         if problem:
             raise InputError(f"{path}: {problem}")
-    marked = _marked_root(mesh) if file_first else None
+    marked = _marked_root(mesh) if file_first or near is None else None
+    near = marked if near is None else near
+    if near is None:
+        raise InputError(f"{path}: marks no root (point array 'root'); give a point near it")
     distances = np.linalg.norm(nodes - (near if marked is None else marked), axis=1)
     root = int(np.argmin(distances))
     if distances[root] > FURTHEST_ROOT:

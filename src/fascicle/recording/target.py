@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from fascicle.core import above, html_card
 from fascicle.core.arrays import Booleans, Floats
+from fascicle.core.files import as_path
 from fascicle.core.leads import LEADS
 from fascicle.core.ranges import short_repr
 from fascicle.recording.criteria import Criterion, conventional_criteria
@@ -60,6 +64,15 @@ class Target:
     leads: tuple[str, ...] = LEADS
 
     __repr__ = short_repr
+    _repr_html_ = html_card
+
+    def plot(self) -> list[Any]:
+        """Draw it by `fascicle.plot.target`; returns Matplotlib axes."""
+        return list(above("plot").target(self))
+
+    def save(self, path: Path | str) -> None:
+        """Write it as netCDF-4; `fascicle.read_target` reads it."""
+        above("recording.target_files").write_target(self, as_path(path, "path"))
 
     def in_leads(self, leads: Sequence[str]) -> Target:
         """The same with rows for these leads, those that it lacks not used; others are left out.

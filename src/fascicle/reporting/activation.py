@@ -103,7 +103,7 @@ def activation_figure(heart: Heart, rows: Sequence[ActivationRow], what: str) ->
         line[0].annotate(
             "\n".join(style.short(part, 26) for part in row.label.split("\n")), (0, 0.5), (-6, 0),
             xycoords="axes fraction", textcoords="offset points", rotation=90,
-            ha="right", va="center", fontsize=style.RC["axes.titlesize"],
+            ha="right", va="center", fontsize=matplotlib.rcParams["axes.titlesize"],
         )  # fmt: skip
     for axes in panels[1:].flat:
         axes.set_title("")
@@ -116,6 +116,22 @@ def activation_figure(heart: Heart, rows: Sequence[ActivationRow], what: str) ->
     )  # fmt: skip
     bar.set_label(what, wrap=True)
     return figure
+
+
+def draw_tree(axes: Any, tree: PurkinjeTree) -> None:
+    """Draw bundle, fascicles and branches of a tree into axes of three dimensions (mm)."""
+    if axes.name != "3d":
+        raise InputError("ax has two dimensions; make it with plt.subplot(projection='3d')")
+    gap = np.full_like(tree.nodes, np.nan)  # between segments
+    segments = np.stack([tree.nodes[tree.parents], tree.nodes, gap], axis=1)
+    branches = ~np.any([*tree.parts.values(), tree.parents < 0], axis=0)
+    for name, part in ({"branches": branches} | tree.parts).items():
+        looks = {"color": Colour.LIGHT_GREY, "lw": 0.8} if part is branches else {"lw": 2.0}
+        axes.plot(*segments[part & (tree.parents >= 0)].reshape(-1, 3).T, label=name, **looks)
+    axes.plot(*tree.nodes[[tree.root]].T, "ko", label="root")
+    axes.set(xlabel="x (mm)", ylabel="y (mm)", zlabel="z (mm)", aspect="equal")
+    axes.set_title(f"{tree.side.upper()} Purkinje network, {len(tree.junctions)} junctions")
+    axes.legend()
 
 
 def _bands(rows: Sequence[ActivationRow]) -> BoundaryNorm:

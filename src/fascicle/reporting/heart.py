@@ -12,7 +12,9 @@ from matplotlib.patches import Patch
 
 from fascicle.build.check import WALLS, HeartCheck
 from fascicle.core.arrays import Booleans, Floats
+from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
+from fascicle.core.ranges import shown
 from fascicle.heart.heart import Heart, TorsoTissue
 from fascicle.heart.labelled_surface import ENDOCARDIA, Label, LabelledMesh, LabelledSurface
 from fascicle.mesh.measures import triangle_areas, triangle_normals
@@ -140,12 +142,26 @@ def check_figure(heart: Heart, check: HeartCheck) -> Figure:
     return figure
 
 
-def _draw_seeds(axes: Axes, view: View, heart: Heart, box: Floats, size: Floats) -> None:
+def draw_heart(axes: Axes, heart: Heart, view: str) -> None:
+    """Draw a heart's endocardia within its surface, with the root and direction of each bundle."""
+    views = heart_views(heart)
+    if not isinstance(view, str) or view not in views:
+        raise InputError(f"view is {shown(view)}; give one of {', '.join(views)}")
+    box = views[view].box(heart.vertices)
+    outside = Surface(heart.vertices, heart.boundary[0], {"color": "#D9C2B8", "opacity": 0.3})
+    _draw_seeds(axes, views[view], heart, box, largest([box]), outside)
+    axes.set_title(f"{style.short(heart.name)}, {view}")
+    scale_bar(axes, 20)
+
+
+def _draw_seeds(
+    axes: Axes, view: View, heart: Heart, box: Floats, size: Floats, *around: Surface
+) -> None:
     """Far walls of the endocardia, with the root and direction of each bundle."""
     colours = (LABELS[label][1] for label in ENDOCARDIA)
     pairs = list(zip(heart.endocardia, colours, strict=True))
     walls = [Surface(e.vertices, e.triangles, {"color": c, "opacity": 0.55}) for e, c in pairs]
-    draw_surfaces(axes, view, *walls, box=box, size=size)
+    draw_surfaces(axes, view, *walls, *around, box=box, size=size)
     axes.set_title("endocardia and bundles (front)")
     for endocardium, colour in pairs:
         ends = endocardium.vertices[[endocardium.root, endocardium.direction]]

@@ -42,7 +42,7 @@ def index_name(index: str) -> str:
     """Name of an index for readers."""
     if f"{index}_ms" in MEASURES:
         return MEASURES[f"{index}_ms"].name
-    return in_words(index).replace("LV RV", "LV-RV")
+    return in_words(index).replace("LV RV", "LV-RV").replace(" r ", " R ")
 
 
 def index_label(index: str) -> str:

@@ -134,16 +134,13 @@ def prior_figure(space: ParameterSpace, values: Mapping[str, Floats]) -> Figure:
     return figure
 
 
-@style.styled
-def convergence_figure(losses: Floats, stages: Sequence[str], null: float) -> Figure:
-    """Loss of every evaluation, the best so far, and the null loss.
+def draw_convergence(axes: Axes, losses: Floats, stages: Sequence[str], null: float) -> None:
+    """Draw the loss of every evaluation, the best so far, and the null loss.
 
     Losses (n,) (mV²), in the order of evaluation, are dots on a logarithmic axis; the best so far
     is a step line. Infeasible parameters (NaN) are ticks along the upper edge. The stages (n,) are
     shaded and named. A broken line marks the null loss `null`, that of a flat line.
     """
-    figure = style.new_figure(7.0, 3.8)
-    axes = figure.subplots()
     positive = np.append(losses[losses > 0], null)
     axes.set_yscale("log", nonpositive="clip")  # a loss of exactly 0 lands on the lower edge
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -166,8 +163,7 @@ def convergence_figure(losses: Floats, stages: Sequence[str], null: float) -> Fi
             color=Colour.GREY, label=f"infeasible ({len(at)})",
         )  # fmt: skip
     axes.axhline(null, label=f"flat line ({null:.3g} mV²)", color="black", lw=1, ls=(0, (4, 3)))
-    figure.legend(loc="outside lower center", ncols=4)
-    return figure
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=4)
 
 
 def _draw_stages(axes: Axes, stages: Sequence[str]) -> None:

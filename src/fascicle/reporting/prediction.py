@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
+from matplotlib.figure import Figure
 
 from fascicle.core.arrays import Floats
 from fascicle.core.files import atomic_folder, write_bytes, write_text
@@ -98,25 +99,30 @@ def draw_simulation(
     heart: Heart, simulation: Simulation, folder: Path, kind: str, time_zero: str
 ) -> list[Path]:
     """Write ``ecg`` and ``activation``, pictures of one of the `KINDS`; returns the files."""
-    time, leads = simulation.ecg["time"].to_numpy(), simulation.leads[None]
-    group = EcgGroup("simulated", "network", time, leads, Colour.VERMILION)
-    row = ActivationRow.of(total_time(simulation.total_activation_time), simulation)
-    ecg = ecg_figure([group], "Simulated ECG", time_zero=time_zero, leads=simulation.lead_names)
-    activation = activation_figure(heart, [row], f"activation (ms)\n0: {time_zero}")
+    ecg = simulated_ecg_figure(simulation, time_zero)
+    activation = simulated_activation_figure(heart, simulation, f"\n0: {time_zero}")
     figures = {"ecg": ecg, "activation": activation}
     return [save(figure, folder / f"{stem}.{kind}") for stem, figure in figures.items()]
 
 
+def simulated_ecg_figure(simulation: Simulation, time_zero: str = "") -> Figure:
+    """Draw the ECG of a simulation."""
+    time, leads = simulation.ecg["time"].to_numpy(), simulation.leads[None]
+    group = EcgGroup("simulated", "network", time, leads, Colour.VERMILION)
+    return ecg_figure([group], "Simulated ECG", time_zero=time_zero, leads=simulation.lead_names)
+
+
+def simulated_activation_figure(heart: Heart, simulation: Simulation, zero: str = "") -> Figure:
+    """Draw the activation of a simulation on its heart."""
+    row = ActivationRow.of(total_time(simulation.total_activation_time), simulation)
+    return activation_figure(heart, [row], f"activation (ms){zero}")
+
+
 def index_table(predicted: Mapping[str, Predicted]) -> str:
     """Every index of every scenario and network, as CSV."""
-    columns = {index: f"{index}_{unit}" for index, unit in INDICES.items() if unit != "1"}
-    tables = []
-    for name, found in predicted.items():
-        table = pd.DataFrame(dict(found.indices)).rename(columns=columns)
-        table.insert(0, "network", np.arange(len(table)))
-        table.insert(0, "scenario", name)
-        tables.append(table)
-    return str(pd.concat(tables).to_csv(index=False, float_format="%.2f", lineterminator="\n"))
+    table = pd.concat({name: found.index_table() for name, found in predicted.items()})
+    table = table.rename_axis(["scenario", "network"])
+    return str(table.to_csv(float_format="%.2f", lineterminator="\n"))
 
 
 def latest_segments(found: Predicted) -> dict[str, float]:

@@ -66,13 +66,19 @@ def index_figure(predicted: Mapping[str, Predicted]) -> Figure:
 def scenario_ecg_figure(predicted: Mapping[str, Predicted], name: str) -> Figure:
     """Draw the twelve leads of a scenario and the intrinsic beat: means, 90 % of the networks."""
     intrinsic, found = _with_intrinsic(predicted, name)
-    shown = [intrinsic] if found is intrinsic else [intrinsic, found]
-    time, ecgs = qrs_aligned(*shown)
-    looks = ((INTRINSIC, Colour.GREY), (style.short(name), Colour.VERMILION))
+    return prediction_ecg_figure({INTRINSIC: intrinsic, name: found})
+
+
+def prediction_ecg_figure(shown: Mapping[str, Predicted]) -> Figure:
+    """Draw the twelve leads of predictions: means, 90 % of the networks."""
+    time, ecgs = qrs_aligned(*shown.values())
     groups = [
-        EcgGroup(label, "network", time, leads[:, : len(LEADS)], colour, 0.9)
-        for (label, colour), leads in zip(looks, ecgs, strict=False)
-    ]
+        EcgGroup(
+            style.short(name), "network", time, leads[:, : len(LEADS)],
+            Colour.GREY if name == INTRINSIC else Colour.VERMILION, 0.9,
+        )
+        for name, leads in zip(shown, ecgs, strict=True)
+    ]  # fmt: skip
     return ecg_figure(groups, "Predicted ECG", time_zero="QRS onset")
 
 

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fascicle.build.check import check_heart
@@ -19,9 +20,9 @@ from fascicle.reporting.activation import SINCE_FIRST, SPREAD, ActivationRow, ac
 from fascicle.reporting.ecg import EcgGroup, ecg_figure, target_figure
 from fascicle.reporting.heart import check_figure
 from fascicle.reporting.names import MEASURES
-from fascicle.reporting.parameters import convergence_figure, pair_figure, prior_figure
+from fascicle.reporting.parameters import draw_convergence, pair_figure, prior_figure
 from fascicle.reporting.scenarios import index_figure
-from fascicle.reporting.style import Colour, mark, new_figure, save
+from fascicle.reporting.style import Colour, mark, new_figure, one_axes, save
 from fascicle.study.activation_maps import activation_maps
 from fascicle.study.agreement import Agreement, agreement
 from fascicle.study.fitted import FittedStudy
@@ -105,7 +106,7 @@ def drawings(
         )
         drawn[f"emulator{suffix}"] = Drawing(emulator_figure(report), text)
     drawn["convergence"] = Drawing(
-        loss_figure(fitted),
+        one_axes(draw_losses, fitted, size=(7.0, 3.8)),
         "Mismatch of every evaluation, in order. A network on the broken line matches the "
         "recording no better than a flat line.",
     )
@@ -125,11 +126,11 @@ def write_figures(drawn: Mapping[str, Drawing], folder: Path, kinds: Sequence[st
     ]
 
 
-def loss_figure(fitted: FittedStudy) -> Figure:
+def draw_losses(axes: Axes, fitted: FittedStudy) -> None:
     """Draw the mismatch of every evaluation of a study."""
     records = fitted.study.records()
     losses = np.array([record.evaluation.loss for record in records])
-    return convergence_figure(losses, [record.stage for record in records], fitted.null_loss)
+    draw_convergence(axes, losses, [record.stage for record in records], fitted.null_loss)
 
 
 def states_figure(states: Mapping[str, float], priors: Mapping[str, float]) -> Figure:
@@ -163,17 +164,21 @@ def emulator_figure(report: Mapping[str, float]) -> Figure:
     return figure
 
 
-def recorded_ecg_figure(fitted: FittedStudy, recording: int, networks: Sequence[Network]) -> Figure:
+def recorded_ecg_figure(
+    fitted: FittedStudy, recording: int, networks: Sequence[Network], caption: bool
+) -> Figure:
     """Draw recorded and simulated QRS of one recording, counted from 0.
 
-    The networks are the population in that recording's scenario.
+    The networks are the population in that recording's scenario. The caption says how they agree.
     """
     check_population(fitted)
     target = fitted.recordings[recording].target
-    return _ecg(target, networks, agreement(target, networks))
+    return _ecg(target, networks, agreement(target, networks), caption)
 
 
-def _ecg(target: Target, networks: Sequence[Network], found: Agreement) -> Figure:
+def _ecg(
+    target: Target, networks: Sequence[Network], found: Agreement, caption: bool = True
+) -> Figure:
     """Bands hold 90 % of each, because whole ranges grow with the number of ECGs."""
     window = target.qrs_samples
     time = target.time[window]
@@ -184,7 +189,8 @@ def _ecg(target: Target, networks: Sequence[Network], found: Agreement) -> Figur
     ]
     notes = [f"r {r:.2f}" if np.isfinite(r) else "" for r in found.correlation]
     title = f"Recorded QRS and {len(networks)} networks"
-    return ecg_figure(groups, title, notes, "R peak", _caption(found), target.leads)
+    below = _caption(found) if caption else ""
+    return ecg_figure(groups, title, notes, "R peak", below, target.leads)
 
 
 def _caption(found: Agreement) -> str:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Sequence
+from contextvars import ContextVar
 from enum import StrEnum
 from functools import wraps
 from pathlib import Path
 from typing import Any, ParamSpec
 
-from matplotlib import rc_context
+from matplotlib import rc_context, rcParams, rcParamsDefault
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
@@ -56,6 +57,13 @@ class Colour(StrEnum):
 
 
 P = ParamSpec("P")
+user_first = ContextVar("what the user has set in Matplotlib counts before `RC`", default=False)
+
+
+def set_by_user(name: str) -> bool:
+    """Whether the user has set this of Matplotlib's settings, and may."""
+    settings: dict[str, Any] = rcParams  # type: ignore[assignment]  # its stubs want literals
+    return user_first.get() and settings[name] != rcParamsDefault[name]  # type: ignore[index]
 
 
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
@@ -63,21 +71,36 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
     @wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with rc_context(RC):  # type: ignore[arg-type]  # its stubs want literals
+        sizes = not set_by_user("font.size")  # else those of text follow it
+        look = {k: v for k, v in RC.items() if not set_by_user(k) and (sizes or "size" not in k)}
+        with rc_context(look):  # type: ignore[arg-type]  # its stubs want literals
             figure = draw(*args, **kwargs)
         for axes in figure.axes:  # ticks are made when they are drawn
-            axes.tick_params(which="major", labelsize=8, width=0.6, length=3)  # points
+            axes.tick_params(which="major", width=0.6, length=3)  # points
             axes.tick_params(which="minor", length=0)
+            if sizes:
+                axes.tick_params(which="major", labelsize=8)
         return figure
 
     return drawn
 
 
+@styled
+def one_axes(
+    draw: Callable[..., None], *given: Any, size: tuple[float, float] = (4.8, 4.4), **kind: Any
+) -> Figure:
+    """Figure of what is drawn into axes of a `kind`, such as a projection."""
+    figure = new_figure(*size)
+    draw(figure.add_subplot(**kind), *given)
+    return figure
+
+
 def new_figure(width: float, height: float, title: str = "") -> Figure:
     """Figure (inch) with a constrained layout, independent of pyplot."""
-    figure = Figure(figsize=(width, height), layout="constrained")
+    size = None if set_by_user("figure.figsize") else (width, height)
+    figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
-    if title:
+    if title and size:  # in a size of the user's it may lie under the legend
         head(figure, title)
     return figure
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,6 +12,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from fascicle.core import above, html_card
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, ValueRefusedError
 from fascicle.core.files import as_path, atomic_folder, check_folder, write_text
@@ -22,6 +24,7 @@ from fascicle.inference.evaluation import Evaluation, best_of
 from fascicle.study.activation_maps import nearest_to_median
 from fascicle.study.evaluations import Stage
 from fascicle.study.export import Format, write_networks
+from fascicle.study.lock import LOCK
 from fascicle.study.population import Population, evenly_spread
 from fascicle.study.predictive import Checks
 from fascicle.study.settings import FitSettings
@@ -63,6 +66,19 @@ class FittedStudy:
     ecgs: tuple[Floats, ...] = ()
 
     __repr__ = short_repr
+    _repr_html_ = html_card
+
+    def plot(self, recording: int = 0, *, caption: bool = False) -> list[Any]:
+        """Draw recorded and predicted QRS by `fascicle.plot.ecg`; returns Matplotlib axes."""
+        return list(above("plot").ecg(self, recording, caption=caption))
+
+    def save(self, folder: Path | str) -> None:
+        """Copy its folder, whole or not at all; `fascicle.load_study` reads it."""
+        if type(self.population) is Population:  # of `with_draws`
+            raise InputError(f"{self.folder} does not hold draws of your own; save these yourself")
+        with atomic_folder(as_path(folder, "folder")) as temporary:
+            ignored = shutil.ignore_patterns(LOCK)
+            shutil.copytree(self.folder, temporary, ignore=ignored, dirs_exist_ok=True)
 
     @property
     def folder(self) -> Path:
@@ -235,7 +251,7 @@ class FittedStudy:
         to : str
             ``"opencarp"``: mesh, fibres, trees, stimuli and parameter files (µm, ms, S/m);
             ``"vtu"``: the heart, trees and junctions for ParaView (mm, ms); ``"csv"``: tables,
-            with units in the names of their columns. docs/exchange.md lists the files.
+            with units in the names of their columns. 'fascicle docs exchange' lists the files.
         networks : int, optional
             How many, evenly spread over the population. By default one: that with the activation
             map nearest to the median map (`fascicle.study.activation_maps.nearest_to_median`).

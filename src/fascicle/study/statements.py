@@ -400,8 +400,8 @@ def _poor_fit(result: Result) -> str:
         return ""
     return (
         "none of the sampled networks reproduces the recorded QRS, and a longer fit would not: "
-        "check that they are of one person, the electrodes, and the leads; docs/posterior.md, "
-        "'When a fit fails', says what to try"
+        "check that they are of one person, the electrodes, and the leads; 'fascicle docs "
+        "posterior', 'When a fit fails', says what to try"
     )
 
 

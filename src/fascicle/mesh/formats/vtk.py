@@ -191,6 +191,32 @@ def write_grid(
     write_text(path, writer.GetOutputString())
 
 
+def pyvista_grid(
+    points: Floats,
+    cells: Integers,
+    kind: int,
+    point_data: Mapping[str, NDArray[Any]],
+    cell_data: Mapping[str, NDArray[Any]],
+) -> Any:
+    """What `write_grid` writes as `pyvista.UnstructuredGrid`, with units in the arrays' names."""
+    import pyvista as pv
+
+    units = (("activation", "ms"), ("length", "mm"), ("lead_field_", "kohm"))
+    grid = pv.UnstructuredGrid({kind: cells}, np.asarray(points))
+    for arrays, given in ((grid.point_data, point_data), (grid.cell_data, cell_data)):
+        for name, values in given.items():
+            unit = next((f"_{unit}" for begin, unit in units if name.startswith(begin)), "")
+            arrays[name + unit] = values
+    return grid
+
+
+def pyvista_blocks(grids: Mapping[str, Any]) -> Any:
+    """Datasets by their names as `pyvista.MultiBlock`."""
+    import pyvista as pv
+
+    return pv.MultiBlock(dict(grids))
+
+
 def is_ascii_vtk(content: bytes) -> bool:
     """Whether the third line of a legacy VTK file says that numbers follow as text."""
     return [line.strip().upper() for line in content.split(b"\n", 3)[2:3]] == [b"ASCII"]
