@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from types import NoneType
 from typing import Any
@@ -13,7 +15,6 @@ from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.ranges import check_kind
 from fascicle.explorer.server import serve
 from fascicle.explorer.session import Session
-from fascicle.explorer.widget import widget
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
@@ -22,6 +23,20 @@ from fascicle.recording.target_files import read_target
 from fascicle.study.fit import load_study
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.target_comparison import TargetComparison
+
+# What the notebook calls; the page has the same `fascicleExplorer` and a socket
+RENDER = """
+export default {
+  render({ model, el }) {
+    const heard = (message, [view]) =>
+      explorer?.heard(view.buffer.slice(view.byteOffset, view.byteOffset + view.byteLength));
+    const explorer = window.fascicleExplorer(el, (message) => model.send(message));
+    model.on("msg:custom", heard);
+    model.send({ ask: "description" });
+    return () => { model.off("msg:custom", heard); explorer?.dispose(); };
+  },
+};
+"""
 
 
 def explore(
@@ -76,3 +91,25 @@ def session_of(
         return Session(model)
     read = target if isinstance(target, Target) else read_target(target)
     return Session(model, TargetComparison(read.in_leads(model.heart.leads)))
+
+
+def widget(session: Session) -> Any:
+    """A widget that shows a session; InputError without anywidget."""
+    if find_spec("anywidget") is None:
+        raise InputError("a notebook needs anywidget; install it: pip install anywidget")
+    from anywidget import AnyWidget
+
+    page = files("fascicle") / "reporting" / "page"
+
+    class Explorer(AnyWidget):
+        _esm = (page / "viewer.js").read_text(encoding="utf-8") + RENDER
+        _css = (page / "explorer.css").read_text(encoding="utf-8")
+
+    made = Explorer()
+
+    def answer(shown: Any, message: Any, buffers: Any) -> None:
+        is_first = message.get("ask") == "description"
+        made.send({}, [session.description() if is_first else session.answer(message)])
+
+    made.on_msg(answer)
+    return made
