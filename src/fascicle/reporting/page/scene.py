@@ -174,8 +174,11 @@ def _orders(
         for name, each in predicted.items()
     ]
     words: dict[str, Sequence[str]] = {}  # of what is counted
-    for name in networks[0].parameters if len(networks) else ():
-        values = np.array([networks[k].parameters[name] for k in chosen], dtype=float)
+    every = [networks[k].parameters for k in chosen] if len(networks) else [{}]
+    for name in every[0]:
+        if not all(name in each for each in every):
+            continue  # of the tissue of some networks alone
+        values = np.array([each[name] for each in every], dtype=float)
         if len(np.unique(values)) > 1:
             known, label = quantity(name), parameter_name(name)
             found.append((label, {"mm/ms": "m/s"}.get(known.unit, known.unit), values))
