@@ -21,7 +21,7 @@ from fascicle.prediction.predicted import RINGING, Predicted, PredictedBeat
 from fascicle.recording.criteria import Criterion
 from fascicle.reporting.names import MEASURES, scenario_name
 from fascicle.reporting.page.content import meaning, prediction
-from fascicle.reporting.page.marks import marks
+from fascicle.reporting.page.marks import marks, where
 from fascicle.reporting.page.page import _safe, _template
 from fascicle.reporting.page.scene import MOST_NETWORKS, NONE, scene
 from fascicle.reporting.scenarios import scenario_activation_figure, scenario_ecg_figure
@@ -300,6 +300,22 @@ class TestMarks:
         forks = lv.nodes[np.bincount(lv.parents[1:], minlength=len(lv.parents)) > 1]
         assert block["text"] == "LV anterior fascicle"
         assert np.linalg.norm(forks - block["place"], axis=1).min() < 0.1
+
+
+class TestWhere:
+    @pytest.mark.parametrize("site", ["mid anteroseptal", "mid inferolateral", "apical lateral"])
+    def test_names_the_segment_of_a_site(self, default_model, site):
+        sites = default_model.sites
+        at = np.array(sites.position(f"{site} endocardium"))
+        vertex = int(np.linalg.norm(sites.heart.vertices - at, axis=1).argmin())
+        side = ", left side of the septum" if "septal" in site else ""
+        assert where(vertex, sites) == site + side
+
+    def test_names_the_right_ventricle(self, default_model):
+        sites = default_model.sites
+        at = np.array(sites.position("rv free wall"))
+        vertex = int(np.linalg.norm(sites.heart.vertices - at, axis=1).argmin())
+        assert where(vertex, sites) == "RV free wall"
 
 
 def page(**values):

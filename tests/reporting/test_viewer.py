@@ -320,7 +320,7 @@ def test_colours_and_isochrones(page):
     )
     assert len({text for text, _ in labels}) > 3
     for text, value in labels:
-        assert abs(value - (0 if text == "first activation" else float(text))) <= 1
+        assert abs(value - (0 if text.startswith("first activation: ") else float(text))) <= 1
 
 
 def test_a_slider_goes_through_the_networks(page, content):

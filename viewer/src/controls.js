@@ -3,8 +3,8 @@
 const STYLE = `
 .fv { position: relative; color: var(--fg, CanvasText); }
 .fv-both, .fv-pictures { display: flex; flex-wrap: wrap; gap: .5rem; align-items: flex-start; }
-.fv-pictures { flex: 1 1 26rem; min-width: 0; }
-.fv-two .fv-pictures, .fv-two .fv-ecg { flex-basis: 100%; }
+.fv-left { flex: 1 1 26rem; min-width: 0; }
+.fv-two .fv-left, .fv-two .fv-ecg { flex-basis: 100%; }
 .fv-panel { flex: 1 1 20rem; min-width: 0; }
 .fv-title { display: none; text-align: center; font-weight: 600; }
 .fv-two .fv-title { display: block; }
@@ -14,7 +14,12 @@ const STYLE = `
 .fv-clock { font-variant-numeric: tabular-nums; }
 .fv-long { flex: 1 1 12rem; }
 .fv-ecg { flex: 0 1 33rem; min-width: 0; overflow: hidden; }
-@media (max-width: 58rem) { .fv-ecg { flex-basis: 100%; } }
+@media (max-width: 58rem) {
+  .fv-left { display: contents; }
+  .fv-ecg { flex-basis: 100%; order: 1; }
+  .fv-pictures { flex-basis: 100%; }
+  .fv-left > .fv-row { order: 2; }
+}
 .fv-picture canvas, .fv-picture img { width: 100%; height: 100%; display: block; }
 .fv-row { display: flex; flex-wrap: wrap; gap: .5rem 1rem; align-items: center; margin: .5rem 0; }
 .fv label { display: inline-flex; gap: .4rem; align-items: center; max-width: 100%; }

@@ -8,8 +8,8 @@ const MOST = 4; // labels of an isochrone
 const KINDS = { paced: "★", blocked: "✕", first: "●" };
 const COLOURS = { paced: "#c00000", blocked: "#c00000", first: "#000000" };
 
-// Places on the surface where a time is reached, a few for each, well apart.
-export function isochrones(heart, levels, reach) {
+// Places on the surface where a time is reached, a few for each, well apart, and where it begins.
+export function isochrones(heart, levels, reach, begins) {
   const place = heart.mesh.geometry.getAttribute("position");
   const normal = heart.mesh.geometry.getAttribute("normal");
   const at = (attribute, vertex) => new Vector3().fromBufferAttribute(attribute, vertex);
@@ -36,7 +36,7 @@ export function isochrones(heart, levels, reach) {
   for (let k = 1; k < place.count; k++) {
     if (!(heart.valueAt(k) >= heart.valueAt(first))) first = k;
   }
-  found.push(label(first, "first", "first activation", 0));
+  found.push(label(first, "first", begins, 0));
   return found;
 }
 
@@ -98,19 +98,23 @@ export class Overlay {
     const said = kind === "blocked" ? `${text} blocked` : text;
     const sign = KINDS[kind] ?? "";
     pen.font = `${kind === "isochrone" ? "" : "600 "}${SIZE}px system-ui, sans-serif`;
-    const whole = [`${sign} ${said}`.trim(), `${said} ${sign}`];
-    const long = pen.measureText(whole[0]).width;
-    const half = pen.measureText(sign || said).width / 2;
-    // the sign stands on the place, the text to the right of it where there is room
-    const turned = sign && x - half + long > width - 2;
-    const left = turned ? x + half - long : x - half;
-    const drawn = whole[Number(Boolean(turned))];
-    pen.textAlign = "left";
     pen.strokeStyle = "rgb(255 255 255 / 85%)";
     pen.lineWidth = 3.5;
     pen.fillStyle = COLOURS[kind] ?? "#000000";
-    pen.strokeText(drawn, left, y);
-    pen.fillText(drawn, left, y);
+    const put = (letters, at, line) => {
+      pen.strokeText(letters, at, line);
+      pen.fillText(letters, at, line);
+    };
+    pen.textAlign = "center";
+    if (!sign) return put(said, x, y);
+    put(sign, x, y);
+    // to the right of the sign, or to the left, or below
+    pen.textAlign = "left";
+    const long = pen.measureText(said).width;
+    const away = 0.7 * SIZE;
+    if (x + away + long < width - 3) put(said, x + away, y);
+    else if (x - away - long > 3) put(said, x - away - long, y);
+    else put(said, Math.max(3, Math.min(x - long / 2, width - 3 - long)), y + 1.3 * SIZE);
   }
 
   // Letters of left, right, anterior, posterior, head and feet, as they lie to the eye.

@@ -49,7 +49,9 @@ export class Panel {
     }));
     const levels = Array.from({ length: top / ISOCHRONES }, (_, k) => ISOCHRONES * (k + 1));
     const timed = this.heart.field.kind === "time";
-    this.isochrones = timed ? isochrones(this.heart, levels, this.stage.reach) : [];
+    const begins = field ? "" : scenario.first[network];
+    const first = begins ? `first activation: ${begins}` : "first activation";
+    this.isochrones = timed ? isochrones(this.heart, levels, this.stage.reach, first) : [];
     this.label();
   }
 

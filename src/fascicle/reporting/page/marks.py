@@ -1,4 +1,4 @@
-"""Where a scenario stimulates a network, and where it or the network's state is blocked."""
+"""Where a scenario stimulates a network, where that is blocked, and where activation begins."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from fascicle.core.arrays import Floats, Singles
 from fascicle.forward.blocks import in_state
 from fascicle.forward.primitives import His, Stimulus
 from fascicle.forward.scenario import Scenario
-from fascicle.heart.sites import Sites
+from fascicle.heart.fibres import Wall
+from fascicle.heart.sites import SEGMENTS, Sites
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.reporting.names import capitals
 
@@ -55,6 +56,20 @@ def marks(
         {"kind": kind, "text": capitals(text), "place": np.round(place, 1).tolist()}
         for kind, text, place in found
     ]
+
+
+def where(vertex: int, sites: Sites) -> str:
+    """Where a vertex of the heart lies, in words: the segment, and the side of the septum."""
+    heart, places = sites.heart, sites.places
+    element = int(np.flatnonzero((heart.tetrahedra == vertex).any(axis=1))[0])
+    segment, wall = places.segment[element], places.wall[element]
+    name = SEGMENTS[segment - 1] if segment > 0 else "RV free wall"
+    if wall != Wall.SEPTUM:
+        return name
+    left, right = (
+        np.linalg.norm(e.vertices - heart.vertices[vertex], axis=1).min() for e in heart.endocardia
+    )
+    return f"{name}, {'left' if left < right else 'right'} side of the septum"
 
 
 def _where_blocked(tree: PurkinjeTree, speed: Floats) -> list[Floats]:

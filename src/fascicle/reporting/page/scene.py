@@ -21,7 +21,7 @@ from fascicle.heart.labelled_surface import ENDOCARDIA, labelled_mesh
 from fascicle.prediction.predicted import RINGING, Predicted, PredictedBeat
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.reporting.names import scenario_name
-from fascicle.reporting.page.marks import marks
+from fascicle.reporting.page.marks import marks, where
 from fascicle.reporting.surfaces import heart_views
 from fascicle.study.activation_maps import since_first
 from fascicle.study.population import evenly_spread
@@ -128,6 +128,10 @@ def scene(
                     if model is not None and len(networks)
                     else []
                     for k, beat in zip(chosen, beats[name], strict=True)
+                ],
+                "first": [
+                    where(int(beat.activation.argmin()), model.sites) if model is not None else ""
+                    for beat in beats[name]
                 ],
             }
             for (name, each), own in zip(predicted.items(), fields, strict=True)
