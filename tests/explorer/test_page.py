@@ -157,7 +157,7 @@ def test_states_and_pacings_are_chosen_and_compared_with_a_pinned_beat(server, v
     change(page, lambda: conduction.select_option("left bundle branch block"))
     assert total(page) > sinus["total"] + 10
     assert f"(pinned {sinus['total']:.0f})" in page.locator(".fx-measured").inner_text()
-    change(page, lambda: page.get_by_role("button", name="left: left bundle").click())
+    change(page, lambda: page.get_by_role("button", name="left bundle: left bundle").click())
     assert shown(page)["state"]["scenario"] == "left-bundle-branch-pacing"
     assert shown(page)["state"]["values"]["conduction"] == 1  # stays blocked
     change(page, lambda: page.get_by_role("button", name="start again").click())

@@ -27,6 +27,7 @@ export class Explorer {
   // `send(message)` takes what a session answers; its answers go to `heard`.
   constructor(element, send) {
     addStyle();
+    element.classList.add("fv", "fx");
     this.element = element;
     this.send = send;
     this.number = 0;
@@ -73,7 +74,7 @@ export class Explorer {
       this.exercises(),
     );
     this.stage = new Stage(this.canvas, this.picture, {
-      up: said.up, front: said.front, points: fixed.vertices,
+      up: said.up, front: said.front, base: said.base, points: fixed.vertices,
     });
     this.heart = new Heart({
       vertices: fixed.vertices, triangles: fixed.triangles, endocardial: said.endocardial,
@@ -108,7 +109,7 @@ export class Explorer {
       this.stage.draw();
     });
     const views = ["AP", "LAO 45°", "RAO 30°", "left lateral", "inferior", "base"];
-    const fire = [["fire His", "his-pacing"], ["left", "left-bundle-branch-pacing"],
+    const fire = [["fire His", "his-pacing"], ["left bundle", "left-bundle-branch-pacing"],
                   ["right apex", "rv-apical-pacing"]];
     return make("div", {},
       make("div", { class: "fv-row" }, this.mode.row, this.scenario.row, this.conduction.row),
@@ -385,12 +386,13 @@ export class Explorer {
   mark() {
     const { stimuli, blocks } = this.state;
     const mark = (kind, text, place) => ({ kind, text, place: new Vector3(...place), time: 0 });
-    const first = this.beat.arrays.activation.indexOf(0);
+    const { activation } = this.beat.arrays;
+    const first = activation.indexOf(activation.reduce((a, b) => Math.min(a, b)));
     this.overlay.labels = [
       ...stimuli.map((place) => mark("paced", "paced", place)),
       ...blocks.map(([, place]) => mark("blocked", "blocked", place)),
     ];
-    if (first >= 0 && !stimuli.length) {
+    if (!stimuli.length) {
       const place = this.fixed.vertices.subarray(3 * first, 3 * first + 3);
       this.overlay.labels.push(mark("first", "first activation", place));
     }

@@ -35,6 +35,7 @@ from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.reporting.surfaces import heart_views
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.target_comparison import TargetComparison
+from fascicle.torso.variation.conductor import torso_axes
 
 BLOCKED_WITHIN = 3.0  # mm of a place in a tree that is blocked there
 Coordinate = Annotated[float, Field(ge=-1e4, le=1e4, allow_inf_nan=False)]
@@ -134,11 +135,12 @@ class Session:
         """Everything that does not change: surface, sliders, scenarios, recording, networks."""
         shown, triangles, endocardial = self.surface
         heart = self.model.heart
-        anterior = heart_views(heart)["anterior"].axes
+        _, back, up = torso_axes(heart.electrodes)
         said: dict[str, Any] = {
             "heart": heart.name,
-            "up": anterior[1].tolist(),
-            "front": (-anterior[2]).tolist(),
+            "up": up.tolist(),
+            "front": (-back).tolist(),
+            "base": (-heart_views(heart)["base"].axes[2]).tolist(),
             "endocardial": endocardial,
             "leads": list(LEADS),
             "sliders": [self._slider(parameter) for parameter in self.space.parameters],
