@@ -42,6 +42,7 @@ WRONG: dict[str, Any] = {
 # What the arguments of a function also take; None is taken where it is the default. A text may be
 # the name of a file that is not there.
 ALSO = {
+    ("explore", "given"): {"heart"},
     ("ForwardModel", "heart"): {"heart"},
     ("simulate_prior", "heart"): {"heart"},
     ("ventricular_coordinates", "heart"): {"heart"},
@@ -120,6 +121,7 @@ def right(study, predicted, recording, default_heart, default_model, tmp_path_fa
     pacing = predicted["left-bundle-branch-pacing"]
     return {
         "outside_allowed": (fascicle.outside_allowed, {}),
+        "explore": (fascicle.explore, {"given": default_heart}),
         "example_parameters": (fascicle.example_parameters, {"model": default_model}),
         "ForwardModel": (fascicle.ForwardModel, {"heart": default_heart}),
         "ForwardModel.simulate": (
@@ -207,6 +209,7 @@ def test_an_argument_of_the_wrong_kind_is_refused_in_one_line(
     """Before any work has begun, and so that the line says what was given."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("fascicle.study.state_fit.simulated_and_compared", begun)
+    monkeypatch.setattr("fascicle.explorer.explore.serve", begun)
     for module in ("heart_emulator", "origin"):
         monkeypatch.setattr(f"fascicle.study.{module}.ForwardModel", begun)
     function, arguments = right[name]
