@@ -7,8 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import fascicle
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.forward.simulation_files import write_ecg
 from fascicle.recording.recording import missing_rate, missing_time_unit, missing_unit
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")
@@ -72,3 +74,13 @@ class TestGuesses:
     @pytest.mark.parametrize("step", [0.0, -1.0, np.nan, np.inf])
     def test_no_rate_where_times_do_not_run(self, step):
         assert missing_time_unit("it", step).guess is None
+
+
+def test_what_simulate_writes_is_read_back_of_a_paced_beat_too(default_model, tmp_path):
+    """Whose first sample is small, and not zero."""
+    pacing = fascicle.read_scenarios("rv-apical-pacing")["rv-apical-pacing"]
+    ecg = default_model.simulate(EXAMPLE_PARAMETERS, pacing).ecg
+    write_ecg(tmp_path / "ecg.csv", ecg)
+    recording = fascicle.read_recording(tmp_path / "ecg.csv")
+    assert recording.signal.shape[1] == ecg.sizes["time"] + 1000
+    np.testing.assert_allclose(recording.signal[:, 500:-500], ecg.to_numpy(), atol=1e-6)

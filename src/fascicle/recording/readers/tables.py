@@ -140,10 +140,14 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
 
 
 def _with_rest_around(table: RawRecording) -> RawRecording:
-    """A single beat that begins and ends at 0 in all leads, as one simulated, between rest."""
+    """A single beat that begins and ends at 0 in all leads, as one simulated, between rest.
+
+    The first sample of a paced beat is a thousandth of its amplitude at most.
+    """
     rate = table.sampling_rate or 0.0
     every = [channel.values for channel in table.channels]
-    if any(len(values) >= SHORTEST * rate or values[[0, -1]].any() for values in every):
+    most = 1e-3 * max((float(np.abs(values).max(initial=0.0)) for values in every), default=0.0)
+    if any(len(values) >= SHORTEST * rate or max(abs(values[[0, -1]])) > most for values in every):
         return table
     before = round(0.5 * rate)  # s
     channels = [c.placed(before, 2 * before + len(c.values), 0.0) for c in table.channels]
