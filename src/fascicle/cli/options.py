@@ -19,7 +19,8 @@ from fascicle.prediction.index_names import COMPARED, INDICES
 from fascicle.study.settings import FitSettings
 
 HeartArgument = Annotated[
-    str, Argument(metavar="HEART", help="Heart folder, or a packaged heart: 'camps-dti004' or 'default'.")
+    str,
+    Argument(metavar="HEART", help="Heart folder, or one of the package: camps-dti004 or default."),
 ]
 StudyArgument = Annotated[Path, Argument(help="Finished study folder.")]
 OutOption = Annotated[Path, Option("--out", help="Folder to write.")]
