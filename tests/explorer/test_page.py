@@ -147,6 +147,10 @@ def test_clicks_pace_and_block_and_undo_takes_them_back(server, visit):
     blocked = shown(page)
     assert len(blocked["state"]["blocks"]) == 1
     assert blocked["pixels"] != paced["pixels"]
+    page.get_by_label("click", exact=True).select_option("make a scar")
+    change(page, lambda: page.mouse.click(*in_the_middle(page)))
+    assert len(shown(page)["state"]["scars"]) == 1
+    assert "Infinity" in page.evaluate("String(Math.max(...explorer.beat.arrays.activation))")
 
 
 def test_states_and_pacings_are_chosen_and_compared_with_a_pinned_beat(server, visit):

@@ -1,6 +1,7 @@
 """What the explorer answers is what the forward model gives, or one line of what is wrong."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -103,6 +104,22 @@ def test_a_branch_that_is_blocked_delays_what_lies_behind(session):
     before, after = ask(session), ask(session, blocks=[["lv", place]])
     assert after[0]["total"] > before[0]["total"] + 5
     assert after[1]["lv_times"].max() > before[1]["lv_times"].max() + 5
+
+
+def test_a_scar_is_never_activated_and_simulated_again_from_its_file(session, tmp_path):
+    heart = session.model.heart
+    place = heart.vertices[np.unique(heart.boundary[0])[300]].tolist()
+    said, arrays = ask(session, scars=[place])
+    assert not np.isfinite(arrays["activation"][300])
+    assert np.isfinite(arrays["activation"]).mean() > 0.9
+    files = session.files(State(values=session.start, scars=[place]))
+    (tmp_path / "scenario.toml").write_text(files["scenario.toml"])
+    scenario, regions = read_scenario(tmp_path / "scenario.toml")
+    conduction = replace(session.model.conduction, regions=regions)
+    again = fascicle.ForwardModel(replace(heart, folder=None), conduction)
+    expected = again.simulate(session.start, scenario)
+    assert said["total"] == pytest.approx(expected.total_activation_time)
+    np.testing.assert_allclose(arrays["simulated"], expected.leads[:12], atol=1e-6)
 
 
 def test_a_scenario_of_the_library_keeps_what_is_blocked(session):

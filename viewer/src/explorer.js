@@ -21,6 +21,9 @@ const RECORDED = "#1f5fa8";
 const PINNED = "#777777";
 
 const plain = (name) => name.replaceAll("-", " ");
+const begun = (values) => ({
+  values: { ...values }, scenario: "intrinsic", stimuli: [], blocks: [], scars: [],
+});
 const copy = (state) => JSON.parse(JSON.stringify(state));
 
 export class Explorer {
@@ -50,7 +53,7 @@ export class Explorer {
   begin(said, arrays) {
     this.said = said;
     this.fixed = arrays;
-    this.state = { values: { ...said.start }, scenario: "intrinsic", stimuli: [], blocks: [] };
+    this.state = begun(said.start);
     this.build();
     this.ask();
   }
@@ -98,7 +101,7 @@ export class Explorer {
 
   actions() {
     const { said } = this;
-    this.mode = choice("click", ["read a time", "pace here", "block a branch"], () => {});
+    this.mode = choice("click", ["read a time", "pace here", "block a branch", "make a scar"], () => {});
     this.scenario = choice("beat", said.scenarios.map(plain), (k) =>
       this.change((state) => (state.scenario = said.scenarios[k])));
     this.conduction = choice("conduction", said.conduction, (k) =>
@@ -118,7 +121,7 @@ export class Explorer {
           this.change((state) => Object.assign(state, { scenario: name, stimuli: [] })))),
         button("undo", "undo (Ctrl+Z)", () => this.undo()),
         button("start again", "start again", () => this.change((state) =>
-          Object.assign(state, copy({ values: said.start, scenario: "intrinsic", stimuli: [], blocks: [] })))),
+          Object.assign(state, begun(said.start)))),
         button("pin", "pin this beat to compare with", () => this.pin()),
         button("save", "save parameters and scenario", () => this.save()),
         button("picture", "save a picture", () => this.savePicture()),
@@ -177,12 +180,10 @@ export class Explorer {
   }
 
   exercises() {
-    const rows = EXERCISES.map(({ name, state, text }) =>
+    const rows = EXERCISES.map(({ name, conduction, text }) =>
       make("details", {}, make("summary", {}, name), make("p", {}, text),
-        button("begin", `begin: ${name}`, () => this.change((now) => {
-          Object.assign(now, { scenario: state.scenario, stimuli: [], blocks: [] });
-          now.values = { ...this.said.start, conduction: state.conduction };
-        }))));
+        button("begin", `begin: ${name}`, () => this.change((state) =>
+          Object.assign(state, begun({ ...this.said.start, conduction }))))));
     return make("section", { "aria-label": "exercises" }, make("h2", {}, "Five exercises"), ...rows);
   }
 
@@ -349,7 +350,8 @@ export class Explorer {
   clicked(ray) {
     const how = Number(this.mode.select.value);
     if (how === 0) this.readAt(ray);
-    if (how === 1) this.paceAt(ray);
+    if (how === 1) this.placeAt(ray, "stimuli");
+    if (how === 3) this.placeAt(ray, "scars");
     if (how === 2) this.blockAt(ray);
   }
 
@@ -360,11 +362,12 @@ export class Explorer {
     this.say(Number.isNaN(time) ? "never activated" : `activated after ${time.toFixed(0)} ms`);
   }
 
-  paceAt(ray) {
+  placeAt(ray, kind) {
     const hit = this.heart.hit(ray);
     if (!hit) return;
     const place = [...this.fixed.vertices.subarray(3 * hit.vertex, 3 * hit.vertex + 3)];
-    this.change((state) => state.stimuli.push(place));
+    if (kind === "scars") this.say("The heart with this scar is being prepared …");
+    this.change((state) => state[kind].push(place));
   }
 
   // Blocks the branch that is nearest to the line of sight.
@@ -384,13 +387,14 @@ export class Explorer {
 
   // What was done, and where activation begins.
   mark() {
-    const { stimuli, blocks } = this.state;
+    const { stimuli, blocks, scars } = this.state;
     const mark = (kind, text, place) => ({ kind, text, place: new Vector3(...place), time: 0 });
     const { activation } = this.beat.arrays;
     const first = activation.indexOf(activation.reduce((a, b) => Math.min(a, b)));
     this.overlay.labels = [
       ...stimuli.map((place) => mark("paced", "paced", place)),
       ...blocks.map(([, place]) => mark("blocked", "blocked", place)),
+      ...scars.map((place) => mark("blocked", "scar", place)),
     ];
     if (!stimuli.length) {
       const place = this.fixed.vertices.subarray(3 * first, 3 * first + 3);

@@ -8,9 +8,9 @@ many bytes of JSON, and the arrays that it names, each from a multiple of four b
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import Annotated, Any
 
 import numpy as np
@@ -29,6 +29,7 @@ from fascicle.forward.primitives import His, SlowConduction, Stimulus
 from fascicle.forward.scenario import Primitive, Scenario
 from fascicle.forward.scenario_files import library, read_scenarios, scenario_text
 from fascicle.forward.simulation import Simulation
+from fascicle.heart.conduction import Region
 from fascicle.heart.labelled_surface import ENDOCARDIA, labelled_mesh
 from fascicle.prediction.scenarios import INTRINSIC
 from fascicle.purkinje.tree import PurkinjeTree
@@ -38,6 +39,7 @@ from fascicle.study.target_comparison import TargetComparison
 from fascicle.torso.variation.conductor import torso_axes
 
 BLOCKED_WITHIN = 3.0  # mm of a place in a tree that is blocked there
+SCAR_WITHIN = 8.0  # mm of a place in the myocardium that is scar there
 Coordinate = Annotated[float, Field(ge=-1e4, le=1e4, allow_inf_nan=False)]
 Place = tuple[Coordinate, Coordinate, Coordinate]
 
@@ -55,12 +57,15 @@ class State(BaseModel, extra="forbid"):
         Paced places of the myocardium (mm), all at 0 ms; without a scenario no root fires then.
     blocks : list of (str, Place)
         Trees, and places of them (mm) that do not conduct.
+    scars : list of Place
+        Places of the myocardium (mm) about which it is scar.
     """
 
     values: dict[str, float]
     scenario: str = INTRINSIC
     stimuli: list[Place] = Field(default=[], max_length=20)
     blocks: list[tuple[str, Place]] = Field(default=[], max_length=20)
+    scars: list[Place] = Field(default=[], max_length=20)
 
     @classmethod
     def of(cls, message: Any) -> State:
@@ -87,6 +92,13 @@ class State(BaseModel, extra="forbid"):
             for tree, place in self.blocks
         ]
         return Scenario(primitives) if primitives else None
+
+    @property
+    def regions(self) -> tuple[Region, ...]:
+        """Its scars."""
+        return tuple(
+            Region(conductivity=0.0, centre=place, radius=SCAR_WITHIN) for place in self.scars
+        )
 
 
 @dataclass(frozen=True)
@@ -182,7 +194,7 @@ class Session:
         """Files by name that `fascicle simulate` takes, to repeat a state."""
         values = "".join(f"{name} = {value!r}\n" for name, value in state.values.items())
         beat = state.beat() or Scenario()
-        return {"parameters.toml": values, "scenario.toml": scenario_text(beat)}
+        return {"parameters.toml": values, "scenario.toml": scenario_text(beat, state.regions)}
 
     def _simulated(
         self, state: State, moving: bool
@@ -191,7 +203,8 @@ class Session:
 
         These take as long as the simulation.
         """
-        found = self.model.simulate(state.values, state.beat())
+        model = self._scarred(state.regions) if state.scars else self.model
+        found = model.simulate(state.values, state.beat())
         if not isinstance(found, Simulation):
             raise InputError(f"no network: {found.reason}")
         begin = float(found.activation.min())
@@ -217,6 +230,19 @@ class Session:
             arrays["simulated"] = under[: len(LEADS)].astype("<f4")
             arrays["recorded"] = target.mean[: len(LEADS)].astype("<f4")
         return said, arrays
+
+    @cached_property
+    def _scarred(self) -> Callable[[tuple[Region, ...]], ForwardModel]:
+        """The model with scars, which takes seconds to prepare; the last ones are remembered."""
+        model = self.model
+        heart = replace(model.heart, folder=None)  # not to fill its folder with trials
+
+        def with_scars(regions: tuple[Region, ...]) -> ForwardModel:
+            own = model.conduction
+            conduction = replace(own, regions=(*own.regions, *regions))
+            return ForwardModel(heart, conduction, model.rules, model.action_potential)
+
+        return lru_cache(3)(with_scars)
 
     def _slider(self, parameter: Parameter) -> dict[str, Any]:
         """A parameter's range, and how its values in the study are distributed within it."""

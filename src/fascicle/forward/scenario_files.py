@@ -172,8 +172,8 @@ def _read(kind: type[Kind], values: Mapping[str, Any]) -> Iterator[Kind]:
         raise InputError(f"'{kind.table}' must be in double brackets: {kind.header()}")
 
 
-def scenario_text(scenario: Scenario) -> str:
-    """The TOML of which `read_scenario` makes a scenario.
+def scenario_text(scenario: Scenario, regions: Sequence[Region] = ()) -> str:
+    """The TOML of which `read_scenario` makes a scenario and regions of the myocardium.
 
     Raises
     ------
@@ -183,10 +183,10 @@ def scenario_text(scenario: Scenario) -> str:
     if scenario.trees:
         raise InputError(f"{scenario.source}: has trees of its own, which cannot be kept with it")
     lines = []
-    for primitive in scenario.primitives:
-        lines.append(primitive.header())
-        for key in primitive.key_names():
-            value = getattr(primitive, key)
+    for table in (*scenario.primitives, *regions):
+        lines.append(table.header())
+        for key in table.key_names():
+            value = getattr(table, key)
             if value is not None:
                 lines.append(f"{key} = {_written(value)}")
     return "\n".join(lines) + "\n"
