@@ -12,7 +12,7 @@ export const EXERCISES = [
   {
     name: "2. A fascicular block",
     conduction: 3,
-    text: "This is a left anterior fascicular block. Undo and redo it, and watch the frontal axis. "
+    text: "This is a left anterior fascicular block. Pin it, choose “normal”, and watch the frontal axis. "
       + "Why does the axis turn although the QRS becomes hardly longer? Then the posterior one: "
       + "which way does the axis turn? Shorten the anterior fascicle instead: can its length alone "
       + "imitate a block?",

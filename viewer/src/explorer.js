@@ -393,8 +393,8 @@ export class Explorer {
     const first = activation.indexOf(activation.reduce((a, b) => Math.min(a, b)));
     this.overlay.labels = [
       ...stimuli.map((place) => mark("paced", "paced", place)),
-      ...blocks.map(([, place]) => mark("blocked", "blocked", place)),
-      ...scars.map((place) => mark("blocked", "scar", place)),
+      ...blocks.map(([, place]) => mark("blocked", "branch", place)),
+      ...scars.map((place) => mark("scar", "scar", place)),
     ];
     if (!stimuli.length) {
       const place = this.fixed.vertices.subarray(3 * first, 3 * first + 3);

@@ -5,8 +5,8 @@ import { make } from "./controls.js";
 
 const SIZE = 12; // pixels of letters
 const MOST = 4; // labels of an isochrone
-const KINDS = { paced: "★", blocked: "✕", first: "●" };
-const COLOURS = { paced: "#c00000", blocked: "#c00000", first: "#000000" };
+const KINDS = { paced: "★", blocked: "✕", scar: "▨", first: "●" };
+const COLOURS = { paced: "#c00000", blocked: "#c00000", scar: "#555555", first: "#000000" };
 
 // Places on the surface where a time is reached, a few for each, well apart, and where it begins.
 export function isochrones(heart, levels, reach, begins) {
@@ -70,7 +70,7 @@ export class Overlay {
       return [((x + 1) / 2) * width, ((1 - y) / 2) * height];
     };
     const ends = [];
-    const marked = this.labels.filter(({ normal }) => !normal).map(place);
+    const marked = this.labels.filter(({ kind, normal }) => !normal && kind !== "first").map(place);
     for (const label of this.labels.filter((each) => this.shows(each))) {
       const at = place(label);
       // isochrones give way to one another
