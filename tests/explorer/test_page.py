@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -11,11 +10,6 @@ import urllib.request
 
 import numpy as np
 import pytest
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-ARGUMENTS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-
-sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
 
 class Server:
@@ -43,18 +37,6 @@ def server():
     if made.process.poll() is None:
         made.process.kill()
     made.process.communicate()
-
-
-@pytest.fixture(scope="module")
-def browser():
-    if CHROMIUM is None:
-        pytest.skip("no chromium on the path")
-    with sync_api.sync_playwright() as playwright:
-        opened = playwright.chromium.launch(
-            executable_path=CHROMIUM, args=[*ARGUMENTS, "--no-sandbox"]
-        )
-        yield opened
-        opened.close()
 
 
 @pytest.fixture

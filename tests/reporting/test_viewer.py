@@ -3,7 +3,6 @@
 import io
 import json
 import re
-import shutil
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -21,14 +20,8 @@ from fascicle.reporting.page.page import _file
 from fascicle.reporting.page.scene import scene
 from fascicle.study.target_comparison import TargetComparison
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-# WebGL without a graphics card
-ARGUMENTS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 VIEWS = ("AP", "LAO 45°", "RAO 30°", "left lateral", "inferior", "base")
 BACKGROUND = 0.98  # of light; the page is white
-
-sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on the path")
 
 
 @pytest.fixture(scope="module")
@@ -74,16 +67,6 @@ def path(content, tmp_path_factory):
         encoding="utf-8",
     )
     return page
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with sync_api.sync_playwright() as playwright:
-        opened = playwright.chromium.launch(
-            executable_path=CHROMIUM, args=[*ARGUMENTS, "--no-sandbox"]
-        )
-        yield opened
-        opened.close()
 
 
 @pytest.fixture

@@ -69,3 +69,10 @@ export function check(label, checked, changed) {
   box.addEventListener("change", changed);
   return { box, row: make("label", {}, box, label) };
 }
+
+// Whether the browser can draw a heart; else the element says that it cannot.
+export function hasWebGL(element) {
+  if (document.createElement("canvas").getContext("webgl2")) return true;
+  element.textContent = "This browser has no WebGL, which the heart is drawn with.";
+  return false;
+}

@@ -2,7 +2,7 @@
 
 import { Vector3 } from "three";
 import { GIFEncoder, applyPalette, quantize } from "gifenc";
-import { addStyle, button, choice, make } from "./controls.js";
+import { addStyle, button, choice, hasWebGL, make } from "./controls.js";
 import { EcgPaper } from "./ecg.js";
 import { EXERCISES } from "./exercises.js";
 import { Heart, Tree } from "./heart.js";
@@ -487,11 +487,7 @@ function density(counts) {
 }
 
 window.fascicleExplorer = (element, send) => {
-  const probe = document.createElement("canvas");
-  if (!probe.getContext("webgl2")) {
-    element.textContent = "This browser has no WebGL, which the heart is drawn with.";
-    return null;
-  }
+  if (!hasWebGL(element)) return null;
   return new Explorer(element, send);
 };
 

@@ -1,7 +1,7 @@
 // The heart of a report: scenarios in the networks of a population, with the ECG, in one time.
 
 import { drawBar } from "./colours.js";
-import { addStyle, button, check, choice, make } from "./controls.js";
+import { addStyle, button, check, choice, hasWebGL, make } from "./controls.js";
 import { potentials } from "./data.js";
 import { EcgPaper } from "./ecg.js";
 import { Panel } from "./panel.js";
@@ -306,10 +306,6 @@ class Viewer {
 }
 
 window.fascicleViewer = (element, data) => {
-  const probe = document.createElement("canvas");
-  if (!probe.getContext("webgl2")) {
-    element.textContent = "This browser has no WebGL, which the heart is drawn with.";
-    return null;
-  }
+  if (!hasWebGL(element)) return null;
   return new Viewer(element, data);
 };
