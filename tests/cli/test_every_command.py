@@ -28,7 +28,7 @@ pytestmark = pytest.mark.usefixtures("blank_pictures")
 COMMANDS = {  # with something of their help
     "simulate": "--root-time", "target": "--out", "parameters": "--free", "fit": "--effective",
     "predict": "--scenario", "compare": "--threshold", "sweep": "--delay", "scenarios": "copy",
-    "locate": "17 segments", "docs": "pages",
+    "locate": "17 segments", "docs": "pages", "explore": "Only this machine",
     "report": "Finished study", "cohort": "--only", "template": "--out", "demo": "--out",
     "heart build": "--lv-endocardium", "heart import": "--lv-endocardium", "heart check": "HEART",
     "heart refine": "--out", "heart add-electrodes": "V2R", "heart simulate-prior": "--networks",

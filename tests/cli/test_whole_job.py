@@ -395,6 +395,10 @@ def test_plots_in_a_notebook(study):
         "pairs": plot.pairs(study),
         "priors": plot.priors(study),
         "convergence": plot.convergence(study),
+        "heart": plot.heart(heart),
+        "tree": plot.tree(study.best_network.simulation.trees[0]),
+        "simulation": plot.simulation(study.best_network.simulation),
+        "prediction": plot.prediction(predicted["intrinsic"]),
         "target": plot.target(study.recordings[0].target),
     }
     public = {name for name, known in vars(plot).items() if getattr(known, "__module__", "") ==

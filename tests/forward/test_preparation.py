@@ -183,7 +183,7 @@ class TestWithoutCache:
 
     def test_the_packaged_heart_keeps_nothing_in_the_package(self, monkeypatch, tmp_path):
         monkeypatch.setenv("FASCICLE_CACHE", str(tmp_path / "cache"))
-        assert load_heart("default").folder == tmp_path / "cache" / "default_heart"
+        assert load_heart("default").folder == tmp_path / "cache" / "hearts" / "default"
 
 
 class TestRealHeart:

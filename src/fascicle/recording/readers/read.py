@@ -121,7 +121,7 @@ def read_recording(
     InputError
         When the file cannot be used; the message says why and what to do.
     """
-    own, source = packaged(path), str(path)
+    name, own = path, packaged(path)
     path = existing_file(as_path(path, "recording") if own is None else own / "ecg.csv")
     if leads is not None:
         check_items(leads, str, "leads", f"names of leads, such as {', '.join(LEADS)}, V7, X")
@@ -142,7 +142,7 @@ def read_recording(
         )
     else:
         raw = read_raw(path, reader.format, sampling_rate)
-    recording = _assemble(raw, source, leads, sampling_rate, unit)
+    recording = _assemble(raw, str(path if own is None else name), leads, sampling_rate, unit)
     notes = {
         "source_sha256": sha256_of([path]),
         "choice_leads": None if leads is None else ", ".join(leads),
