@@ -174,7 +174,7 @@ export class EcgPaper {
     this.canvas.height = Math.round(paper[1] * unit * ratio);
     this.canvas.style.width = `${paper[0] * unit}px`;
     this.canvas.style.height = `${paper[1] * unit}px`;
-    const pen = this.canvas.getContext("2d");
+    const pen = this.canvas.getContext("2d", { willReadFrequently: true });
     pen.scale(unit * ratio, unit * ratio); // draws in mm
     this.text = 12 / unit; // of letters, mm
     pen.fillStyle = PAPER;

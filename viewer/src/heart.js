@@ -2,8 +2,7 @@
 // with one front.
 
 import {
-  BufferAttribute, BufferGeometry, DoubleSide, InstancedBufferAttribute, InstancedBufferGeometry,
-  Mesh, ShaderMaterial, Vector2,
+  BufferAttribute, BufferGeometry, DoubleSide, Mesh, ShaderMaterial, Vector2,
 } from "three";
 import { positions, values, whole } from "./data.js";
 import { texture } from "./colours.js";
@@ -66,20 +65,20 @@ void main() {
 
 // A segment is a band that faces the eye, from one end to the other, of some pixels in width.
 const TREE_VERTEX = `
-attribute vec3 begin, end; attribute vec2 times;
+attribute vec3 end; attribute vec2 corner, times;
 uniform vec2 size; uniform float width;
 varying float vValue, vAcross;
 void main() {
-  vec4 from = projectionMatrix * modelViewMatrix * vec4(begin, 1.0);
+  vec4 from = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
   vec4 to = projectionMatrix * modelViewMatrix * vec4(end, 1.0);
   vec2 along = (to.xy / to.w - from.xy / from.w) * size;
   along = length(along) > 1e-6 ? normalize(along) : vec2(1.0, 0.0);
-  vec4 place = mix(from, to, position.x);
-  vec2 offset = position.y * vec2(-along.y, along.x) + (2.0 * position.x - 1.0) * along * 0.5;
+  vec4 place = mix(from, to, corner.x);
+  vec2 offset = corner.y * vec2(-along.y, along.x) + (2.0 * corner.x - 1.0) * along * 0.5;
   place.xy += offset * width / size * place.w;
   gl_Position = place;
-  vValue = times.x < -1e5 || times.y < -1e5 ? -1e6 : mix(times.x, times.y, position.x);
-  vAcross = position.y;
+  vValue = times.x < -1e5 || times.y < -1e5 ? -1e6 : mix(times.x, times.y, corner.x);
+  vAcross = corner.y;
 }`;
 
 const TREE_FRAGMENT = `
@@ -217,19 +216,28 @@ export class Tree {
   constructor(tree, box, heart) {
     this.nodes = positions(tree.nodes, box);
     this.segments = whole(tree.segments);
+    // four corners a segment, not an instance each: software drawing takes 20 µs an instance
     const count = this.segments.length / 2;
-    const geometry = new InstancedBufferGeometry();
-    geometry.instanceCount = count;
-    const corners = new Float32Array([0, -1, 0, 0, 1, 0, 1, -1, 0, 1, 1, 0]);
-    geometry.setAttribute("position", new BufferAttribute(corners, 3));
-    geometry.setIndex([0, 2, 1, 1, 2, 3]);
-    const ends = [new Float32Array(3 * count), new Float32Array(3 * count)];
-    this.segments.forEach((node, k) => {
-      ends[k % 2].set(this.nodes.subarray(3 * node, 3 * node + 3), 3 * (k >> 1));
-    });
-    geometry.setAttribute("begin", new InstancedBufferAttribute(ends[0], 3));
-    geometry.setAttribute("end", new InstancedBufferAttribute(ends[1], 3));
-    geometry.setAttribute("times", new InstancedBufferAttribute(new Float32Array(2 * count), 2));
+    const corners = new Float32Array(8 * count);
+    const ends = [new Float32Array(12 * count), new Float32Array(12 * count)];
+    const index = new Uint32Array(6 * count);
+    this.corners = new Uint32Array(8 * count); // the two nodes of each corner's segment
+    for (let k = 0; k < count; k++) {
+      corners.set([0, -1, 0, 1, 1, -1, 1, 1], 8 * k);
+      index.set([0, 2, 1, 1, 2, 3].map((corner) => 4 * k + corner), 6 * k);
+      const nodes = this.segments.subarray(2 * k, 2 * k + 2);
+      for (let corner = 4 * k; corner < 4 * k + 4; corner++) {
+        ends.forEach((end, n) =>
+          end.set(this.nodes.subarray(3 * nodes[n], 3 * nodes[n] + 3), 3 * corner));
+        this.corners.set(nodes, 2 * corner);
+      }
+    }
+    const geometry = new BufferGeometry();
+    geometry.setAttribute("position", new BufferAttribute(ends[0], 3));
+    geometry.setAttribute("end", new BufferAttribute(ends[1], 3));
+    geometry.setAttribute("corner", new BufferAttribute(corners, 2));
+    geometry.setAttribute("times", new BufferAttribute(new Float32Array(8 * count), 2));
+    geometry.setIndex(new BufferAttribute(index, 1));
     const size = new Vector2(1, 1);
     const material = new ShaderMaterial({
       uniforms: { ...heart.shared, size: { value: size }, width: { value: TREE_WIDTH } },
@@ -244,7 +252,7 @@ export class Tree {
   // Other times of the nodes (ms), as often as the screen is drawn.
   update(times) {
     const attribute = this.mesh.geometry.getAttribute("times");
-    mark(attribute.array, times, this.segments);
+    mark(attribute.array, times, this.corners);
     attribute.needsUpdate = true;
   }
 

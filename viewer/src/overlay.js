@@ -60,7 +60,7 @@ export class Overlay {
     const ratio = Math.min(devicePixelRatio, 2);
     this.canvas.width = width * ratio;
     this.canvas.height = height * ratio;
-    const pen = this.canvas.getContext("2d");
+    const pen = this.canvas.getContext("2d", { willReadFrequently: true });
     pen.scale(ratio, ratio);
     pen.font = `${SIZE}px system-ui, sans-serif`;
     pen.textBaseline = "middle";

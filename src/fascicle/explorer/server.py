@@ -54,6 +54,7 @@ def serve(session: Session, port: int = 0, opened: Callable[[str], object] | Non
     app = Application(session, listening.getsockname()[1], opened or webbrowser.open)
     config = uvicorn.Config(
         app.asgi(), log_level="error", ws="websockets-sansio", ws_max_size=2**20, lifespan="on",
+        ws_per_message_deflate=False,  # which takes longer than the simulation
         timeout_graceful_shutdown=1,
     )  # fmt: skip
     server = uvicorn.Server(config)
