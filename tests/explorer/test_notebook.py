@@ -7,6 +7,7 @@ import pytest
 import fascicle
 from fascicle.explorer import explore as explore_module
 from fascicle.explorer.explore import widget
+from fascicle.explorer.server import in_browser
 from fascicle.explorer.session import Session
 
 # A cell of a notebook, with a kernel that answers
@@ -82,3 +83,9 @@ def test_a_notebook_without_anywidget_is_told(session, monkeypatch):
     monkeypatch.setattr(explore_module, "find_spec", lambda name: None)
     with pytest.raises(fascicle.InputError, match="pip install anywidget"):
         widget(session)
+
+
+def test_a_machine_without_a_browser_is_told_the_address(monkeypatch):
+    monkeypatch.setattr("webbrowser.open", lambda url: False)
+    with pytest.warns(UserWarning, match="open http://127.0.0.1:1/x/"):
+        in_browser("http://127.0.0.1:1/x/")

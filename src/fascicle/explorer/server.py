@@ -6,6 +6,7 @@ import asyncio
 import json
 import secrets
 import socket
+import warnings
 import webbrowser
 from collections.abc import Callable
 from importlib.resources import files
@@ -51,7 +52,7 @@ def serve(session: Session, port: int = 0, opened: Callable[[str], object] | Non
         raise InputError(
             f"port {port}: {error.strerror}; leave out --port, or give another"
         ) from None
-    app = Application(session, listening.getsockname()[1], opened or webbrowser.open)
+    app = Application(session, listening.getsockname()[1], opened or in_browser)
     config = uvicorn.Config(
         app.asgi(), log_level="error", ws="websockets-sansio", ws_max_size=2**20, lifespan="on",
         ws_per_message_deflate=False,  # which takes longer than the simulation
@@ -63,6 +64,12 @@ def serve(session: Session, port: int = 0, opened: Callable[[str], object] | Non
         server.run(sockets=[listening])
     finally:
         listening.close()
+
+
+def in_browser(url: str) -> None:
+    """Open a page; a warning says where it is if no browser can be opened."""
+    if not webbrowser.open(url):
+        warnings.warn(f"no browser could be opened here; open {url}", stacklevel=2)
 
 
 class Application:
