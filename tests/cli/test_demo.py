@@ -1,24 +1,29 @@
 """The demonstration."""
 
 import json
+import subprocess
+import sys
 
 import pytest
 
 pytestmark = pytest.mark.slow
 
 
-def test_the_demonstration_explains_a_beat_names_a_block_and_ends_with_a_report(run, tmp_path):
-    """By how much pacing shortens activation in truth lies within the intervals."""
-    ended = run("demo", "--out", tmp_path / "demo")
-    assert ended.status == 0
-    lines = ended.out.splitlines()
+def test_the_demonstration_explains_a_beat_names_a_block_and_ends_with_a_report(tmp_path):
+    """By how much pacing shortens activation in truth lies within the intervals.
+
+    In a process of its own, whose posteriors are not the small ones of other tests.
+    """
+    command = [sys.executable, "-m", "fascicle.cli", "demo", "--out", tmp_path / "demo"]
+    ended = subprocess.run(command, capture_output=True, text=True, check=True)
+    lines = ended.stdout.splitlines()
     assert lines[0].split(maxsplit=2)[2].startswith("converged; fit acceptable: 9")
     (first,) = [line for line in lines if line.startswith("result")]
     assert first.partition("result")[2].strip().startswith("left bundle branch block: 0.")
     assert "; converged; fit acceptable: " in first
     page = tmp_path / "demo" / "report.html"
-    assert ended.out.rstrip().endswith(page.resolve().as_uri())
-    gains = ended.out.split("total activation time against intrinsic:\n")[1]
+    assert ended.stdout.rstrip().endswith(page.resolve().as_uri())
+    gains = ended.stdout.split("total activation time against intrinsic:\n")[1]
     names = [line.split()[0] for line in gains.splitlines()[:3]]
     assert names == ["his-pacing", "left-bundle-branch-pacing", "biventricular-pacing"]
     truths = [float(text.split()[0]) for text in gains.splitlines()[3].split(" by ")[1:]]
