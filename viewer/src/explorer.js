@@ -8,6 +8,7 @@ import { EXERCISES } from "./exercises.js";
 import { Heart, Tree } from "./heart.js";
 import { unpacked } from "./message.js";
 import { Overlay } from "./overlay.js";
+import { Player } from "./player.js";
 import { Stage } from "./stage.js";
 
 const PLAYED_IN = 4; // seconds
@@ -20,7 +21,6 @@ const SIMULATED = "#b34700";
 const RECORDED = "#1f5fa8";
 const PINNED = "#777777";
 
-const plain = (name) => name.replaceAll("-", " ");
 const begun = (values) => ({
   values: { ...values }, scenario: "intrinsic", stimuli: [], blocks: [], scars: [],
 });
@@ -64,6 +64,9 @@ export class Explorer {
       tabindex: 0, role: "img", "aria-label": "heart; drag or use the arrow keys to turn it",
     });
     this.picture = make("div", { class: "fv-picture" }, this.canvas);
+    this.stage = new Stage(this.canvas, this.picture, {
+      up: said.up, front: said.front, base: said.base, points: fixed.vertices,
+    });
     this.paper = make("div", { class: "fx-paper" });
     this.status = make("p", { role: "status", class: "fx-status" });
     this.measured = make("dl", { class: "fx-measured" });
@@ -76,9 +79,6 @@ export class Explorer {
       this.sliders(),
       this.exercises(),
     );
-    this.stage = new Stage(this.canvas, this.picture, {
-      up: said.up, front: said.front, base: said.base, points: fixed.vertices,
-    });
     this.heart = new Heart({
       vertices: fixed.vertices, triangles: fixed.triangles, endocardial: said.endocardial,
       index: Uint32Array.from({ length: fixed.vertices.length / 3 }, (_, k) => k),
@@ -102,8 +102,8 @@ export class Explorer {
   actions() {
     const { said } = this;
     this.mode = choice("click", ["read a time", "pace here", "block a branch", "make a scar"], () => {});
-    this.scenario = choice("beat", said.scenarios.map(plain), (k) =>
-      this.change((state) => (state.scenario = said.scenarios[k])));
+    this.scenario = choice("beat", Object.values(said.scenarios), (k) =>
+      this.change((state) => (state.scenario = Object.keys(said.scenarios)[k])));
     this.conduction = choice("conduction", said.conduction, (k) =>
       this.change((state) => (state.values.conduction = k)));
     this.opaque = make("input", { type: "checkbox" });
@@ -111,13 +111,12 @@ export class Explorer {
       this.heart.seeThrough(!this.opaque.checked);
       this.stage.draw();
     });
-    const views = ["AP", "LAO 45°", "RAO 30°", "left lateral", "inferior", "base"];
     const fire = [["fire His", "his-pacing"], ["left bundle", "left-bundle-branch-pacing"],
                   ["right apex", "rv-apical-pacing"]];
     return make("div", {},
       make("div", { class: "fv-row" }, this.mode.row, this.scenario.row, this.conduction.row),
       make("div", { class: "fv-row" },
-        ...fire.map(([text, name]) => button(text, `${text}: ${plain(name)}`, () =>
+        ...fire.map(([text, name]) => button(text, `${text}: ${said.scenarios[name]}`, () =>
           this.change((state) => Object.assign(state, { scenario: name, stimuli: [] })))),
         button("undo", "undo (Ctrl+Z)", () => this.undo()),
         button("start again", "start again", () => this.change((state) =>
@@ -127,20 +126,20 @@ export class Explorer {
         button("picture", "save a picture", () => this.savePicture()),
         button("film", "save a film", () => this.saveFilm())),
       make("div", { class: "fv-row" },
-        ...views.map((name) => button(name, `view: ${name}`, () => this.stage.view(name))),
+        ...Object.keys(this.stage.views).map((name) => button(name, `view: ${name}`, () => this.stage.view(name))),
         make("label", {}, this.opaque, "opaque")));
   }
 
   timeRow() {
     this.time = Infinity;
-    this.play = button("▶", "play or pause", () => this.playOrPause());
+    this.player = new Player(this, PLAYED_IN);
     this.clock = make("span", { class: "fx-clock" });
     this.slider = make("input", {
       type: "range", min: 0, max: 200, step: 1, value: 200,
       "aria-label": "time after the first ventricular activation (ms)",
     });
     this.slider.addEventListener("input", () => this.moveTo(Number(this.slider.value)));
-    return make("div", { class: "fv-row" }, this.play, this.slider, this.clock);
+    return make("div", { class: "fv-row" }, this.player.button, this.slider, this.clock);
   }
 
   networkRow() {
@@ -226,7 +225,7 @@ export class Explorer {
       input.value = values[name];
       value.textContent = `${values[name].toFixed(digits)} ${unit}`;
     }
-    this.scenario.select.value = this.said.scenarios.indexOf(scenario);
+    this.scenario.select.value = Object.keys(this.said.scenarios).indexOf(scenario);
     this.conduction.select.value = values.conduction ?? 0;
   }
 
@@ -248,17 +247,15 @@ export class Explorer {
       label: "activation", unit: "ms",
     };
     this.heart.show(field);
-    // the new ones first: a shader that no tree uses is forgotten, and compiling takes 0.1 s
-    const before = this.trees;
+    this.trees.forEach((tree) => {
+      this.stage.remove(tree.mesh);
+      tree.dispose();
+    });
     this.trees = said.trees.map((side) => new Tree({
       nodes: arrays[`${side}_nodes`], segments: arrays[`${side}_segments`],
       values: arrays[`${side}_times`],
     }, null, this.heart));
     this.trees.forEach((tree) => this.stage.add(tree.mesh));
-    before.forEach((tree) => {
-      this.stage.remove(tree.mesh);
-      tree.dispose();
-    });
     this.mark();
     this.slider.max = end;
     this.drawEcg();
@@ -328,33 +325,12 @@ export class Explorer {
     this.stage.draw();
   }
 
-  playOrPause() {
-    if (this.playing) return this.stop();
-    this.playing = true;
-    this.play.textContent = "⏸";
-    if (this.time >= this.end) this.moveTo(0);
-    let before = performance.now();
-    const step = (now) => {
-      if (!this.playing) return;
-      this.moveTo(this.time + ((now - before) / 1000 / PLAYED_IN) * this.end);
-      before = now;
-      if (this.time >= this.end) return this.stop();
-      requestAnimationFrame(step);
-    };
-    requestAnimationFrame(step);
-  }
-
-  stop() {
-    this.playing = false;
-    this.play.textContent = "▶";
-  }
-
   clicked(ray) {
-    const how = Number(this.mode.select.value);
-    if (how === 0) this.readAt(ray);
-    if (how === 1) this.placeAt(ray, "stimuli");
-    if (how === 3) this.placeAt(ray, "scars");
-    if (how === 2) this.blockAt(ray);
+    const ways = [
+      () => this.readAt(ray), () => this.placeAt(ray, "stimuli"), () => this.blockAt(ray),
+      () => this.placeAt(ray, "scars"),
+    ];
+    ways[this.mode.select.value]();
   }
 
   readAt(ray) {
@@ -464,7 +440,7 @@ export class Explorer {
   }
 
   dispose() {
-    this.stop();
+    this.player?.stop();
     removeEventListener("keydown", this.keys);
     this.stage?.dispose();
     this.ecg?.dispose();

@@ -5,6 +5,7 @@ import { addStyle, button, check, choice, hasWebGL, make } from "./controls.js";
 import { potentials } from "./data.js";
 import { EcgPaper } from "./ecg.js";
 import { Panel } from "./panel.js";
+import { Player } from "./player.js";
 import "./explorer.js";
 
 const PLAYED_IN = 5; // seconds
@@ -18,7 +19,6 @@ class Viewer {
     this.scenarios = [0, null];
     this.network = data.median;
     this.field = 0;
-    this.playing = false;
     this.picked = null;
     this.start = data.ecg.start;
     this.end = this.start + data.ecg.step * (data.ecg.count - 1);
@@ -56,7 +56,7 @@ class Viewer {
       type: "range", min: this.start, max: this.end, step: 0.5, "aria-label": `time (ms; 0: ${ZERO})`,
     });
     this.slider.addEventListener("input", () => this.moveTo(Number(this.slider.value)));
-    this.play = button("▶", "play or pause", () => this.playOrPause());
+    this.player = new Player(this, PLAYED_IN);
     this.clock = make("span", { class: "fv-clock" });
     const looked = () => this.look();
     this.cut = make("input", { type: "range", min: 0, max: 95, value: 0, "aria-label": "cut" });
@@ -80,7 +80,7 @@ class Viewer {
       make("div", { class: "fv-both" }, make("div", { class: "fv-left" }, this.pictures, this.views,
         make("div", { class: "fv-row" }, this.networks.row, this.opaque.row, this.only.row,
           this.labelled.row, make("label", {}, "cut", this.cut))), paper),
-      make("div", { class: "fv-row" }, this.play, this.slider, this.clock),
+      make("div", { class: "fv-row" }, this.player.button, this.slider, this.clock),
       make("div", { class: "fv-row fv-keep" }, this.bar, this.barUnit, ...scarred),
       make("div", { class: "fv-row" }, make("label", { class: "fv-long" }, "network",
         this.networkSlider), this.networkText, order.row),
@@ -89,7 +89,7 @@ class Viewer {
     element.replaceChildren(this.root);
     this.ecg = new EcgPaper(paper);
     this.ecg.onCursor = (time) => {
-      this.stop();
+      this.player.stop();
       this.moveTo(time);
     };
   }
@@ -130,7 +130,7 @@ class Viewer {
 
   chooseField(k) {
     this.field = k;
-    this.stop();
+    this.player.stop();
     this.time = this.end;
     this.show();
   }
@@ -168,7 +168,7 @@ class Viewer {
       const scenario = this.data.scenarios[this.scenarios[k]];
       panel.show(scenario, this.network, this.fieldOf(scenario));
     });
-    this.slider.disabled = this.play.disabled = this.shown.kind !== "time";
+    this.slider.disabled = this.player.button.disabled = this.shown.kind !== "time";
     this.nameNetwork();
     this.look();
     this.showEcg();
@@ -223,29 +223,6 @@ class Viewer {
     this.ecg.cursor(time);
   }
 
-  playOrPause() {
-    if (this.playing) return this.stop();
-    this.playing = true;
-    this.play.textContent = "⏸";
-    if (this.time >= this.end) this.moveTo(this.start);
-    let before = performance.now();
-    const step = (now) => {
-      if (!this.playing) return;
-      const next = this.time + ((now - before) / 1000 / PLAYED_IN) * (this.end - this.start);
-      before = now;
-      this.moveTo(Math.min(next, this.end));
-      if (next >= this.end) return this.stop();
-      this.frame = requestAnimationFrame(step);
-    };
-    this.frame = requestAnimationFrame(step);
-  }
-
-  stop() {
-    this.playing = false;
-    this.play.textContent = "▶";
-    cancelAnimationFrame(this.frame);
-  }
-
   // Value where a ray meets the heart; null beside it.
   pick(ray, panel = this.panels[0]) {
     const vertex = panel.pick(ray);
@@ -291,13 +268,13 @@ class Viewer {
       field: this.shown.name,
       network: this.data.networks[this.network],
       time: this.time,
-      playing: this.playing,
+      playing: this.player.playing,
       camera: this.stage.camera.position.toArray(),
     };
   }
 
   dispose() {
-    this.stop();
+    this.player.stop();
     this.dark.removeEventListener("change", this.whenDark);
     this.ecg.dispose();
     this.panels.forEach((panel) => panel.dispose());

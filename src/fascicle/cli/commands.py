@@ -303,10 +303,8 @@ def explore(
     save parameters and scenario for 'fascicle simulate', a picture or a film. It ends with the last
     page, or Ctrl-C. Only this machine can open the page, and nothing is loaded from elsewhere.
     """
-    import webbrowser
-
     from fascicle.explorer.explore import session_of
-    from fascicle.explorer.server import serve
+    from fascicle.explorer.server import in_browser, serve
 
     with TerminalProgress() as progress:
         session = session_of(heart, target, progress)
@@ -314,7 +312,7 @@ def explore(
     def opened(url: str) -> None:
         print(f"exploring at {url}", flush=True)
         if browser:
-            webbrowser.open(url)
+            in_browser(url)
 
     serve(session, port, opened)
     return {}
@@ -613,7 +611,7 @@ def demo(
 
     The heart and the ECG are those of one living subject (Camps et al. 2024). The block is a left
     bundle branch block simulated on the same heart, so that the truth is known: by how much each
-    pacing shortens activation is printed with what is found. It takes four minutes.
+    pacing shortens activation is printed with what is found. It takes three minutes.
     """
     from fascicle.cli.demo import BLOCK, fit_own_beat, treat_block
     from fascicle.cli.printing import print_fit, print_prediction, print_reductions

@@ -239,7 +239,7 @@ def read_toml(path: Path, remedy: str) -> dict[str, Any]:
         raise FileError(f"{path}: not valid TOML ({error}); {remedy}") from None
 
 
-def packaged(name: Path | str) -> Path | None:
+def packaged_heart(name: Path | str) -> Path | None:
     """The folder of a packaged heart of this name; None where a file or folder has it."""
     if str(name) not in PACKAGED or Path(name).exists():
         return None

@@ -22,6 +22,7 @@ from fascicle.recording.target import Target
 from fascicle.recording.target_files import read_target
 from fascicle.study.fit import load_study
 from fascicle.study.fitted import FittedStudy
+from fascicle.study.study import CONFIGURATION
 from fascicle.study.target_comparison import TargetComparison
 
 # What the notebook calls; the page has the same `fascicleExplorer` and a socket
@@ -78,7 +79,7 @@ def session_of(
 ) -> Session:
     """What is explored, of the arguments of `explore`."""
     check_kind(target, (Target, Path, str, NoneType), "target", "a fascicle target, or its file")
-    if isinstance(given, Path | str) and (as_path(given, "heart") / "study.json").is_file():
+    if isinstance(given, Path | str) and (as_path(given, "heart") / CONFIGURATION).is_file():
         given = load_study(given)
     if isinstance(given, FittedStudy):
         if target is not None:

@@ -30,13 +30,12 @@ from fascicle.forward.scenario import Primitive, Scenario
 from fascicle.forward.scenario_files import library, read_scenarios, scenario_text
 from fascicle.forward.simulation import Simulation
 from fascicle.heart.conduction import Region
-from fascicle.heart.labelled_surface import ENDOCARDIA, labelled_mesh
 from fascicle.prediction.scenarios import INTRINSIC
 from fascicle.purkinje.tree import PurkinjeTree
-from fascicle.reporting.surfaces import heart_views
+from fascicle.reporting.names import scenario_name
+from fascicle.reporting.page.scene import body_axes, boundary
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.target_comparison import TargetComparison
-from fascicle.torso.variation.conductor import torso_axes
 
 BLOCKED_WITHIN = 3.0  # mm of a place in a tree that is blocked there
 SCAR_WITHIN = 8.0  # mm of a place in the myocardium that is scar there
@@ -133,31 +132,21 @@ class Session:
 
     @cached_property
     def surface(self) -> tuple[Integers, Integers, int]:
-        """Vertices (s,) of the surface, triangles (t, 3) of these, and how many are endocardial.
-
-        Those come first.
-        """
-        mesh = labelled_mesh(self.model.heart)
-        inside = np.isin(mesh.labels, ENDOCARDIA)
-        triangles = mesh.triangles[np.argsort(~inside, kind="stable")]
-        shown, numbered = np.unique(triangles, return_inverse=True)
-        return shown, numbered.reshape(triangles.shape), int(inside.sum())
+        """The heart's `boundary`."""
+        return boundary(self.model.heart)
 
     def description(self) -> bytes:
         """Everything that does not change: surface, sliders, scenarios, recording, networks."""
-        shown, triangles, endocardial = self.surface
+        triangles, shown, endocardial = self.surface
         heart = self.model.heart
-        _, back, up = torso_axes(heart.electrodes)
         said: dict[str, Any] = {
             "heart": heart.name,
-            "up": up.tolist(),
-            "front": (-back).tolist(),
-            "base": (-heart_views(heart)["base"].axes[2]).tolist(),
+            **body_axes(heart),
             "endocardial": endocardial,
             "leads": list(LEADS),
             "sliders": [self._slider(parameter) for parameter in self.space.parameters],
             "conduction": CONDUCTION,
-            "scenarios": [INTRINSIC, *(name for name in library() if name != INTRINSIC)],
+            "scenarios": {name: scenario_name(name) for name in (INTRINSIC, *library())},
             "start": self.start,
             "verdict": None if self.study is None else self.study.verdict,
             "networks": self._networks(),
@@ -165,7 +154,6 @@ class Session:
         arrays = {
             "vertices": heart.vertices[shown].astype("<f4"),
             "triangles": triangles.astype("<u4"),
-            "electrodes": heart.electrodes.astype("<f4"),
         }
         return packed(said, arrays)
 
@@ -215,7 +203,7 @@ class Session:
         }
         if not moving:
             said["criteria"] = [each.name for each in found.conventional_criteria if each.met]
-        arrays = {"activation": (found.activation[self.surface[0]] - begin).astype("<f4")}
+        arrays = {"activation": (found.activation[self.surface[1]] - begin).astype("<f4")}
         for tree, times in zip(found.trees, found.coupled.trees, strict=True):
             arrays |= _tree(tree, times - begin)
         said["trees"] = [tree.side for tree in found.trees]
@@ -255,7 +243,7 @@ class Session:
         unit = "" if parameter.unit == "1" else parameter.unit
         return {
             "name": name, "label": parameter_name(name), "unit": unit, "low": low, "high": high,
-            "prior": parameter.prior, "posterior": drawn, "meaning": QUANTITIES[name].meaning,
+            "posterior": drawn, "meaning": QUANTITIES[name].meaning,
         }  # fmt: skip
 
     def _networks(self) -> list[dict[str, float]]:

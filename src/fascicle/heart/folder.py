@@ -21,7 +21,7 @@ from fascicle.core.files import (
     check_folder,
     check_nothing_lost,
     named_by,
-    packaged,
+    packaged_heart,
     read_toml,
     user_cache,
 )
@@ -109,7 +109,7 @@ def load_heart(path: Path | str) -> Heart:
         If anything about it would make the physics wrong; the message names file and remedy.
     """
     folder = as_path(path, "heart")
-    if (own := packaged(path)) is not None:
+    if (own := packaged_heart(path)) is not None:
         heart = load_heart(own)
         cache = user_cache() / "hearts" / str(path)  # a package is not written to
         with suppress(OSError):  # nor is every home; then nothing is kept

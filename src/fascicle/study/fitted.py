@@ -69,7 +69,7 @@ class FittedStudy:
     _repr_html_ = html_card
 
     def plot(self, recording: int = 0, *, caption: bool = False) -> list[Any]:
-        """Draw recorded and predicted QRS by `fascicle.plot.ecg`; returns Matplotlib axes."""
+        """Draw recorded and simulated QRS by `fascicle.plot.ecg`; returns Matplotlib axes."""
         return list(above("plot").ecg(self, recording, caption=caption))
 
     def save(self, folder: Path | str) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, one_line, printable
-from fascicle.core.files import as_path, packaged
+from fascicle.core.files import as_path, packaged_heart
 from fascicle.core.isolated import read_isolated
 from fascicle.core.leads import (
     ADDITIONAL_LEADS,
@@ -121,7 +121,7 @@ def read_recording(
     InputError
         When the file cannot be used; the message says why and what to do.
     """
-    name, own = path, packaged(path)
+    name, own = path, packaged_heart(path)
     path = existing_file(as_path(path, "recording") if own is None else own / "ecg.csv")
     if leads is not None:
         check_items(leads, str, "leads", f"names of leads, such as {', '.join(LEADS)}, V7, X")

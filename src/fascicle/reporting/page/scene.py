@@ -34,6 +34,7 @@ MAPS = (  # over all networks: name in `Predicted.maps`, label, unit, kind
     ("activation_sd", "spread: standard deviation over the networks", "ms", "scalar"),
     ("probability_latest_fifth", "P(among the latest-activated 20 %)", "1", "scalar"),
 )
+Thinned = tuple[Integers, Integers]  # as `_thinned` says
 MOST_NETWORKS = 40
 MOST_BYTES = 3_000_000  # of the networks together; compressed they are little more than half
 ECG_STEP = 2  # ms
@@ -65,7 +66,7 @@ def scene(
         Where the scenarios' sites and blocks are, and what is scar.
     """
     first = next(iter(predicted.values()))
-    triangles, shown, endocardial = _boundary(heart)
+    triangles, shown, endocardial = boundary(heart)
     chosen = _chosen(first, len(shown), len(predicted))
     beats = {name: [each.beats[k] for k in chosen] for name, each in predicted.items()}
     every = [beat for each in beats.values() for beat in each]
@@ -73,15 +74,17 @@ def scene(
     for tree in (tree for beat in every for tree, _ in beat.trees):
         geometry.setdefault(_key(tree), (len(geometry), tree))
     trees = [tree for _, tree in geometry.values()]
+    drawn = {key: _thinned(tree) for key, (_, tree) in geometry.items()}
+    times = {name: [_tree_times(beat, drawn) for beat in each] for name, each in beats.items()}
     # roots may lie outside the mesh
     points = np.concatenate([heart.vertices, *(tree.nodes for tree in trees)])
     low, high = points.min(axis=0), points.max(axis=0)
-    begin = min((_first_in_trees(beat) for beat in every), default=0.0)
+    fired = (of_tree for each in times.values() for beat in each for of_tree in beat)
+    begin = min([0.0, *(float(np.nanmin(of_tree, initial=0.0)) for of_tree in fired)])
     last = max(float(np.nanmax(since_first(beat.activation))) for beat in every)
     # whole boxes of ECG paper, up to where the QRS has ended
     start, end = 10 * np.floor((begin - 5) / 10), 10 * np.ceil((last + 30) / 10)
     window = np.arange(start, end + 1, ECG_STEP)
-    _, back, up = torso_axes(heart.electrodes)
     fields, scar = _fields(predicted, shown), _scar(heart, model)[shown]
     return {
         "surfaces": [
@@ -96,10 +99,11 @@ def scene(
             }
         ],
         "box": {"low": low.tolist(), "high": high.tolist()},
-        "up": up.tolist(),
-        "front": (-back).tolist(),
-        "base": (-heart_views(heart)["base"].axes[2]).tolist(),
-        "trees": [_tree(tree, low, high) for tree in trees],
+        **body_axes(heart),
+        "trees": [
+            _tree(tree, *thinned, low, high)
+            for tree, thinned in zip(trees, drawn.values(), strict=True)
+        ],
         "networks": [int(k) + 1 for k in chosen],
         "median": [*chosen].index(first.extremes()["median"]),
         "orders": _orders(predicted, networks, chosen),
@@ -119,8 +123,7 @@ def scene(
                     [geometry[_key(tree)][0] for tree, _ in beat.trees] for beat in beats[name]
                 ],
                 "tree_times": [
-                    [_bytes(times, begin, last) for times in _tree_times(beat)]
-                    for beat in beats[name]
+                    [_bytes(of_tree, begin, last) for of_tree in beat] for beat in times[name]
                 ],
                 "ecgs": [_microvolts(_ecg(beat, window)) for beat in beats[name]],
                 "marks": [
@@ -139,7 +142,14 @@ def scene(
     }
 
 
-def _boundary(heart: Heart) -> tuple[Integers, Integers, int]:
+def body_axes(heart: Heart) -> dict[str, list[float]]:
+    """Up and to the front of the body, and from apex to base: unit vectors that views follow."""
+    _, back, up = torso_axes(heart.electrodes)
+    base = -heart_views(heart)["base"].axes[2]
+    return {"up": up.tolist(), "front": (-back).tolist(), "base": base.tolist()}
+
+
+def boundary(heart: Heart) -> tuple[Integers, Integers, int]:
     """Triangles of the boundary, endocardial ones first, the vertices they number, how many."""
     labels = labelled_mesh(heart).labels
     inside = np.isin(labels, ENDOCARDIA)
@@ -219,19 +229,14 @@ def _fields(predicted: Mapping[str, Predicted], shown: Integers) -> list[list[di
     return fields
 
 
-def _first_in_trees(beat: PredictedBeat) -> float:
-    """First activation of a tree, from that of the ventricles on (ms); 0 at most."""
-    return min([0.0, *(float(np.nanmin(times, initial=0.0)) for times in _tree_times(beat))])
-
-
-def _tree_times(beat: PredictedBeat) -> list[Floats]:
+def _tree_times(beat: PredictedBeat, drawn: Mapping[bytes, Thinned]) -> list[Floats]:
     """Times of the drawn nodes of each tree (ms); NaN where no front arrives."""
     begin = float(beat.activation.min())
-    every = [(times[_thinned(tree)[0]].astype(float), tree) for tree, times in beat.trees]
-    return [np.where(np.isfinite(times), times, np.nan) - begin for times, _ in every]
+    every = [times[drawn[_key(tree)][0]].astype(float) for tree, times in beat.trees]
+    return [np.where(np.isfinite(times), times, np.nan) - begin for times in every]
 
 
-def _thinned(tree: PurkinjeTree) -> tuple[Integers, Integers]:
+def _thinned(tree: PurkinjeTree) -> Thinned:
     """Nodes of a tree to draw, ascending, and how many of them before each its parent stands.
 
     These are the root (0 before), forks and ends, and every third node between.
@@ -249,11 +254,12 @@ def _thinned(tree: PurkinjeTree) -> tuple[Integers, Integers]:
     return nodes, number[nodes] - np.where(above >= 0, number[above], number)[nodes]
 
 
-def _tree(tree: PurkinjeTree, low: Floats, high: Floats) -> dict[str, Any]:
-    drawn, before = _thinned(tree)
+def _tree(
+    tree: PurkinjeTree, nodes: Integers, before: Integers, low: Floats, high: Floats
+) -> dict[str, Any]:
     return {
         "side": tree.side,
-        "nodes": _positions(tree.nodes[drawn], low, high),
+        "nodes": _positions(tree.nodes[nodes], low, high),
         "before": _encoded(before.astype("<i4")),
     }
 
