@@ -44,7 +44,6 @@ from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 from fascicle.build import meshing
 from fascicle.build.build_heart import Seeds, heart_of
 from fascicle.build.labelled_files import Anatomy
-from fascicle.build.meshing import mesh_surface
 from fascicle.build.read_anatomy import Source, read_anatomy
 from fascicle.build.segmentation import Segmentation, SegmentationLabels
 from fascicle.build.segmentation_surface import surface_from_segmentation
@@ -143,7 +142,7 @@ def idealised_heart() -> Heart:
     """The heart of the label map."""
     drawn = label_map()
     surface, _ = surface_from_segmentation(drawn, SegmentationLabels())
-    mesh = with_rounded_vertices(mesh_surface(surface, EDGE))
+    mesh = with_rounded_vertices(meshing.mesh_surface(surface, EDGE))
     seeds, name = seeds_in_body(drawn), "idealised adult heart"
     return small(Anatomy(mesh), seeds, name, TorsoOptions(pose="lps"))
 
@@ -154,8 +153,7 @@ def camps_heart(published: Path) -> Heart:
     before, fibres = source.mesh, source.fibres
     assert fibres is not None
     # one wall of this heart is thinner than two edges: a run within 15 ms wants a coarse mesh
-    meshing.check_edge_length = lambda thickness, edge_length, name: None
-    mesh = with_rounded_vertices(mesh_surface(with_separate_walls(before), CAMPS_EDGE))
+    mesh = with_rounded_vertices(meshing.filled(with_separate_walls(before), CAMPS_EDGE))
     near, weights = meshing.nearest_tetrahedra(before, mesh)
     anatomy = Anatomy(mesh, fibres=meshing.mean_axes(fibres[near], weights))
     seeds: Seeds = {

@@ -48,6 +48,13 @@ def mesh_surface(
     """
     check_edge_length(wall_thickness(surface), edge_length, surface.name)
     check_memory(surface, edge_length)
+    return filled(surface, edge_length, progress)
+
+
+def filled(
+    surface: LabelledSurface, edge_length: float, progress: StageProgress = no_progress
+) -> LabelledMesh:
+    """Do what `mesh_surface` does, also with fewer than two elements across a wall."""
     progress(0, 3)
     remeshed = remeshed_surface(surface, edge_length)
     progress(1, 3)
