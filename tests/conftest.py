@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -74,6 +76,32 @@ def default_model(default_heart: Heart) -> ForwardModel:
     from fascicle.forward.model import ForwardModel
 
     return ForwardModel(default_heart)
+
+
+@pytest.fixture(scope="session")
+def torso_model(default_heart: Heart) -> ForwardModel:
+    """Of the packaged heart with one more electrode where LA is, and few torsos solved."""
+    from fascicle.forward.model import ForwardModel
+    from fascicle.heart.conduction import Conduction
+    from fascicle.torso.lead_fields import key_of
+    from fascicle.torso.variation.training import build_response
+
+    quick = partial(build_response, mode_torsos=4, modes=20, outer_torsos=14)
+    fields = default_heart.lead_fields
+    assert fields is not None
+    heart = replace(
+        default_heart,
+        # kept nowhere: other tests would take the crude response for the heart's
+        folder=None,
+        additional_electrodes={"E1": default_heart.electrodes[1]},
+        lead_fields=replace(fields, values=fields.values[[*range(9), 1]]),
+    )
+    fields = replace(heart.lead_fields, key=key_of(heart, Conduction()))
+    model = ForwardModel(replace(heart, lead_fields=fields))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fascicle.forward.torso_model.build_response", quick)
+        model.torso(["heart_up"])
+    return model
 
 
 @pytest.fixture(scope="session")

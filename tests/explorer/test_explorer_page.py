@@ -1,5 +1,6 @@
 """The explorer in a real browser: what is moved there is what is simulated; nobody else gets in."""
 
+import base64
 import json
 import re
 import signal
@@ -10,6 +11,9 @@ import urllib.request
 
 import numpy as np
 import pytest
+
+from fascicle.explorer.session import Session
+from fascicle.reporting.page.page import _file
 
 
 class Server:
@@ -175,11 +179,69 @@ def test_what_was_found_is_saved(server, visit, tmp_path):
 
 def test_every_exercise_can_be_begun(server, visit):
     page = visit(server.url)
-    for summary in page.locator("summary").all():
+    exercises = page.get_by_label("exercises").locator("summary")
+    for summary in exercises.all():
         summary.click()
         change(page, lambda one=summary: one.locator("..").get_by_role("button").click())
         assert page.locator(".fx-status").inner_text() == ""
-    assert page.locator("summary").count() == 5
+    assert exercises.count() == 5
+
+
+def test_what_is_not_learnt_has_sliders_too(server, visit, default_model):
+    page = visit(server.url)
+    page.get_by_text("growth and junctions").click()
+    change(page, lambda: slide(page, "branch_length", 12))
+    grown = default_model.simulate(shown(page)["state"]["values"])
+    found = np.array(shown(page)["leads"]).reshape(12, -1)
+    np.testing.assert_allclose(found, grown.leads[:12], atol=1e-6)
+    page.get_by_text("tissue", exact=True).click()
+    for name, value in (("endocardial_layer", 2), ("endocardial_speed", 3)):
+        slide(page, name, value)  # nothing is asked before the hand rests
+        assert name not in shown(page)["state"]["values"]
+        row = page.locator(f"[data-name={name}] input")
+        change(page, lambda row=row: row.dispatch_event("change"))
+    assert total(page) < grown.total_activation_time
+
+
+@pytest.mark.slow
+def test_an_electrode_is_dragged(torso_model, browser):
+    session, page, said = Session(torso_model), browser.new_page(), []
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.expose_function("kernel", lambda m: base64.b64encode(session.answer(m)).decode())
+    page.add_script_tag(content=_file("viewer.js"))
+    page.evaluate(
+        """(first) => {
+          const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
+          window.explorer = fascicleExplorer(document.body, async (message) =>
+            explorer.heard(bytes(await kernel(message))));
+          explorer.heard(bytes(first));
+        }""",
+        base64.b64encode(session.description()).decode(),
+    )
+    answered(page, 1)
+    page.get_by_label("electrodes", exact=True).check()
+    where = "explorer.stage.onScreen(explorer.chest()[4].place).toArray()"
+    before, leads = page.evaluate(where), shown(page)["leads"]
+    page.mouse.move(*before)
+    page.mouse.down()
+    page.mouse.move(before[0], before[1] - 15, steps=3)
+    page.mouse.up()
+    answered(page, 3)
+    state = shown(page)["state"]["values"]
+    assert state["v5_up"] > 3
+    after = page.evaluate(where)
+    np.testing.assert_allclose(after, [before[0], before[1] - 15], atol=6)
+    assert shown(page)["leads"] != leads
+    camera = page.evaluate("explorer.stage.camera.position.toArray()")
+    page.get_by_role("button", name="view: AP").click()
+    np.testing.assert_allclose(
+        page.evaluate("explorer.stage.camera.position.toArray()"), camera, atol=1e-6
+    )
+    page.get_by_role("button", name="undo").click()
+    answered(page, 4)
+    assert "v5_up" not in shown(page)["state"]["values"]
+    assert said == []
+    page.close()
 
 
 def test_two_pages_and_the_server_ends_with_the_last(server, visit):

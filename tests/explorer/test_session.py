@@ -1,15 +1,17 @@
 """What the explorer answers is what the forward model gives, or one line of what is wrong."""
 
 import json
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import fascicle
+from fascicle.core.errors import InputError
 from fascicle.core.parameters import read_parameters
 from fascicle.explorer.explore import session_of
-from fascicle.explorer.session import Session, State
+from fascicle.explorer.session import Session, State, _spoken
 from fascicle.forward.scenario_files import read_scenario
 from fascicle.forward.simulation_files import write_ecg
 from fascicle.recording.pipeline import analyse
@@ -57,11 +59,15 @@ def test_it_describes_the_surface_and_the_sliders(session):
     lined = np.all(on, axis=1)
     assert lined[: said["endocardial"]].mean() > 0.99
     assert lined[said["endocardial"] :].mean() < 0.05
-    names = [each["name"] for each in said["sliders"]]
+    groups = {group["name"]: group["sliders"] for group in said["groups"]}
+    assert [*groups] == ["network", "growth and junctions", "tissue", "torso"]
+    names = [each["name"] for each in groups["network"]]
     assert {"lv_initial_length", "root_time", "cv", "alpha"} <= {*names}
-    assert all(
-        each["low"] <= said["start"][each["name"]] <= each["high"] for each in said["sliders"]
-    )
+    for each in (each for sliders in groups.values() for each in sliders):
+        value = said["start"].get(each["name"], each["value"])
+        assert each["low"] <= value <= each["high"], each["name"]
+    (ratio,) = (e["value"] for e in groups["tissue"] if e["name"] == "anisotropy_ratio")
+    assert ratio == pytest.approx(2.5, abs=0.1)
     assert said["networks"] == []
 
 
@@ -80,6 +86,51 @@ def test_an_answer_is_what_simulate_gives(session):
     assert said["total"] == pytest.approx(expected.total_activation_time)
     assert said["qrs"] == expected.global_qrs_duration
     assert said["axis"] == pytest.approx(expected.frontal_axis)
+
+
+def test_junctions_that_never_conduct_are_said_in_json(session):
+    values = session.start | {"retrograde_delay": np.inf}
+    assert _spoken(values)["retrograde_delay"] == "Infinity"
+    said, _ = ask(session, values=_spoken(values))
+    expected = session.model.simulate(values)
+    assert said["total"] == pytest.approx(expected.total_activation_time)
+    assert (
+        "retrograde_delay = inf" in session.files(State.of({"values": values}))["parameters.toml"]
+    )
+
+
+@pytest.mark.slow
+def test_electrodes_are_moved_on_the_skin(torso_model):
+    session = Session(torso_model)
+    plain = ask(session)[1]
+    np.testing.assert_allclose(
+        plain["electrodes"], torso_model.heart.electrode_positions, atol=1e-3
+    )
+    values = session.start | {"v2_left": 10.0}
+    moved = ask(session, values=values)[1]
+    expected = torso_model.simulate(values)
+    np.testing.assert_allclose(moved["simulated"], expected.leads[:12], atol=1e-6)
+    away = np.linalg.norm(moved["electrodes"] - plain["electrodes"], axis=1)
+    assert away[4] == pytest.approx(10, abs=1.5)
+    assert np.delete(away, 4).max() < 0.01
+    place = torso_model.heart.vertices[0].tolist()
+    said, _ = ask(session, values=values, scars=[place])
+    assert "take one of them back" in said["error"]
+
+
+@pytest.mark.slow
+def test_what_takes_long_is_told_on_the_way(default_model, monkeypatch):
+    def torso(wanted, progress=None):
+        progress("torso response", 1, 4, "once for a heart")
+        time.sleep(3.2)
+        raise InputError("no torso here")
+
+    monkeypatch.setattr(default_model, "torso", torso)
+    session, told = Session(default_model), []
+    state = {"values": session.start | {"heart_up": 3.0}}
+    said, _ = opened(session.answer({"id": 1, "state": state}, told.append))
+    assert said["error"] == "no torso here"
+    assert "torso response 1/4" in opened(told[0])[0]["progress"]
 
 
 def test_the_criteria_count_along_once_the_hand_rests(session):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -15,36 +14,15 @@ from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.core.quantities import QUANTITIES, TORSO_QUANTITIES
 from fascicle.forward.bodies import random_bodies
-from fascicle.torso.lead_fields import is_up_to_date, key_of, lead_fields
+from fascicle.torso.lead_fields import is_up_to_date, lead_fields
 from fascicle.torso.mesh import torso_of
 from fascicle.torso.variation.conductor import InvalidTorso
-from fascicle.torso.variation.training import build_response
 
 TISSUES = ("lung", "blood", "myocardium", "body")
 
 
 def with_torso(**values):
     return EXAMPLE_PARAMETERS | values
-
-
-@pytest.fixture(scope="module")
-def model(default_heart):
-    """Of the default heart with one more electrode where LA is, and few torsos solved."""
-    quick = partial(build_response, mode_torsos=4, modes=20, outer_torsos=14)
-    fields = default_heart.lead_fields
-    heart = replace(
-        default_heart,
-        # kept nowhere: other tests would take the crude response for the heart's
-        folder=None,
-        additional_electrodes={"E1": default_heart.electrodes[1]},
-        lead_fields=replace(fields, values=fields.values[[*range(9), 1]]),
-    )
-    key = key_of(heart, fascicle.Conduction())
-    model = fascicle.ForwardModel(replace(heart, lead_fields=replace(heart.lead_fields, key=key)))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fascicle.forward.torso_model.build_response", quick)
-        model.torso(["heart_up"])
-    return model
 
 
 def test_an_unbounded_conductor_has_no_torso(default_heart):
@@ -63,65 +41,69 @@ def test_neutral_torsos_are_the_plain_model(default_model):
 
 @pytest.mark.slow
 class TestModel:
-    def test_all_conductivities_alike_scale_nothing(self, model):
-        plain = model.simulate(EXAMPLE_PARAMETERS)
-        alike = model.simulate(with_torso(**{f"{name}_conductivity": 1.6 for name in TISSUES}))
+    def test_all_conductivities_alike_scale_nothing(self, torso_model):
+        plain = torso_model.simulate(EXAMPLE_PARAMETERS)
+        alike = torso_model.simulate(
+            with_torso(**{f"{name}_conductivity": 1.6 for name in TISSUES})
+        )
         np.testing.assert_allclose(alike.leads, plain.leads, rtol=1e-5, atol=1e-6)
 
-    def test_a_torso_that_hardly_differs(self, model):
-        plain = model.simulate(EXAMPLE_PARAMETERS).leads
-        near = model.simulate(with_torso(heart_up=1e-3)).leads
-        far = model.simulate(with_torso(heart_up=15.0)).leads
+    def test_a_torso_that_hardly_differs(self, torso_model):
+        plain = torso_model.simulate(EXAMPLE_PARAMETERS).leads
+        near = torso_model.simulate(with_torso(heart_up=1e-3)).leads
+        far = torso_model.simulate(with_torso(heart_up=15.0)).leads
         assert np.abs(near - plain).max() < 1e-3 * np.abs(plain).max()
         assert np.abs(far - plain).max() > 0.05 * np.abs(plain).max()
 
-    def test_activation_stays(self, model):
-        plain = model.simulate(EXAMPLE_PARAMETERS)
-        other = model.simulate(with_torso(myocardium_conductivity=0.6, heart_left=9.0))
+    def test_activation_stays(self, torso_model):
+        plain = torso_model.simulate(EXAMPLE_PARAMETERS)
+        other = torso_model.simulate(with_torso(myocardium_conductivity=0.6, heart_left=9.0))
         np.testing.assert_array_equal(other.activation, plain.activation)
 
-    def test_a_moved_electrode_changes_its_lead_alone(self, model):
+    def test_a_moved_electrode_changes_its_lead_alone(self, torso_model):
         """But for the terminal's reference, which the chest electrodes have no part in."""
-        plain = model.simulate(EXAMPLE_PARAMETERS).leads
-        moved = model.simulate(with_torso(v3_up=20.0)).leads
+        plain = torso_model.simulate(EXAMPLE_PARAMETERS).leads
+        moved = torso_model.simulate(with_torso(v3_up=20.0)).leads
         change = np.abs(moved - plain).max(axis=1) / np.abs(plain).max()
         assert change[8] > 0.05
         assert np.delete(change, 8).max() < 1e-6
 
-    def test_additional_electrodes_move_with_the_torso(self, model):
+    def test_additional_electrodes_move_with_the_torso(self, torso_model):
         """Where LA is: LA less Wilson's terminal is 2/3 aVL, in every torso."""
-        plain = model.simulate(EXAMPLE_PARAMETERS).leads
+        plain = torso_model.simulate(EXAMPLE_PARAMETERS).leads
         for values in ({"heart_up": 15.0, "chest_size": 1.1}, {"body_conductivity": 0.6}):
-            leads = model.simulate(with_torso(**values)).leads
+            leads = torso_model.simulate(with_torso(**values)).leads
             assert np.abs(leads[12] - plain[12]).max() > 0.01  # mV
             # what the modes do not span is scaled lead by lead
             aside = np.abs(leads[12] - leads[4] * 2 / 3).max()
             assert aside < 0.02 * np.abs(leads[4]).max()
 
-    def test_one_activation_in_other_torsos(self, model):
+    def test_one_activation_in_other_torsos(self, torso_model):
         bodies = [{"heart_up": 5.0}, {"v1_left": -20.0, "gain": 1.5}, {"chest_size": 1.1}]
-        plain = model.simulate(EXAMPLE_PARAMETERS)
+        plain = torso_model.simulate(EXAMPLE_PARAMETERS)
         for body in bodies:
-            found = model.leads_in_torso(plain.activation, body)
-            np.testing.assert_allclose(found, model.simulate(with_torso(**body)).leads, atol=1e-9)
+            found = torso_model.leads_in_torso(plain.activation, body)
+            np.testing.assert_allclose(
+                found, torso_model.simulate(with_torso(**body)).leads, atol=1e-9
+            )
 
-    def test_random_bodies(self, model):
-        plain = model.simulate(EXAMPLE_PARAMETERS)
-        one, again = (random_bodies(model, np.random.default_rng(0), 3) for _ in range(2))
+    def test_random_bodies(self, torso_model):
+        plain = torso_model.simulate(EXAMPLE_PARAMETERS)
+        one, again = (random_bodies(torso_model, np.random.default_rng(0), 3) for _ in range(2))
         for body, same in zip(one, again, strict=True):
             found = body.leads(plain.activation)
             np.testing.assert_array_equal(same.leads(plain.activation), found)
             change = np.sqrt(((found - plain.leads) ** 2).mean() / (plain.leads**2).mean())
             assert 0.1 < change < 1.5
 
-    def test_other_processes(self, model):
+    def test_other_processes(self, torso_model):
         networks = [with_torso(heart_up=5.0), EXAMPLE_PARAMETERS]
         with ProcessPoolExecutor(1) as pool:
-            found = model.simulate_many(networks, pool)
+            found = torso_model.simulate_many(networks, pool)
         for one, network in zip(found, networks, strict=True):
-            np.testing.assert_allclose(one.leads, model.simulate(network).leads, atol=1e-9)
+            np.testing.assert_allclose(one.leads, torso_model.simulate(network).leads, atol=1e-9)
 
-    def test_a_heart_at_the_skin_is_an_outcome(self, model):
+    def test_a_heart_at_the_skin_is_an_outcome(self, torso_model):
         corner = {
             "heart_posterior": -20.0,
             "heart_left": 20.0,
@@ -129,12 +111,12 @@ class TestModel:
             "heart_up": -20.0,
         }
         corner |= {"heart_rotation_up": 0.349, "heart_rotation_left": -0.349}
-        found = model.simulate(with_torso(**corner))
+        found = torso_model.simulate(with_torso(**corner))
         assert isinstance(found, InvalidTorso)
         assert "skin" in found.reason
 
-    def test_files(self, model, tmp_path):
-        response = model.torso(["heart_up"]).response
+    def test_files(self, torso_model, tmp_path):
+        response = torso_model.torso(["heart_up"]).response
         cache = ArrayCache(tmp_path, "body")
         cache.write("it", response.arrays())
         again = cache.read("it")

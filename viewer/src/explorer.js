@@ -1,8 +1,8 @@
 // A heart to explore: its networks, activation and ECG follow every change of a state.
 
-import { Vector3 } from "three";
+import { Vector2, Vector3 } from "three";
 import { GIFEncoder, applyPalette, quantize } from "gifenc";
-import { addStyle, button, choice, hasWebGL, make } from "./controls.js";
+import { addStyle, button, check, choice, hasWebGL, make } from "./controls.js";
 import { EcgPaper } from "./ecg.js";
 import { EXERCISES } from "./exercises.js";
 import { Heart, Tree } from "./heart.js";
@@ -17,6 +17,11 @@ const NEAR = 4; // mm from the line of sight that a branch may be
 const FRAMES = 24; // of a film
 const TALL = 360; // pixels of its frames
 const SCALE = { speed: 100, gain: 10 }; // mm/s, mm/mV
+const GRASP = 14; // pixels about an electrode
+const NOTES = {
+  tissue: "The tissue is prepared again for each of them when the hand rests: some seconds.",
+  torso: "What they need of the torso is computed with the first of them: some minutes, once for a heart.",
+};
 const SIMULATED = "#b34700";
 const RECORDED = "#1f5fa8";
 const PINNED = "#777777";
@@ -44,7 +49,8 @@ export class Explorer {
 
   heard(buffer) {
     const { said, arrays } = unpacked(buffer);
-    if (said.sliders) this.begin(said, arrays);
+    if (said.groups) this.begin(said, arrays);
+    else if (said.progress) this.say(said.progress);
     else if (said.files) this.download(said.files);
     else this.show(said, arrays);
   }
@@ -86,6 +92,7 @@ export class Explorer {
     this.heart.seeThrough(true);
     this.stage.add(this.heart.mesh);
     this.stage.onClick = (ray) => this.clicked(ray);
+    this.stage.onPress = (x, y) => this.grasped(x, y);
     this.overlay = new Overlay(this.stage, said);
     this.trees = [];
     this.ecg = new EcgPaper(this.paper);
@@ -111,6 +118,11 @@ export class Explorer {
       this.heart.seeThrough(!this.opaque.checked);
       this.stage.draw();
     });
+    this.electrodes = check("electrodes", false, () => {
+      const places = this.electrodes.box.checked ? this.chest().flatMap(({ place }) => place.toArray()) : [];
+      this.stage.hold(Float32Array.of(...this.fixed.vertices, ...places));
+      this.mark();
+    });
     const fire = [["fire His", "his-pacing"], ["left bundle", "left-bundle-branch-pacing"],
                   ["right apex", "rv-apical-pacing"]];
     return make("div", {},
@@ -127,7 +139,7 @@ export class Explorer {
         button("film", "save a film", () => this.saveFilm())),
       make("div", { class: "fv-row" },
         ...Object.keys(this.stage.views).map((name) => button(name, `view: ${name}`, () => this.stage.view(name))),
-        make("label", {}, this.opaque, "opaque")));
+        make("label", {}, this.opaque, "opaque"), this.electrodes.row));
   }
 
   timeRow() {
@@ -159,23 +171,35 @@ export class Explorer {
 
   sliders() {
     this.inputs = {};
-    const rows = this.said.sliders.map((each) => {
-      const { name, low, high, label, unit, meaning, posterior } = each;
-      const input = make("input", {
-        type: "range", min: low, max: high, step: (high - low) / 400, "aria-label": label,
-        title: meaning,
-      });
-      const value = make("output", {});
-      input.addEventListener("input", () => this.slide(name, Number(input.value)));
-      input.addEventListener("change", () => {
-        this.sliding = null;
-        this.ask();
-      });
-      this.inputs[name] = { input, value, unit, digits: high - low > 20 ? 0 : high - low > 1 ? 2 : 3 };
-      return make("div", { class: "fx-slider", "data-name": name },
-        make("span", {}, label), value, density(posterior), input);
+    const [first, ...more] = this.said.groups.map(({ name, sliders }) =>
+      make("div", { class: "fx-sliders" }, ...sliders.map((each) => this.parameter(each, name))));
+    const [, ...titles] = this.said.groups.map(({ name }) => name);
+    return make("section", { "aria-label": "parameters" }, first, ...more.map((rows, k) =>
+      make("details", {}, make("summary", {}, titles[k]), NOTES[titles[k]] ?? "", rows)));
+  }
+
+  // A parameter of a group: its slider, with the distribution in the study above it.
+  parameter({ name, low, high, label, unit, meaning, posterior, value: own }, group) {
+    const input = make("input", {
+      type: "range", min: low, max: high, step: (high - low) / 400, "aria-label": label,
+      title: meaning,
     });
-    return make("section", { class: "fx-sliders", "aria-label": "parameters" }, ...rows);
+    const value = make("output", {});
+    const digits = high - low > 20 ? 0 : high - low > 1 ? 2 : 3;
+    this.inputs[name] = { input, value, unit, digits, own };
+    input.addEventListener("input", () => {
+      if (group !== "tissue") this.slide(name, { [name]: Number(input.value) });
+      else value.textContent = `${Number(input.value).toFixed(digits)} ${unit}`;
+    });
+    input.addEventListener("change", () => {
+      if (group === "tissue") {
+        this.say("The tissue is being prepared …");
+        this.slide(name, { [name]: Number(input.value) });
+      }
+      this.rest();
+    });
+    return make("div", { class: "fx-slider", "data-name": name },
+      make("span", {}, label), value, density(posterior), input);
   }
 
   exercises() {
@@ -186,11 +210,19 @@ export class Explorer {
     return make("section", { "aria-label": "exercises" }, make("h2", {}, "Five exercises"), ...rows);
   }
 
-  // One entry of the history for a whole movement of a slider.
-  slide(name, value) {
+  // One entry of the history for a whole movement; meanwhile the picture is coarse.
+  slide(name, values) {
     const same = this.sliding === name;
     this.sliding = name;
-    this.change((state) => (state.values[name] = value), !same);
+    this.stage.coarse(true);
+    this.change((state) => Object.assign(state.values, values), !same);
+  }
+
+  // The hand rests: the picture is fine, and all numbers are there.
+  rest() {
+    this.sliding = null;
+    this.stage.coarse(false);
+    this.ask();
   }
 
   change(how, remember = true) {
@@ -220,10 +252,10 @@ export class Explorer {
 
   showState() {
     const { values, scenario } = this.state;
-    for (const [name, { input, value, unit, digits }] of Object.entries(this.inputs)) {
-      if (values[name] === undefined) continue;
-      input.value = values[name];
-      value.textContent = `${values[name].toFixed(digits)} ${unit}`;
+    for (const [name, { input, value, unit, digits, own }] of Object.entries(this.inputs)) {
+      const at = Number(values[name] ?? own ?? NaN); // "Infinity" comes as a word
+      input.value = at;
+      value.textContent = Number.isNaN(at) ? "" : `${Number.isFinite(at) ? at.toFixed(digits) : "∞"} ${unit}`;
     }
     this.scenario.select.value = Object.keys(this.said.scenarios).indexOf(scenario);
     this.conduction.select.value = values.conduction ?? 0;
@@ -378,6 +410,42 @@ export class Explorer {
       const place = this.fixed.vertices.subarray(3 * first, 3 * first + 3);
       this.overlay.labels.push(mark("first", "first activation", place));
     }
+    if (this.electrodes.box.checked) this.overlay.labels.push(...this.chest());
+    this.stage.draw();
+  }
+
+  // Marks of V1 to V6, where they are.
+  chest() {
+    const { electrodes } = this.beat.arrays;
+    return Array.from({ length: 6 }, (_, k) => ({
+      kind: "electrode", text: `V${k + 1}`, time: 0, name: `v${k + 1}`,
+      place: new Vector3().fromArray(electrodes, 3 * (3 + k)),
+    }));
+  }
+
+  // What moves the chest electrode at a place of the window; null where there is none.
+  grasped(x, y) {
+    if (!this.electrodes.box.checked) return null;
+    const away = ({ place }) => Math.hypot(...this.stage.onScreen(place).sub(new Vector2(x, y)));
+    const [nearest] = this.chest().sort((a, b) => away(a) - away(b));
+    if (away(nearest) > GRASP) return null;
+    if (!this.inputs[`${nearest.name}_left`]) {
+      this.say("This heart has no torso: its electrodes stay.");
+      return null;
+    }
+    const names = [`${nearest.name}_left`, `${nearest.name}_up`];
+    const before = names.map((name) => Number(this.state.values[name] ?? 0));
+    const along = this.stage.alongSkin(nearest.place);
+    return {
+      move: (dx, dy) => {
+        const moved = along(dx, dy).map((mm, k) => {
+          const { min, max } = this.inputs[names[k]].input;
+          return [names[k], Math.min(Math.max(before[k] + mm, Number(min)), Number(max))];
+        });
+        this.slide(nearest.name, Object.fromEntries(moved));
+      },
+      end: () => this.rest(),
+    };
   }
 
   pin() {

@@ -5,8 +5,9 @@ import { make } from "./controls.js";
 
 const SIZE = 12; // pixels of letters
 const MOST = 4; // labels of an isochrone
-const KINDS = { paced: "★", blocked: "✕", scar: "▨", first: "●" };
-const COLOURS = { paced: "#c00000", blocked: "#c00000", scar: "#555555", first: "#000000" };
+const KINDS = { paced: "★", blocked: "✕", scar: "▨", first: "●", electrode: "●" };
+const COLOURS = { paced: "#c00000", blocked: "#c00000", scar: "#555555", first: "#000000",
+  electrode: "#1f5fa8" };
 
 // Places on the surface where a time is reached, a few for each, well apart, and where it begins.
 export function isochrones(heart, levels, reach, begins) {

@@ -9,6 +9,8 @@ import { make } from "./controls.js";
 const TURN = 0.15; // rad by an arrow key
 const CLICK = 5; // pixels that a click may move
 const HALF_VIEW = 15; // degrees that the camera sees on either side
+const COARSE = 0.5; // of the pixels across, where a processor draws and something moves
+const DAMPED = 0.1; // (pixels/mm)²
 const STEPS = 50; // towards the centre of the smallest sphere
 
 // A sphere about points (x, y, z, x, …) that is hardly larger than the smallest: the centre goes
@@ -62,31 +64,45 @@ export class Stage {
   constructor(canvas, picture, { up, front, base = up, points }) {
     this.canvas = canvas;
     this.picture = picture;
+    this.slow = withoutCard();
+    this.share = 1; // of the pixels across
     this.renderer = new WebGLRenderer({
-      canvas, antialias: !withoutCard(), alpha: true, preserveDrawingBuffer: true,
+      canvas, antialias: !this.slow, alpha: true, preserveDrawingBuffer: true,
     });
     this.renderer.localClippingEnabled = true;
     this.scene = new Scene();
-    const { centre, reach } = enclosing(points);
-    this.centre = centre;
-    this.reach = reach;
+    this.up = new Vector3(...up);
     this.views = namedViews(...[up, front, base].map((axis) => new Vector3(...axis)));
     // Cuts away what is nearer to the eye, of materials that have it among their clippingPlanes
     this.clip = new Plane();
     this.cut = 0; // share of the depth that is cut away
     this.onClick = null; // (ray) => {}
+    this.onPress = null; // (x, y) => {move(dx, dy), end()} of what is grasped there, or null
     this.onTurn = null; // () => {}, after the camera moved
     this.onRender = null; // () => {}, after the picture was drawn
-    this.camera = new PerspectiveCamera(2 * HALF_VIEW, 1, reach / 50, reach * 20);
-    this.distance = reach / Math.sin(MathUtils.degToRad(HALF_VIEW));
+    this.camera = new PerspectiveCamera(2 * HALF_VIEW);
     this.orbit = new OrbitControls(this.camera, canvas);
     this.orbit.enablePan = false;
-    this.orbit.minDistance = reach;
-    this.orbit.maxDistance = 8 * reach;
-    this.orbit.target.copy(centre);
     this.orbit.addEventListener("change", () => this.turned());
+    this.hold(points);
     this.view("AP");
     this.listen();
+  }
+
+  // Shows what holds these points, from where the camera looks.
+  hold(points) {
+    const { centre, reach } = enclosing(points);
+    const from = this.camera.position.clone().sub(this.orbit.target).normalize();
+    this.centre = centre;
+    this.reach = reach;
+    this.distance = reach / Math.sin(MathUtils.degToRad(HALF_VIEW));
+    Object.assign(this.camera, { near: reach / 50, far: reach * 20 });
+    this.camera.updateProjectionMatrix();
+    Object.assign(this.orbit, { minDistance: reach, maxDistance: 8 * reach });
+    this.orbit.target.copy(centre);
+    this.camera.position.copy(centre).addScaledVector(from, this.distance);
+    this.orbit.update();
+    this.turned();
   }
 
   listen() {
@@ -97,6 +113,9 @@ export class Stage {
     this.observer.observe(this.picture);
     let pressed = null;
     when(this.canvas, "pointerdown", (event) => (pressed = [event.clientX, event.clientY]));
+    this.picture.addEventListener("pointerdown", (event) => this.press(event), {
+      capture: true, signal: this.ended.signal, // before the camera takes it
+    });
     when(this.canvas, "click", (event) => {
       const [x, y] = pressed ?? [event.clientX, event.clientY];
       if (Math.hypot(event.clientX - x, event.clientY - y) >= CLICK) return;
@@ -159,6 +178,56 @@ export class Stage {
     this.turned();
   }
 
+  // Moves what is grasped with the pointer, until it is let go.
+  press(event) {
+    const grasped = this.onPress?.(event.clientX, event.clientY);
+    if (!grasped) return;
+    event.stopPropagation();
+    event.preventDefault();
+    const { clientX, clientY } = event;
+    const held = new AbortController();
+    const when = (kind, heard) => addEventListener(kind, heard, { signal: held.signal });
+    when("pointermove", (now) => grasped.move(now.clientX - clientX, now.clientY - clientY));
+    for (const kind of ["pointerup", "pointercancel"]) {
+      when(kind, () => {
+        held.abort();
+        grasped.end();
+      });
+    }
+  }
+
+  // Where a place is in the window (pixels).
+  onScreen(place) {
+    const area = this.canvas.getBoundingClientRect();
+    const { x, y } = place.clone().project(this.camera);
+    return new Vector2(area.left + ((x + 1) / 2) * area.width, area.top + ((1 - y) / 2) * area.height);
+  }
+
+  // A function that gives how far (mm) to the patient's left and up a place of the skin moves, so
+  // that it follows the pointer (pixels) as well as it can.
+  alongSkin(place) {
+    const outwards = place.clone().sub(this.centre).normalize();
+    const up = this.up.clone().addScaledVector(outwards, -this.up.dot(outwards)).normalize();
+    const here = this.onScreen(place);
+    const [l, u] = [new Vector3().crossVectors(up, outwards), up].map((way) =>
+      this.onScreen(place.clone().add(way)).sub(here));
+    // least squares, damped: what moves towards the eye is hardly seen to move
+    const [ll, lu, uu] = [l.dot(l) + DAMPED, l.dot(u), u.dot(u) + DAMPED];
+    const whole = ll * uu - lu * lu;
+    return (dx, dy) => {
+      const [a, b] = [l, u].map((way) => way.x * dx + way.y * dy);
+      return [(uu * a - lu * b) / whole, (ll * b - lu * a) / whole];
+    };
+  }
+
+  // Draws fewer pixels while something moves, if that is what takes the time.
+  coarse(yes) {
+    const share = yes && this.slow ? COARSE : 1;
+    if (share === this.share) return;
+    this.share = share;
+    this.resize();
+  }
+
   // From the eye through a place of the window.
   ray(x, y) {
     const area = this.canvas.getBoundingClientRect();
@@ -174,7 +243,7 @@ export class Stage {
     const width = this.picture.clientWidth;
     const height = this.picture.clientHeight;
     if (!width || !height) return;
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.renderer.setPixelRatio(this.share * Math.min(devicePixelRatio, 2));
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
     // the sphere fits the shorter side

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
@@ -110,7 +111,8 @@ def widget(session: Session) -> Any:
 
     def answer(shown: Any, message: Any, buffers: Any) -> None:
         is_first = message.get("ask") == "description"
-        made.send({}, [session.description() if is_first else session.answer(message)])
+        tell = partial(made.send, {})
+        tell([session.description() if is_first else session.answer(message, lambda m: tell([m]))])
 
     made.on_msg(answer)
     return made

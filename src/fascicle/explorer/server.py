@@ -124,17 +124,22 @@ class Application:
             await page.close(1008)  # a page from elsewhere
             return
         await page.accept()
+        loop = asyncio.get_running_loop()
+
+        def tell(message: bytes) -> None:  # from another thread
+            asyncio.run_coroutine_threadsafe(page.send_bytes(message), loop)
+
         self.pages += 1
         try:
             await page.send_bytes(await asyncio.to_thread(self.session.description))
             while True:
                 message = json.loads(await page.receive_text())
-                await page.send_bytes(await asyncio.to_thread(self.session.answer, message))
+                await page.send_bytes(await asyncio.to_thread(self.session.answer, message, tell))
         except (WebSocketDisconnect, json.JSONDecodeError):
             pass
         finally:
             self.pages -= 1
-            asyncio.get_running_loop().call_later(RELOADED_WITHIN, self.end_without_pages)
+            loop.call_later(RELOADED_WITHIN, self.end_without_pages)
 
     def end_without_pages(self) -> None:
         """End the server if no page is open."""

@@ -17,11 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field, ValidationError
 
-from fascicle.core.arrays import Integers
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import NETWORK_SPACE, Parameter, ParameterSpace, free
-from fascicle.core.quantities import CONDUCTION, QUANTITIES, parameter_name
+from fascicle.core.progress import Progress, ProgressLines
+from fascicle.core.quantities import (
+    CONDUCTION,
+    QUANTITIES,
+    TORSO_QUANTITIES,
+    parameter_name,
+    torso_values,
+)
 from fascicle.forward.ecg.electrocardiogram import STEP
 from fascicle.forward.example import example_parameters
 from fascicle.forward.model import ForwardModel
@@ -36,9 +43,17 @@ from fascicle.reporting.names import scenario_name
 from fascicle.reporting.page.scene import body_axes, boundary
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.target_comparison import TargetComparison
+from fascicle.torso.variation.conductor import TorsoState
 
 BLOCKED_WITHIN = 3.0  # mm of a place in a tree that is blocked there
 SCAR_WITHIN = 8.0  # mm of a place in the myocardium that is scar there
+# What has a slider besides what is learnt; a tissue is prepared in seconds
+MORE_SLIDERS = {
+    "growth and junctions": (
+        "branch_length", "branch_angle", "repulsion", "anterograde_delay", "retrograde_delay",
+    ),
+    "tissue": ("anisotropy_ratio", "endocardial_layer", "endocardial_speed"),
+}  # fmt: skip
 Coordinate = Annotated[float, Field(ge=-1e4, le=1e4, allow_inf_nan=False)]
 Place = tuple[Coordinate, Coordinate, Coordinate]
 
@@ -144,10 +159,13 @@ class Session:
             **body_axes(heart),
             "endocardial": endocardial,
             "leads": list(LEADS),
-            "sliders": [self._slider(parameter) for parameter in self.space.parameters],
+            "groups": [
+                {"name": name, "sliders": [self._slider(each) for each in parameters]}
+                for name, parameters in self.groups.items()
+            ],
             "conduction": CONDUCTION,
             "scenarios": {name: scenario_name(name) for name in (INTRINSIC, *library())},
-            "start": self.start,
+            "start": _spoken(self.start),
             "verdict": None if self.study is None else self.study.verdict,
             "networks": self._networks(),
         }
@@ -157,6 +175,22 @@ class Session:
         }
         return packed(said, arrays)
 
+    @property
+    def groups(self) -> dict[str, list[Parameter]]:
+        """What has a slider, by groups: `space`, then what else can be moved."""
+        more = dict(MORE_SLIDERS)
+        if self._has_torso:
+            more["torso"] = TORSO_QUANTITIES
+        found = {"network": list(self.space.parameters)}
+        learnt = {parameter.name for parameter in self.space.parameters}
+        for group, names in more.items():
+            found[group] = [free(name) for name in names if name not in learnt]
+        return found
+
+    @property
+    def _has_torso(self) -> bool:
+        return self.model.heart.torso is not None or self.model.heart.lead_fields is not None
+
     @cached_property
     def start(self) -> dict[str, float]:
         """Values that a page begins with: of the study's best network, or the example's."""
@@ -164,8 +198,11 @@ class Session:
             return {**example_parameters(self.model), "alpha": self.model.conduction.alpha}
         return {**self.study.simulator.fixed, **self.study.population.best}
 
-    def answer(self, message: Any) -> bytes:
-        """Simulate a state that a page sent; where that cannot be done the answer says why."""
+    def answer(self, message: Any, tell: Callable[[bytes], object] | None = None) -> bytes:
+        """Simulate a state that a page sent; where that cannot be done the answer says why.
+
+        What takes minutes is told about on the way, in messages for the page.
+        """
         number = message.get("id") if isinstance(message, Mapping) else None
         try:
             if not isinstance(message, Mapping):
@@ -173,10 +210,24 @@ class Session:
             state = State.of(message.get("state"))
             if message.get("ask") == "files":
                 return packed({"id": number, "files": self.files(state)}, {})
-            said, arrays = self._simulated(state, bool(message.get("moving")))
+            lines = ProgressLines(lambda line: _tell(tell, line))
+            try:
+                model = self._prepared(state, lines)
+                said, arrays = self._simulated(model, state, bool(message.get("moving")))
+            finally:
+                lines.end()
             return packed({"id": number, **said}, arrays)
         except InputError as error:
             return packed({"id": number, "error": str(error)}, {})
+
+    def _prepared(self, state: State, progress: Progress) -> ForwardModel:
+        """The model of a state: with its scars, or with what other torsos need."""
+        torso = torso_values(state.values)
+        if torso and state.scars:
+            raise InputError("a scar in another torso is not simulated; take one of them back")
+        if torso:
+            self.model.torso([*torso], progress)
+        return self._scarred(state.regions) if state.scars else self.model
 
     def files(self, state: State) -> dict[str, str]:
         """Files by name that `fascicle simulate` takes, to repeat a state."""
@@ -185,13 +236,12 @@ class Session:
         return {"parameters.toml": values, "scenario.toml": scenario_text(beat, state.regions)}
 
     def _simulated(
-        self, state: State, moving: bool
+        self, model: ForwardModel, state: State, moving: bool
     ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Numbers and arrays of a beat; while something moves without the conventional criteria.
 
         These take as long as the simulation.
         """
-        model = self._scarred(state.regions) if state.scars else self.model
         found = model.simulate(state.values, state.beat())
         if not isinstance(found, Simulation):
             raise InputError(f"no network: {found.reason}")
@@ -207,6 +257,7 @@ class Session:
         for tree, times in zip(found.trees, found.coupled.trees, strict=True):
             arrays |= _tree(tree, times - begin)
         said["trees"] = [tree.side for tree in found.trees]
+        arrays["electrodes"] = _electrodes(model, state).astype("<f4")
         said["ecg_start"] = found.onset - begin
         arrays["simulated"] = found.leads[: len(LEADS)].astype("<f4")
         if self.recording is not None:
@@ -243,14 +294,32 @@ class Session:
         unit = "" if parameter.unit == "1" else parameter.unit
         return {
             "name": name, "label": parameter_name(name), "unit": unit, "low": low, "high": high,
-            "posterior": drawn, "meaning": QUANTITIES[name].meaning,
+            "posterior": drawn, "value": self._own(name), "meaning": QUANTITIES[name].meaning,
         }  # fmt: skip
 
-    def _networks(self) -> list[dict[str, float]]:
+    def _own(self, name: str) -> float | None:
+        """Value of a quantity that a state does not name; None for those that it must name."""
+        if name == "anisotropy_ratio":
+            along, across = self.model.conduction.speeds
+            return along / across
+        own = {**self.model.rules.numbers, **vars(self.model.conduction)}
+        return own.get(name, QUANTITIES[name].default)
+
+    def _networks(self) -> list[dict[str, float | str]]:
         if self.study is None:
             return []
         population, fixed = self.study.population, self.study.simulator.fixed
-        return [{**fixed, **population.parameters(k)} for k in range(len(population))]
+        return [_spoken({**fixed, **population.parameters(k)}) for k in range(len(population))]
+
+
+def _electrodes(model: ForwardModel, state: State) -> Floats:
+    """Where the electrodes (9 + a, 3) stand to the heart (mm)."""
+    placed, torso = model.heart.electrode_positions, torso_values(state.values)
+    if not torso:
+        return placed
+    # the response has them on vertices of the skin, some mm from there
+    skin = model.torso([*torso]).response.electrodes
+    return placed + skin(TorsoState.of(torso)) - skin(TorsoState.of({}))
 
 
 def _tree(tree: PurkinjeTree, times: NDArray[Any]) -> dict[str, NDArray[Any]]:
@@ -261,6 +330,16 @@ def _tree(tree: PurkinjeTree, times: NDArray[Any]) -> dict[str, NDArray[Any]]:
         f"{tree.side}_segments": np.column_stack([tree.parents[ends], ends]).astype("<u4"),
         f"{tree.side}_times": times.astype("<f4"),
     }
+
+
+def _tell(tell: Callable[[bytes], object] | None, line: str) -> None:
+    if tell is not None:
+        tell(packed({"progress": line}, {}))
+
+
+def _spoken(values: Mapping[str, float]) -> dict[str, float | str]:
+    """Values for JSON, which has no infinity, as the page sends them back."""
+    return {name: v if np.isfinite(v) else "Infinity" for name, v in values.items()}
 
 
 def packed(said: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:

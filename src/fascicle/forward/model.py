@@ -172,13 +172,15 @@ class ForwardModel:
         rules = self.rules.with_values(anatomy)
         return self._grow(rules, tuple(sorted(anatomy.items())))
 
-    def torso(self, wanted: Sequence[str]) -> TorsoModel:
+    def torso(self, wanted: Sequence[str], progress: Progress | None = None) -> TorsoModel:
         """Lead fields as a function of the torso, built when first used: minutes, once per heart.
 
         Parameters
         ----------
         wanted : sequence of str
             Quantities of the torso that need it; an error names the first.
+        progress : Progress, optional
+            Progress callback, instead of that of the model.
 
         Raises
         ------
@@ -187,7 +189,8 @@ class ForwardModel:
         """
         with self._torso_lock:
             if self._torso is None:
-                response = prepare_response(self.heart, self.conduction, wanted, self._progress)
+                report = progress or self._progress
+                response = prepare_response(self.heart, self.conduction, wanted, report)
                 self.use_response(response)
             assert self._torso is not None
             return self._torso

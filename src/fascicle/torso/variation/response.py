@@ -106,9 +106,7 @@ class TorsoResponse:
         outer = np.empty(self.filled.shape)
         upper = np.triu_indices(len(outer))
         outer[upper] = outer.T[upper] = weights @ self.outer
-        # on a larger trunk the same distance is a smaller part of the skin
-        moved = state.chest / state.geometry[6]
-        electrodes = motion(at_electrodes(self.places, moved))
+        moved, electrodes = self._placed(state, motion)
         driven = near_field(electrodes, self.hull, self.projection, outer + self.filled)
         remainders = np.tensordot(weights, self.remainders, axes=1)
         driven = driven + at_electrodes(self.patterns, moved) @ remainders
@@ -120,6 +118,16 @@ class TorsoResponse:
         except scipy.linalg.LinAlgError:  # between torsos solved, A need not be positive
             return InvalidTorso("the heart nearly touches the skin")
         return np.asarray(scipy.linalg.cho_solve(factor, driven.T).T)
+
+    def _placed(self, state: TorsoState, motion: SkinMotion) -> tuple[Floats, Floats]:
+        """How far V1 to V6 move on the unmoved skin (6, 2), and where electrodes are then (mm)."""
+        # on a larger trunk the same distance is a smaller part of the skin
+        moved = state.chest / state.geometry[6]
+        return moved, motion(at_electrodes(self.places, moved))
+
+    def electrodes(self, state: TorsoState) -> Floats:
+        """Where the electrodes (9 + a, 3) stand to the heart (mm)."""
+        return self._placed(state, SkinMotion.of(self.centroid, self.axes, state))[1]
 
     def coefficients(self, values: Mapping[str, float]) -> Floats | InvalidTorso:
         """The same from quantities of the torso; those of the last few torsos are remembered."""
