@@ -253,7 +253,8 @@ class TestScene:
             "total_activation_time": totals,
         })}  # fmt: skip
         networks = [
-            SimpleNamespace(parameters={"cv": total / 100, "alpha": 1.0}) for total in totals
+            SimpleNamespace(parameters={"cv": total / 100, "alpha": 1.0}, torso=None)
+            for total in totals
         ]
         content = scene(default_heart, found, networks)
         assert len(content["networks"]) == MOST_NETWORKS

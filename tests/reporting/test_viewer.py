@@ -1,8 +1,10 @@
 """The heart of a report in a real browser: it paints, and every control does what it says."""
 
+import base64
 import io
 import json
 import re
+import zlib
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -15,6 +17,7 @@ from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.primitives import His
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.conduction import Region
+from fascicle.prediction.indices import Territories
 from fascicle.prediction.predicted import Predicted, PredictedBeat
 from fascicle.reporting.page.page import _file
 from fascicle.reporting.page.scene import scene
@@ -32,7 +35,11 @@ def content(default_heart, default_model):
     )
     model = replace_conduction(default_model, (scar,))
     learnt = [EXAMPLE_PARAMETERS | {"cv": cv} for cv in (2.0, 3.0, 4.0)]
-    networks = [SimpleNamespace(parameters=each) for each in learnt]
+    torsos = (None, np.eye(12), 2 * np.eye(12))
+    networks = [
+        SimpleNamespace(parameters=each, torso=torso)
+        for each, torso in zip(learnt, torsos, strict=True)
+    ]
     found = {}
     for name, his in (("intrinsic", His()), ("left-bundle-branch-block", His(left=0.0))):
         scenario = (
@@ -83,6 +90,12 @@ def page(browser, path):
     assert said == []
     assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
     context.close()
+
+
+def potentials(text):
+    """Leads (12, t) of what a scene holds (mV)."""
+    raw = zlib.decompress(base64.b64decode(text))
+    return np.frombuffer(raw, "<i2").reshape(12, -1) / 1000
 
 
 def settle(page):
@@ -165,7 +178,7 @@ def test_scenarios_and_fields_are_shown(page, content):
     assert state(page)["field"] == "activation_sd"
     assert page.locator(".fv-row input[aria-label^=time]").is_disabled()
     assert (
-        "standard deviation over the networks (ms)" in page.locator(".fv-keep").first.inner_text()
+        "standard deviation over the networks (ms)" in page.locator(".fv-keep").nth(1).inner_text()
     )
     page.get_by_label("scenario").select_option("intrinsic beat")
     assert state(page)["field"] == "activation_sd"  # stays
@@ -323,11 +336,40 @@ def test_a_slider_goes_through_the_networks(page, content):
         assert state(page)["network"] == rank + 1
 
 
+def test_the_ecg_of_a_network_is_in_its_torso(content):
+    ecgs, fastest = content["scenarios"][0]["ecgs"], content["networks"].index(3)
+    plain, twice = (potentials(ecgs[k]) for k in (content["networks"].index(1), fastest))
+    assert np.ptp(twice[0]) > 1.5 * np.ptp(plain[0])
+
+
+def test_segments_are_told(page, content, default_model):
+    eye = page.get_by_role("img", name="17 segments: activation, intrinsic beat")
+    one = picture(page, "[aria-label^='17 segments']")
+    territories = Territories.of(default_model.heart, default_model.sites.places)
+    found = default_model.simulate(EXAMPLE_PARAMETERS | {"cv": 3.0})
+    times = territories.times(found.activation - found.activation.min())
+    expected = territories.segment_means(times)[1:]
+    segments = content["scenarios"][0]["segments"]
+    np.testing.assert_allclose(segments["one"][content["median"]], expected, atol=0.02)
+    mean = segments["all"][0]
+    assert all(
+        low <= v <= high
+        for low, v, high in zip(*(mean[n] for n in ("low", "values", "high")), strict=True)
+    )
+    slide(page, 0, "network")
+    assert differ(one, picture(page, "[aria-label^='17 segments']")) > 0.01
+    assert eye.count() == 1
+    page.get_by_label("shown").select_option("spread: standard deviation over the networks")
+    assert page.get_by_role("img", name="17 segments: spread").count() == 1
+    page.get_by_label("compare with").select_option("left bundle branch block")
+    assert page.get_by_role("img", name="17 segments").count() == 2
+
+
 def test_two_scenarios_are_seen_from_one_side(page):
     page.get_by_label("compare with").select_option("left bundle branch block")
     settle(page)
     assert page.locator(".fv-panel").count() == 2
-    assert page.locator(".fv-title").all_inner_texts() == [
+    assert page.locator(".fv-panel > .fv-title").all_inner_texts() == [
         "intrinsic beat", "left bundle branch block",
     ]  # fmt: skip
     assert page.evaluate("viewer.panels[0].heart.shared.high.value") == page.evaluate(

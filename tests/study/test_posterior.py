@@ -283,11 +283,11 @@ def test_the_file_is_whole_inference_data(done, tmp_path):
     time = np.arange(-50.0, 60.0)
     rng = np.random.default_rng(0)
     ecg = rng.standard_normal((60, 12, len(time)))
-    drawn = rng.random((3, 60))
+    drawn, torsos = rng.random((3, 60)), rng.random((60, 12, 12))
     checks = Checks(0.92, {"QRS duration": 0.03, "V1": 0.4}, {"QRS duration": [191, 131, 148, 161]})
     target = SimpleNamespace(time=time, mean=ecg[0], beats=ecg[:5], leads=LEADS)
     path = tmp_path / "posterior.nc"
-    prediction = Prediction(ecg, ecg + 1, *drawn, checks, None)
+    prediction = Prediction(ecg, ecg + 1, drawn[0], torsos, *drawn[1:], checks, None)
     write_population(path, posterior, SPACE, [target], [prediction], {"verdict": "converged"})
     data = az.from_netcdf(path)
     assert set(data.groups()) == {
@@ -311,7 +311,8 @@ def test_the_file_is_whole_inference_data(done, tmp_path):
     assert {frozenset(each) for each in kinds} == {
         frozenset({"branch_length"}), frozenset({"branch_length", "anisotropy_ratio"})
     }  # fmt: skip
-    found, gains, ecgs = read_checks(path)
+    found, gains, in_torsos, ecgs = read_checks(path)
     assert found == checks
     np.testing.assert_allclose(ecgs[0], ecg, rtol=1e-6)
     np.testing.assert_array_equal(gains, drawn[0])
+    np.testing.assert_allclose(in_torsos, torsos, rtol=1e-6)

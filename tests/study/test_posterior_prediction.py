@@ -14,7 +14,7 @@ from fascicle.forward.likelihood import (
     separable,
 )
 from fascicle.forward.loss import placed
-from fascicle.forward.simulation import SimulatedBeat
+from fascicle.forward.simulation import Signals, SimulatedBeat
 from fascicle.recording.criteria import frontal_axis
 from fascicle.recording.target import Target
 from fascicle.study.predictive import BEST, LEVEL, Checks, predict_recording
@@ -95,6 +95,18 @@ def test_a_recording_of_the_model_agrees(recorded):
     assert found.shifts.mean() == pytest.approx(0, abs=0.5)
     window = recorded.qrs_samples
     assert np.abs(found.ecg.mean(axis=0) - recorded.mean)[:, window].max() < 0.1
+
+
+def test_what_a_torso_makes_of_the_leads_is_told(recorded):
+    bodies = np.random.default_rng(2).normal(0, 1.0, (2, 12, 12))
+    one = network()
+    drawn = replace(likelihood(recorded), bodies=bodies).predictive(
+        Signals.of(one.simulation), np.random.default_rng(3)
+    )
+    leads = drawn.gain * drawn.torso @ one.simulation.leads
+    begin = one.simulation.first_activation - drawn.shift - recorded.qrs_samples.start
+    np.testing.assert_allclose(drawn.ecg, placed(leads, begin, len(TIME), recorded.response))
+    assert np.abs(drawn.torso - np.eye(12)).max() > 0.01
 
 
 def test_noise_obeys_the_laws_of_the_limb_leads(recorded):

@@ -1,5 +1,6 @@
 // The heart of a report: scenarios in the networks of a population, with the ECG, in one time.
 
+import { BullsEye } from "./bullseye.js";
 import { drawBar } from "./colours.js";
 import { addStyle, button, check, choice, hasWebGL, make } from "./controls.js";
 import { potentials } from "./data.js";
@@ -30,7 +31,7 @@ class Viewer {
     this.order(0);
     this.show();
     this.dark = matchMedia("(prefers-color-scheme: dark)");
-    this.whenDark = () => this.drawBar();
+    this.whenDark = () => this.drawColours();
     this.dark.addEventListener("change", this.whenDark);
   }
 
@@ -72,6 +73,7 @@ class Viewer {
     this.pictures = make("div", { class: "fv-pictures" });
     this.views = make("div", { class: "fv-row" });
     const paper = make("div", { class: "fv-ecg" });
+    this.segments = make("div", { class: "fv-row fv-keep" });
     const scarred = data.surfaces[0].scarred ? ["Hatched: scar."] : [];
     this.root = make(
       "div", { class: "fv" },
@@ -79,7 +81,7 @@ class Viewer {
         this.fieldChoice.row, this.early.row),
       make("div", { class: "fv-both" }, make("div", { class: "fv-left" }, this.pictures, this.views,
         make("div", { class: "fv-row" }, this.networks.row, this.opaque.row, this.only.row,
-          this.labelled.row, make("label", {}, "cut", this.cut))), paper),
+          this.labelled.row, make("label", {}, "cut", this.cut)), this.segments), paper),
       make("div", { class: "fv-row" }, this.player.button, this.slider, this.clock),
       make("div", { class: "fv-row fv-keep" }, this.bar, this.barUnit, ...scarred),
       make("div", { class: "fv-row" }, make("label", { class: "fv-long" }, "network",
@@ -98,6 +100,7 @@ class Viewer {
     const panel = new Panel(this.data);
     this.panels.push(panel);
     this.pictures.append(panel.root);
+    this.segments.append(panel.bullsEye.root);
     panel.stage.onClick = (ray) => this.pick(ray, panel);
     panel.stage.onTurn = () =>
       this.panels.filter((other) => other !== panel).forEach(({ stage }) => stage.follow(panel.stage));
@@ -184,7 +187,23 @@ class Viewer {
       cut: Number(this.cut.value) / 100,
     };
     this.panels.forEach((panel) => panel.look(look));
+    this.drawColours();
+  }
+
+  // What is coloured besides the hearts.
+  drawColours() {
     this.drawBar();
+    const kind = this.barKind;
+    const ink = getComputedStyle(this.root).color;
+    this.panels.forEach(({ bullsEye, scenario }) => {
+      const { one, all } = scenario.segments;
+      const shown = this.field ? all[this.field - 1] : { values: one[this.network] };
+      bullsEye.show(shown, { ...this.shown, kind }, scenario.title, ink);
+    });
+  }
+
+  get barKind() {
+    return this.shown.kind === "time" ? this.panels[0].heart.early : this.shown.kind;
   }
 
   showEcg() {
@@ -255,8 +274,7 @@ class Viewer {
 
   drawBar() {
     const { label, unit, kind } = this.shown;
-    const map = kind === "time" ? this.panels[0].heart.early : kind;
-    drawBar(this.bar, { ...this.shown, kind: map }, getComputedStyle(this.root).color);
+    drawBar(this.bar, { ...this.shown, kind: this.barKind }, getComputedStyle(this.root).color);
     const zero = kind === "time" ? `; 0: ${ZERO}` : "";
     this.barUnit.textContent = unit === "1" ? label : `${label} (${unit}${zero})`;
     this.bar.setAttribute("aria-label", `colours of ${this.barUnit.textContent}`);

@@ -1,6 +1,7 @@
 // One scenario: a stage with the heart, its Purkinje network, and what is written over them.
 
 import { Mesh, MeshBasicMaterial, SphereGeometry, Vector3 } from "three";
+import { BullsEye } from "./bullseye.js";
 import { make } from "./controls.js";
 import { positions, segments, times } from "./data.js";
 import { Heart, Tree } from "./heart.js";
@@ -24,6 +25,7 @@ export class Panel {
       points: this.heart.mesh.geometry.getAttribute("position").array,
     });
     this.overlay = new Overlay(this.stage, data);
+    this.bullsEye = new BullsEye(); // where the page puts it
     this.stage.add(this.heart.mesh);
     this.marker = new Mesh(new SphereGeometry(1.5), new MeshBasicMaterial({ color: "#d40000" }));
     this.marker.visible = false;
@@ -126,5 +128,6 @@ export class Panel {
     this.heart.dispose();
     this.stage.dispose();
     this.root.remove();
+    this.bullsEye.root.remove();
   }
 }

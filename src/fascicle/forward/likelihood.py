@@ -86,6 +86,8 @@ class Replicate:
         drawn, in the terms of the likelihood; by default over the QRS window.
     unexplained : float, optional
         Energy of recording minus `ecg`; by default the sum of `left`.
+    torso : (12 + k, 12 + k) array, optional
+        What the torso makes of the leads of the network, besides the gain.
     """
 
     ecg: Floats
@@ -96,6 +98,7 @@ class Replicate:
     left: Floats | None = None
     error: Floats | None = None
     unexplained: float | None = None
+    torso: Floats | None = None
 
     __repr__ = short_repr
 
@@ -159,7 +162,8 @@ class QrsLikelihood:
         models = self.whitened(ecg.leads, ecg.first_activation)[:, :, at]
         factors = self._factors(models, int(scale), rng)
         gain = 1 + self.gain_sd * factors[0]
-        leads = gain * ecg.leads + np.tensordot(factors[1:], self.bodies @ ecg.leads, 1)
+        torso = np.eye(len(ecg.leads)) + np.tensordot(factors[1:], self.bodies, 1) / gain
+        leads = gain * torso @ ecg.leads
         begin = shift + MARGIN - target.qrs_samples.start
         clean = placed(leads, begin, len(target.time), target.response)
         error, least = self.noise(rng, int(scale)), self.noise(rng, 0)
@@ -173,6 +177,7 @@ class QrsLikelihood:
             ((left @ self.modes) ** 2).sum(axis=1),
             (least**2).sum(axis=1),
             float((left**2).sum()),
+            torso,
         )
 
     def _factors(self, models: Floats, scale: int, rng: np.random.Generator) -> Floats:

@@ -52,6 +52,8 @@ class FittedStudy:
         How a posterior agrees with its recordings.
     gains : (n,) array, optional
         Factor on the ECG of each network of a posterior, drawn given the first recording.
+    torsos : (n, 12 + k, 12 + k) array, optional
+        What the torso that was drawn with it makes of its leads, besides that factor.
     ecgs : tuple of (n, 12 + k, n_time) arrays
         Of a posterior, ECGs of the networks for each recording: with shift, gain and torso drawn
         given the recording (mV).
@@ -63,6 +65,7 @@ class FittedStudy:
     population: Population
     checks: Checks | None = None
     gains: Floats | None = None
+    torsos: Floats | None = None
     ecgs: tuple[Floats, ...] = ()
 
     __repr__ = short_repr
@@ -184,6 +187,8 @@ class FittedStudy:
             k = chosen[len(simulated)]
             if self.gains is not None and recording == 0:
                 network = replace(network, drawn_gain=float(self.gains[k]))
+            if self.torsos is not None and recording == 0:
+                network = replace(network, torso=self.torsos[k])
             if self.ecgs:
                 network = replace(network, predicted=self.ecgs[recording][k])
             simulated.append(network)
@@ -230,7 +235,7 @@ class FittedStudy:
             losses.append(recording.align(outcome.leads).loss)
         best = int(np.argmin(losses))
         population = Population(values, np.array(losses), rows[best], losses[best])
-        return replace(self, population=population, checks=None, gains=None, ecgs=())
+        return replace(self, population=population, checks=None, gains=None, torsos=None, ecgs=())
 
     def export(
         self,

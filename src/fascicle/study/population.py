@@ -216,7 +216,8 @@ def write_population(
                 f"{name}{end}": [*first, "lead", f"time{end}"]
                 for end, _ in _numbered(targets)
                 for name, first in (("ecg", []), ("ecg_model", []), ("beats", [f"beat{end}"]))
-            },
+            }
+            | {f"torso{end}": ["lead", "lead_without"] for end, _ in _numbered(targets)},
         )
     data.attrs.update(attributes)
     for parameter in space.parameters:
@@ -279,6 +280,7 @@ def _groups(
         }
         groups["sample_stats"] |= {
             f"gain{end}": prediction.gains,
+            f"torso{end}": prediction.torsos.astype(np.float32),
             f"onset_shift{end}": prediction.shifts,
             f"discrepancy{end}": prediction.discrepancies,
         }
@@ -293,7 +295,7 @@ def _groups(
 
 def _describe(data: Any, population: Population) -> None:
     """Units, and what holds for the whole sample."""
-    units = {"loss": "mV2", "onset_shift": "ms", "discrepancy": "mV", "gain": "1"}
+    units = {"loss": "mV2", "onset_shift": "ms", "discrepancy": "mV", "gain": "1", "torso": "1"}
     stats = data.sample_stats
     for name in stats.data_vars:
         unit = units.get(re.sub(r"_\d+$", "", str(name)))
@@ -359,21 +361,25 @@ def read_population(path: Path) -> Population:
         ) from None
 
 
-def read_checks(path: Path) -> tuple[Checks | None, Floats | None, tuple[Floats, ...]]:
-    """How a posterior compares with its recordings, its gains (n,), and its ECGs for each.
+def read_checks(
+    path: Path,
+) -> tuple[Checks | None, Floats | None, Floats | None, tuple[Floats, ...]]:
+    """How a posterior compares with its recordings, its gains (n,) and torsos, its ECGs for each.
 
-    ECGs have shape (n, 12 + k, n_time) (mV). None of the paper's.
+    Torsos have shape (n, 12 + k, 12 + k), ECGs (n, 12 + k, n_time) (mV). None of the paper's.
     """
     stats = load_netcdf(path, "sample_stats")
     if "gain" not in stats:
-        return None, None, ()
+        return None, None, None, ()
     if "checks" not in stats.attrs:
         raise InputError(f"{path}: of an earlier version; fit again, into another folder")
     predictive = load_netcdf(path, "posterior_predictive")
     names = sorted(str(name) for name in predictive.data_vars if str(name).startswith("ecg_model"))
+    torsos = stats["torso"].to_numpy().astype(float) if "torso" in stats else None
     ecgs = (predictive[name].to_numpy().astype(float) for name in names)
     return (
         Checks(**json.loads(stats.attrs["checks"])),
         stats["gain"].to_numpy().ravel(),
+        None if torsos is None else torsos.reshape(-1, *torsos.shape[2:]),
         tuple(each.reshape(-1, *each.shape[2:]) for each in ecgs),
     )

@@ -146,6 +146,7 @@ class Prediction:
     ecg: Floats  # (n, 12 + k, n_time), without noise and discrepancy, at the target's times (mV)
     noisy: Floats  # the same with both
     gains: Floats  # (n,), as the following drawn for each
+    torsos: Floats  # (n, 12 + k, 12 + k), what they make of the leads, besides the gain
     shifts: Floats  # of the first activation from the recorded onset (ms)
     discrepancies: Floats  # σ (mV)
     checks: Checks
@@ -172,6 +173,7 @@ def predict_recording(
         ecg,
         noisy,
         np.array([each.gain for each in drawn]),
+        np.array([np.eye(len(e.ecg)) if e.torso is None else e.torso for e in drawn]),
         np.array([each.shift for each in drawn]),
         np.array([each.discrepancy for each in drawn]),
         _checks(target, found, drawn, getattr(likelihoods[0], "gain_sd", FitSettings().gain_sd)),

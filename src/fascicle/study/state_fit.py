@@ -118,7 +118,8 @@ def completed(fitted: FittedStudy, emulated: Emulated, progress: Progress | None
     if predictions:
         checks = Checks.joined([each.checks for each in predictions])
         ecgs = tuple(each.ecg for each in predictions)
-        fitted = replace(fitted, checks=checks, gains=predictions[0].gains, ecgs=ecgs)
+        gains, torsos = predictions[0].gains, predictions[0].torsos
+        fitted = replace(fitted, checks=checks, gains=gains, torsos=torsos, ecgs=ecgs)
     (most_probable, _), *_ = Counter(states).most_common()
     reports = [dict(each.emulator.report) for each in emulated.get(most_probable, ())]
     write_results(fitted, networks, agreements, predictions, reports)

@@ -47,6 +47,8 @@ class Network:
         By which its simulated ECG was scaled to give `predicted`; 1 unless the gain is free.
     drawn_gain : float, optional
         Gain that was drawn with a network of a posterior, in place of the best one.
+    torso : (12 + k, 12 + k) array, optional
+        What the torso that was drawn with it makes of its leads, besides the gain.
     """
 
     parameters: Mapping[str, float]
@@ -55,6 +57,7 @@ class Network:
     under_qrs: float
     gain: float
     drawn_gain: float | None = None
+    torso: Floats | None = None
 
     __repr__ = short_repr
 

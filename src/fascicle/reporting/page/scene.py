@@ -18,6 +18,8 @@ from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import ENDOCARDIA, labelled_mesh
+from fascicle.heart.sites import places
+from fascicle.prediction.indices import Territories
 from fascicle.prediction.predicted import RINGING, Predicted, PredictedBeat
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.reporting.names import scenario_name
@@ -75,6 +77,7 @@ def scene(
         geometry.setdefault(_key(tree), (len(geometry), tree))
     trees = [tree for _, tree in geometry.values()]
     drawn = {key: _thinned(tree) for key, (_, tree) in geometry.items()}
+    torsos = [networks[k].torso if len(networks) else None for k in chosen]
     times = {name: [_tree_times(beat, drawn) for beat in each] for name, each in beats.items()}
     # roots may lie outside the mesh
     points = np.concatenate([heart.vertices, *(tree.nodes for tree in trees)])
@@ -86,6 +89,7 @@ def scene(
     start, end = 10 * np.floor((begin - 5) / 10), 10 * np.ceil((last + 30) / 10)
     window = np.arange(start, end + 1, ECG_STEP)
     fields, scar = _fields(predicted, shown), _scar(heart, model)[shown]
+    territories = Territories.of(heart, model.sites.places if model is not None else places(heart))
     return {
         "surfaces": [
             {
@@ -109,13 +113,14 @@ def scene(
         "orders": _orders(predicted, networks, chosen),
         "times": {"low": begin, "high": last, "top": fields[0][0]["high"]},
         "ecg": {"start": float(start), "step": ECG_STEP, "count": len(window), "leads": LEADS},
-        "recorded": _recorded(recording, predicted, beats),
+        "recorded": _recorded(recording, predicted, beats, torsos),
         "scenarios": [
             {
                 "name": name,
                 "title": scenario_name(name),
                 "label": each.scenario.description or name,
                 "fields": own,
+                "segments": _segments(territories, each, beats[name]),
                 "activations": [
                     _bytes(since_first(beat.activation)[shown], 0.0, last) for beat in beats[name]
                 ],
@@ -125,7 +130,10 @@ def scene(
                 "tree_times": [
                     [_bytes(of_tree, begin, last) for of_tree in beat] for beat in times[name]
                 ],
-                "ecgs": [_microvolts(_ecg(beat, window)) for beat in beats[name]],
+                "ecgs": [
+                    _microvolts(_ecg(beat, torso, window))
+                    for beat, torso in zip(beats[name], torsos, strict=True)
+                ],
                 "marks": [
                     marks(each.scenario, networks[k].parameters, beat.trees, model.sites)
                     if model is not None and len(networks)
@@ -229,6 +237,32 @@ def _fields(predicted: Mapping[str, Predicted], shown: Integers) -> list[list[di
     return fields
 
 
+def _segments(
+    territories: Territories, predicted: Predicted, beats: Sequence[PredictedBeat]
+) -> dict[str, Any]:
+    """Means over the left ventricle's 17 segments: of activation in `beats`, and of each of `MAPS`.
+
+    With 90 % intervals of the mean activation over all networks; None where none is activated.
+    """
+
+    def means(values: Floats) -> Floats:
+        return territories.segment_means(territories.times(values))[1:]
+
+    every = np.array([means(since_first(beat.activation)) for beat in predicted.beats])
+    low, high = np.percentile(every, (5, 95), axis=0)
+    maps = {name: {"values": means(predicted.maps[name])} for name, *_ in MAPS}
+    maps[MAPS[0][0]] |= {"low": low, "high": high}
+    maps[MAPS[1][0]]["values"] = every.std(axis=0)
+    one = [_numbers(means(since_first(beat.activation))) for beat in beats]
+    all_ = [{what: _numbers(v) for what, v in each.items()} for each in maps.values()]
+    return {"one": one, "all": all_}
+
+
+def _numbers(values: Floats) -> list[float | None]:
+    """Numbers for JSON; None where there is none."""
+    return [round(float(v), 2) if np.isfinite(v) else None for v in values]
+
+
 def _tree_times(beat: PredictedBeat, drawn: Mapping[bytes, Thinned]) -> list[Floats]:
     """Times of the drawn nodes of each tree (ms); NaN where no front arrives."""
     begin = float(beat.activation.min())
@@ -269,9 +303,14 @@ def _key(tree: PurkinjeTree) -> bytes:
     return tree.nodes.tobytes() + tree.parents.tobytes()
 
 
-def _ecg(beat: PredictedBeat, window: Floats) -> Floats:
+def _in_torso(torso: Floats | None, leads: Floats) -> Floats:
+    """Leads (12 + k, t) in the torso that was drawn with a network."""
+    return leads if torso is None else torso @ leads
+
+
+def _ecg(beat: PredictedBeat, torso: Floats | None, window: Floats) -> Floats:
     """The twelve leads (12, t) (mV) at times from the first activation on (ms)."""
-    leads = beat.filtered[: len(LEADS)]
+    leads = _in_torso(torso, beat.filtered)[: len(LEADS)]
     begin = first_sample(beat.activation.astype(float)) - float(beat.activation.min()) - RINGING
     time = begin + np.arange(leads.shape[1])
     return np.array([np.interp(window, time, lead, left=0.0, right=0.0) for lead in leads])
@@ -281,6 +320,7 @@ def _recorded(
     recording: TargetComparison | None,
     predicted: Mapping[str, Predicted],
     beats: Mapping[str, Sequence[PredictedBeat]],
+    torsos: Sequence[Floats | None],
 ) -> dict[str, Any] | None:
     """The mean recorded beat, and where it begins in each network that was fitted to it (ms)."""
     if recording is None:
@@ -290,8 +330,8 @@ def _recorded(
     if name is None:
         return None
     target, begins = recording.target, []
-    for beat in beats[name]:
-        sample = recording.align(beat.leads).shift - target.qrs_samples.start
+    for beat, torso in zip(beats[name], torsos, strict=True):
+        sample = recording.align(_in_torso(torso, beat.leads)).shift - target.qrs_samples.start
         begins.append(
             first_sample(beat.activation.astype(float)) + sample - float(beat.activation.min())
         )
