@@ -1,15 +1,18 @@
 """The example network grows on any heart."""
 
+from collections import Counter
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 import fascicle
 from fascicle.build.check import cavity_volume
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_AREAS, EXAMPLE_PARAMETERS
+from fascicle.heart.sites import SEGMENTS
 from fascicle.purkinje.tree import FEW_JUNCTIONS, InvalidTree
 
 
@@ -20,6 +23,26 @@ def test_areas_are_those_of_the_packaged_heart(default_heart):
 
 def test_on_the_packaged_heart_it_is_the_example(default_model):
     assert fascicle.example_parameters(default_model) == EXAMPLE_PARAMETERS
+
+
+def test_that_of_the_subject_has_a_normal_ecg():
+    """Left middle septum first, no Q wave in V2 to V6, R waves that grow up to V5."""
+    model = fascicle.ForwardModel(fascicle.load_heart("camps-dti004"))
+    found = model.simulate(fascicle.example_parameters(model))
+    heart, first = model.heart, found.activation.argmin()
+    (elements,) = np.nonzero((heart.tetrahedra == first).any(axis=1))
+    (most,) = Counter(model.sites.places.segment[elements]).most_common(1)
+    assert SEGMENTS[most[0] - 1] == "mid inferoseptal"
+    away = [cKDTree(e.vertices).query(heart.vertices[first])[0] for e in heart.endocardia]
+    assert away[0] < away[1]
+    assert 80 <= found.global_qrs_duration <= 100
+    assert 0 <= found.frontal_axis <= 75
+    assert not any(criterion.met for criterion in found.conventional_criteria)
+    for lead in found.leads[7:12]:
+        assert lead[: np.argmax(lead > 0.05)].min() > -0.04
+    waves = found.leads[6:11].max(axis=1)
+    assert waves.min() > 0.1
+    assert np.all(np.diff(waves) > 0)
 
 
 def test_on_the_published_demonstration_heart(crtdemo):

@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import pytest
 
+import fascicle
 from fascicle.core.errors import InputError
+from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.folder import MANIFEST, load_heart, write_heart
 
@@ -21,6 +23,19 @@ def test_values_come_back_and_count(folder, default_heart):
     assert heart.values == {"alpha": 0.08}
     assert heart.digest != default_heart.digest
     assert Conduction.of(heart).alpha == 0.08
+
+
+def test_a_heart_may_have_its_own_example_network(tmp_path, default_heart):
+    example = EXAMPLE_PARAMETERS | {"cv": 2.5}
+    write_heart(replace(default_heart, example=example), tmp_path / "heart")
+    heart = load_heart(tmp_path / "heart")
+    assert fascicle.example_parameters(fascicle.ForwardModel(heart)) == example
+    assert heart.digest == default_heart.digest  # nothing is computed anew for it
+    manifest = tmp_path / "heart" / MANIFEST
+    manifest.write_text(manifest.read_text().replace("cv = 2.5", "cv = 250"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"heart\.toml: parameter 'cv' is 250") as caught:
+        load_heart(tmp_path / "heart")
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

@@ -18,11 +18,12 @@ MOST_TRIES = 40
 def example_parameters(model: ForwardModel) -> dict[str, float]:
     """Parameters of a network with a plausible ECG, that grows on the heart of a model.
 
-    Lengths are those of `fascicle.EXAMPLE_PARAMETERS` times the root of the endocardium's area over
-    that of the packaged heart, for which they were found; what then leaves the endocardium is
-    shortened, and so is a bundle whose tree has few junctions: below 50, or fewer on an endocardium
-    of less than half the area, which has less room. Where no length gives as many, it is the
-    network with the most.
+    A heart may have its own (`fascicle.Heart.example`), such as the packaged ``"camps-dti004"``,
+    where the left middle septum is activated first. Of others, lengths are those of
+    `fascicle.EXAMPLE_PARAMETERS` times the root of the endocardium's area over that of the
+    packaged heart, for which they were found; what then leaves the endocardium is shortened, and so
+    is a bundle whose tree has few junctions: below 50, or fewer on an endocardium of less than half
+    the area, which has less room. Where no length gives as many, it is the network with the most.
 
     Raises
     ------
@@ -37,6 +38,8 @@ def example_parameters(model: ForwardModel) -> dict[str, float]:
     True
     """
     check_kind(model, ForwardModel, "model", "a fascicle.ForwardModel")
+    if model.heart.example:
+        return dict(model.heart.example)
     found, few = dict(EXAMPLE_PARAMETERS), {}
     for endocardium in model.heart.endocardia:
         side = endocardium.side

@@ -84,6 +84,7 @@ class Manifest(BaseModel, extra="forbid"):
     lv: Seeds
     rv: Seeds
     values: dict[str, Any] = {}
+    example: dict[str, Any] = {}
 
 
 def as_heart(given: Heart | Path | str) -> Heart:
@@ -141,12 +142,15 @@ def load_heart(path: Path | str) -> Heart:
     if manifest.action_potential is not None:
         table = read_action_potential(named_by(path, manifest.action_potential))
     values = _patient_values(path, manifest.values, heart)
+    with given_in(path):
+        example = checked(manifest.example)
     return replace(
         heart,
         torso=torso,
         lead_fields=lead_fields,
         values=values,
         action_potential=table,
+        example=example,
         folder=folder,
     )
 
@@ -276,8 +280,7 @@ def _manifest_text(heart: Heart) -> str:
         content["lead_fields"] = {"heart": keys.key, "torso": keys.torso}
     for e in heart.endocardia:
         content[e.side] = {"root": e.root, "direction": e.direction}
-    if heart.values:
-        content["values"] = dict(heart.values)
+    content |= {key: dict(v) for key in ("values", "example") if (v := getattr(heart, key))}
     lines = []
     for key, value in content.items():
         table = isinstance(value, dict)

@@ -100,6 +100,8 @@ class Heart:
     coordinates : VentricularCoordinates, optional
         Those of its vertices; `fascicle.ventricular_coordinates` computes them where they are
         missing.
+    example : mapping of name to float
+        Parameters of its example network, if it has its own; see `fascicle.example_parameters`.
     folder : Path, optional
         Where what is computed from it once is kept: mostly, where it was read from.
     """
@@ -119,6 +121,7 @@ class Heart:
     values: Mapping[str, float] = field(default_factory=dict)
     action_potential: TabulatedPotential | None = None
     coordinates: VentricularCoordinates | None = None
+    example: Mapping[str, float] = field(default_factory=dict)
     folder: Path | None = None
 
     __repr__ = short_repr
