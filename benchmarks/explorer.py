@@ -100,7 +100,10 @@ def main() -> None:
         page.on("pageerror", lambda error: said.append(str(error)))
         page.goto(url)
         settled(page)
-        names: list[str] = page.evaluate("Object.keys(explorer.inputs)")
+        # what is prepared when the hand rests, or takes minutes first, is left out
+        names: list[str] = page.evaluate(
+            "explorer.said.groups.slice(0, 2).flatMap((g) => g.sliders).map(({ name }) => name)"
+        )
         for name in names:
             found = latencies(page, name, given.moves)
             print(f"{name:<22}{np.median(found):6.0f}{np.quantile(found, 0.9):6.0f}", flush=True)

@@ -97,6 +97,7 @@ void main() {
 }`;
 
 const NONE = -1e6;
+const TRIANGLES = [0, 2, 1, 1, 2, 3]; // of the corners of a segment
 
 // Copies values, NaN as what is far below all others.
 function mark(into, given, index) {
@@ -132,6 +133,12 @@ export class Heart {
       fragmentShader: FRAGMENT, side: DoubleSide, clipping: true,
     });
     this.mesh = new Mesh(geometry, this.material);
+    // of all trees, one after the other: a new material each would be compiled each time
+    this.size = new Vector2(1, 1); // of the picture (CSS pixels)
+    this.ofTrees = new ShaderMaterial({
+      uniforms: { ...this.shared, size: { value: this.size }, width: { value: TREE_WIDTH } },
+      vertexShader: TREE_VERTEX, fragmentShader: TREE_FRAGMENT, side: DoubleSide,
+    });
   }
 
   // A field {values, low, high, kind}, of which the values are in base64 or a Float32Array.
@@ -207,6 +214,7 @@ export class Heart {
   dispose() {
     this.mesh.geometry.dispose();
     this.material.dispose();
+    this.ofTrees.dispose();
     Object.values(this.maps).forEach((map) => map.dispose());
   }
 }
@@ -223,13 +231,15 @@ export class Tree {
     const index = new Uint32Array(6 * count);
     this.corners = new Uint32Array(8 * count); // the two nodes of each corner's segment
     for (let k = 0; k < count; k++) {
-      corners.set([0, -1, 0, 1, 1, -1, 1, 1], 8 * k);
-      index.set([0, 2, 1, 1, 2, 3].map((corner) => 4 * k + corner), 6 * k);
-      const nodes = this.segments.subarray(2 * k, 2 * k + 2);
+      for (let n = 0; n < 6; n++) index[6 * k + n] = 4 * k + TRIANGLES[n];
       for (let corner = 4 * k; corner < 4 * k + 4; corner++) {
-        ends.forEach((end, n) =>
-          end.set(this.nodes.subarray(3 * nodes[n], 3 * nodes[n] + 3), 3 * corner));
-        this.corners.set(nodes, 2 * corner);
+        corners[2 * corner] = corner & 2 ? 1 : 0;
+        corners[2 * corner + 1] = corner & 1 ? 1 : -1;
+        for (let n = 0; n < 2; n++) {
+          const node = this.segments[2 * k + n];
+          this.corners[2 * corner + n] = node;
+          for (let x = 0; x < 3; x++) ends[n][3 * corner + x] = this.nodes[3 * node + x];
+        }
       }
     }
     const geometry = new BufferGeometry();
@@ -238,14 +248,9 @@ export class Tree {
     geometry.setAttribute("corner", new BufferAttribute(corners, 2));
     geometry.setAttribute("times", new BufferAttribute(new Float32Array(8 * count), 2));
     geometry.setIndex(new BufferAttribute(index, 1));
-    const size = new Vector2(1, 1);
-    const material = new ShaderMaterial({
-      uniforms: { ...heart.shared, size: { value: size }, width: { value: TREE_WIDTH } },
-      vertexShader: TREE_VERTEX, fragmentShader: TREE_FRAGMENT, side: DoubleSide,
-    });
-    this.mesh = new Mesh(geometry, material);
+    this.mesh = new Mesh(geometry, heart.ofTrees);
     this.mesh.frustumCulled = false; // its sphere knows nothing of the ends
-    this.mesh.onBeforeRender = (renderer) => renderer.getSize(size);
+    this.mesh.onBeforeRender = (renderer) => renderer.getSize(heart.size);
     this.update(values(tree));
   }
 
@@ -258,6 +263,5 @@ export class Tree {
 
   dispose() {
     this.mesh.geometry.dispose();
-    this.mesh.material.dispose();
   }
 }
