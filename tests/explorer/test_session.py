@@ -3,18 +3,20 @@
 import json
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import fascicle
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import read_parameters
+from fascicle.core.parameters import NETWORK_SPACE, read_parameters
 from fascicle.explorer.explore import session_of
 from fascicle.explorer.session import Session, State, _spoken
 from fascicle.forward.scenario_files import read_scenario
 from fascicle.forward.simulation_files import write_ecg
 from fascicle.recording.pipeline import analyse
+from fascicle.study.population import Population
 from fascicle.study.target_comparison import TargetComparison
 
 
@@ -86,6 +88,26 @@ def test_an_answer_is_what_simulate_gives(session):
     assert said["total"] == pytest.approx(expected.total_activation_time)
     assert said["qrs"] == expected.global_qrs_duration
     assert said["axis"] == pytest.approx(expected.frontal_axis)
+
+
+def test_the_networks_of_a_study_are_there(session):
+    each = [{**session.start, "cv": cv} for cv in (2.2, 2.4, 3.0)]
+    learnt = {name: np.array([e[name] for e in each]) for name in NETWORK_SPACE.names}
+    simulator = SimpleNamespace(
+        space=NETWORK_SPACE, fixed={"retrograde_delay": np.inf}, model=session.model
+    )
+    population = Population(learnt, np.arange(3.0), each[1], 0.5)
+    study = SimpleNamespace(simulator=simulator, population=population, verdict="converged")
+    of_study = Session(session.model, study=study)
+    said, _ = opened(of_study.description())
+    assert said["verdict"] == "converged"
+    assert [network["cv"] for network in said["networks"]] == [2.2, 2.4, 3.0]
+    sliders = {e["name"]: e for group in said["groups"] for e in group["sliders"]}
+    assert sum(sliders["cv"]["posterior"]) == 3
+    assert sliders["branch_length"]["posterior"] is None
+    shown, _ = ask(session, values=said["networks"][2])
+    expected = session.model.simulate(each[2] | {"retrograde_delay": np.inf})
+    assert shown["total"] == pytest.approx(expected.total_activation_time)
 
 
 def test_junctions_that_never_conduct_are_said_in_json(session):

@@ -287,10 +287,10 @@ class Session:
         """A parameter's range, and how its values in the study are distributed within it."""
         name = parameter.name
         low, high = parameter.lower, parameter.upper
+        values = {} if self.study is None else self.study.population.values
         drawn = None
-        if self.study is not None and len(self.study.population):
-            values = self.study.population.values[name]
-            drawn = np.histogram(values, bins=30, range=(low, high))[0].tolist()
+        if name in values and len(values[name]):
+            drawn = np.histogram(values[name], bins=30, range=(low, high))[0].tolist()
         unit = "" if parameter.unit == "1" else parameter.unit
         return {
             "name": name, "label": parameter_name(name), "unit": unit, "low": low, "high": high,
