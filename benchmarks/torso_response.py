@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 import fascicle
 from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
-from fascicle.core.parameters import EXAMPLE_PARAMETERS, read_parameters
+from fascicle.core.parameters import read_parameters
 from fascicle.core.quantities import QUANTITIES, TORSO_QUANTITIES
 from fascicle.forward.ecg.electrocardiogram import STEP, build_electrocardiograph
 from fascicle.forward.ecg.lead_field import nodal_gradients
@@ -241,9 +241,11 @@ def main() -> None:
     parser.add_argument("--table", action="store_true", help="what each quantity moves")
     parser.add_argument("--figure", type=Path, help="of the table (PNG)")
     arguments = parser.parse_args()
-    network = read_parameters(arguments.network) if arguments.network else EXAMPLE_PARAMETERS
     heart = fascicle.load_heart(arguments.heart)
     model = fascicle.ForwardModel(heart)
+    network: Values = fascicle.example_parameters(model)
+    if arguments.network:
+        network = read_parameters(arguments.network)
     begin = time.perf_counter()
     response = model.torso(TORSO_QUANTITIES).response
     print(f"{heart.name}: response in {time.perf_counter() - begin:.0f} s (little if it was kept), "

@@ -3,7 +3,7 @@
     python -m benchmarks.ventricular_coordinates [HEART ...] [--figure FILE]
 
 The packaged heart is compared with itself on a mesh of half the edge length, and positions are
-carried to the other hearts and back. The figure draws the coordinates of the packaged heart.
+carried to the other hearts and back. The figure draws those of the packaged subject's heart.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ if __name__ == "__main__":
     given = parser.parse_args()
     packaged = fascicle.load_heart("default")
     if given.figure:
-        draw(packaged, given.figure)
+        draw(fascicle.load_heart("camps-dti004"), given.figure)
     else:
         error_of_the_mesh(packaged)
         for folder in given.hearts:
