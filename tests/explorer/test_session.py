@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from builders import recorded
 
 import fascicle
 from fascicle.core.errors import InputError
@@ -97,7 +98,10 @@ def test_the_networks_of_a_study_are_there(session):
         space=NETWORK_SPACE, fixed={"retrograde_delay": np.inf}, model=session.model
     )
     population = Population(learnt, np.arange(3.0), each[1], 0.5)
-    study = SimpleNamespace(simulator=simulator, population=population, verdict="converged")
+    study = SimpleNamespace(
+        simulator=simulator, population=population, verdict="converged", gains=np.full(3, 1.5),
+        torsos=np.array([np.eye(12), 2 * np.eye(12), np.eye(12)[::-1]]),
+    )  # fmt: skip
     of_study = Session(session.model, study=study)
     said, _ = opened(of_study.description())
     assert said["verdict"] == "converged"
@@ -108,6 +112,13 @@ def test_the_networks_of_a_study_are_there(session):
     shown, _ = ask(session, values=said["networks"][2])
     expected = session.model.simulate(each[2] | {"retrograde_delay": np.inf})
     assert shown["total"] == pytest.approx(expected.total_activation_time)
+    recording = TargetComparison(recorded(expected))
+    with_recording = replace(of_study, recording=recording)
+    for k, torso in ((None, np.eye(12)), (1, 3 * np.eye(12)), (2, 1.5 * np.eye(12)[::-1])):
+        _, arrays = ask(with_recording, values=said["networks"][2], network=k)
+        leads = torso @ expected.leads[:12]
+        under = recording.predicted(leads, recording.align(leads))
+        np.testing.assert_allclose(arrays["simulated"], under, atol=1e-6)
 
 
 def test_junctions_that_never_conduct_are_said_in_json(session):

@@ -27,7 +27,7 @@ const RECORDED = "#1f5fa8";
 const PINNED = "#777777";
 
 const begun = (values) => ({
-  values: { ...values }, scenario: "intrinsic", stimuli: [], blocks: [], scars: [],
+  values: { ...values }, scenario: "intrinsic", stimuli: [], blocks: [], scars: [], network: null,
 });
 const copy = (state) => JSON.parse(JSON.stringify(state));
 
@@ -164,7 +164,7 @@ export class Explorer {
     this.which.addEventListener("input", () => {
       const k = Number(this.which.value);
       label.textContent = `network ${k} of ${networks.length}`;
-      this.change((state) => (state.values = { ...networks[k - 1] }));
+      this.change((state) => Object.assign(state, { values: { ...networks[k - 1] }, network: k - 1 }));
     });
     return make("div", { class: "fv-row" }, "networks of the study", this.which, label);
   }

@@ -73,6 +73,9 @@ class State(BaseModel, extra="forbid"):
         Trees, and places of them (mm) that do not conduct.
     scars : list of Place
         Places of the myocardium (mm) about which it is scar.
+    network : int, optional
+        The network of the study, from 0, with whose gain and torso the ECG is shown, unless the
+        values have another torso.
     """
 
     values: dict[str, float]
@@ -80,6 +83,7 @@ class State(BaseModel, extra="forbid"):
     stimuli: list[Place] = Field(default=[], max_length=20)
     blocks: list[tuple[str, Place]] = Field(default=[], max_length=20)
     scars: list[Place] = Field(default=[], max_length=20)
+    network: int | None = Field(default=None, ge=0)
 
     @classmethod
     def of(cls, message: Any) -> State:
@@ -261,14 +265,24 @@ class Session:
         said["ecg_start"] = found.onset - begin
         arrays["simulated"] = found.leads[: len(LEADS)].astype("<f4")
         if self.recording is not None:
-            target, alignment = self.recording.target, self.recording.align(found.leads)
-            under = self.recording.predicted(found.leads, alignment)
+            leads = self._in_its_torso(found.leads, state)
+            target, alignment = self.recording.target, self.recording.align(leads)
+            under = self.recording.predicted(leads, alignment)
             first = alignment.shift - target.qrs_samples.start - found.first_activation
             said["ecg_start"] = first * STEP
             said["explained"] = 1 - alignment.loss / self.recording.null_loss
             arrays["simulated"] = under[: len(LEADS)].astype("<f4")
             arrays["recorded"] = target.mean[: len(LEADS)].astype("<f4")
         return said, arrays
+
+    def _in_its_torso(self, leads: Floats, state: State) -> Floats:
+        """Leads (12 + k, t) with the gain and the torso that were drawn with a network."""
+        study, k = self.study, state.network
+        if study is None or k is None or torso_values(state.values):
+            return leads
+        if study.gains is None or study.torsos is None or k >= len(study.gains):
+            return leads
+        return np.asarray(study.gains[k] * study.torsos[k] @ leads)
 
     @cached_property
     def _scarred(self) -> Callable[[tuple[Region, ...]], ForwardModel]:
