@@ -91,8 +91,8 @@ LOW, HIGH = np.array([-38.0, -46.0, -96.0]), np.array([78.0, 46.0, 0.0])  # of t
 EDGE = 3.0  # mm; two layers of tetrahedra in the RV wall
 CAMPS_EDGE = 2.6  # mm
 # Its example network: of 5000 random ones, and ones like the best of these, that which explains
-# most of the subject's beat (81 %) among those that activate the left middle septum first, have no
-# Q wave in V2 to V6, R waves that grow up to V5, and a QRS of some 90 ms
+# most of the subject's beat (81 %) among those in which the mid-septal LV endocardium is activated
+# first, no lead of V2 to V6 has a Q wave, R waves grow up to V5, and the QRS takes some 90 ms
 CAMPS_EXAMPLE = {
     "lv_initial_length": 31.5, "rv_initial_length": 67.9, "lv_fascicle_length_1": 48.9,
     "lv_fascicle_length_2": 30.0, "rv_fascicle_length_1": 22.9, "rv_fascicle_length_2": 22.4,

@@ -6,22 +6,25 @@ import re
 import signal
 import subprocess
 import sys
+import time
 import urllib.error
 import urllib.request
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fascicle.explorer.session import Session
+from fascicle.explorer.session import Session, packed
 from fascicle.reporting.page.page import _file
 
 
 class Server:
     """`fascicle explore` in a process of its own."""
 
-    def __init__(self, *arguments):
+    def __init__(self, *arguments, command=None):
         # as a terminal would: a shell's background job ignores Ctrl-C
-        command = [sys.executable, "-m", "fascicle.cli", "explore", *arguments, "--no-browser"]
+        explore = [sys.executable, "-m", "fascicle.cli", "explore", *arguments, "--no-browser"]
+        command = command or explore
         self.process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
@@ -219,6 +222,7 @@ def test_an_electrode_is_dragged(torso_model, browser):
         base64.b64encode(session.description()).decode(),
     )
     answered(page, 1)
+    page.get_by_label("click", exact=True).select_option("pace here")
     page.get_by_label("electrodes", exact=True).check()
     where = "explorer.stage.onScreen(explorer.chest()[4].place).toArray()"
     before, leads = page.evaluate(where), shown(page)["leads"]
@@ -231,6 +235,14 @@ def test_an_electrode_is_dragged(torso_model, browser):
     assert state["v5_up"] > 3
     after = page.evaluate(where)
     np.testing.assert_allclose(after, [before[0], before[1] - 15], atol=6)
+    page.mouse.move(*after)  # on to the heart, where its end is no click
+    page.mouse.down()
+    page.mouse.move(*in_the_middle(page), steps=3)
+    page.mouse.up()
+    page.wait_for_function("!explorer.busy && !explorer.waiting")
+    assert shown(page)["state"]["stimuli"] == []
+    page.get_by_role("button", name="undo").click()
+    page.wait_for_function("!explorer.busy && !explorer.waiting")
     assert shown(page)["leads"] != leads
     camera = page.evaluate("explorer.stage.camera.position.toArray()")
     page.get_by_role("button", name="view: AP").click()
@@ -238,7 +250,7 @@ def test_an_electrode_is_dragged(torso_model, browser):
         page.evaluate("explorer.stage.camera.position.toArray()"), camera, atol=1e-6
     )
     page.get_by_role("button", name="undo").click()
-    answered(page, 4)
+    page.wait_for_function("!explorer.busy && !explorer.waiting")
     assert "v5_up" not in shown(page)["state"]["values"]
     assert said == []
     page.close()
@@ -261,6 +273,44 @@ def test_a_page_says_that_its_server_has_gone(server, visit):
     server.process.kill()
     page.get_by_role("alert").wait_for()
     assert "fascicle explore" in page.get_by_role("alert").inner_text()
+
+
+class Slow(Session):
+    """A session whose answers take longer than anyone waits."""
+
+    def answer(self, message, report=None):
+        for k in range(100):
+            time.sleep(0.1)
+            report(packed({"progress": f"step {k}"}, {}))
+        return super().answer(message, report)
+
+
+SCRIPT = """
+import sys
+sys.path.insert(0, {folder!r})
+from test_explorer_page import Slow
+import fascicle
+from fascicle.explorer.server import serve
+serve(Slow(fascicle.ForwardModel("default")), opened=lambda url: print(url, flush=True))
+"""
+
+
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_it_ends_at_once_while_it_computes(browser, interrupted):
+    script = SCRIPT.format(folder=str(Path(__file__).parent))
+    server = Server(command=[sys.executable, "-c", script])
+    page = browser.new_page()
+    page.goto(server.url)
+    page.get_by_text("step 5").wait_for()
+    begun = time.monotonic()
+    if interrupted:
+        server.process.send_signal(signal.SIGINT)
+    page.close()
+    status, said = server.ended()
+    assert time.monotonic() - begun < 8  # of ten seconds
+    assert "Exception" not in said
+    assert "Cancel" not in said
+    assert interrupted or (status, said) == (0, "")
 
 
 def test_ctrl_c_ends_it(server):

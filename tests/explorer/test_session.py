@@ -148,7 +148,7 @@ def test_electrodes_are_moved_on_the_skin(torso_model):
     assert np.delete(away, 4).max() < 0.01
     place = torso_model.heart.vertices[0].tolist()
     said, _ = ask(session, values=values, scars=[place])
-    assert "take one of them back" in said["error"]
+    assert "undo one of them" in said["error"]
 
 
 @pytest.mark.slow

@@ -30,12 +30,16 @@ def test_a_heart_may_have_its_own_example_network(tmp_path, default_heart):
     write_heart(replace(default_heart, example=example), tmp_path / "heart")
     heart = load_heart(tmp_path / "heart")
     assert fascicle.example_parameters(fascicle.ForwardModel(heart)) == example
-    assert heart.digest == default_heart.digest  # nothing is computed anew for it
+    assert heart.digest == default_heart.digest  # nothing is recomputed
     manifest = tmp_path / "heart" / MANIFEST
     manifest.write_text(manifest.read_text().replace("cv = 2.5", "cv = 250"), encoding="utf-8")
     with pytest.raises(InputError, match=r"heart\.toml: parameter 'cv' is 250") as caught:
         load_heart(tmp_path / "heart")
     assert "\n" not in str(caught.value)
+    text = manifest.read_text().replace("cv = 250\n", "")
+    manifest.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=r"heart\.toml: missing parameters cv; add them"):
+        load_heart(tmp_path / "heart")
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ def content(default_heart, default_model):
     )
     model = replace_conduction(default_model, (scar,))
     learnt = [EXAMPLE_PARAMETERS | {"cv": cv} for cv in (2.0, 3.0, 4.0)]
-    torsos = (None, np.eye(12), 2 * np.eye(12))
+    torsos = (None, np.eye(12), np.eye(12)[::-1])
     networks = [
         SimpleNamespace(parameters=each, torso=torso)
         for each, torso in zip(learnt, torsos, strict=True)
@@ -336,10 +336,11 @@ def test_a_slider_goes_through_the_networks(page, content):
         assert state(page)["network"] == rank + 1
 
 
-def test_the_ecg_of_a_network_is_in_its_torso(content):
-    ecgs, fastest = content["scenarios"][0]["ecgs"], content["networks"].index(3)
-    plain, twice = (potentials(ecgs[k]) for k in (content["networks"].index(1), fastest))
-    assert np.ptp(twice[0]) > 1.5 * np.ptp(plain[0])
+def test_the_ecg_of_a_network_is_in_its_torso(content, default_model):
+    ecgs = content["scenarios"][0]["ecgs"]
+    shown = potentials(ecgs[content["networks"].index(3)])
+    leads = default_model.simulate(EXAMPLE_PARAMETERS | {"cv": 4.0}).leads[:12]
+    np.testing.assert_allclose(np.ptp(shown, axis=1), np.ptp(leads[::-1], axis=1), rtol=0.05)
 
 
 def test_segments_are_told(page, content, default_model):

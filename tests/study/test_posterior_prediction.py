@@ -105,7 +105,9 @@ def test_what_a_torso_makes_of_the_leads_is_told(recorded):
     )
     leads = drawn.gain * drawn.torso @ one.simulation.leads
     begin = one.simulation.first_activation - drawn.shift - recorded.qrs_samples.start
-    np.testing.assert_allclose(drawn.ecg, placed(leads, begin, len(TIME), recorded.response))
+    np.testing.assert_allclose(
+        drawn.ecg, placed(leads, begin, len(TIME), recorded.response), atol=1e-12
+    )
     assert np.abs(drawn.torso - np.eye(12)).max() > 0.01
 
 

@@ -7,6 +7,8 @@ const SIZE = 250; // pixels
 const RING = 27;
 const WALLS = [["anterior", 0, -1], ["septal", -1, 0], ["inferior", 0, 1], ["lateral", 1, 0]];
 
+const written = (value, { unit }) => value.toFixed(unit === "1" ? 2 : 0);
+
 export class BullsEye {
   constructor() {
     this.title = make("div", { class: "fv-title" });
@@ -18,8 +20,9 @@ export class BullsEye {
   // of a field {kind, low, high, label}; `ink` is the colour of what is written outside.
   show({ values, low, high }, field, title, ink) {
     this.title.textContent = title;
-    this.canvas.setAttribute("aria-label", `17 segments: ${field.label}, ${title}`);
-    this.canvas.title = `${field.label}, mean of each segment${low ? "; below it, 90% interval" : ""}`;
+    const numbers = values.map((value) => (value === null ? "none" : written(value, field)));
+    this.canvas.setAttribute("aria-label", `17 segments: ${field.label}, ${title}: ${numbers.join(", ")}`);
+    this.canvas.title = `${field.label}, of each segment's mean${low ? "; below it, 90% interval" : ""}`;
     const ratio = Math.min(devicePixelRatio, 2);
     this.canvas.width = this.canvas.height = SIZE * ratio;
     this.canvas.style.width = this.canvas.style.height = `${SIZE}px`;
@@ -62,11 +65,10 @@ export class BullsEye {
     const away = ring === 1 ? 0 : (ring - 0.5) * RING;
     const [x, y] = [away * Math.cos(middle), away * Math.sin(middle)];
     pen.fillStyle = 0.299 * rgb[0] + 0.587 * rgb[1] + 0.114 * rgb[2] < 128 ? "#fff" : "#000";
-    const written = (each) => each.toFixed(field.unit === "1" ? 2 : 0);
     pen.font = "600 12px system-ui, sans-serif";
-    pen.fillText(written(value), x, interval ? y - 5 : y);
+    pen.fillText(written(value, field), x, interval ? y - 5 : y);
     if (!interval) return;
     pen.font = "9px system-ui, sans-serif";
-    pen.fillText(interval.map(written).join("–"), x, y + 6);
+    pen.fillText(interval.map((end) => written(end, field)).join("–"), x, y + 6);
   }
 }

@@ -19,8 +19,8 @@ const TALL = 360; // pixels of its frames
 const SCALE = { speed: 100, gain: 10 }; // mm/s, mm/mV
 const GRASP = 14; // pixels about an electrode
 const NOTES = {
-  tissue: "The tissue is prepared again for each of them when the hand rests: some seconds.",
-  torso: "What they need of the torso is computed with the first of them: some minutes, once for a heart.",
+  tissue: "Each change prepares the tissue again when you release the slider: some seconds.",
+  torso: "The first change computes the lead fields of other torsos: a few minutes, once per heart.",
 };
 const SIMULATED = "#b34700";
 const RECORDED = "#1f5fa8";
@@ -61,6 +61,7 @@ export class Explorer {
     this.fixed = arrays;
     this.state = begun(said.start);
     this.build();
+    this.showState();
     this.ask();
   }
 
@@ -123,6 +124,7 @@ export class Explorer {
       this.stage.hold(Float32Array.of(...this.fixed.vertices, ...places));
       this.mark();
     });
+    this.electrodes.box.disabled = true; // they come with the first beat
     const fire = [["fire His", "his-pacing"], ["left bundle", "left-bundle-branch-pacing"],
                   ["right apex", "rv-apical-pacing"]];
     return make("div", {},
@@ -160,13 +162,12 @@ export class Explorer {
     this.which = make("input", {
       type: "range", min: 1, max: networks.length, value: 1, step: 1, "aria-label": "network",
     });
-    const label = make("span", {}, "best network");
+    this.whichSaid = make("span", {});
     this.which.addEventListener("input", () => {
       const k = Number(this.which.value);
-      label.textContent = `network ${k} of ${networks.length}`;
       this.change((state) => Object.assign(state, { values: { ...networks[k - 1] }, network: k - 1 }));
     });
-    return make("div", { class: "fv-row" }, "networks of the study", this.which, label);
+    return make("div", { class: "fv-row" }, "networks of the study", this.which, this.whichSaid);
   }
 
   sliders() {
@@ -192,11 +193,9 @@ export class Explorer {
       else value.textContent = `${Number(input.value).toFixed(digits)} ${unit}`;
     });
     input.addEventListener("change", () => {
-      if (group === "tissue") {
-        this.say("The tissue is being prepared …");
-        this.slide(name, { [name]: Number(input.value) });
-      }
-      this.rest();
+      if (group !== "tissue") return this.rest();
+      this.say("The tissue is being prepared …");
+      this.change((state) => (state.values[name] = Number(input.value)));
     });
     return make("div", { class: "fx-slider", "data-name": name },
       make("span", {}, label), value, density(posterior), input);
@@ -228,6 +227,7 @@ export class Explorer {
   change(how, remember = true) {
     if (remember) this.past.push(copy(this.state));
     how(this.state);
+    this.showState();
     this.ask();
   }
 
@@ -235,12 +235,12 @@ export class Explorer {
     const before = this.past.pop();
     if (!before) return this.say("Nothing to undo.");
     this.state = before;
+    this.showState();
     this.ask();
   }
 
   // Asks for the present state; while an answer is awaited the latest state waits, and no other.
   ask() {
-    this.showState();
     this.waiting = true;
     if (this.busy) return;
     this.waiting = false;
@@ -251,14 +251,18 @@ export class Explorer {
   }
 
   showState() {
-    const { values, scenario } = this.state;
+    const { values, scenario, network } = this.state;
     for (const [name, { input, value, unit, digits, own }] of Object.entries(this.inputs)) {
       const at = Number(values[name] ?? own ?? NaN); // "Infinity" comes as a word
-      input.value = at;
+      input.value = Math.min(at, input.max);
       value.textContent = Number.isNaN(at) ? "" : `${Number.isFinite(at) ? at.toFixed(digits) : "∞"} ${unit}`;
     }
     this.scenario.select.value = Object.keys(this.said.scenarios).indexOf(scenario);
     this.conduction.select.value = values.conduction ?? 0;
+    if (!this.which) return;
+    this.which.value = network === null ? 1 : network + 1;
+    this.whichSaid.textContent = network === null
+      ? "best network" : `network ${network + 1} of ${this.said.networks.length}`;
   }
 
   show(said, arrays) {
@@ -271,6 +275,7 @@ export class Explorer {
 
   showBeat(said, arrays) {
     this.beat = { said, arrays };
+    this.electrodes.box.disabled = false;
     const { activation } = arrays;
     const end = Math.ceil(activation.reduce((a, b) => (b > a && b < Infinity ? b : a), 0));
     this.end = end;

@@ -6,6 +6,7 @@ import { make } from "./controls.js";
 const SIZE = 12; // pixels of letters
 const MOST = 4; // labels of an isochrone
 const KINDS = { paced: "★", blocked: "✕", scar: "▨", first: "●", electrode: "●" };
+const OF_SCENARIO = ["paced", "blocked", "scar"];
 const COLOURS = { paced: "#c00000", blocked: "#c00000", scar: "#555555", first: "#000000",
   electrode: "#1f5fa8" };
 
@@ -71,7 +72,7 @@ export class Overlay {
       return [((x + 1) / 2) * width, ((1 - y) / 2) * height];
     };
     const ends = [];
-    const marked = this.labels.filter(({ kind, normal }) => !normal && kind !== "first").map(place);
+    const marked = this.labels.filter(({ kind }) => OF_SCENARIO.includes(kind)).map(place);
     for (const label of this.labels.filter((each) => this.shows(each))) {
       const at = place(label);
       // isochrones give way to one another

@@ -111,13 +111,13 @@ export class Stage {
     this.ended = new AbortController();
     this.observer = new ResizeObserver(() => this.resize());
     this.observer.observe(this.picture);
-    let pressed = null;
-    when(this.canvas, "pointerdown", (event) => (pressed = [event.clientX, event.clientY]));
+    this.pressed = null;
+    when(this.canvas, "pointerdown", (event) => (this.pressed = [event.clientX, event.clientY]));
     this.picture.addEventListener("pointerdown", (event) => this.press(event), {
       capture: true, signal: this.ended.signal, // before the camera takes it
     });
     when(this.canvas, "click", (event) => {
-      const [x, y] = pressed ?? [event.clientX, event.clientY];
+      const [x, y] = this.pressed ?? [event.clientX, event.clientY];
       if (Math.hypot(event.clientX - x, event.clientY - y) >= CLICK) return;
       this.onClick?.(this.ray(event.clientX, event.clientY));
     });
@@ -180,20 +180,21 @@ export class Stage {
 
   // Moves what is grasped with the pointer, until it is let go.
   press(event) {
-    const grasped = this.onPress?.(event.clientX, event.clientY);
+    const { clientX, clientY, pointerId } = event;
+    const grasped = event.button === 0 && this.onPress?.(clientX, clientY);
     if (!grasped) return;
     event.stopPropagation();
     event.preventDefault();
-    const { clientX, clientY } = event;
+    this.pressed = [-Infinity, -Infinity]; // its end is no click
+    this.canvas.setPointerCapture(pointerId);
     const held = new AbortController();
-    const when = (kind, heard) => addEventListener(kind, heard, { signal: held.signal });
+    const when = (kind, heard) => this.canvas.addEventListener(
+      kind, (now) => now.pointerId === pointerId && heard(now), { signal: held.signal });
     when("pointermove", (now) => grasped.move(now.clientX - clientX, now.clientY - clientY));
-    for (const kind of ["pointerup", "pointercancel"]) {
-      when(kind, () => {
-        held.abort();
-        grasped.end();
-      });
-    }
+    when("lostpointercapture", () => {
+      held.abort();
+      grasped.end();
+    });
   }
 
   // Where a place is in the window (pixels).

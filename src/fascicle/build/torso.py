@@ -133,7 +133,7 @@ def add_electrodes(
                 f"{', '.join(ADDITIONAL_LEADS)}); give their positions in the heart's "
                 "electrodes.csv"
             )
-    if heart.torso is None and heart.lead_fields is None:
+    if not heart.has_torso:
         raise InputError(
             f"{heart.name}: it lies in an unbounded conductor, without a skin for electrodes; give "
             "their positions in its electrodes.csv, or build it again with a torso"

@@ -6,9 +6,13 @@ import asyncio
 import json
 import secrets
 import socket
+import threading
 import warnings
 import webbrowser
 from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import suppress
+from functools import partial
 from importlib.resources import files
 from typing import Any
 
@@ -72,6 +76,20 @@ def in_browser(url: str) -> None:
         warnings.warn(f"no browser could be opened here; open {url}", stacklevel=2)
 
 
+async def in_thread(work: Callable[[], bytes]) -> bytes:
+    """What `work` gives, in a thread that the end of the program does not wait for."""
+    loop, found = asyncio.get_running_loop(), Future[bytes]()
+
+    def run() -> None:
+        try:
+            found.set_result(work())
+        except Exception as error:  # noqa: BLE001 - raised again where it is awaited
+            found.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    return await asyncio.wrap_future(found, loop=loop)
+
+
 class Application:
     """The page, and a socket for each that is open."""
 
@@ -117,29 +135,42 @@ class Application:
 
     async def socket(self, page: Any) -> None:
         """Answer the states of one page, one after the other, until it is closed."""
-        from starlette.websockets import WebSocketDisconnect
-
         origin = page.headers.get("origin", "").removeprefix("http://")
         if origin not in self.hosts or page.headers.get("host") not in self.hosts:
             await page.close(1008)  # a page from elsewhere
             return
         await page.accept()
+        self.pages += 1
+        asked: asyncio.Queue[Any] = asyncio.Queue()
+        tasks = [asyncio.create_task(each(page, asked)) for each in (self.messages, self.answers)]
+        ended, running = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in running:
+            task.cancel()  # what it computes is finished for nobody
+        self.pages -= 1
+        asyncio.get_running_loop().call_later(RELOADED_WITHIN, self.end_without_pages)
+        for task in ended:
+            task.result()  # a bug stays loud
+
+    async def messages(self, page: Any, asked: asyncio.Queue[Any]) -> None:
+        """Collect what a page asks, until it is closed."""
+        from starlette.websockets import WebSocketDisconnect
+
+        with suppress(WebSocketDisconnect, json.JSONDecodeError):
+            while True:
+                asked.put_nowait(json.loads(await page.receive_text()))
+
+    async def answers(self, page: Any, asked: asyncio.Queue[Any]) -> None:
+        """Send the description, then an answer to each message, and how far a long one is."""
         loop = asyncio.get_running_loop()
 
-        def tell(message: bytes) -> None:  # from another thread
-            asyncio.run_coroutine_threadsafe(page.send_bytes(message), loop)
+        def report(message: bytes) -> None:  # from another thread
+            if not loop.is_closed():
+                asyncio.run_coroutine_threadsafe(page.send_bytes(message), loop)
 
-        self.pages += 1
-        try:
-            await page.send_bytes(await asyncio.to_thread(self.session.description))
-            while True:
-                message = json.loads(await page.receive_text())
-                await page.send_bytes(await asyncio.to_thread(self.session.answer, message, tell))
-        except (WebSocketDisconnect, json.JSONDecodeError):
-            pass
-        finally:
-            self.pages -= 1
-            loop.call_later(RELOADED_WITHIN, self.end_without_pages)
+        await page.send_bytes(await in_thread(self.session.description))
+        while True:
+            work = partial(self.session.answer, await asked.get(), report)
+            await page.send_bytes(await in_thread(work))
 
     def end_without_pages(self) -> None:
         """End the server if no page is open."""

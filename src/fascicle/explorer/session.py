@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Annotated, Any
 
 import numpy as np
@@ -24,9 +24,10 @@ from fascicle.core.parameters import NETWORK_SPACE, Parameter, ParameterSpace, f
 from fascicle.core.progress import Progress, ProgressLines
 from fascicle.core.quantities import (
     CONDUCTION,
-    QUANTITIES,
+    SPEED,
     TORSO_QUANTITIES,
     parameter_name,
+    quantity,
     torso_values,
 )
 from fascicle.forward.ecg.electrocardiogram import STEP
@@ -35,15 +36,14 @@ from fascicle.forward.model import ForwardModel
 from fascicle.forward.primitives import His, SlowConduction, Stimulus
 from fascicle.forward.scenario import Primitive, Scenario
 from fascicle.forward.scenario_files import library, read_scenarios, scenario_text
-from fascicle.forward.simulation import Simulation
 from fascicle.heart.conduction import Region
 from fascicle.prediction.scenarios import INTRINSIC
-from fascicle.purkinje.tree import PurkinjeTree
+from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 from fascicle.reporting.names import scenario_name
 from fascicle.reporting.page.scene import body_axes, boundary
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.target_comparison import TargetComparison
-from fascicle.torso.variation.conductor import TorsoState
+from fascicle.torso.variation.conductor import InvalidTorso, TorsoState
 
 BLOCKED_WITHIN = 3.0  # mm of a place in a tree that is blocked there
 SCAR_WITHIN = 8.0  # mm of a place in the myocardium that is scar there
@@ -74,8 +74,8 @@ class State(BaseModel, extra="forbid"):
     scars : list of Place
         Places of the myocardium (mm) about which it is scar.
     network : int, optional
-        The network of the study, from 0, with whose gain and torso the ECG is shown, unless the
-        values have another torso.
+        The network of the study, from 0, with whose gain and torso the ECG is shown. Quantities of
+        the torso change it from there.
     """
 
     values: dict[str, float]
@@ -183,7 +183,7 @@ class Session:
     def groups(self) -> dict[str, list[Parameter]]:
         """What has a slider, by groups: `space`, then what else can be moved."""
         more = dict(MORE_SLIDERS)
-        if self._has_torso:
+        if self.model.heart.has_torso:
             more["torso"] = TORSO_QUANTITIES
         found = {"network": list(self.space.parameters)}
         learnt = {parameter.name for parameter in self.space.parameters}
@@ -191,21 +191,20 @@ class Session:
             found[group] = [free(name) for name in names if name not in learnt]
         return found
 
-    @property
-    def _has_torso(self) -> bool:
-        return self.model.heart.torso is not None or self.model.heart.lead_fields is not None
-
     @cached_property
     def start(self) -> dict[str, float]:
         """Values that a page begins with: of the study's best network, or the example's."""
         if self.study is None:
-            return {**example_parameters(self.model), "alpha": self.model.conduction.alpha}
+            example = example_parameters(self.model)
+            if not {*SPEED} & {*example}:
+                example["alpha"] = self.model.conduction.alpha
+            return example
         return {**self.study.simulator.fixed, **self.study.population.best}
 
-    def answer(self, message: Any, tell: Callable[[bytes], object] | None = None) -> bytes:
+    def answer(self, message: Any, report: Callable[[bytes], object] | None = None) -> bytes:
         """Simulate a state that a page sent; where that cannot be done the answer says why.
 
-        What takes minutes is told about on the way, in messages for the page.
+        Messages for the page report the progress of long preparations.
         """
         number = message.get("id") if isinstance(message, Mapping) else None
         try:
@@ -214,7 +213,7 @@ class Session:
             state = State.of(message.get("state"))
             if message.get("ask") == "files":
                 return packed({"id": number, "files": self.files(state)}, {})
-            lines = ProgressLines(lambda line: _tell(tell, line))
+            lines = ProgressLines(partial(_report, report))
             try:
                 model = self._prepared(state, lines)
                 said, arrays = self._simulated(model, state, bool(message.get("moving")))
@@ -228,14 +227,18 @@ class Session:
         """The model of a state: with its scars, or with what other torsos need."""
         torso = torso_values(state.values)
         if torso and state.scars:
-            raise InputError("a scar in another torso is not simulated; take one of them back")
+            raise InputError("scar cannot be combined with a changed torso; undo one of them")
         if torso:
             self.model.torso([*torso], progress)
         return self._scarred(state.regions) if state.scars else self.model
 
     def files(self, state: State) -> dict[str, str]:
         """Files by name that `fascicle simulate` takes, to repeat a state."""
-        values = "".join(f"{name} = {value!r}\n" for name, value in state.values.items())
+        gain, _ = self._drawn(state)
+        named = dict(state.values)
+        if gain != 1:
+            named["gain"] = gain * named.get("gain", 1.0)
+        values = "".join(f"{name} = {value!r}\n" for name, value in named.items())
         beat = state.beat() or Scenario()
         return {"parameters.toml": values, "scenario.toml": scenario_text(beat, state.regions)}
 
@@ -247,8 +250,12 @@ class Session:
         These take as long as the simulation.
         """
         found = model.simulate(state.values, state.beat())
-        if not isinstance(found, Simulation):
+        if isinstance(found, InvalidTree):
             raise InputError(f"no network: {found.reason}")
+        if isinstance(found, InvalidTorso):
+            raise InputError(f"{found.reason}; undo the last change")
+        gain, torso = self._drawn(state)
+        found = replace(found, leads=gain * torso @ found.leads)
         begin = float(found.activation.min())
         said: dict[str, Any] = {
             "qrs": found.global_qrs_duration,
@@ -265,9 +272,8 @@ class Session:
         said["ecg_start"] = found.onset - begin
         arrays["simulated"] = found.leads[: len(LEADS)].astype("<f4")
         if self.recording is not None:
-            leads = self._in_its_torso(found.leads, state)
-            target, alignment = self.recording.target, self.recording.align(leads)
-            under = self.recording.predicted(leads, alignment)
+            target, alignment = self.recording.target, self.recording.align(found.leads)
+            under = self.recording.predicted(found.leads, alignment)
             first = alignment.shift - target.qrs_samples.start - found.first_activation
             said["ecg_start"] = first * STEP
             said["explained"] = 1 - alignment.loss / self.recording.null_loss
@@ -275,14 +281,16 @@ class Session:
             arrays["recorded"] = target.mean[: len(LEADS)].astype("<f4")
         return said, arrays
 
-    def _in_its_torso(self, leads: Floats, state: State) -> Floats:
-        """Leads (12 + k, t) with the gain and the torso that were drawn with a network."""
+    def _drawn(self, state: State) -> tuple[float, Floats]:
+        """Gain and torso (12 + k, 12 + k) that were drawn with the network of a state."""
         study, k = self.study, state.network
-        if study is None or k is None or torso_values(state.values):
-            return leads
-        if study.gains is None or study.torsos is None or k >= len(study.gains):
-            return leads
-        return np.asarray(study.gains[k] * study.torsos[k] @ leads)
+        plain = np.eye(len(self.model.heart.leads))
+        if study is None or k is None:
+            return 1.0, plain
+        if k >= len(study.population):
+            raise InputError(f"network: there is no {k}; reload the page")
+        gain = 1.0 if study.gains is None else float(study.gains[k])
+        return gain, plain if study.torsos is None else study.torsos[k]
 
     @cached_property
     def _scarred(self) -> Callable[[tuple[Region, ...]], ForwardModel]:
@@ -308,7 +316,7 @@ class Session:
         unit = "" if parameter.unit == "1" else parameter.unit
         return {
             "name": name, "label": parameter_name(name), "unit": unit, "low": low, "high": high,
-            "posterior": drawn, "value": self._own(name), "meaning": QUANTITIES[name].meaning,
+            "posterior": drawn, "value": self._own(name), "meaning": quantity(name).meaning,
         }  # fmt: skip
 
     def _own(self, name: str) -> float | None:
@@ -317,7 +325,7 @@ class Session:
             along, across = self.model.conduction.speeds
             return along / across
         own = {**self.model.rules.numbers, **vars(self.model.conduction)}
-        return own.get(name, QUANTITIES[name].default)
+        return own.get(name, quantity(name).default)
 
     def _networks(self) -> list[dict[str, float | str]]:
         if self.study is None:
@@ -346,9 +354,9 @@ def _tree(tree: PurkinjeTree, times: NDArray[Any]) -> dict[str, NDArray[Any]]:
     }
 
 
-def _tell(tell: Callable[[bytes], object] | None, line: str) -> None:
-    if tell is not None:
-        tell(packed({"progress": line}, {}))
+def _report(report: Callable[[bytes], object] | None, line: str) -> None:
+    if report is not None:
+        report(packed({"progress": line}, {}))
 
 
 def _spoken(values: Mapping[str, float]) -> dict[str, float | str]:

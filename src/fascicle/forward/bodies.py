@@ -52,7 +52,7 @@ def electrocardiograph_in_body(
     whole ECG there, do nothing.
     """
     heart, conduction = model.heart, model.conduction
-    if heart.torso is not None or heart.lead_fields is not None:
+    if heart.has_torso:
         return model.electrocardiograph_in_torso
     mesh = heart.vertices, heart.tetrahedra
     centroid, barycentric = solid_centroid(*mesh), barycentric_gradients(*mesh)

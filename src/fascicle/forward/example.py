@@ -19,7 +19,7 @@ def example_parameters(model: ForwardModel) -> dict[str, float]:
     """Parameters of a network with a plausible ECG, that grows on the heart of a model.
 
     A heart may have its own (`fascicle.Heart.example`), such as the packaged ``"camps-dti004"``,
-    where the left middle septum is activated first. Of others, lengths are those of
+    where the mid-septal LV endocardium is activated first. Of others, lengths are those of
     `fascicle.EXAMPLE_PARAMETERS` times the root of the endocardium's area over that of the
     packaged heart, for which they were found; what then leaves the endocardium is shortened, and so
     is a bundle whose tree has few junctions: below 50, or fewer on an endocardium of less than half

@@ -87,7 +87,7 @@ class Replicate:
     unexplained : float, optional
         Energy of recording minus `ecg`; by default the sum of `left`.
     torso : (12 + k, 12 + k) array, optional
-        What the torso makes of the leads of the network, besides the gain.
+        Maps the leads in the plain torso to those in the torso that was drawn, besides the gain.
     """
 
     ecg: Floats
@@ -162,8 +162,8 @@ class QrsLikelihood:
         models = self.whitened(ecg.leads, ecg.first_activation)[:, :, at]
         factors = self._factors(models, int(scale), rng)
         gain = 1 + self.gain_sd * factors[0]
-        torso = np.eye(len(ecg.leads)) + np.tensordot(factors[1:], self.bodies, 1) / gain
-        leads = gain * torso @ ecg.leads
+        mixed = gain * np.eye(len(ecg.leads)) + np.tensordot(factors[1:], self.bodies, 1)
+        leads = mixed @ ecg.leads
         begin = shift + MARGIN - target.qrs_samples.start
         clean = placed(leads, begin, len(target.time), target.response)
         error, least = self.noise(rng, int(scale)), self.noise(rng, 0)
@@ -177,7 +177,7 @@ class QrsLikelihood:
             ((left @ self.modes) ** 2).sum(axis=1),
             (least**2).sum(axis=1),
             float((left**2).sum()),
-            torso,
+            mixed / gain,
         )
 
     def _factors(self, models: Floats, scale: int, rng: np.random.Generator) -> Floats:

@@ -103,7 +103,7 @@ def prepare_response(
     heart: Heart, conduction: Conduction, wanted: Sequence[str], progress: Progress | None = None
 ) -> TorsoResponse:
     """The response of a heart's lead fields to the torso, cached; see `ForwardModel.torso`."""
-    if heart.torso is None and heart.lead_fields is None:
+    if not heart.has_torso:
         raise InputError(
             f"parameter '{wanted[0]}': {heart.name} has no torso; build the heart again with one "
             "(fascicle heart build), or leave the parameter out"

@@ -140,6 +140,11 @@ class Heart:
         above("heart.folder").write_heart(self, as_path(folder, "folder"))
 
     @property
+    def has_torso(self) -> bool:
+        """Whether it lies in a torso, or has the lead fields of one."""
+        return self.torso is not None or self.lead_fields is not None
+
+    @property
     def endocardia(self) -> tuple[Endocardium, Endocardium]:
         """Left, then right."""
         return self.lv, self.rv

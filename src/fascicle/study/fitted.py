@@ -53,7 +53,8 @@ class FittedStudy:
     gains : (n,) array, optional
         Factor on the ECG of each network of a posterior, drawn given the first recording.
     torsos : (n, 12 + k, 12 + k) array, optional
-        What the torso that was drawn with it makes of its leads, besides that factor.
+        Maps its leads in the plain torso to those in the torso that was drawn with it, besides that
+        factor.
     ecgs : tuple of (n, 12 + k, n_time) arrays
         Of a posterior, ECGs of the networks for each recording: with shift, gain and torso drawn
         given the recording (mV).

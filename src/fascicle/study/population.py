@@ -210,14 +210,14 @@ def write_population(
             **split,
             observed_data={f"ecg{end}": target.mean for end, target in _numbered(targets)},
             constant_data={f"beats{end}": target.beats for end, target in _numbered(targets)},
-            coords={"lead": list(targets[0].leads)}
+            coords={key: list(targets[0].leads) for key in ("lead", "lead_in_plain_torso")}
             | {f"time{e}": t.time for e, t in _numbered(targets)},
             dims={
                 f"{name}{end}": [*first, "lead", f"time{end}"]
                 for end, _ in _numbered(targets)
                 for name, first in (("ecg", []), ("ecg_model", []), ("beats", [f"beat{end}"]))
             }
-            | {f"torso{end}": ["lead", "lead_without"] for end, _ in _numbered(targets)},
+            | {f"torso{end}": ["lead", "lead_in_plain_torso"] for end, _ in _numbered(targets)},
         )
     data.attrs.update(attributes)
     for parameter in space.parameters:

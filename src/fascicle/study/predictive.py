@@ -146,7 +146,7 @@ class Prediction:
     ecg: Floats  # (n, 12 + k, n_time), without noise and discrepancy, at the target's times (mV)
     noisy: Floats  # the same with both
     gains: Floats  # (n,), as the following drawn for each
-    torsos: Floats  # (n, 12 + k, 12 + k), what they make of the leads, besides the gain
+    torsos: Floats  # (n, 12 + k, 12 + k), from leads in the plain torso to those in the drawn one
     shifts: Floats  # of the first activation from the recorded onset (ms)
     discrepancies: Floats  # σ (mV)
     checks: Checks

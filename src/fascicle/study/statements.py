@@ -360,7 +360,7 @@ def _warnings(result: Result) -> Iterator[tuple[Kind, str]]:
     if result.settings.method == "paper":
         yield from _of_the_paper(result)
     heart = result.simulator.model.heart
-    if heart.torso is None and heart.lead_fields is None:
+    if not heart.has_torso:
         yield (
             Kind.NO_TORSO,
             "the heart has no torso, and in the unbounded conductor the ratios of the leads are "

@@ -48,7 +48,8 @@ class Network:
     drawn_gain : float, optional
         Gain that was drawn with a network of a posterior, in place of the best one.
     torso : (12 + k, 12 + k) array, optional
-        What the torso that was drawn with it makes of its leads, besides the gain.
+        Maps its leads in the plain torso to those in the torso that was drawn with it, besides the
+        gain.
     """
 
     parameters: Mapping[str, float]

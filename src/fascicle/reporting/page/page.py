@@ -164,6 +164,7 @@ def _content(
         "verdict": said.verdict,
         "trustworthy": said.converged and said.acceptable,
         "caution": said.caution,
+        "in_torsos": fitted.torsos is not None,
         "meaning": words.meaning(fitted),
         "warnings": said.warnings,
         "constrained": [each for each in said.parameters if each.constrained],

@@ -240,9 +240,11 @@ def _fields(predicted: Mapping[str, Predicted], shown: Integers) -> list[list[di
 def _segments(
     territories: Territories, predicted: Predicted, beats: Sequence[PredictedBeat]
 ) -> dict[str, Any]:
-    """Means over the left ventricle's 17 segments: of activation in `beats`, and of each of `MAPS`.
+    """The left ventricle's 17 segments: mean activation in `beats`, and as in each of `MAPS`.
 
-    With 90 % intervals of the mean activation over all networks; None where none is activated.
+    Over all networks these are the mean activation of a segment with its 90 % interval, its
+    standard deviation, and the mean probability. None where no part of a segment is activated; no
+    interval where one of the networks activates none.
     """
 
     def means(values: Floats) -> Floats:
@@ -251,8 +253,8 @@ def _segments(
     every = np.array([means(since_first(beat.activation)) for beat in predicted.beats])
     low, high = np.percentile(every, (5, 95), axis=0)
     maps = {name: {"values": means(predicted.maps[name])} for name, *_ in MAPS}
-    maps[MAPS[0][0]] |= {"low": low, "high": high}
-    maps[MAPS[1][0]]["values"] = every.std(axis=0)
+    maps["activation_mean"] |= {"low": low, "high": high}
+    maps["activation_sd"] = {"values": every.std(axis=0)}
     one = [_numbers(means(since_first(beat.activation))) for beat in beats]
     all_ = [{what: _numbers(v) for what, v in each.items()} for each in maps.values()]
     return {"one": one, "all": all_}
