@@ -356,6 +356,7 @@ def test_a_report_where_nothing_can_be_written_says_what_helps(study, monkeypatc
     refused(["report", study.folder], *words)
 
 
+@pytest.mark.slow
 def test_a_report_against_another_scenario(study, tmp_path, run, refused):
     asked = ["report", study.folder, "--out", tmp_path / "r.html", "--scenario", "his-pacing"]
     words = "intrinsic, his-pacing; add it to them (--scenario blok)\n"

@@ -51,6 +51,7 @@ def origin(folder, target):
     return fascicle.locate(folder, target, prior_simulations=300, workers=2, progress=None)
 
 
+@pytest.mark.slow
 def test_an_apical_beat_is_found(origin):
     apex = np.array(Sites(origin.heart).position("rv apex"))
     assert np.linalg.norm(origin.place - apex) < 30  # 270 beats to learn from
@@ -59,6 +60,7 @@ def test_an_apical_beat_is_found(origin):
     assert f"with 90% within {origin.radius:.0f} mm of it" in origin.verdict
 
 
+@pytest.mark.slow
 def test_probabilities_add_up(origin):
     assert origin.probabilities.sum() == pytest.approx(1)
     for table in (origin.ventricles, origin.walls, origin.layers, origin.segments):
@@ -79,12 +81,14 @@ def test_the_packaged_heart_brings_its_classifier(target, monkeypatch):
     assert found.caution is None
 
 
+@pytest.mark.slow
 def test_it_is_made_once(origin, folder, target, monkeypatch):
     monkeypatch.setattr(origin_module, "learn", None)
     again = fascicle.locate(folder, target, prior_simulations=300, progress=None)
     np.testing.assert_allclose(again.probabilities, origin.probabilities)
 
 
+@pytest.mark.slow
 def test_it_is_written(origin, tmp_path):
     origin.save(tmp_path / "out")
     summary = json.loads((tmp_path / "out" / "origin.json").read_text())
@@ -100,6 +104,7 @@ def test_it_is_written(origin, tmp_path):
     assert origin_figure(origin).axes
 
 
+@pytest.mark.slow
 def test_a_beat_like_no_simulated_one_has_no_origin(origin, target, folder):
     """As with leads that are exchanged and turned over."""
     beats = target.beats[:, [0, 1, 2, 3, 4, 5, 11, 6, 10, 7, 9, 8]] * np.array(
@@ -115,6 +120,7 @@ def test_a_beat_like_no_simulated_one_has_no_origin(origin, target, folder):
     )
 
 
+@pytest.mark.slow
 def test_beats_begin_where_they_are_said_to(folder, default_model):
     beats = ectopic_beats(default_model, folder)
     places, scenarios = beats.origins(0), beats.scenarios(0)
@@ -142,6 +148,7 @@ def test_what_cannot_be_used_is_refused(default_heart, target):
         fascicle.locate(default_heart, target, workers=0)
 
 
+@pytest.mark.slow
 def test_the_pool_is_that_of_a_fit(folder, target):
     found = fascicle.locate(folder, target, prior_simulations=300, pool=Threads(1), progress=None)
     assert isinstance(found, Origin)

@@ -38,6 +38,7 @@ def test_what_is_no_likelihood_is_refused(target, tmp_path):
         fascicle.fit("default", target, tmp_path / "s", likelihood=[5.0])
 
 
+@pytest.mark.slow
 def test_a_growth_rule_is_recorded_and_needed_again(target, tmp_path, monkeypatch):
     monkeypatch.setitem(QUANTITIES, "apical_attraction", None)  # as it was, afterwards
     del QUANTITIES["apical_attraction"]

@@ -199,6 +199,7 @@ class TestCluster:
         with pytest.raises(InputError, match="not to be had"):
             list(pool.map(refuse, points, simulator.model))
 
+    @pytest.mark.slow
     def test_workers_that_are_killed_and_join_late(
         self, cluster, simulator, recordings, points, expected
     ):

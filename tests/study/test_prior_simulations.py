@@ -231,6 +231,7 @@ def test_only_hearts_without_fixed_delays_are_the_same_on_any_clock(
     assert asked["same_on_any_clock"] == (not fixed)
 
 
+@pytest.mark.slow
 def test_a_heart_in_a_folder_that_cannot_be_written_to(model, tmp_path, monkeypatch):
     """Simulations are kept with the study's own copy of the heart."""
     folder, out = tmp_path / "heart", tmp_path / "study"

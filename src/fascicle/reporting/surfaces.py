@@ -127,7 +127,7 @@ def _rendered(
     if plotter is None:
         return None
     plotter.clear_actors()
-    plotter.window_size = np.round(900 * size / size.max()).astype(int).tolist()
+    plotter.window_size = np.round(600 * size / size.max()).astype(int).tolist()
     for surface in surfaces:
         mesh = make_tri_mesh(surface.vertices, surface.triangles)
         plotter.add_mesh(
