@@ -227,6 +227,7 @@ def test_named_after_the_file_and_written_where_one_is(run, tmp_path, mesh_file,
     assert (tmp_path / "mesh" / "check.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_the_torso_is_shaped_to_electrodes(run, tmp_path, mesh_file):
     electrodes = anatomies.write_electrodes(tmp_path / "electrodes.csv")
     command = ["heart", "build", mesh_file, "--electrodes", electrodes, "--chest", 95]

@@ -101,6 +101,7 @@ def test_same_seed_same_result_and_resuming_evaluates_nothing(study, target, tmp
         assert ledger.execute("SELECT count(*) FROM evaluations").fetchone() == before
 
 
+@pytest.mark.slow
 def test_a_moved_study_goes_on_with_what_it_holds(study, tmp_path):
     moved = shutil.copytree(study.folder, tmp_path / "moved")
     (moved / "posterior.nc").unlink()
@@ -120,7 +121,11 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] if "/" in name else []) for name in DAMAGE]
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] if name != "target.nc" else [])
+        for name in DAMAGE
+    ],
 )
 def test_damaged_copies_are_restored(study, target, tmp_path, name):
     """What a study keeps of its heart and recording, when it is fitted again."""
@@ -278,6 +283,7 @@ def test_export_refuses(study, tmp_path, refused, monkeypatch):
     assert sorted(tmp_path.rglob("*")) == before
 
 
+@pytest.mark.slow
 def test_sweep(study, tmp_path, run, refused):
     asked = ["sweep", study.folder, "biventricular-pacing", "--networks", "3"]
     lines = run(*asked, "--delay=-20:20:20", "--out", tmp_path / "s").out.splitlines()

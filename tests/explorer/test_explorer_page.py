@@ -190,6 +190,7 @@ def test_every_exercise_can_be_begun(server, visit):
     assert exercises.count() == 5
 
 
+@pytest.mark.slow
 def test_what_is_not_learnt_has_sliders_too(server, visit, default_model):
     page = visit(server.url)
     page.get_by_text("growth and junctions").click()

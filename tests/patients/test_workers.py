@@ -89,6 +89,7 @@ def test_a_worker_that_is_killed_costs_nothing_but_time(address, workers, table,
         np.testing.assert_array_equal(values, there.population.values[key])
 
 
+@pytest.mark.slow
 def test_a_patient_who_loses_every_worker_is_given_up(address, workers, table, tmp_path):
     ended = threading.Event()
 

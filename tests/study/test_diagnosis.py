@@ -64,6 +64,7 @@ def test_each_network_has_its_state(fitted):
     assert summary["conduction_states"] == dict(fitted.population.states)
 
 
+@pytest.mark.slow
 def test_a_study_is_read_back_and_fitted_again_as_it_is(fitted, target):
     read = fascicle.load_study(fitted.folder, None)
     assert read.verdict == fitted.verdict
@@ -91,6 +92,7 @@ def test_predictions_keep_the_block(fitted):
     assert (uncorrected - corrected).mean() > 15
 
 
+@pytest.mark.slow
 def test_networks_of_the_prior_are_of_all_states(fitted, monkeypatch):
     monkeypatch.setattr("fascicle.prediction.scenarios.PRIOR_NETWORKS", 30)
     networks = prior_networks(fitted)
@@ -130,6 +132,7 @@ def test_a_paced_beat_is_noticed(fitted):
     assert [w.kind for w in said if "the recorded beats are paced" in w.text] == ["paced"]
 
 
+@pytest.mark.slow
 def test_the_states_are_drawn_and_not_if_none_is_named(fitted):
     networks = fitted.networks(chosen=[0])
     drawn = drawings(fitted, networks)["states"].figure.axes[0]
@@ -149,6 +152,7 @@ def test_what_the_ecg_cannot_tell_apart_is_said(fitted):
     )
 
 
+@pytest.mark.slow
 def test_states_are_learnt_of_one_intrinsic_beat_unless_something_speaks_against_it(target):
     def learnt(target, parameters, **more):
         given = read_inputs("default", target, parameters, checked_settings({}), **more)
@@ -182,6 +186,7 @@ def test_the_packaged_heart_brings_the_emulators_of_all_states(default_model, tm
     assert not [*tmp_path.iterdir()]
 
 
+@pytest.mark.slow
 def test_one_state_is_a_study_of_it(target, tmp_path):
     given = {"conduction": "right bundle branch delay"}
     found = fascicle.fit("default", target, tmp_path / "study", parameters=given, **SETTINGS)
@@ -299,6 +304,7 @@ def test_states_share_simulations_or_have_their_own(default_model, tmp_path):
         assert (found["left bundle branch delay"].prior.content == usual) == same
 
 
+@pytest.mark.slow
 def test_a_heart_without_a_classifier_gets_one(default_model, target, tmp_path, monkeypatch):
     """Of its own simulations, in the leads that were recorded; it is then kept."""
     monkeypatch.setattr(state_classifier, "RECORDINGS", 2000)

@@ -304,6 +304,7 @@ class TestCluster:
         with pytest.raises(InputError, match=r"jobs were cancelled there .* the same command goes"):
             pool._results(futures)
 
+    @pytest.mark.slow
     def test_a_scheduler_that_is_restarted(
         self, connected, simulator, recordings, points, expected
     ):

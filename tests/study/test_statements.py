@@ -40,7 +40,7 @@ def fitted(
     """A study of which only what decides the warnings is there."""
     heart = SimpleNamespace(
         regions=None if regions is None else np.array(regions),
-        torso=None, lead_fields=object() if lead_fields else None,
+        has_torso=lead_fields,
     )  # fmt: skip
     conduction = Conduction().with_values(values or {})
     model = SimpleNamespace(heart=heart, conduction=conduction)
