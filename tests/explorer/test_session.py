@@ -152,7 +152,7 @@ def test_electrodes_are_moved_on_the_skin(torso_model):
 
 
 @pytest.mark.slow
-def test_what_takes_long_is_told_on_the_way(default_model, monkeypatch):
+def test_progress_of_long_preparations_is_reported(default_model, monkeypatch):
     def torso(wanted, progress=None):
         progress("torso response", 1, 4, "once for a heart")
         time.sleep(3.2)

@@ -343,7 +343,7 @@ def test_the_ecg_of_a_network_is_in_its_torso(content, default_model):
     np.testing.assert_allclose(np.ptp(shown, axis=1), np.ptp(leads[::-1], axis=1), rtol=0.05)
 
 
-def test_segments_are_told(page, content, default_model):
+def test_segments_are_drawn(page, content, default_model):
     eye = page.get_by_role("img", name="17 segments: activation, intrinsic beat")
     one = picture(page, "[aria-label^='17 segments']")
     territories = Territories.of(default_model.heart, default_model.sites.places)

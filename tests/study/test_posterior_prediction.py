@@ -97,7 +97,7 @@ def test_a_recording_of_the_model_agrees(recorded):
     assert np.abs(found.ecg.mean(axis=0) - recorded.mean)[:, window].max() < 0.1
 
 
-def test_what_a_torso_makes_of_the_leads_is_told(recorded):
+def test_the_torso_that_was_drawn_is_kept(recorded):
     bodies = np.random.default_rng(2).normal(0, 1.0, (2, 12, 12))
     one = network()
     drawn = replace(likelihood(recorded), bodies=bodies).predictive(

@@ -3,8 +3,8 @@
 import { colour } from "./colours.js";
 import { make } from "./controls.js";
 
-const SIZE = 250; // pixels
-const RING = 27;
+const SIZE = 342; // pixels
+const RING = 38;
 const WALLS = [["anterior", 0, -1], ["septal", -1, 0], ["inferior", 0, 1], ["lateral", 1, 0]];
 
 const written = (value, { unit }) => value.toFixed(unit === "1" ? 2 : 0);
