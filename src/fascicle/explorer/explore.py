@@ -111,8 +111,8 @@ def widget(session: Session) -> Any:
 
     def answer(shown: Any, message: Any, buffers: Any) -> None:
         is_first = message.get("ask") == "description"
-        tell = partial(made.send, {})
-        tell([session.description() if is_first else session.answer(message, lambda m: tell([m]))])
+        send = partial(made.send, {})
+        send([session.description() if is_first else session.answer(message, lambda m: send([m]))])
 
     made.on_msg(answer)
     return made
