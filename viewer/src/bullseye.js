@@ -12,8 +12,8 @@ const written = (value, { unit }) => value.toFixed(unit === "1" ? 2 : 0);
 export class BullsEye {
   constructor() {
     this.title = make("div", { class: "fv-title" });
-    this.canvas = make("canvas", { role: "img", width: SIZE, height: SIZE });
-    this.root = make("div", {}, this.title, this.canvas);
+    this.canvas = make("canvas", { role: "img", style: "width: 100%" });
+    this.root = make("div", { style: `width: min(${SIZE}px, 100%)` }, this.title, this.canvas);
   }
 
   // Segments {values, low, high} (17 each; low and high are an interval, or missing) in the colours
@@ -25,7 +25,6 @@ export class BullsEye {
     this.canvas.title = `${field.label}, of each segment's mean${low ? "; below it, 90% interval" : ""}`;
     const ratio = Math.min(devicePixelRatio, 2);
     this.canvas.width = this.canvas.height = SIZE * ratio;
-    this.canvas.style.width = this.canvas.style.height = `${SIZE}px`;
     const pen = this.canvas.getContext("2d");
     pen.scale(ratio, ratio);
     pen.translate(SIZE / 2, SIZE / 2);
