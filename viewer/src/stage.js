@@ -9,7 +9,7 @@ import { make } from "./controls.js";
 const TURN = 0.15; // rad by an arrow key
 const CLICK = 5; // pixels that a click may move
 const HALF_VIEW = 15; // degrees that the camera sees on either side
-const COARSE = 0.4; // of the pixels across, where a processor draws and something moves
+const COARSE = 0.33; // of the pixels across, where a processor draws and something moves
 const DAMPED = 0.1; // (pixels/mm)²
 const STEPS = 50; // towards the centre of the smallest sphere
 
