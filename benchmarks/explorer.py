@@ -100,7 +100,7 @@ def main() -> None:
         page.on("pageerror", lambda error: said.append(str(error)))
         page.goto(url)
         settled(page)
-        # what is prepared when the hand rests, or takes minutes first, is left out
+        # tissue is prepared on release, and the torso's lead fields take minutes: not measured
         names: list[str] = page.evaluate(
             "explorer.said.groups.slice(0, 2).flatMap((g) => g.sliders).map(({ name }) => name)"
         )

@@ -114,14 +114,13 @@ export class Explorer {
       this.change((state) => (state.scenario = Object.keys(said.scenarios)[k])));
     this.conduction = choice("conduction", said.conduction, (k) =>
       this.change((state) => (state.values.conduction = k)));
-    this.opaque = make("input", { type: "checkbox" });
-    this.opaque.addEventListener("change", () => {
-      this.heart.seeThrough(!this.opaque.checked);
+    this.opaque = check("opaque", false, () => {
+      this.heart.seeThrough(!this.opaque.box.checked);
       this.stage.draw();
     });
     this.electrodes = check("electrodes", false, () => {
       const places = this.electrodes.box.checked ? this.chest().flatMap(({ place }) => place.toArray()) : [];
-      this.stage.hold(Float32Array.of(...this.fixed.vertices, ...places));
+      this.stage.hold(Float32Array.from([...this.fixed.vertices, ...places]));
       this.mark();
     });
     this.electrodes.box.disabled = true; // they come with the first beat
@@ -141,7 +140,7 @@ export class Explorer {
         button("film", "save a film", () => this.saveFilm())),
       make("div", { class: "fv-row" },
         ...Object.keys(this.stage.views).map((name) => button(name, `view: ${name}`, () => this.stage.view(name))),
-        make("label", {}, this.opaque, "opaque"), this.electrodes.row));
+        this.opaque.row, this.electrodes.row));
   }
 
   timeRow() {

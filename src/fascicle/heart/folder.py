@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
 from fascicle.core.arrays import Floats
-from fascicle.core.errors import InputError, ValueRefusedError, given_in
+from fascicle.core.errors import InputError, given_in
 from fascicle.core.files import (
     as_path,
     atomic_folder,
@@ -25,15 +25,8 @@ from fascicle.core.files import (
     read_toml,
     user_cache,
 )
-from fascicle.core.quantities import (
-    SIDES,
-    SPEED,
-    check_one_speed,
-    checked,
-    fascicle_names,
-    fascicles,
-    region_labels,
-)
+from fascicle.core.parameters import complete
+from fascicle.core.quantities import SPEED, check_one_speed, checked, region_labels
 from fascicle.heart.action_potential import read_action_potential, write_action_potential
 from fascicle.heart.assembly import assemble_heart
 from fascicle.heart.conduction import SPEEDS, Region
@@ -150,7 +143,8 @@ def load_heart(path: Path | str) -> Heart:
     if manifest.action_potential is not None:
         table = read_action_potential(named_by(path, manifest.action_potential))
     values = _patient_values(path, manifest.values, heart)
-    example = _example(path, manifest.example)
+    with given_in(path):
+        example = complete(manifest.example) if manifest.example else {}
     return replace(
         heart,
         torso=torso,
@@ -189,20 +183,6 @@ def _patient_values(path: Path, values: dict[str, Any], heart: Heart) -> dict[st
             # all that `Conduction.with_values` looks at; anything else would count for nothing
             if name not in (*SPEEDS, *SPEED, *regions.values()):
                 raise InputError(f"'{name}' is not a property of the tissue; leave it out")
-        return found
-
-
-def _example(path: Path, values: dict[str, Any]) -> dict[str, float]:
-    """The parameters of an example network, whole, or none."""
-    with given_in(path):
-        found = checked(values)
-        check_one_speed(found)
-        if found:
-            needed = ["root_time", "cv"]
-            for side in SIDES:
-                needed += [f"{side}_initial_length", *fascicle_names(side, fascicles(side, found))]
-            if missing := [name for name in needed if name not in found]:
-                raise ValueRefusedError(f"missing parameters {', '.join(missing)}; add them")
         return found
 
 

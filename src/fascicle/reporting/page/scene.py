@@ -120,7 +120,7 @@ def scene(
                 "title": scenario_name(name),
                 "label": each.scenario.description or name,
                 "fields": own,
-                "segments": _segments(territories, each, beats[name]),
+                "segments": _segments(territories, each, chosen),
                 "activations": [
                     _bytes(since_first(beat.activation)[shown], 0.0, last) for beat in beats[name]
                 ],
@@ -237,10 +237,8 @@ def _fields(predicted: Mapping[str, Predicted], shown: Integers) -> list[list[di
     return fields
 
 
-def _segments(
-    territories: Territories, predicted: Predicted, beats: Sequence[PredictedBeat]
-) -> dict[str, Any]:
-    """The left ventricle's 17 segments: mean activation in `beats`, and as in each of `MAPS`.
+def _segments(territories: Territories, predicted: Predicted, chosen: Integers) -> dict[str, Any]:
+    """The left ventricle's 17 segments: mean activation in those chosen, and as in each of `MAPS`.
 
     Over all networks these are the mean activation of a segment with its 90 % interval, its
     standard deviation, and the mean probability. None where no part of a segment is activated; no
@@ -255,7 +253,7 @@ def _segments(
     maps = {name: {"values": means(predicted.maps[name])} for name, *_ in MAPS}
     maps["activation_mean"] |= {"low": low, "high": high}
     maps["activation_sd"] = {"values": every.std(axis=0)}
-    one = [_numbers(means(since_first(beat.activation))) for beat in beats]
+    one = [_numbers(every[k]) for k in chosen]
     all_ = [{what: _numbers(v) for what, v in each.items()} for each in maps.values()]
     return {"one": one, "all": all_}
 
