@@ -2,6 +2,8 @@
 
 import math
 import re
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -196,6 +198,20 @@ def test_threads_that_grow_at_once_grow_what_one_grows_alone(surface):
         for _ in range(5):
             together = pool.map(lambda angles: content(grow(surface, angles=angles)), ANGLES)
             assert list(together) == alone
+
+
+def test_another_process_finds_growth_compiled():
+    said = (
+        "from fascicle.forward.compile_kernels import compile_kernels\n"
+        "from fascicle.purkinje.growth import REPULSION, _grow\n"
+        "compile_kernels(print)\n"
+        "print(sum(_grow(REPULSION.function).stats.cache_misses.values()))\n"
+    )
+    misses = [
+        subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True)
+        for _ in range(2)
+    ]
+    assert misses[1].stdout.split()[-1] == "0"
 
 
 def test_rounding_of_the_coordinates_does_not_change_the_tree(surface):

@@ -250,6 +250,56 @@ def _trunk(seed, bundle_length, fascicle_lengths, fascicle_angles, step, chart):
     return GROWN, 0.0, tree, tips, heading
 
 
+@register_jitable
+def _grow_generation(term, tips, heading, label, rules, values, tree, chart):
+    """Grow two branches from every tip, numbered from `label` on, a segment at a time in step.
+
+    Returns the tree, and the tips and headings of the branches that lived.
+    """
+    metric, step = chart.metric, rules.step
+    end, toward = np.repeat(tips, 2), np.empty((2 * len(tips), 2))
+    alive = np.ones(len(end), np.bool_)
+    for k in range(len(end)):
+        angle = rules.branch_angle if k % 2 == 0 else -rules.branch_angle
+        toward[k] = _turned(heading[k // 2], angle)
+    too_near = (rules.clearance * step) ** 2
+    for segment in range(rules.segments):
+        tree = _with_room(tree, len(end))
+        nodes, head, round_start = tree.nodes, tree.head, tree.size
+        for k in range(len(end)):
+            if not alive[k]:
+                continue
+            # sisters are 0 and 1, 2 and 3, ...: their numbers differ in the last bit
+            start, own, sister = tips[k // 2], label + k, label + (k ^ 1)
+            u, v, t = nodes[end[k]].u, nodes[end[k]].v, nodes[end[k]].triangle
+            a, b = toward[k, 0], toward[k, 1]
+            if segment > 0:
+                kin = start, own, sister, round_start
+                best, square = _nearest_to_branch((u, v, t), kin, end[k ^ 1], nodes, head, metric)
+                scale = math.sqrt(_square(metric, t, a, b))
+                a, b = a / scale, b / scale
+                near = 0.0, 0.0, np.inf
+                if best >= 0 and square > 0.0:
+                    near = nodes[best].u, nodes[best].v, math.sqrt(square)
+                here = metric[t, 0], metric[t, 1], metric[t, 2]
+                da, db = term((u, v, a, b), near, here, values)
+                a, b = a + da, b + db
+            u, v, t, missing = walk(u, v, t, a, b, step, chart)
+            if missing > 0.0:
+                alive[k] = False
+                continue
+            # no node of the sister stops a branch: they begin nearer to each other than that
+            kin = start, own, sister, 0
+            _, square = _nearest((u, v, t), kin, (-1, too_near), nodes, head, metric)
+            if square < too_near:
+                alive[k] = False
+                continue
+            tree = _append(tree, (u, v, t), end[k], step, own)
+            end[k] = tree.size - 1
+            toward[k, 0], toward[k, 1] = a, b
+    return tree, end[alive], toward[alive]
+
+
 def make_grow(term: Callable[..., tuple[float, float]], cache: bool) -> Any:
     """Compile growth with a term, called as `repulsion` is, in the direction of every segment.
 
@@ -263,57 +313,6 @@ def make_grow(term: Callable[..., tuple[float, float]], cache: bool) -> Any:
     """
 
     @njit(cache=cache, nogil=True)
-    def grow_generation(tips, heading, label, rules, values, tree, chart):
-        """Grow two branches from every tip, numbered from `label` on, a segment at a time in step.
-
-        Returns the tree, and the tips and headings of the branches that lived.
-        """
-        metric, step = chart.metric, rules.step
-        end, toward = np.repeat(tips, 2), np.empty((2 * len(tips), 2))
-        alive = np.ones(len(end), np.bool_)
-        for k in range(len(end)):
-            angle = rules.branch_angle if k % 2 == 0 else -rules.branch_angle
-            toward[k] = _turned(heading[k // 2], angle)
-        too_near = (rules.clearance * step) ** 2
-        for segment in range(rules.segments):
-            tree = _with_room(tree, len(end))
-            nodes, head, round_start = tree.nodes, tree.head, tree.size
-            for k in range(len(end)):
-                if not alive[k]:
-                    continue
-                # sisters are 0 and 1, 2 and 3, ...: their numbers differ in the last bit
-                start, own, sister = tips[k // 2], label + k, label + (k ^ 1)
-                u, v, t = nodes[end[k]].u, nodes[end[k]].v, nodes[end[k]].triangle
-                a, b = toward[k, 0], toward[k, 1]
-                if segment > 0:
-                    kin = start, own, sister, round_start
-                    best, square = _nearest_to_branch(
-                        (u, v, t), kin, end[k ^ 1], nodes, head, metric
-                    )
-                    scale = math.sqrt(_square(metric, t, a, b))
-                    a, b = a / scale, b / scale
-                    near = 0.0, 0.0, np.inf
-                    if best >= 0 and square > 0.0:
-                        near = nodes[best].u, nodes[best].v, math.sqrt(square)
-                    here = metric[t, 0], metric[t, 1], metric[t, 2]
-                    da, db = term((u, v, a, b), near, here, values)
-                    a, b = a + da, b + db
-                u, v, t, missing = walk(u, v, t, a, b, step, chart)
-                if missing > 0.0:
-                    alive[k] = False
-                    continue
-                # no node of the sister stops a branch: they begin nearer to each other than that
-                kin = start, own, sister, 0
-                _, square = _nearest((u, v, t), kin, (-1, too_near), nodes, head, metric)
-                if square < too_near:
-                    alive[k] = False
-                    continue
-                tree = _append(tree, (u, v, t), end[k], step, own)
-                end[k] = tree.size - 1
-                toward[k, 0], toward[k, 1] = a, b
-        return tree, end[alive], toward[alive]
-
-    @njit(cache=cache, nogil=True)
     def grow(seed, bundle_length, fascicle_lengths, fascicle_angles, rules, values, chart):
         status, missing, tree, tips, heading = _trunk(
             seed, bundle_length, fascicle_lengths, fascicle_angles, rules.step, chart
@@ -324,7 +323,9 @@ def make_grow(term: Callable[..., tuple[float, float]], cache: bool) -> Any:
             if tree.size > MOST_NODES or count > MOST_ENDS:
                 status = TOO_LARGE
                 break
-            tree, tips, heading = grow_generation(tips, heading, label, rules, values, tree, chart)
+            tree, tips, heading = _grow_generation(
+                term, tips, heading, label, rules, values, tree, chart
+            )
             label += count
             if len(tips) == 0:
                 break
