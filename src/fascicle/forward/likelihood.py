@@ -43,6 +43,7 @@ from fascicle.core.leads import LIMB_LEADS, independent_rows, limb_leads_from
 from fascicle.core.ranges import short_repr
 from fascicle.forward.loss import placed
 from fascicle.forward.simulation import Signals
+from fascicle.kernels.gaussian import integrated
 from fascicle.recording.target import Target, residual_covariance
 
 MARGIN = 40  # samples (ms) of silence on either side of the QRS
@@ -192,7 +193,8 @@ class QrsLikelihood:
 
     def fit(self, ecg: Signals) -> Fit:
         """Compare a simulated ECG, zero before its first and after its last sample."""
-        joint = self._joint(self.whitened(ecg.leads, ecg.first_activation)) + self._log_priors
+        models = self.whitened(ecg.leads, ecg.first_activation)[None]
+        joint = self._joint(models)[0] + self._log_priors
         total = float(logsumexp(joint))
         shifts = ecg.first_activation - MARGIN + self._steps
         return Fit(total - math.log(len(SHARES)), shifts, np.exp(joint - total))
@@ -202,9 +204,7 @@ class QrsLikelihood:
 
         Parts have shape (n_shifts, 1 + k, n, q): `whitened` gives each.
         """
-        logs = np.empty((len(self._steps), len(SHARES), scores.shape[1]))
-        for at, prior in enumerate(self._log_priors):
-            logs[at] = self._joint(parts[at] @ scores) + prior
+        logs = self._joint(parts @ scores) + self._log_priors[:, None, None]
         return np.asarray(logsumexp(logs, axis=(0, 1)) - math.log(len(SHARES)))
 
     def whitened(self, leads: Floats, first_activation: float) -> Floats:
@@ -226,28 +226,13 @@ class QrsLikelihood:
         return np.concatenate([self.gain_sd * models[:1], models[1:]])
 
     def _joint(self, models: Floats) -> Floats:
-        """Log-likelihood (n_scales, m) of models (1 + k, n, m), as `whitened` gives them.
-
-        Factors of gain and body are integrated: they add X Xᵀ to the covariance, X being
-        `_columns`, which is I + XᵀWX in the factors, and is eliminated one by one.
-        """
-        _, all_weights, log_determinants, data = self._diagonal
-        weights, columns = all_weights.astype(models.dtype), self._columns(models)
-        left = data.astype(models.dtype) - models[0]
-        square, count = weights @ left**2, len(columns)
-        along = [weights @ (column * left) for column in columns]
-        gram = [[weights @ (one * other) for other in columns[k:]] for k, one in enumerate(columns)]
-        logs = np.zeros_like(square)
-        for j in range(count):
-            pivot = 1 + gram[j][0]
-            logs += np.log(pivot)
-            square -= along[j] ** 2 / pivot
-            for k in range(j + 1, count):
-                ratio = gram[j][k - j] / pivot
-                along[k] = along[k] - ratio * along[j]
-                for other in range(k, count):
-                    gram[k][other - k] = gram[k][other - k] - ratio * gram[j][other - j]
-        return np.asarray(-0.5 * (square + logs + log_determinants[:, None]))
+        """Log-likelihoods (s, n_scales, m) of models (s, 1 + k, n, m), at each shift s."""
+        _, weights, constants, data = self._diagonal
+        logs = np.empty((len(models), len(weights), models.shape[-1]))
+        kind = models.dtype
+        of_kind = data[:, 0].astype(kind), weights.astype(kind), constants
+        integrated(models, kind.type(self.gain_sd), *of_kind, logs)
+        return logs
 
     @cached_property
     def _steps(self) -> Floats:

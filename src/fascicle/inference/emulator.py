@@ -42,7 +42,14 @@ class Network(NamedTuple):
 
     def __call__(self, inputs: Singles) -> Singles:
         """Give the outputs (n, q) of inputs (n, p)."""
-        hidden = _forward(self.weights, inputs)[-1][0]
+        hidden = inputs
+        for k in range(0, len(self.weights) - 2, 2):  # as `_forward`, and nothing is kept
+            total = hidden @ self.weights[k]
+            total += self.weights[k + 1]
+            total *= logistic(total)
+            if k:
+                total += hidden
+            hidden = total
         return np.asarray(hidden @ self.weights[-2] + self.weights[-1])
 
 
@@ -88,7 +95,11 @@ def softmax(x: Singles) -> Singles:
 def logistic(x: Singles) -> Singles:
     """1 / (1 + exp(-x)), five times as fast as SciPy's in single precision."""
     half = np.float32(0.5)
-    return np.asarray(half + half * np.tanh(half * x))
+    found: Singles = half * x
+    np.tanh(found, out=found)
+    found *= half
+    found += half
+    return found
 
 
 def _gradients(

@@ -1,0 +1,89 @@
+"""The logarithm of a Gaussian density whose mean holds factors that are integrated."""
+
+import math
+
+import numpy as np
+
+from fascicle.kernels.jit import allocating_kernel
+
+BLOCK = 64  # models at once: their sums stay in the first-level cache
+
+
+@allocating_kernel(fastmath={"contract"})
+def integrated(models, first, data, weights, constants, logs):
+    """Log densities of a recording given many models of it, factors of their parts integrated.
+
+    The recording is m₀ + Σ zᵢcᵢ + ε with zᵢ ~ N(0, 1), where c₀ = `first` m₀ and cᵢ = mᵢ are the
+    columns of X, and ε has a diagonal covariance W⁻¹, one of several. The factors add X Xᵀ to it:
+    in them it is I + XᵀWX, which is eliminated column by column, what is left of the data last.
+
+    Parameters
+    ----------
+    models : (s, 1 + k, n, m) array
+    data : (n,) array
+    weights : (z, n) array
+        Diagonals of W.
+    constants : (z,) array
+        Log-determinants of 2πW⁻¹.
+    logs : (s, z, m) array
+        To be filled.
+    """
+    shifts, count, length, every = models.shape
+    scales = len(weights)
+    rows = np.zeros((count + 1, BLOCK), models.dtype)  # columns, and what is left of the data
+    sums = np.empty(((count + 1) * (count + 2) // 2, scales, BLOCK), models.dtype)
+    work, determinant = np.empty((2, BLOCK), models.dtype), np.empty(BLOCK)
+    for shift in range(shifts):
+        for begin in range(0, every, BLOCK):
+            size = min(BLOCK, every - begin)
+            sums[:] = 0
+            for i in range(length):
+                for j in range(size):
+                    rows[0, j] = first * models[shift, 0, i, begin + j]
+                    rows[count, j] = data[i] - models[shift, 0, i, begin + j]
+                for row in range(1, count):
+                    for j in range(size):
+                        rows[row, j] = models[shift, row, i, begin + j]
+                _add_products(rows, weights[:, i], work[0], sums)
+            for scale in range(scales):
+                _eliminate(sums[:, scale], count, work, determinant)
+                for j in range(size):
+                    total = sums[-1, scale, j] + math.log(determinant[j]) + constants[scale]
+                    logs[shift, scale, begin + j] = -0.5 * total
+
+
+@allocating_kernel(fastmath={"contract"})
+def _add_products(rows, weights, work, sums):
+    """Add weighted products of each pair of rows (r, BLOCK), the upper triangle row by row."""
+    place = 0
+    for one in range(len(rows)):
+        for other in range(one, len(rows)):
+            for j in range(BLOCK):
+                work[j] = rows[one, j] * rows[other, j]
+            for scale in range(len(weights)):
+                weight = weights[scale]
+                for j in range(BLOCK):
+                    sums[place, scale, j] += weight * work[j]
+            place += 1
+
+
+@allocating_kernel(fastmath={"contract"})
+def _eliminate(sums, count, work, determinant):
+    """Eliminate the first columns of symmetric matrices, to whose diagonal 1 is added there."""
+    pivot, ratio = work
+    determinant[:] = 1.0
+    start = 0
+    for one in range(count):
+        width = count + 1 - one
+        for j in range(BLOCK):
+            pivot[j] = 1 + sums[start, j]
+            determinant[j] *= pivot[j]
+        place = start + width
+        for other in range(1, width):
+            for j in range(BLOCK):
+                ratio[j] = sums[start + other, j] / pivot[j]
+            for last in range(other, width):
+                for j in range(BLOCK):
+                    sums[place, j] -= ratio[j] * sums[start + last, j]
+                place += 1
+        start += width
