@@ -2,12 +2,14 @@
 
     python -m benchmarks.conduction_states --heart HEART --out FOLDER [--physics 34] [--fits 0]
                                            [--noise TARGET] [--tuning] [--processes 1]
+                                           [--classifier HEART]
 
 In each of so many draws of another physics (`benchmarks.calibration`: mesh, fibres, anisotropy,
 endocardial layer, junction delays) three networks of each state are drawn from its prior, each in a
 torso of its own. The recordings are kept (`000-0-0.nc`: physics, network, state), so that the same
 command goes on where it stopped. A heart without a torso has its electrodes moved instead. With
-`--tuning` truths are others, to choose constants by.
+`--tuning` truths are others, to choose constants by. With `--classifier` it is that of another heart
+that looks at the recordings, as if it were taken for the patient's.
 
 Printed are, of the classifier of the heart, every state as probable before: the mean probability of
 every state for the truths of each, and how often it is the most probable one; the logarithmic score
@@ -109,8 +111,8 @@ def truths_of(number: int, given: argparse.Namespace) -> None:
 
 
 def classified(paths: list[Path], given: argparse.Namespace) -> list[dict[str, Any]]:
-    """What the classifier of the heart says of recordings, and the conventional criteria."""
-    heart = fascicle.load_heart(given.heart)
+    """What the classifier of a heart says of recordings, and the conventional criteria."""
+    heart = fascicle.load_heart(given.classifier or given.heart)
     assert heart.folder is not None
     space, fixed = study_space("posterior", {}, heart)
     simulator = PointSimulator(ForwardModel(heart), space, fixed)
@@ -266,6 +268,7 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=1, help="2 GB each")
     parser.add_argument("--noise", type=Path)
     parser.add_argument("--tuning", action="store_true")
+    parser.add_argument("--classifier", help="heart; by default the same")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     with TerminalProgress() as progress:

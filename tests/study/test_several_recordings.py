@@ -14,7 +14,7 @@ from fascicle.core.errors import InputError
 from fascicle.forward.likelihood import QrsLikelihood, cosines, matern, separable
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.primitives import SlowConduction, Stimulus
-from fascicle.forward.scenario_files import read_scenario, scenario_text
+from fascicle.forward.scenario_files import find_scenario, read_scenario, scenario_text
 from fascicle.recording.target import Target, smooth_noise
 from fascicle.reporting.study import drawings
 from fascicle.study.recordings import digests, given_recordings, read_recordings, write_recordings
@@ -69,6 +69,13 @@ def test_scenarios_are_kept_as_text(tmp_path):
     assert read_scenario(path) == (EVERYTHING, ())
 
 
+def test_a_scenario_of_the_library_is_given_by_its_name(model):
+    (found,) = given_recordings((recorded(model), "rv-apical-pacing"))
+    assert found[1] == read_scenario(find_scenario("rv-apical-pacing"))[0]
+    with pytest.raises(InputError, match="did you mean 'rv-apical-pacing'"):
+        given_recordings((recorded(model), "rv-apicl-pacing"))
+
+
 def test_a_scenario_with_trees_of_its_own_is_refused(model):
     tree = model.simulate(fascicle.EXAMPLE_PARAMETERS).trees[0]
     with pytest.raises(InputError, match=r"rv\.toml: has trees of its own"):
@@ -118,6 +125,8 @@ def test_arguments_of_the_command(tmp_path, monkeypatch):
     assert with_scenario("a.nc").name == "a.nc"
     target, scenario = with_scenario("rv-paced.nc:rv.toml")
     assert (target.name, scenario.name) == ("rv-paced.nc", "rv.toml")
+    target, scenario = with_scenario("rv-paced.nc:rv-apical-pacing")
+    assert (target.name, scenario.name) == ("rv-paced.nc", "rv-apical-pacing")
     assert with_scenario("odd:name.nc").name == "odd:name.nc"
     (tmp_path / "odd:name.toml").touch()
     assert with_scenario("odd:name.toml").name == "odd:name.toml"

@@ -182,8 +182,9 @@ def fit(
     """Learn the Purkinje networks that explain a target, and how well the ECG constrains them.
 
     Several recordings, such as of the intrinsic beat and paced from a known site
-    ('fascicle fit HEART intrinsic.nc rv-paced.nc:rv.toml --out STUDY'), must be explained by the
-    same networks; the result says what the others add to the first.
+    ('fascicle fit HEART intrinsic.nc paced.nc:rv-apical-pacing --out STUDY'), must be explained by
+    the same networks; the result says what the others add to the first. 'fascicle scenarios' lists
+    the sites; a file of your own ends in .toml.
 
     The first line of the result begins with what is blocked: how probable it is that a bundle
     branch or a fascicle is, or that nothing is while a branch is delayed or the tissue is slow

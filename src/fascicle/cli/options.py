@@ -131,9 +131,9 @@ def explicit(context: typer.Context, settings: Mapping[str, Any]) -> dict[str, A
 
 
 def with_scenario(text: str) -> Path | tuple[Path, Path]:
-    """A target, or target and scenario of ``target.nc:scenario.toml``."""
-    target, colon, scenario = text.rpartition(":")
-    if not colon or not scenario.endswith(".toml") or Path(text).exists():
+    """A target, or target and scenario of ``target.nc:scenario``, of the library or a file."""
+    target, _, scenario = text.rpartition(":")
+    if not target.endswith(".nc") or Path(text).exists():
         return Path(text)
     return Path(target), Path(scenario)
 

@@ -64,7 +64,8 @@ def fit(
         The heart, its folder, or ``"default"``.
     target : Target or path, or list
         The target, or its netCDF file. If it was not recorded in an intrinsic beat, a tuple with
-        the scenario, or its file: ``("rv.nc", "rv.toml")``. A list is of several recordings.
+        the scenario, its name in the library, or its file: ``("rv.nc", "rv-apical-pacing")``. A
+        list is of several recordings.
     out : path
         Folder of the study.
     parameters : mapping of name to value, optional

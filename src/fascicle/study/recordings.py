@@ -11,7 +11,7 @@ import numpy as np
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path, write_text
 from fascicle.forward.scenario import Scenario
-from fascicle.forward.scenario_files import read_scenario, scenario_text
+from fascicle.forward.scenario_files import find_scenario, read_scenario, scenario_text
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import as_target, read_target, write_target
 
@@ -44,7 +44,8 @@ def _recording(given: Given) -> Recorded:
         raise InputError(f"target is a tuple of {len(pair)}; give (target, scenario), or a list")
     target, scenario = as_target(pair[0]), pair[1]
     if scenario is not None and not isinstance(scenario, Scenario):
-        path = as_path(scenario, "scenario of a target", "a scenario, or its file")
+        given_path = as_path(scenario, "scenario of a target", "a scenario, its name, or its file")
+        path = find_scenario(str(given_path))
         scenario, regions = read_scenario(path)
         if regions:
             raise InputError(

@@ -353,7 +353,7 @@ def _warnings(result: Result) -> Iterator[tuple[Kind, str]]:
         yield (
             Kind.PACED,
             "the recorded beats are paced, and the networks are of an intrinsic beat: give the "
-            "scenario (target.nc:pacing.toml), or see where they begin ('fascicle locate')",
+            "scenario (target.nc:rv-apical-pacing), or see where they begin ('fascicle locate')",
         )
     yield Kind.LEADS, _poor_leads(result)
     yield Kind.GAIN, _unusual_gain(result)
