@@ -16,7 +16,7 @@ from functools import cached_property
 import igl
 import numpy as np
 from scipy.sparse import csr_matrix
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, Delaunay
 from scipy.spatial.transform import Rotation
 
 from fascicle.core.arrays import Booleans, Floats, Integers
@@ -157,7 +157,7 @@ def build_morph(heart: Heart, torso: Torso, skin: Integers) -> Morph:
     centres = torso.vertices[torso.tetrahedra].mean(axis=1)
     to_hull, from_hull = _away(centres, inner, hull.simplices.astype(np.int64))
     to_skin, from_skin = _away(centres, torso.vertices, skin)
-    inside = (centres @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1) <= 0
+    inside = Delaunay(inner[hull.vertices]).find_simplex(centres) >= 0
     whole = to_hull + to_skin
     slope = (to_skin[:, None] * from_hull - to_hull[:, None] * from_skin) / whole[:, None] ** 2
     slope[inside], share = 0.0, np.where(inside, 0.0, to_hull / whole)
