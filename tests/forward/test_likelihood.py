@@ -19,6 +19,7 @@ from fascicle.forward.likelihood import (
 )
 from fascicle.forward.loss import placed
 from fascicle.forward.simulation import Signals
+from fascicle.kernels.gaussian import BLOCK
 from fascicle.recording.target import Target
 
 QRS = 60  # samples
@@ -114,15 +115,16 @@ def test_sums_are_compared_as_simulations_are(gain_sd):
     """ECGs that are sums of a mean and of parts, many at a time, in single precision, too."""
     likelihood, rng = example(gain_sd), np.random.default_rng(0)
     mean, *parts = (np.pad(signal(width), ((6, 4), (0, 0))) for width in (8.0, 5.0, 13.0))
-    scores, gains = rng.standard_normal((5, 2)), rng.uniform(0.5, 2, 5)
+    count = 2 * BLOCK + 5
+    scores, gains = rng.standard_normal((count, 2)), rng.uniform(0.5, 2, count)
     each = gains[:, None, None] * (mean + np.tensordot(scores, parts, 1))
     expected = [likelihood.log_likelihood(Signals(leads, ONSET, (1, 1))) for leads in each]
     seen = np.array([likelihood.whitened(leads, ONSET) for leads in (mean, *parts)])
     given = seen.transpose(3, 1, 2, 0)
-    weights = gains * np.concatenate([np.ones((1, 5)), scores.T])
+    weights = gains * np.concatenate([np.ones((1, count)), scores.T])
     assert np.ptp(expected) > 10
     for kind, exact in ((np.float64, 1e-9), (np.float32, 1e-4)):
-        found = likelihood.of_sums(given.astype(kind), weights.astype(kind))
+        found = likelihood.of_sums(*(np.ascontiguousarray(a, kind) for a in (given, weights)))
         assert found == pytest.approx(expected, rel=exact)
 
 

@@ -128,6 +128,7 @@ def test_arguments_of_the_command(tmp_path, monkeypatch):
     target, scenario = with_scenario("rv-paced.nc:rv-apical-pacing")
     assert (target.name, scenario.name) == ("rv-paced.nc", "rv-apical-pacing")
     assert with_scenario("odd:name.nc").name == "odd:name.nc"
+    assert with_scenario("rv-paced.nc:").name == "rv-paced.nc:"
     (tmp_path / "odd:name.toml").touch()
     assert with_scenario("odd:name.toml").name == "odd:name.toml"
 

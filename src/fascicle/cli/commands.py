@@ -162,8 +162,8 @@ def fit(
         list[str],
         Argument(
             metavar="TARGET[:SCENARIO]...",
-            help="Target made by 'fascicle target', with a scenario file (TOML) if the recorded "
-            "beat was not intrinsic; or several targets of one heart.",
+            help="Target made by 'fascicle target', with a scenario (of the library, or a TOML "
+            "file) if the recorded beat was not intrinsic; or several targets of one heart.",
         ),
     ],
     out: Annotated[Path, Option("--out", help="Study folder; the same command resumes it.")],

@@ -193,8 +193,7 @@ class QrsLikelihood:
 
     def fit(self, ecg: Signals) -> Fit:
         """Compare a simulated ECG, zero before its first and after its last sample."""
-        models = self.whitened(ecg.leads, ecg.first_activation)[None]
-        joint = self._joint(models)[0] + self._log_priors
+        joint = self._joint(self.whitened(ecg.leads, ecg.first_activation)) + self._log_priors
         total = float(logsumexp(joint))
         shifts = ecg.first_activation - MARGIN + self._steps
         return Fit(total - math.log(len(SHARES)), shifts, np.exp(joint - total))
@@ -204,7 +203,9 @@ class QrsLikelihood:
 
         Parts have shape (n_shifts, 1 + k, n, q): `whitened` gives each.
         """
-        logs = self._joint(parts @ scores) + self._log_priors[:, None, None]
+        logs = np.empty((len(self._steps), len(SHARES), scores.shape[1]))
+        for at, prior in enumerate(self._log_priors):
+            logs[at] = self._joint(parts[at] @ scores) + prior
         return np.asarray(logsumexp(logs, axis=(0, 1)) - math.log(len(SHARES)))
 
     def whitened(self, leads: Floats, first_activation: float) -> Floats:
@@ -226,12 +227,11 @@ class QrsLikelihood:
         return np.concatenate([self.gain_sd * models[:1], models[1:]])
 
     def _joint(self, models: Floats) -> Floats:
-        """Log-likelihoods (s, n_scales, m) of models (s, 1 + k, n, m), at each shift s."""
+        """Log-likelihood (n_scales, m) of models (1 + k, n, m), as `whitened` gives them."""
         _, weights, constants, data = self._diagonal
-        logs = np.empty((len(models), len(weights), models.shape[-1]))
-        kind = models.dtype
-        of_kind = data[:, 0].astype(kind), weights.astype(kind), constants
-        integrated(models, kind.type(self.gain_sd), *of_kind, logs)
+        logs, kind = np.empty((len(weights), models.shape[2])), models.dtype
+        weights, data = weights.astype(kind), data[:, 0].astype(kind)
+        integrated(models, kind.type(self.gain_sd), data, weights, constants, logs)
         return logs
 
     @cached_property

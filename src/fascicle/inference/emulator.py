@@ -93,7 +93,7 @@ def softmax(x: Singles) -> Singles:
 
 
 def logistic(x: Singles) -> Singles:
-    """1 / (1 + exp(-x)), five times as fast as SciPy's in single precision."""
+    """1 / (1 + exp(-x)) of an array, five times as fast as SciPy's in single precision."""
     half = np.float32(0.5)
     found: Singles = half * x
     np.tanh(found, out=found)

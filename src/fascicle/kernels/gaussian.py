@@ -1,58 +1,63 @@
 """The logarithm of a Gaussian density whose mean holds factors that are integrated."""
 
 import math
+from functools import partial
 
 import numpy as np
 
 from fascicle.kernels.jit import allocating_kernel
 
-BLOCK = 64  # models at once: their sums stay in the first-level cache
+BLOCK = 64  # models at once: in single precision their sums stay in the first-level cache
+
+fused_kernel = partial(allocating_kernel, fastmath={"contract"}, error_model="numpy")
 
 
-@allocating_kernel(fastmath={"contract"})
-def integrated(models, first, data, weights, constants, logs):
+@fused_kernel()
+def integrated(models, first_sd, data, weights, constants, logs):
     """Log densities of a recording given many models of it, factors of their parts integrated.
 
-    The recording is m₀ + Σ zᵢcᵢ + ε with zᵢ ~ N(0, 1), where c₀ = `first` m₀ and cᵢ = mᵢ are the
+    The recording is m₀ + Σ zᵢcᵢ + ε with zᵢ ~ N(0, 1), where c₀ = `first_sd` m₀ and cᵢ = mᵢ are the
     columns of X, and ε has a diagonal covariance W⁻¹, one of several. The factors add X Xᵀ to it:
-    in them it is I + XᵀWX, which is eliminated column by column, what is left of the data last.
+    in them it is I + XᵀWX, which is eliminated column by column, with what m₀ leaves of the data
+    as a last row.
 
     Parameters
     ----------
-    models : (s, 1 + k, n, m) array
+    models : (1 + k, n, m) array
+    first_sd : float
+        Standard deviation of the factor of m₀ about 1.
     data : (n,) array
     weights : (z, n) array
         Diagonals of W.
     constants : (z,) array
         Log-determinants of 2πW⁻¹.
-    logs : (s, z, m) array
+    logs : (z, m) array
         To be filled.
     """
-    shifts, count, length, every = models.shape
+    count, length, every = models.shape
     scales = len(weights)
-    rows = np.zeros((count + 1, BLOCK), models.dtype)  # columns, and what is left of the data
+    rows = np.zeros((count + 1, BLOCK), models.dtype)  # columns of X, and what is left of the data
     sums = np.empty(((count + 1) * (count + 2) // 2, scales, BLOCK), models.dtype)
     work, determinant = np.empty((2, BLOCK), models.dtype), np.empty(BLOCK)
-    for shift in range(shifts):
-        for begin in range(0, every, BLOCK):
-            size = min(BLOCK, every - begin)
-            sums[:] = 0
-            for i in range(length):
+    for begin in range(0, every, BLOCK):
+        size = min(BLOCK, every - begin)
+        sums[:] = 0
+        for i in range(length):
+            for j in range(size):
+                rows[0, j] = first_sd * models[0, i, begin + j]
+                rows[count, j] = data[i] - models[0, i, begin + j]
+            for row in range(1, count):
                 for j in range(size):
-                    rows[0, j] = first * models[shift, 0, i, begin + j]
-                    rows[count, j] = data[i] - models[shift, 0, i, begin + j]
-                for row in range(1, count):
-                    for j in range(size):
-                        rows[row, j] = models[shift, row, i, begin + j]
-                _add_products(rows, weights[:, i], work[0], sums)
-            for scale in range(scales):
-                _eliminate(sums[:, scale], count, work, determinant)
-                for j in range(size):
-                    total = sums[-1, scale, j] + math.log(determinant[j]) + constants[scale]
-                    logs[shift, scale, begin + j] = -0.5 * total
+                    rows[row, j] = models[row, i, begin + j]
+            _add_products(rows, weights[:, i], work[0], sums)
+        for scale in range(scales):
+            _eliminate(sums[:, scale], count, work, determinant)
+            for j in range(size):
+                total = sums[-1, scale, j] + math.log(determinant[j]) + constants[scale]
+                logs[scale, begin + j] = -0.5 * total
 
 
-@allocating_kernel(fastmath={"contract"})
+@fused_kernel()
 def _add_products(rows, weights, work, sums):
     """Add weighted products of each pair of rows (r, BLOCK), the upper triangle row by row."""
     place = 0
@@ -67,9 +72,12 @@ def _add_products(rows, weights, work, sums):
             place += 1
 
 
-@allocating_kernel(fastmath={"contract"})
+@fused_kernel()
 def _eliminate(sums, count, work, determinant):
-    """Eliminate the first columns of symmetric matrices, to whose diagonal 1 is added there."""
+    """Eliminate the first `count` columns of symmetric matrices, 1 being added to each pivot.
+
+    `determinant` becomes the product of the pivots.
+    """
     pivot, ratio = work
     determinant[:] = 1.0
     start = 0

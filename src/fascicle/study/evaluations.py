@@ -183,21 +183,15 @@ class Journal:
     workers: int  # evaluations at a time
     # every stored evaluation, of this pass or an earlier one, by the bytes of its point
     known: dict[bytes, Record] = field(init=False)
-    before: frozenset[bytes] = field(init=False)  # points of those of earlier passes
     records: list[Record] = field(default_factory=list, init=False)  # asked for so far, in order
 
     def __post_init__(self) -> None:
         self.known = {_bytes(r.evaluation.point): r for r in self.database.records()}
-        self.before = frozenset(self.known)
 
     @property
     def evaluations(self) -> list[Evaluation]:
         """Those of `records`."""
         return [record.evaluation for record in self.records]
-
-    def knew(self, points: Sequence[Floats]) -> bool:
-        """Whether all points, each of shape (d,), were evaluated in earlier passes."""
-        return all(_bytes(point) in self.before for point in points)
 
     def rng(self, stage: Stage, step: int) -> np.random.Generator:
         """The only source of randomness of a step."""

@@ -44,8 +44,8 @@ def _recording(given: Given) -> Recorded:
         raise InputError(f"target is a tuple of {len(pair)}; give (target, scenario), or a list")
     target, scenario = as_target(pair[0]), pair[1]
     if scenario is not None and not isinstance(scenario, Scenario):
-        given_path = as_path(scenario, "scenario of a target", "a scenario, its name, or its file")
-        path = find_scenario(str(given_path))
+        named = as_path(scenario, "scenario of a target", "a scenario, its name, or its file")
+        path = find_scenario(str(named))
         scenario, regions = read_scenario(path)
         if regions:
             raise InputError(
