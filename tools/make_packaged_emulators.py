@@ -2,6 +2,9 @@
 
     python tools/make_packaged_emulators.py
 
+The classifier of conduction states is one for all packaged hearts, and learns from recordings of
+all of them: a patient has another heart, and a classifier that knows a single one is too sure.
+
 Their prior simulations are kept in the user's cache, as those of any fit of this heart, and made if
 they are missing, which takes half an hour. To be run again whenever they change: the heart,
 the forward model, the priors of what is learnt or averaged over, or the version of the package.
@@ -9,6 +12,7 @@ the forward model, the priors of what is learnt or averaged over, or the version
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,46 +26,70 @@ from fascicle.core.leads import INDEPENDENT_ROWS
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.heart import Heart
 from fascicle.study import origin
+from fascicle.study.ecg_classifier import STEPS, Lessons, learn
 from fascicle.study.heart_emulator import EMULATOR
 from fascicle.study.pool import Threads
+from fascicle.study.prior_simulations import SEED
 from fascicle.study.settings import FitSettings
 from fascicle.study.state_classifier import (
     CLASSIFIER,
+    StateSimulations,
     classifier_key,
+    lessons,
     simulations_of_states,
     usual_simulator,
 )
 
 FOLDER = Path(fascicle.__file__).parent / "data" / "emulators"
+COUNT = int(FitSettings.model_fields["prior_simulations"].default)
+ROWS = np.array(INDEPENDENT_ROWS)
 
 
 def main() -> None:
     FOLDER.mkdir(exist_ok=True)
     for old in FOLDER.glob("*.npz"):  # else they are taken for what is asked for
         old.unlink()
-    for name in PACKAGED:
-        make_those_of(fascicle.load_heart(name))
+    make_classifier([make_those_of(fascicle.load_heart(name)) for name in PACKAGED])
 
 
-def make_those_of(heart: Heart) -> None:
+def make_those_of(heart: Heart) -> dict[str, StateSimulations]:
+    """Emulators and the classifier of origins; gives the prior simulations of the states."""
     assert heart.folder is not None
-    count = int(FitSettings.model_fields["prior_simulations"].default)
     fascicle.simulate_prior(heart)
     simulator = usual_simulator(ForwardModel(heart), heart.folder)
-    known = simulations_of_states(simulator, heart.folder, count)
+    known = simulations_of_states(simulator, heart.folder, COUNT)
     for content, its in {each.prior.content: each.count for each in known.values()}.items():
         take(heart.folder, EMULATOR, its, content)
-    rows = np.array(INDEPENDENT_ROWS)
-    take(heart.folder, CLASSIFIER, count, classifier_key(known, rows))
     beats = origin.ectopic_beats(simulator.model, heart.folder)
-    origin.classifier_of(beats, rows, count, Threads(2))
-    take(heart.folder, origin.CLASSIFIER, count, origin.classifier_key(beats, rows))
+    origin.classifier_of(beats, ROWS, COUNT, Threads(2))
+    take(heart.folder, origin.CLASSIFIER, COUNT, origin.classifier_key(beats, ROWS))
+    return known
+
+
+def make_classifier(hearts: Sequence[dict[str, StateSimulations]]) -> None:
+    """Make the classifier of conduction states, found as that of each heart."""
+    rng = np.random.default_rng(SEED)
+    seen, held_out = zip(*(lessons(known, ROWS, rng) for known in hearts), strict=True)
+    steps = STEPS * len(hearts)
+    arrays = learn(joined(seen), joined(held_out), ROWS, rng, steps=steps).arrays()
+    for known in hearts:
+        put(CLASSIFIER, classifier_key(known, ROWS), {**arrays, "networks": np.array(COUNT)})
+
+
+def joined(parts: Sequence[Lessons]) -> Lessons:
+    recordings, kinds = zip(*((each.recordings, each.kinds) for each in parts), strict=True)
+    return Lessons(np.concatenate(recordings), np.concatenate(kinds))
 
 
 def take(heart: Path, kind: str, count: int, key: str) -> None:
-    """Copy a file of the heart's folder into the package, its weights rounded."""
+    """Copy a file of the heart's folder into the package."""
     arrays = ArrayCache(heart / DISPOSABLE, kind).read(f"{count} of {key}")
     assert arrays is not None
+    put(kind, key, arrays)
+
+
+def put(kind: str, key: str, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write a file of the package, its weights rounded."""
     smaller = {name: rounded(each) for name, each in arrays.items()}
     ArrayCache(FOLDER, kind).write(key, smaller, compress=True)
 

@@ -6,7 +6,7 @@ share them. The classifier is made once a heart, and kept with it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -146,8 +146,7 @@ def classifier_of(
             said = f"{each.state.name} ({number} of {len(known)} states)"
             each.prior.simulate(each.count, pool, progress, said)
         rng = np.random.default_rng(SEED)
-        lessons = _lessons([*known.values()], rows, rng)
-        found: Mapping[str, Any] = learn(*lessons, rows, rng, progress).arrays()
+        found: Mapping[str, Any] = learn(*lessons(known, rows, rng), rows, rng, progress).arrays()
         return found
 
     stored = learnt_or_made(CLASSIFIER, classifier_key(known, rows), count, folder, make)
@@ -159,15 +158,15 @@ def classifier_key(known: Mapping[str, StateSimulations], rows: Integers) -> str
     return "; ".join([str(rows), *(each.content for each in known.values())])
 
 
-def _lessons(
-    simulations: Sequence[StateSimulations], rows: Integers, rng: np.random.Generator
+def lessons(
+    known: Mapping[str, StateSimulations], rows: Integers, rng: np.random.Generator
 ) -> tuple[Lessons, Lessons]:
-    """Recordings to learn from, as many of each state, and held-out ones."""
-    first = simulations[0]
+    """Recordings of a heart to learn from, as many of each state, and held-out ones."""
+    first, *_ = known.values()
     recorder = Recorder.of(first.prior.examples(first.count, LENGTH))
     seen: list[Singles] = []
     held_out: list[Singles] = []
-    for each in simulations:
+    for each in known.values():
         ecgs, in_bodies = each.ecgs()
         seen.append(recorder.recordings(ecgs, rows, RECORDINGS, rng)[0])
         held_out.append(in_leads(rows) @ recorder.recorded(in_bodies, rng, in_bodies=True))
