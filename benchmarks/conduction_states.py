@@ -8,8 +8,8 @@ In each of so many draws of another physics (`benchmarks.calibration`: mesh, fib
 endocardial layer, junction delays) three networks of each state are drawn from its prior, each in a
 torso of its own. The recordings are kept (`000-0-0.nc`: physics, network, state), so that the same
 command goes on where it stopped. A heart without a torso has its electrodes moved instead. With
-`--tuning` truths are others, to choose constants by. With `--classifier` it is that of another heart
-that looks at the recordings, as if it were taken for the patient's.
+`--tuning` truths are others, to choose constants by. With `--classifier` it is that of another
+heart that looks at the recordings, as if that were the patient's.
 
 Printed are, of the classifier of the heart, every state as probable before: the mean probability of
 every state for the truths of each, and how often it is the most probable one; the logarithmic score
