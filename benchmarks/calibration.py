@@ -155,9 +155,11 @@ def turned(heart: Heart, degrees: float) -> Heart:
     return replace(heart, fibres=fibres, folder=None)
 
 
-def other_physics(heart: str, rng: np.random.Generator) -> tuple[ForwardModel, Any, Any]:
+def other_physics(
+    heart: str, rng: np.random.Generator, mesh: Callable[[str], Heart] = finer
+) -> tuple[ForwardModel, Any, Any]:
     """A model of the heart that is not the one that is fitted, and its own prior."""
-    fine = turned(finer(heart), rng.normal(0, TURNED))
+    fine = turned(mesh(heart), rng.normal(0, TURNED))
     if fine.lead_fields is not None:  # the ECG will be that of `another_torso`
         fine = replace(fine, lead_fields=None, torso=None)
     else:
