@@ -1,7 +1,8 @@
 """How probable each conduction state is, by a classifier of a heart's simulated recordings.
 
 Each state has prior simulations of its own; states that only differ in the range of a quantity
-share them. The classifier is made once a heart, and kept with it.
+share them. The classifier is made once a heart, and kept with it; the packaged hearts share one,
+which has learnt from recordings of all of them.
 """
 
 from __future__ import annotations
