@@ -49,7 +49,7 @@ def test_gradients_are_slopes():
     def loss(changed):
         return 0.5 * ((Network(changed)(inputs) - wanted) ** 2).sum()
 
-    found = _gradients(weights, _forward(weights, inputs), Network(weights)(inputs) - wanted)
+    found = _gradients(weights, [*_forward(weights, inputs)], Network(weights)(inputs) - wanted)
     for k, weight in enumerate(weights):
         step = np.zeros_like(weight)
         step.flat[:] = 1e-6 * rng.standard_normal(weight.size)

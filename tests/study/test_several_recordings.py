@@ -127,6 +127,7 @@ def test_arguments_of_the_command(tmp_path, monkeypatch):
     assert (target.name, scenario.name) == ("rv-paced.nc", "rv.toml")
     target, scenario = with_scenario("rv-paced.nc:rv-apical-pacing")
     assert (target.name, scenario.name) == ("rv-paced.nc", "rv-apical-pacing")
+    assert [each.name for each in with_scenario("rec:rv.toml")] == ["rec", "rv.toml"]
     assert with_scenario("odd:name.nc").name == "odd:name.nc"
     assert with_scenario("rv-paced.nc:").name == "rv-paced.nc:"
     (tmp_path / "odd:name.toml").touch()

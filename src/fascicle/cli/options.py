@@ -132,10 +132,11 @@ def explicit(context: typer.Context, settings: Mapping[str, Any]) -> dict[str, A
 
 def with_scenario(text: str) -> Path | tuple[Path, Path]:
     """A target, or target and scenario of ``target.nc:scenario``, of the library or a file."""
-    target, _, scenario = text.partition(".nc:")
-    if not scenario or Path(text).exists():
+    target, _, scenario = text.rpartition(":")
+    named = (target.endswith(".nc") and scenario) or scenario.endswith(".toml")
+    if not target or not named or Path(text).exists():
         return Path(text)
-    return Path(target + ".nc"), Path(scenario)
+    return Path(target), Path(scenario)
 
 
 def pool_at(scheduler: str | None, progress: Progress) -> fascicle.Cluster | None:

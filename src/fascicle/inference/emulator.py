@@ -14,7 +14,7 @@ uncertainty estimation using deep ensembles", NeurIPS 2017.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -42,15 +42,9 @@ class Network(NamedTuple):
 
     def __call__(self, inputs: Singles) -> Singles:
         """Give the outputs (n, q) of inputs (n, p)."""
-        hidden = inputs
-        for k in range(0, len(self.weights) - 2, 2):  # as `_forward`, and nothing is kept
-            total = hidden @ self.weights[k]
-            total += self.weights[k + 1]
-            total *= logistic(total)
-            if k:
-                total += hidden
-            hidden = total
-        return np.asarray(hidden @ self.weights[-2] + self.weights[-1])
+        for hidden, *_ in _forward(self.weights, inputs):
+            given = hidden  # at last to the last layer; what came before is not kept
+        return np.asarray(given @ self.weights[-2] + self.weights[-1])
 
 
 def weight_arrays(name: str, networks: Sequence[Network]) -> dict[str, Any]:
@@ -70,15 +64,15 @@ def networks_from(name: str, arrays: Mapping[str, Any]) -> tuple[Network, ...]:
     return tuple(Network(tuple(weights)) for weights in found.values())
 
 
-def _forward(weights: tuple[Singles, ...], inputs: Singles) -> list[tuple[Singles, ...]]:
+def _forward(weights: tuple[Singles, ...], inputs: Singles) -> Iterator[tuple[Singles, ...]]:
     """Input, sum and sigmoid of each hidden layer, and at last what the last layer is given."""
-    kept, hidden = [], inputs
+    hidden = inputs
     for k in range(0, len(weights) - 2, 2):
         total = hidden @ weights[k] + weights[k + 1]
         open_ = logistic(total)
-        kept.append((hidden, total, open_))
+        yield hidden, total, open_
         hidden = total * open_ if k == 0 else hidden + total * open_
-    return [*kept, (hidden,)]
+    yield (hidden,)
 
 
 def as_it_is(x: Singles) -> Singles:
@@ -182,7 +176,7 @@ def train(
         if len(order) < BATCH:
             order = np.concatenate([order, rng.permutation(len(inputs))])
         batch, order = order[:BATCH], order[BATCH:]
-        kept = _forward(weights, inputs[batch])
+        kept = [*_forward(weights, inputs[batch])]
         found = kept[-1][0] @ weights[-2] + weights[-1]
         slope = link(found) - outputs[batch]  # of each link's own loss, in what the network gives
         now = rate * min(1.0, step / warming) * 0.5 * (1 + np.cos(np.pi * step / steps))
