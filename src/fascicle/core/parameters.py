@@ -15,10 +15,11 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import ValueRefusedError, given_in
 from fascicle.core.files import check_file, read_toml
 from fascicle.core.quantities import (
+    DELAY,
     SIDES,
     Changes,
     check,
-    check_one_speed,
+    check_not_twice,
     checked,
     fascicle_names,
     fascicles,
@@ -263,6 +264,44 @@ def network_space(lv: int = 2, rv: int = 2) -> ParameterSpace:
 
 
 NETWORK_SPACE = network_space()
+# Prior ranges of human anatomy and conduction; docs/quantities.md names the source of each
+HUMAN_RANGES: dict[str, tuple[float, float]] = {
+    "lv_initial_length": (5.0, 20.0),
+    "rv_initial_length": (35.0, 60.0),
+    "interventricular_delay": (-75.0, 60.0),
+    "cv": (2.0, 3.5),
+    "fibre_speed": (0.4, 0.8),
+}
+# Lengths (mm), then directions of left fascicles and angles of right ones (rad)
+LEFT_FASCICLES = {
+    "anterior": ((20.0, 50.0), (0.6, 1.5)),
+    "septal": ((5.0, 20.0), (-0.5, 0.5)),
+    "posterior": ((20.0, 50.0), (-1.6, -0.6)),
+}
+RIGHT_FASCICLES = ((5.0, 30.0), (-1.5, 0.0)), ((5.0, 30.0), (0.3, 1.8))
+ANY_FASCICLE = (5.0, 50.0), (-1.6, 1.6)
+
+
+def human_space(lv: int = 3, rv: int = 2) -> ParameterSpace:
+    """Parameters with priors of human anatomy, for a number of fascicles on each side.
+
+    Of three left fascicles the first is the anterior one, the second the septal one, the third the
+    posterior one; of two there is no septal one.
+    """
+    left = [LEFT_FASCICLES[n] for n in (("anterior", "posterior") if lv == 2 else LEFT_FASCICLES)]
+    sides = ("lv", left if lv > 1 else [], lv), ("rv", [*RIGHT_FASCICLES] if rv > 1 else [], rv)
+    ranges = {n: r for n, r in HUMAN_RANGES.items() if n.endswith("initial_length")}
+    for number, whats in enumerate((("length", "length"), ("direction", "angle"))):
+        for (side, named, count), what in zip(sides, whats, strict=True):
+            every = [*named, *[ANY_FASCICLE] * count][:count]
+            ranges |= {f"{side}_fascicle_{what}_{k}": r[number] for k, r in enumerate(every, 1)}
+    ranges |= HUMAN_RANGES
+    return ParameterSpace(
+        tuple(free(name, lower=lower, upper=upper) for name, (lower, upper) in ranges.items())
+    )
+
+
+HUMAN_SPACE = human_space()
 
 
 def complete(values: Mapping[str, Any]) -> dict[str, float]:
@@ -273,8 +312,9 @@ def complete(values: Mapping[str, Any]) -> dict[str, float]:
             raise ValueRefusedError(
                 f"parameter '{name}': the names of the others say it; leave it out"
             )
-    check_one_speed(numbers)
-    needed = (*(f"{side}_initial_length" for side in SIDES), "root_time", "cv")
+    check_not_twice(numbers)
+    needed = [f"{side}_initial_length" for side in SIDES]
+    needed += ["cv"] if DELAY[1] in numbers else ["root_time", "cv"]
     missing = [name for name in needed if name not in numbers]
     if missing:
         raise ValueRefusedError(f"missing parameters {', '.join(missing)}; add them")

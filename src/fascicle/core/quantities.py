@@ -114,6 +114,10 @@ def _of_trees() -> Iterator[Quantity]:
     for side, title, k in numbered:
         meaning = f"angle of {title} fascicle {k} to its bundle, counter-clockwise"
         yield Quantity(f"{side}_fascicle_angle_{k}", "rad", None, angle, angles, meaning, trees)
+    for k in range(1, most + 1):
+        name = f"lv_fascicle_direction_{k}"
+        meaning = f"direction of LV fascicle {k}: 0 apical, π/2 anterior; stands for its angle"
+        yield Quantity(name, "rad", None, angle, (-1.6, 1.6), meaning, trees)
     for side in SIDES:
         name, meaning = f"{side}_fascicles", f"number of {side.upper()} fascicles"
         yield Quantity(name, "1", 2, (1, most), (1, most), meaning, Changes.STUDY, is_integer=True)
@@ -140,7 +144,14 @@ def _of_conduction() -> Iterator[Quantity]:
     meaning = "t_RV - t_LV of the roots; negative, the left one fires later"
     yield Quantity(
         "root_time", "ms", None, (-1000.0, 1000.0), (-75.0, 50.0), meaning, times,
-        aliases=("vvdelay", "lvrvdelay", "rvlvdelay", "interventriculardelay"),
+        aliases=("vvdelay", "lvrvdelay", "rvlvdelay"),
+    )  # fmt: skip
+    meaning = (
+        "arrival at the first right junction after that at the first left one; stands for root_time"
+    )
+    yield Quantity(
+        "interventricular_delay", "ms", None, (-1000.0, 1000.0), (-75.0, 60.0), meaning, times,
+        aliases=("ivdelay", "interventricularconductiontime"),
     )  # fmt: skip
     yield Quantity(
         "his_time", "ms", 10.0, (0.0, 500.0), (5.0, 40.0),  # docs/files.md says why
@@ -229,6 +240,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "conductivities": tuple(n for n in TORSO_QUANTITIES if n.endswith("_conductivity")),
 }
 SPEED = ("alpha", "fibre_speed")  # of the myocardium: two names for one thing
+DELAY = ("root_time", "interventricular_delay")  # of the right ventricle, likewise
 
 
 def declare(known: Quantity) -> None:
@@ -271,10 +283,14 @@ def quantity(name: str) -> Quantity:
     return Quantity(name, "1", 1.0, (0.0, 1e4), (0.0, 1.0), meaning, Changes.TISSUE)
 
 
-def check_one_speed(names: Collection[str]) -> None:
-    """Refuse quantities that say the speed of the myocardium twice."""
-    if all(name in names for name in SPEED):
-        raise ValueRefusedError("parameters 'alpha' and 'fibre_speed' say the same; give one")
+def check_not_twice(names: Collection[str]) -> None:
+    """Refuse quantities that say one thing twice: the speed of the myocardium, for one."""
+    angles = [n for n in names if "_fascicle_angle_" in n]
+    for pair in (SPEED, DELAY, *((n, n.replace("angle", "direction")) for n in angles)):
+        if all(name in names for name in pair):
+            raise ValueRefusedError(
+                f"parameters '{pair[0]}' and '{pair[1]}' say the same; give one"
+            )
 
 
 def region_labels(values: Iterable[str]) -> dict[int, str]:
@@ -291,11 +307,15 @@ def fascicle_names(side: str, count: int) -> list[str]:
 
 
 def fascicles(side: str, names: Iterable[str]) -> int:
-    """Count the fascicles of a side by these names: from 1, each a length and an angle."""
-    pattern = rf"{side}_fascicle_(?:length|angle)_(\d+)"
-    found = {name: int(m[1]) for name in names if (m := re.fullmatch(pattern, name))}
-    count = max(found.values(), default=0)
-    missing = sorted({*fascicle_names(side, max(count, 1))} - {*found})
+    """Count the fascicles of a side by these names: from 1, each a length and an angle.
+
+    A direction may stand for an angle.
+    """
+    pattern = rf"{side}_fascicle_(?:length|angle|direction)_(\d+)"
+    numbers = {name: int(m[1]) for name in names if (m := re.fullmatch(pattern, name))}
+    count = max(numbers.values(), default=0)
+    there = {name.replace("direction", "angle") for name in numbers}
+    missing = sorted({*fascicle_names(side, max(count, 1))} - there)
     if missing:
         raise ValueRefusedError(f"missing parameters {', '.join(missing)}; add them")
     return count
@@ -329,7 +349,7 @@ def torso_values(values: Mapping[str, float]) -> dict[str, float]:
 
 def parameter_name(name: str) -> str:
     """Name of a quantity of the model for readers, such as ``LV fascicle 1 length``."""
-    match = re.fullmatch(r"(lv|rv)_(initial|fascicle)_(length|angle)(?:_(\d+))?", name)
+    match = re.fullmatch(r"(lv|rv)_(initial|fascicle)_(length|angle|direction)(?:_(\d+))?", name)
     if match is not None:
         side, stretch, what, number = match.groups()
         part = "bundle" if stretch == "initial" else f"fascicle\N{NO-BREAK SPACE}{number}"
@@ -338,6 +358,7 @@ def parameter_name(name: str) -> str:
         "cv": "Purkinje conduction velocity",
         "root_time": "RV–LV activation delay",
         "alpha": "conduction velocity constant α",
+        "fibre_speed": "conduction velocity along fibres",
     }
     return known.get(name, in_words(name))
 

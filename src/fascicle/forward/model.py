@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Lock
@@ -27,6 +27,7 @@ from fascicle.core.quantities import Changes, checked, quantity, torso_values
 from fascicle.core.ranges import check_items, check_kind
 from fascicle.core.shared_files import SharedFile, read_shared, write_shared
 from fascicle.core.threads import made_once
+from fascicle.forward.activation_sequence import VentricularSurfaces
 from fascicle.forward.blocks import in_state
 from fascicle.forward.cable.template import default_template
 from fascicle.forward.ecg.electrocardiogram import ActionPotential, Electrocardiograph, first_sample
@@ -38,11 +39,12 @@ from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Signals, SimulatedBeat, Simulation, check_activation
 from fascicle.forward.torso_model import TorsoModel, prepare_response, torso_model
 from fascicle.heart.conduction import Conduction
+from fascicle.heart.endocardium import long_axis
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
 from fascicle.heart.sites import Sites
 from fascicle.kernels.arrays import TravelTimeTable
-from fascicle.purkinje.growth import GrowthRules, grow_from_parameters
+from fascicle.purkinje.growth import GrowthRules, grow_from_parameters, with_angles
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 from fascicle.torso.variation.conductor import InvalidTorso
 from fascicle.torso.variation.response import TorsoResponse
@@ -155,6 +157,11 @@ class ForwardModel:
     def __repr__(self) -> str:
         return f"ForwardModel({self.heart.name}, {len(self.heart.vertices)} vertices)"
 
+    @cached_property
+    def surfaces(self) -> VentricularSurfaces:
+        """Parts of the heart's surface, by which the sequence of an activation is seen."""
+        return VentricularSurfaces.of(self.heart)
+
     def keep_tissues(self, tissues: Iterable[Mapping[str, float]]) -> None:
         """Keep in the heart's folder what is prepared of these tissues, quantities by name."""
         own = self.conduction
@@ -170,7 +177,33 @@ class ForwardModel:
         of_trees = {n: v for n, v in parameters.items() if quantity(n).changes is Changes.TREES}
         anatomy = checked(of_trees)
         rules = self.rules.with_values(anatomy)
-        return self._grow(rules, tuple(sorted(anatomy.items())))
+        return self._grow(rules, tuple(sorted(self._with_angles(anatomy).items())))
+
+    def _with_angles(self, parameters: Mapping[str, float]) -> dict[str, float]:
+        """Parameters with angles of fascicles in place of their directions."""
+        if not any("_fascicle_direction_" in name for name in parameters):
+            return dict(parameters)
+        lv, prepared = self.heart.lv, self.prepared
+        base, apex = long_axis(lv.vertices, lv.triangles)
+        axes = apex - base, self.sites.anterior
+        return with_angles(prepared.charts["lv"], prepared.seeds["lv"], parameters, *axes)
+
+    def with_root_time(
+        self, parameters: Mapping[str, float]
+    ) -> tuple[dict[str, float], tuple[PurkinjeTree, ...]] | InvalidTree:
+        """Parameters with angles and a root time, in place of what stands for them, and the trees.
+
+        The interventricular delay is that between the first junctions of either side.
+        """
+        trees = self.grow(parameters)
+        if isinstance(trees, InvalidTree):
+            return trees
+        values = self._with_angles(parameters)
+        if "interventricular_delay" in values:
+            left, right = (tree.to_first_junction / values["cv"] for tree in trees[:2])
+            root_time = values.pop("interventricular_delay") + left - right
+            values["root_time"] = root_time if np.isfinite(root_time) else 0.0
+        return values, trees
 
     def torso(self, wanted: Sequence[str], progress: Progress | None = None) -> TorsoModel:
         """Lead fields as a function of the torso, built when first used: minutes, once per heart.
@@ -208,8 +241,8 @@ class ForwardModel:
         ----------
         parameters : mapping of name to float
             Quantities of `fascicle.core.quantities.QUANTITIES`, in its units: bundles and
-            fascicles, ``root_time`` and ``cv`` at least. The rest is as the heart, the conduction
-            and the rules of this model have it.
+            fascicles, ``cv`` and ``root_time`` (or ``interventricular_delay``) at least. The rest
+            is as the heart, the conduction and the rules of this model have it.
         scenario : Scenario, optional
             Extra stimuli, blocked or slow segments, junction delays, trees of your own.
 
@@ -232,9 +265,10 @@ class ForwardModel:
             coefficients = self.torso([*torso]).lead_coefficients(torso)
             if isinstance(coefficients, InvalidTorso):
                 return coefficients
-        trees = self.grow(values)
-        if isinstance(trees, InvalidTree):
-            return trees
+        outcome = self.with_root_time(values)
+        if isinstance(outcome, InvalidTree):
+            return outcome
+        values, trees = outcome
         return self.activate(trees, scenario=scenario, **values)
 
     def activate(

@@ -26,7 +26,7 @@ from fascicle.core.files import (
     user_cache,
 )
 from fascicle.core.parameters import complete
-from fascicle.core.quantities import SPEED, check_one_speed, checked, region_labels
+from fascicle.core.quantities import SPEED, check_not_twice, checked, region_labels
 from fascicle.heart.action_potential import read_action_potential, write_action_potential
 from fascicle.heart.assembly import assemble_heart
 from fascicle.heart.conduction import SPEEDS, Region
@@ -175,7 +175,7 @@ def _patient_values(path: Path, values: dict[str, Any], heart: Heart) -> dict[st
     """The patient's values, of quantities that there are, and of regions that there are."""
     with given_in(path):
         found = checked(values)
-        check_one_speed(found)
+        check_not_twice(found)
         regions = region_labels(found)
         for label, name in regions.items():
             Region(found[name], label).elements(heart)

@@ -120,6 +120,24 @@ def walk(u, v, triangle, a, b, length, chart):
         triangle = neighbours[triangle, exit_edge]
 
 
+@allocating_kernel()
+def path_lengths(parents, lengths):
+    """Length (mm) of the path from the root to each node (n,); nodes may be in any order."""
+    along = np.full(len(parents), np.nan)
+    waiting = np.empty(len(parents), np.int64)
+    for start in range(len(parents)):
+        node, count = start, 0
+        while node >= 0 and np.isnan(along[node]):
+            waiting[count] = node
+            count += 1
+            node = parents[node]
+        total = along[node] if node >= 0 else 0.0
+        for k in range(count - 1, -1, -1):
+            total += lengths[waiting[k]]
+            along[waiting[k]] = total
+    return along
+
+
 @kernel(inline="always")
 def _cell(x):
     return min(max(int((x + 1.0) * 0.5 * GRID), 0), GRID - 1)

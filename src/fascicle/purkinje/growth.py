@@ -162,6 +162,43 @@ def _cross(a: Floats, b: Floats) -> float:
     return float(a[0] * b[1] - a[1] * b[0])
 
 
+def with_angles(
+    chart: Chart, seed: Seed, parameters: Mapping[str, float], apical: Floats, anterior: Floats
+) -> dict[str, float]:
+    """Parameters with the angles of left fascicles in place of their directions.
+
+    A direction counts from the tangent of the endocardium that points most to the apex, where the
+    bundle ends, towards the one that points most anteriorly; `apical` and `anterior` are vectors
+    (3,) of the heart. The angle, in the disk, is the one to the bundle.
+    """
+    values = dict(parameters)
+    directions = {name: values.pop(name) for name in parameters if "_fascicle_direction_" in name}
+    if not directions:
+        return values
+    heading, (u, v) = seed.heading, seed.point
+    length = parameters["lv_initial_length"]
+    triangle = growth.walk(u, v, seed.triangle, *heading, length, chart)[2]
+    corners = chart.triangles[triangle]
+    across = np.diff(chart.points[corners], axis=0)
+    jacobian = np.linalg.solve(across, np.diff(chart.vertices[corners], axis=0)).T  # ∂x/∂u
+    metric = jacobian.T @ jacobian
+
+    def tangent(vector: Floats, *orthogonal: Floats) -> Floats:
+        """Direction in the disk, of unit length in the metric, nearest to a vector."""
+        along = np.linalg.solve(metric, jacobian.T @ vector)
+        for other in orthogonal:
+            along = along - (along @ metric @ other) * other
+        return np.asarray(along / np.sqrt(along @ metric @ along))
+
+    to_apex = tangent(apical)
+    forwards = tangent(anterior, to_apex)
+    for name, direction in directions.items():
+        towards = np.cos(direction) * to_apex + np.sin(direction) * forwards
+        angle = np.arctan2(_cross(heading, towards), heading @ towards)
+        values[name.replace("direction", "angle")] = float(angle)
+    return values
+
+
 def grow_from_parameters(
     side: str, chart: Chart, seed: Seed, parameters: Mapping[str, float], rules: GrowthRules
 ) -> PurkinjeTree | InvalidTree:

@@ -13,6 +13,7 @@ from fascicle.core import above, html_card
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.files import as_path
 from fascicle.core.ranges import short_repr
+from fascicle.kernels.growth import path_lengths
 from fascicle.mesh.formats.vtk import pyvista_grid
 
 # A tree with fewer junctions than this has hardly branched. In 500 networks drawn from the ranges
@@ -75,6 +76,12 @@ class PurkinjeTree:
         leaf[self.parents[self.parents >= 0]] = False
         leaf[self.root] = False
         return np.flatnonzero(leaf)
+
+    @cached_property
+    def to_first_junction(self) -> float:
+        """Length (mm) of the shortest path from the root to a junction; inf without junctions."""
+        along = path_lengths(self.parents, self.lengths)
+        return float(along[self.junctions].min(initial=np.inf))
 
     @cached_property
     def parts(self) -> dict[str, Booleans]:

@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import FREE, MixedParameter, ParameterSpace, free
+from fascicle.core.parameters import FREE, HUMAN_SPACE, MixedParameter, ParameterSpace, free
 from fascicle.core.quantities import CONDUCTION, check, fascicles, quantity
 from fascicle.core.ranges import number
 from fascicle.forward.blocks import ANTERIOR, BLOCKED, POSTERIOR
 
 Ranges = Mapping[str, tuple[float, float]]
 
-TOGETHER: Ranges = {"root_time": (-20.0, 20.0)}  # ms; the bundle branches conduct alike
-SLOW: Ranges = {**TOGETHER, "alpha": (0.02, 0.04), "fibre_speed": (0.25, 0.5), "cv": (1.0, 4.0)}
+# Ranges (ms) in mapped hearts, and of ventricles whose bundle branch is late; root times that are
+# learnt in place of interventricular delays
+TOGETHER: Ranges = {"interventricular_delay": (3.0, 12.0), "root_time": (-20.0, 20.0)}
+LEFT_LATE: Ranges = {"interventricular_delay": (-40.0, -5.0), "root_time": (-75.0, -20.0)}
+RIGHT_LATE: Ranges = {"interventricular_delay": (15.0, 40.0), "root_time": (20.0, 50.0)}
+SLOW: Ranges = {**TOGETHER, "alpha": (0.02, 0.04), "fibre_speed": (0.2, 0.4), "cv": (1.0, 2.5)}
+USUAL = {p.name: p for p in HUMAN_SPACE.parameters}
+# A fascicular block changes the ECG of a network less than the discrepancy of the model does
+NOT_TOLD_APART = (
+    "left anterior fascicular block",
+    "left posterior fascicular block",
+    "right bundle branch and left anterior fascicular block",
+)
 
 
 @dataclass(frozen=True)
@@ -36,6 +47,13 @@ class ConductionState:
     name: str
     probability: float
     ranges: Ranges
+
+    def is_mapped(self, names: Collection[str]) -> bool:
+        """Whether its networks activate the ventricles in the sequence of mapped human hearts.
+
+        `names` are of what is learnt or fixed: by root times that sequence is not constrained.
+        """
+        return self.name == CONDUCTION[0] and "interventricular_delay" in names
 
     @property
     def number(self) -> float:
@@ -61,7 +79,7 @@ class ConductionState:
             if name not in learnt:
                 continue
             asked = learnt[name]
-            if asked != free(name):  # otherwise than usual
+            if asked not in (free(name), USUAL.get(name)):
                 low, high = max(low, asked.lower), min(high, asked.upper)
             if low >= high or not (asked.median is None or low <= asked.median <= high):
                 return None
@@ -69,20 +87,33 @@ class ConductionState:
         return ParameterSpace(tuple(learnt.values()))
 
 
-STATES = tuple(
-    ConductionState(name, 1.0, ranges)  # nothing but the ECG says which it is
+# How probable each is in adults who are referred for an ECG (docs/diagnosis.md)
+PREVALENCE = {
+    "normal": 0.8,
+    "left bundle branch block": 0.025,
+    "left bundle branch delay": 0.01,
+    "left anterior fascicular block": 0.05,
+    "left posterior fascicular block": 0.005,
+    "right bundle branch block": 0.02,
+    "right bundle branch delay": 0.05,
+    "right bundle branch and left anterior fascicular block": 0.01,
+    "intraventricular delay": 0.03,
+}
+KNOWN_STATES = tuple(
+    ConductionState(name, PREVALENCE[name], ranges)
     for name, ranges in {
         **dict.fromkeys(CONDUCTION, TOGETHER),
-        "left bundle branch delay": {"root_time": (-75.0, -20.0)},
-        "right bundle branch delay": {"root_time": (20.0, 50.0)},
+        "left bundle branch delay": LEFT_LATE,
+        "right bundle branch delay": RIGHT_LATE,
         "intraventricular delay": SLOW,
     }.items()
 )
+STATES = tuple(state for state in KNOWN_STATES if state.name not in NOT_TOLD_APART)
 
 
 def states_of(priors: Mapping[str, float]) -> tuple[ConductionState, ...]:
     """The states of these names, with these priors."""
-    named = {state.name: state for state in STATES}
+    named = {state.name: state for state in KNOWN_STATES}
     return tuple(replace(named[name], probability=prior) for name, prior in priors.items())
 
 
@@ -94,7 +125,7 @@ def asked_states(asked: Any) -> tuple[ConductionState, ...]:
     InputError
         If there is no such state, or a prior is none.
     """
-    priors = {state.name: state.probability for state in STATES}
+    priors = {state.name: state.probability for state in KNOWN_STATES}
     if isinstance(asked, Mapping):
         given = {name: number(p, f"parameter 'conduction': '{name}'") for name, p in asked.items()}
         wrong = [name for name, p in given.items() if not (name in priors and 0 < p < math.inf)]

@@ -109,7 +109,9 @@ def _of_state(state: ConductionState, inputs: Inputs, **numbers: float) -> Input
     config = inputs.config
     space = state.narrowed(ParameterSpace(config.space), config.fixed)
     assert space is not None
-    own = {"space": space.parameters, "fixed": config.fixed | state.blocks, "states": {}}
+    fixed = config.fixed | state.blocks
+    mapped = state.is_mapped({*space.names, *fixed})
+    own = {"space": space.parameters, "fixed": fixed, "states": {}, "mapped": mapped}
     return replace(inputs, config=config.model_copy(update=own | numbers))
 
 

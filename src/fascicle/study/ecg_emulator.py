@@ -29,6 +29,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, LEADS, limb_leads_from
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress, stage_progress
+from fascicle.core.quantities import DELAY
 from fascicle.core.threads import one_thread
 from fascicle.inference.emulator import (
     BATCH,
@@ -55,7 +56,7 @@ EPOCHS_ON = 20  # and one of a posterior
 FOLDS = 4  # of the examples of a posterior: each is held out once
 FASTER = ("alpha", "fibre_speed", "cv")  # c times as high
 SMALL = ("mean", "components", "bodies", "left", "left_by_bodies")  # in single precision
-SOONER = ("root_time", "anterograde_delay", "retrograde_delay", "his_time")  # c times as short
+SOONER = (*DELAY, "anterograde_delay", "retrograde_delay", "his_time")  # c times as short
 
 
 @dataclass(frozen=True)
@@ -286,16 +287,16 @@ def learn(
     here = {name: value[made][begin] for name, value in values.items()}
     ends = {p.name: (p.lower, p.upper) for p in (*space.parameters, *averaged.space.parameters)}
     lessons = [lesson(here, cosines[begin])]
-    clocks = {"cv", "root_time"} < {*names} and bool({*FASTER[:2]} & {*names})
+    clocks = "cv" in names and {*DELAY} & {*names} and {*FASTER[:2]} & {*names}
     for _ in range(COPIES if same_on_any_clock and clocks else 0):
         others, ecgs = _on_another_clock(here, ends, examples.ecgs[begin], rng)
         lessons.append(lesson(others, _cosines(ecgs, count)))
     seen, wanted = (np.concatenate(each).astype(np.float32) for each in zip(*lessons, strict=True))
     every, free = emulator.inputs(values, tissues), ~examples.held_out
-    known = made[free][:, None].astype(np.float32)
+    known = examples.kept[free][:, None].astype(np.float32)
     *networks, validity = _trained(seen, wanted, every[free], known, rng, progress)
     emulator = replace(emulator, networks=tuple(networks), validity=validity)
-    return _with_what_is_left(emulator, examples, count, every)
+    return _with_what_is_left(emulator, examples.of_the_prior, count, every)
 
 
 def _refuse(examples: Examples, names: tuple[str, ...], raw: Floats) -> None:

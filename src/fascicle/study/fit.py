@@ -14,7 +14,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import as_path
 from fascicle.core.parameters import FREE, ParameterSpace
 from fascicle.core.progress import Lines, Progress, shown_progress
-from fascicle.core.quantities import CONDUCTION
+from fascicle.core.quantities import DELAY
 from fascicle.core.ranges import check_kind
 from fascicle.forward.likelihood import Likelihood, constants
 from fascicle.forward.model import Backend
@@ -184,10 +184,10 @@ def read_inputs(
             "scenario, or use the method 'posterior'"
         )
     wanted, alone = {**parameters}, len(recordings) == 1 and recordings[0][1] is None
-    # by default learnt, unless its root times would not be those that are asked for
+    # by default learnt, unless its delays would not be those that are asked for
     learnt = settings.method == "posterior" and alone and likelihoods is None
     learnt &= recordings[0][0].earliest_onset is None  # paced beats are of no state
-    asked = wanted.pop("conduction", FREE if learnt and "root_time" not in wanted else None)
+    asked = wanted.pop("conduction", FREE if learnt and not {*DELAY} & {*wanted} else None)
     space, fixed = study_space(settings.method, wanted, heart)
     states = () if asked is None else _states(asked, space, fixed, heart, settings)
     if len(states) > 1 and not alone:
@@ -195,8 +195,11 @@ def read_inputs(
             "parameter 'conduction': it is learnt from one recording of an intrinsic beat; give "
             "one without a scenario, or fix the state"
         )
+    mapped = False
     if len(states) == 1:
-        space, fixed = states[0].narrowed(space, fixed) or space, fixed | states[0].blocks
+        (state,) = states
+        space, fixed = state.narrowed(space, fixed) or space, fixed | state.blocks
+        mapped = state.is_mapped({*space.names, *fixed})
     if settings.free_gain and ("gain" in space.names or "gain" in fixed):
         raise InputError("the gain is a parameter already; leave --free-gain out")
     of_posterior: dict[str, Any] = {}
@@ -215,6 +218,7 @@ def read_inputs(
         space=space.parameters,
         fixed=fixed,
         states=_priors(states) if len(states) > 1 else {},
+        mapped=mapped,
         **growth_and_conduction(heart, rules),
         **of_posterior,
         **settings.model_dump(),
@@ -229,15 +233,13 @@ def _states(
     heart: Heart,
     settings: FitSettings,
 ) -> tuple[ConductionState, ...]:
-    """The conduction states that were asked for and that the rest leaves; of normal alone none."""
+    """The conduction states that were asked for and that the rest leaves."""
     if settings.method == "paper":
         raise InputError(
             "parameter 'conduction': the method 'paper' knows no conduction states; leave it "
             "out, or use the method 'posterior'"
         )
     states, known = asked_states(asked), {**heart.values, **fixed}
-    if [state.name for state in states] == [CONDUCTION[0]]:
-        return ()  # the root time tells a delay
     states = tuple(state for state in states if state.narrowed(space, known) is not None)
     if not states:
         raise InputError(

@@ -19,7 +19,7 @@ from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
-from fascicle.study.conduction_states import STATES, ConductionState
+from fascicle.study.conduction_states import KNOWN_STATES, ConductionState
 from fascicle.study.ecg_emulator import SOONER, EcgEmulator, learn
 from fascicle.study.pool import Pool, Threads, check_pool
 from fascicle.study.prior_simulations import SEED, PriorSimulations
@@ -49,10 +49,11 @@ def emulator_of(
         In which the heart was recorded, and its digest.
     """
     blocks = {n: v for n, v in simulator.fixed.items() if n == "conduction"}
-    alike = [state for state in STATES if state.blocks == blocks]
+    alike = [state for state in KNOWN_STATES if state.blocks == blocks]
     states = alike if blocks else [None, *alike]
     every = (usual_prior(simulator.model, folder, scenario, state) for state in states)
-    usual = (p for p in every if p.covers(simulator.space, simulator.averaged, simulator.fixed))
+    asked = simulator.space, simulator.averaged, simulator.fixed
+    usual = (prior for prior in every if prior.covers(*asked, simulator.mapped))
     prior = next(usual, None) or prior_of(simulator, folder, scenario)
     stored = packaged(EMULATOR, prior.content)
     if stored is not None and float(stored["report networks"]) >= count:
@@ -109,9 +110,11 @@ def prior_of(
 ) -> PriorSimulations:
     """Prior simulations of what a simulator varies, kept in the folder of a heart."""
     cache = ArrayCache(folder / DISPOSABLE, "prior")
+    mapped = simulator.mapped and scenario is None  # of intrinsic beats
     return PriorSimulations(
-        simulator.model, simulator.space, simulator.averaged, simulator.fixed, cache, scenario
-    )
+        simulator.model, simulator.space, simulator.averaged, simulator.fixed, cache, scenario,
+        mapped=mapped,
+    )  # fmt: skip
 
 
 def usual_prior(
@@ -122,10 +125,13 @@ def usual_prior(
 ) -> PriorSimulations:
     """Those of what a study varies if nothing is said, or if nothing but its conduction state."""
     space, fixed = study_space("posterior", {} if state is None else state.blocks, model.heart)
+    mapped = False
     if state is not None:
         space = state.narrowed(space, {**model.heart.values, **fixed}) or space
+        mapped = state.is_mapped(space.names)
     averaged = AveragedOver.of(space, fixed, model.heart)
-    return prior_of(PointSimulator(model, space, fixed, averaged=averaged), folder, scenario)
+    simulator = PointSimulator(model, space, fixed, averaged=averaged, mapped=mapped)
+    return prior_of(simulator, folder, scenario)
 
 
 def for_simulations(

@@ -1,16 +1,17 @@
 """Prior simulations: networks of the prior with all that is not known, from which emulators learn.
 
 They depend on no recording. Every network has parameters, tissue, growth and delays from their
-priors; every third one has a third left fascicle; every tenth one, from which no emulator learns,
-has its ECG in a random body, too. They are kept with the heart, in parts that are written whole or
-not at all, so that the simulation may be interrupted at any time.
+priors; every tenth one, from which no emulator learns, has its ECG in a random body, too. Where the
+prior is that of mapped hearts, all are simulated, and those are marked that belong to it. They are
+kept with the heart, in parts that are written whole or not at all, so that the simulation may be
+interrupted at any time.
 """
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,16 +23,17 @@ from fascicle.core.array_cache import ArrayCache
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_ROWS, LEADS
-from fascicle.core.parameters import ParameterSpace, free
+from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress, stage_progress
-from fascicle.core.quantities import Changes, fascicle_names, quantity, torso_values
+from fascicle.core.quantities import Changes, quantity, torso_values
+from fascicle.forward.activation_sequence import MAPPED
 from fascicle.forward.bodies import random_bodies
 from fascicle.forward.loss import placed
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import SimulatedBeat, Simulation
 from fascicle.study.pool import Pool
-from fascicle.study.space import AveragedOver, growth_and_conduction
+from fascicle.study.space import UNMAPPED, AveragedOver, growth_and_conduction, is_kept
 
 PART = 500  # networks in a file
 HELD_OUT = 10  # of so many networks the last is held out
@@ -49,8 +51,8 @@ class Examples:
     ----------
     points : (n, d) array
         In the unit cube.
-    feasible : (n,) array
-        Whether they give a network.
+    feasible, kept : (n,) arrays
+        Whether they give a network, and whether that belongs to the prior.
     ecgs : (m, 8 + k, length) array
         Independent leads (mV) of those that do, from `BEFORE` the first activation on.
     in_bodies, bodies : (h, 8 + k, length) and (h,) arrays
@@ -59,6 +61,7 @@ class Examples:
 
     points: Floats
     feasible: Booleans
+    kept: Booleans
     ecgs: NDArray[np.float32]
     in_bodies: NDArray[np.float32]
     bodies: Integers
@@ -67,6 +70,19 @@ class Examples:
     def held_out(self) -> Booleans:
         """Which of all networks are (n,)."""
         return np.asarray(np.arange(len(self.points)) % HELD_OUT == HELD_OUT - 1)
+
+    @property
+    def of_the_prior(self) -> Examples:
+        """Examples of which those alone count as feasible that belong to the prior."""
+        kept = self.kept[self.feasible]
+        held_out = self.kept[self.feasible & self.held_out]
+        return replace(
+            self,
+            feasible=self.kept,
+            ecgs=self.ecgs[kept],
+            in_bodies=self.in_bodies[held_out],
+            bodies=self.bodies[held_out],
+        )
 
 
 @dataclass(frozen=True)
@@ -80,6 +96,7 @@ class PriorSimulations:
     cache: ArrayCache  # in the heart's folder
     scenario: tuple[Scenario, str] | None = None  # with its digest
     drawn: Floats | None = None  # points of a posterior, in place of the prior's
+    mapped: bool = False  # whether the prior is that of mapped hearts
 
     @cached_property
     def content(self) -> str:
@@ -88,16 +105,21 @@ class PriorSimulations:
         about = self.space.parameters, self.averaged, sorted(self.fixed.items())
         digest = "" if self.scenario is None else self.scenario[1]
         drawn = "" if self.drawn is None else hashlib.sha256(self.drawn.tobytes()).hexdigest()
-        return f"{self.model.heart.digest} {about} {sorted(known.items())} {digest}{drawn}"
+        mapped = f" {MAPPED} {UNMAPPED}" if self.mapped else ""
+        return f"{self.model.heart.digest} {about} {sorted(known.items())} {digest}{drawn}{mapped}"
 
     def covers(
-        self, space: ParameterSpace, averaged: AveragedOver, fixed: Mapping[str, float]
+        self,
+        space: ParameterSpace,
+        averaged: AveragedOver,
+        fixed: Mapping[str, float],
+        mapped: bool,
     ) -> bool:
         """Whether these are of all that another study learns, fixes and averages over.
 
         Not where it fixes more than half: simulations of what is left say more of it.
         """
-        if 2 * len(space) < len(self.space):
+        if 2 * len(space) < len(self.space) or mapped != self.mapped:
             return False
         ends = _ranges(self.space, self.averaged)
         wanted = _ranges(space, averaged)
@@ -131,19 +153,14 @@ class PriorSimulations:
 
     def parameters(self, number: int) -> list[dict[str, float]]:
         """All quantities of the networks of a part."""
-        rng, count = np.random.default_rng([SEED, number, 1]), len(self.space)
-        names = {*self.space.names, *self.fixed}
-        third = [free(name) for name in fascicle_names("lv", 3) if name.endswith("3")]
-        usual = "lv_fascicle_angle_2" in names and not names & {"lv_fascicles", third[0].name}
-        found = []
+        count = len(self.space)
+        every = []
         for point in self.points(number):
             values = {**self.fixed, **self.space.from_unit(point[:count])}
             values |= self.averaged.values(point[count:])
             values.pop("gain", None)  # a factor on the ECG
-            if usual and rng.random() < 1 / 3:
-                values |= {p.name: float(p.from_unit(np.array(rng.random()))) for p in third}
-            found.append(values)
-        return found
+            every.append(values)
+        return every
 
     def scenarios(self, number: int) -> Sequence[Scenario | None]:
         """Scenarios of the networks of a part."""
@@ -168,12 +185,16 @@ class PriorSimulations:
             drawn = np.random.default_rng([SEED, number, 3]).integers(BODIES, size=len(items))
             ecgs: list[Floats] = []
             others: list[Floats] = []
-            feasible = np.zeros(len(items), bool)
+            feasible, kept = np.zeros((2, len(items)), bool)
+            points = self.points(number)
             for k, outcome in enumerate(pool.map(_beat, items, self.model)):
                 report(number * PART + k + 1, total)
                 if outcome is None:
                     continue
-                feasible[k] = True
+                feasible[k] = kept[k] = True
+                if self.mapped:
+                    sequence = self.model.surfaces.sequence(outcome.activation)
+                    kept[k] = is_kept(points[k], sequence)
                 ecgs.append(_from_activation(outcome.leads[rows], outcome))
                 if k % HELD_OUT == HELD_OUT - 1:
                     leads = outcome.leads
@@ -182,8 +203,8 @@ class PriorSimulations:
                     others.append(_from_activation(leads[rows], outcome))
             self.cache.write(
                 f"{self.content} {number}",
-                {"feasible": feasible, "bodies": drawn, **_joined("ecg", ecgs, len(rows)),
-                 **_joined("body", others, len(rows))},
+                {"feasible": feasible, "kept": kept, "bodies": drawn,
+                 **_joined("ecg", ecgs, len(rows)), **_joined("body", others, len(rows))},
                 compress=True,
             )  # fmt: skip
 
@@ -206,6 +227,7 @@ class PriorSimulations:
         return Examples(
             np.concatenate([self.points(number) for number in range(len(parts))]),
             np.concatenate([part["feasible"] for part in parts]),
+            np.concatenate([part["kept"] for part in parts]),
             np.concatenate([_separated("ecg", part, length) for part in parts]),
             np.concatenate([_separated("body", part, length) for part in parts]),
             np.concatenate([part["bodies"][k][part["feasible"][k]] for part in parts]),

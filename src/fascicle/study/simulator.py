@@ -34,6 +34,7 @@ class PointSimulator:
     backend: Backend | None = field(default=None, compare=False)  # in place of the pool
     # by threads of this process, where draws are evaluated first and then looked at
     remembered: Remembered | None = field(default=None, compare=False)
+    mapped: bool = False  # whether intrinsic beats must be activated as mapped human hearts are
 
     __repr__ = short_repr
 
@@ -67,7 +68,7 @@ class PointSimulator:
     def from_backend(self, points: Sequence[Floats]) -> list[Signals | str | None]:
         """Intrinsic beats that a backend simulates, in the plain tissue; None for all others."""
         found: list[Signals | str | None] = [None] * len(points)
-        if self.backend is None or not points:
+        if self.backend is None or not points or self.mapped:  # that takes the activation
             return found
         tissues = self.averaged.tissue(np.asarray(points)[:, len(self.space) :])
         plain = [k for k, number in enumerate(tissues) if not self.averaged.tissues[number]]

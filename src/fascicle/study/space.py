@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import partial
@@ -19,19 +20,22 @@ from fascicle.core.parameters import (
     ParameterSpace,
     Prior,
     free,
+    human_space,
     network_space,
     ordered_fascicles,
 )
 from fascicle.core.quantities import (
+    DELAY,
     GROUPS,
     SIDES,
     SPEED,
-    check_one_speed,
+    check_not_twice,
     checked,
     default_of,
     region_labels,
 )
 from fascicle.core.ranges import number, shown
+from fascicle.forward.activation_sequence import ActivationSequence
 from fascicle.heart.conduction import Conduction, Region
 from fascicle.heart.heart import Heart
 from fascicle.purkinje.growth import GrowthRules
@@ -48,20 +52,29 @@ def study_space(
     """What a study learns, and what else differs from the defaults of quantities.
 
     The method ``"paper"`` learns the paper's parameters of bundles and fascicles, root time and
-    Purkinje conduction velocity; ``"posterior"`` also the speed constant of the myocardium, where
-    the heart does not say it, and has the angles of each ventricle's fascicles in order. `wanted`
-    says what differs, as `parameters` of `fascicle.fit`; a group of `GROUPS` that is ``"free"``
-    frees all of its quantities but those that are given separately.
+    Purkinje conduction velocity; ``"posterior"`` has priors of human anatomy, the interventricular
+    delay, and the speed of the myocardium along the fibre, where the heart does not say it. What
+    stands for a quantity takes its place. `wanted` says what differs, as `parameters` of
+    `fascicle.fit`; a group of `GROUPS` that is ``"free"`` frees all of its quantities but those
+    that are given separately.
     """
-    chosen = {name: _chosen(name, value) for name, value in without_groups(wanted).items()}
-    numbers = {
-        side: chosen.pop(f"{side}_fascicles", default_of(f"{side}_fascicles")) for side in SIDES
+    human, wanted = method == "posterior", without_groups(wanted)
+    default = {f"{side}_fascicles": default_of(f"{side}_fascicles") for side in SIDES}
+    numbers: dict[str, Parameter | float] = default | ({"lv_fascicles": 3.0} if human else {})
+    numbers |= {name: _chosen(name, wanted[name], {}) for name in default if name in wanted}
+    counts = {n[:2]: int(k) for n, k in numbers.items() if not isinstance(k, Parameter)}
+    usual = list((human_space if human else network_space)(**counts).parameters)
+    chosen = {
+        name: _chosen(name, value, {p.name: p for p in usual})
+        for name, value in wanted.items()
+        if name not in default
     }
-    counts = {side: int(n) for side, n in numbers.items() if not isinstance(n, Parameter)}
-    usual = list(network_space(**counts).parameters)
-    if method == "posterior" and not any(n in chosen or n in heart.values for n in SPEED):
-        usual.append(free("alpha"))
-    check_one_speed(chosen)
+    check_not_twice(chosen)
+    others = {n.replace("angle", "direction") for n in chosen}
+    for pair in (DELAY, SPEED):
+        others |= {*pair} if any(n in chosen for n in pair) else set()
+    others |= {*SPEED} if any(n in heart.values for n in SPEED) else set()
+    usual = [p for p in usual if p.name in chosen or p.name not in others]
     for label, name in region_labels(chosen).items():
         Region(1.0, label, source=name).elements(heart)
     learnt = {p.name: p for p in usual if not isinstance(chosen.get(p.name), float)}
@@ -136,6 +149,19 @@ class AveragedOver:
         return {**self.space.from_unit(point[: len(self.space)]), **self.tissues[number]}
 
 
+# Probability to keep a network of the prior of mapped hearts which is activated otherwise
+UNMAPPED = 0.03
+
+
+def is_kept(point: Floats, sequence: ActivationSequence) -> bool:
+    """Whether a point (d,) of the unit cube belongs to the prior of mapped hearts.
+
+    Of those that are activated otherwise some do, and each always or never: its digits decide.
+    """
+    digits = hashlib.sha256(np.ascontiguousarray(point, dtype=float).tobytes()).digest()
+    return sequence.is_mapped or int.from_bytes(digits[:8]) < UNMAPPED * 2**64
+
+
 def without_groups(wanted: Mapping[str, Any]) -> dict[str, Any]:
     """The same with each group of quantities that is free written out."""
     whole: dict[str, Any] = {}
@@ -150,10 +176,10 @@ def without_groups(wanted: Mapping[str, Any]) -> dict[str, Any]:
     return whole | {name: value for name, value in wanted.items() if name not in GROUPS}
 
 
-def _chosen(name: str, value: Any) -> Parameter | float:
-    """What was said of one quantity: to be learnt, or fixed."""
+def _chosen(name: str, value: Any, usual: Mapping[str, Parameter]) -> Parameter | float:
+    """What was said of one quantity: to be learnt, perhaps with its usual prior, or fixed."""
     if isinstance(value, str) and value == FREE:
-        return free(name)
+        return usual.get(name) or free(name)
     if not isinstance(value, Mapping):
         return checked({name: value})[name]
     unknown = [key for key in value if key not in PRIOR_KEYS]
@@ -197,7 +223,7 @@ def read_settings(path: Path | str) -> dict[str, Any]:
             if name == "conduction":
                 asked_states(value)
             else:
-                _chosen(name, value)
+                _chosen(name, value, {})
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return values

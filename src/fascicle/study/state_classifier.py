@@ -1,8 +1,7 @@
 """How probable each conduction state is, by a classifier of a heart's simulated recordings.
 
-Each state has prior simulations of its own; states that only differ in the range of a quantity
-share them. The classifier is made once a heart, and kept with it; the packaged hearts share one,
-which has learnt from recordings of all of them.
+Each state has prior simulations of its own. The classifier is made once a heart, and kept with it;
+the packaged hearts share one, which has learnt from recordings of all of them.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ from fascicle.core.arrays import Integers
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE
 from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS
-from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
@@ -50,40 +48,34 @@ class StateSimulations:
     """Prior simulations that hold those of a state."""
 
     state: ConductionState
-    space: ParameterSpace  # of the state
     prior: PriorSimulations
-    count: int  # half of what was asked for where they are of this state alone
+    count: int  # half of what was asked for, but of mapped hearts, of which many are left out
 
     @classmethod
     def of(
         cls, state: ConductionState, simulator: PointSimulator, folder: Path, count: int
     ) -> StateSimulations:
         """Those of a simulator that learns all states."""
-        own = state.narrowed(simulator.space, simulator.fixed)
-        assert own is not None
-        fixed = simulator.fixed | state.blocks
-        shared = not state.blocks and _share(own, simulator.space) >= 1 / 8  # enough are of it
-        space = simulator.space if shared else own
-        averaged = AveragedOver.of(space, fixed, simulator.model.heart)
-        prior = prior_of(replace(simulator, space=space, fixed=fixed, averaged=averaged), folder)
+        space = state.narrowed(simulator.space, simulator.fixed)
+        assert space is not None
+        fixed, heart = simulator.fixed | state.blocks, simulator.model.heart
+        averaged = AveragedOver.of(space, fixed, heart)
+        mapped = state.is_mapped({*space.names, *fixed})
+        own = replace(simulator, space=space, fixed=fixed, averaged=averaged, mapped=mapped)
         half = max(count // 2, 100)  # the fewest that a fit takes
-        return cls(state, own, prior, half if space == own else count)
+        return cls(state, prior_of(own, folder), count if mapped else half)
 
     @property
     def content(self) -> str:
         """What they depend on."""
-        return f"{self.state.name} {self.space.parameters} {self.prior.content}"
+        return f"{self.state.name} {self.prior.content}"
 
     def ecgs(self) -> tuple[NDArray[Any], NDArray[Any]]:
         """ECGs of the state to learn from, and held-out ones in random bodies."""
-        examples, names = self.prior.examples(self.count, LENGTH), self.prior.space.names
-        values = self.prior.space.columns(examples.points[:, : len(names)])
-        ranges = [(p.name, p.lower, p.upper) for p in self.space.parameters]
-        of_state = np.all([(lo <= values[n]) & (values[n] <= hi) for n, lo, hi in ranges], axis=0)
-        made, held_out = examples.feasible, examples.held_out
+        examples = self.prior.examples(self.count, LENGTH).of_the_prior
         independent = slice(len(INDEPENDENT_LEADS))
-        seen = examples.ecgs[(of_state & ~held_out)[made], independent]
-        tried = examples.in_bodies[of_state[made & held_out], independent]
+        seen = examples.ecgs[~examples.held_out[examples.feasible], independent]
+        tried = examples.in_bodies[:, independent]
         if len(seen) < FEWEST or not len(tried):
             raise InputError(
                 f"only {len(seen)} networks of the prior of '{self.state.name}' fit this heart; "
@@ -113,7 +105,9 @@ def simulations_of_states(
     asked = _of_each(simulator, folder, count)
     if all(
         name in found
-        and found[name].prior.covers(each.space, each.prior.averaged, each.prior.fixed)
+        and found[name].prior.covers(
+            each.prior.space, each.prior.averaged, each.prior.fixed, each.prior.mapped
+        )
         for name, each in asked.items()
     ):
         return found
@@ -164,7 +158,7 @@ def lessons(
 ) -> tuple[Lessons, Lessons]:
     """Recordings of a heart to learn from, as many of each state, and held-out ones."""
     first, *_ = known.values()
-    recorder = Recorder.of(first.prior.examples(first.count, LENGTH))
+    recorder = Recorder.of(first.prior.examples(first.count, LENGTH).of_the_prior)
     seen: list[Singles] = []
     held_out: list[Singles] = []
     for each in known.values():
@@ -226,13 +220,3 @@ def simulate_prior(
         for each in {each.prior.content: each for each in known.values()}.values():
             made_emulator(each.prior, each.count, pool, shown)
     return folder / DISPOSABLE
-
-
-def _share(own: ParameterSpace, whole: ParameterSpace) -> float:
-    """How much of the prior lies within narrower ranges; 0 if they are not within."""
-    inside = 1.0
-    for p, q in zip(whole.parameters, own.parameters, strict=True):
-        if not (p.lower <= q.lower and q.upper <= p.upper):
-            return 0.0
-        inside *= float(np.ptp(p.to_unit(np.array([q.lower, q.upper]))))
-    return inside

@@ -263,4 +263,7 @@ def simulated_and_compared(
         for target, scenario in recordings
     )
     pool = pool or Threads(config.workers)
-    return PointSimulator(model, space, fixed, pool, config.averaged_over, backend), compared
+    simulator = PointSimulator(
+        model, space, fixed, pool, config.averaged_over, backend, mapped=config.mapped
+    )
+    return simulator, compared

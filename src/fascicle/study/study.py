@@ -69,6 +69,7 @@ class StudyConfig(FitSettings):
     averaged: tuple[Parameter, ...] = ()  # what is averaged over, and, each as probable, in which
     tissues: tuple[dict[str, float], ...] = ({},)
     states: dict[str, float] = Field(default_factory=dict)  # of conduction, if learnt: their priors
+    mapped: bool = False  # whether intrinsic beats are activated as mapped human hearts are
     share: float = 1.0  # of the draws of a study that this one, of a state, is part of
     version: Literal[8] = FORMAT  # of the folder
 

@@ -23,10 +23,12 @@ from fascicle.purkinje.tree import InvalidTree
 from fascicle.recording.target import Target, repeated
 from fascicle.study.pool import Threads
 from fascicle.study.simulator import PointSimulator, Remembered
+from fascicle.study.space import is_kept
 from fascicle.torso.variation.conductor import InvalidTorso
 
 # A point, its parameters, and its intrinsic beat if that is known
 Item = tuple[Floats, Mapping[str, float], Signals | str | None]
+UNLIKE_MAPPED_HEARTS = "not activated in the sequence of mapped human hearts"
 
 
 @dataclass(frozen=True)
@@ -159,7 +161,7 @@ def _evaluate_part(
         (point, simulator.parameters(point), there)
         for point, there in zip(points, known, strict=True)
     ]
-    shared = simulator.model, recordings
+    shared = simulator.model, recordings, simulator.mapped
     if isinstance(simulator.pool, Threads):
         yield from simulator.pool.map(_evaluate, items, *shared, simulator.remembered)
         return
@@ -175,9 +177,13 @@ def _evaluate(
     item: Item,
     model: ForwardModel,
     recordings: Sequence[TargetComparison],
+    mapped: bool,
     remembered: Remembered | None = None,
 ) -> Evaluation:
-    """Simulate a point in the scenario of each recording, and compare it with all of them."""
+    """Simulate a point in the scenario of each recording, and compare it with all of them.
+
+    If it must be `mapped`, an intrinsic beat that is not of the prior of mapped hearts is none.
+    """
     point, parameters, known = item
     simulated: list[Signals | str] = []
     each: list[Evaluation] = []
@@ -191,6 +197,9 @@ def _evaluate(
         else:
             outcome = _simulated(parameters, recording.scenario, model, remembered)
             signals = Signals.of(outcome) if isinstance(outcome, Simulation) else outcome.reason
+            if mapped and recording.scenario is None and isinstance(outcome, Simulation):
+                sequence = model.surfaces.sequence(outcome.activation)
+                signals = signals if is_kept(point, sequence) else UNLIKE_MAPPED_HEARTS
         simulated.append(signals)
         each.append(recording(point, signals))
         if not each[-1].feasible:

@@ -104,20 +104,34 @@ class GpuBackend:
         made: Callable[[int, Mapping[str, float], Results], Made],
     ) -> Iterator[Made | InvalidTree | None]:
         """What is made of each network in a batch's results, in order."""
-        every = [complete(network) for network in parameters]
+        every = [_with_root_time(model, complete(network)) for network in parameters]
         for start in range(0, len(every), self.batch):
-            networks = every[start : start + self.batch]
-            results = self._simulator(model).run(
-                np.stack([_plan(model, side, n) for n in networks for side in SIDES]),
-                np.array([_beat(model, n) for n in networks], BEAT),
-            )
+            batch = every[start : start + self.batch]
+            networks = [each for each in batch if not isinstance(each, InvalidTree)]
+            outcomes: Iterator[Made | InvalidTree | None] = iter(())
+            if networks:
+                results = self._simulator(model).run(
+                    np.stack([_plan(model, side, n) for n in networks for side in SIDES]),
+                    np.array([_beat(model, n) for n in networks], BEAT),
+                )
+                outcomes = (
+                    made(number, values, results)
+                    if results.simulated[number]
+                    else _outside(model, number, values, results)
+                    for number, values in enumerate(networks)
+                )
             # all of them before the next batch takes their place
-            yield from [
-                made(number, values, results)
-                if results.simulated[number]
-                else _outside(model, number, values, results)
-                for number, values in enumerate(networks)
-            ]
+            yield from [each if isinstance(each, InvalidTree) else next(outcomes) for each in batch]
+
+
+def _with_root_time(
+    model: ForwardModel, values: dict[str, float]
+) -> dict[str, float] | InvalidTree:
+    """Parameters with angles and root time; trees are grown here only where those must be found."""
+    if "root_time" in values and not any("_fascicle_direction_" in name for name in values):
+        return values
+    outcome = model.with_root_time(values)
+    return outcome if isinstance(outcome, InvalidTree) else outcome[0]
 
 
 def _plan(model: ForwardModel, side: str, values: Mapping[str, float]) -> NDArray[np.void]:
