@@ -56,6 +56,8 @@ from .study.origin import Origin as Origin
 from .study.origin import locate as locate
 from .study.pool import ExecutorPool as ExecutorPool
 from .study.settings import FitSettings as FitSettings
+from .study.state_classifier import NoStateNamed as NoStateNamed
 from .study.state_classifier import simulate_prior as simulate_prior
+from .study.state_classifier import state_probabilities as state_probabilities
 
 __version__: str

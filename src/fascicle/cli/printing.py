@@ -103,6 +103,8 @@ def _print_posterior(posterior: Posterior, fitted: FittedStudy) -> None:
     if not posterior.converged:
         print_row("parameters", "not reported: the runs do not agree")
         return
+    for line in fitted.statements.sequence:
+        print_row("activation", line)
     if len(fitted.recordings) > 1 and posterior.first_alone is None:
         print_row("first recording alone", "not converged: what the others add is unknown")
     for statement in fitted.statements.parameters:

@@ -283,14 +283,19 @@ def quantity(name: str) -> Quantity:
     return Quantity(name, "1", 1.0, (0.0, 1e4), (0.0, 1.0), meaning, Changes.TISSUE)
 
 
+def stand_ins(name: str) -> set[str]:
+    """Quantities that say the same as one of this name, without it."""
+    angle = {name, name.replace("lv_fascicle_angle", "lv_fascicle_direction")}
+    direction = {name, name.replace("lv_fascicle_direction", "lv_fascicle_angle")}
+    pairs = ({*SPEED}, {*DELAY}, angle, direction)
+    return {other for pair in pairs if name in pair for other in pair} - {name}
+
+
 def check_not_twice(names: Collection[str]) -> None:
     """Refuse quantities that say one thing twice: the speed of the myocardium, for one."""
-    angles = [n for n in names if "_fascicle_angle_" in n]
-    for pair in (SPEED, DELAY, *((n, n.replace("angle", "direction")) for n in angles)):
-        if all(name in names for name in pair):
-            raise ValueRefusedError(
-                f"parameters '{pair[0]}' and '{pair[1]}' say the same; give one"
-            )
+    for name in names:
+        for other in sorted(stand_ins(name) & {*names}):
+            raise ValueRefusedError(f"parameters '{name}' and '{other}' say the same; give one")
 
 
 def region_labels(values: Iterable[str]) -> dict[int, str]:

@@ -2,25 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.ranges import short_repr
+from fascicle.heart.endocardium import long_axis
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import Label, labelled_mesh
+from fascicle.mesh.measures import unit
 
-# What mapped human hearts show, with QRS below 120 ms (docs/posterior.md names the sources):
-# attribute of `ActivationSequence`, least and greatest value (ms), name
-MAPPED: tuple[tuple[str, float, float, str], ...] = (
-    ("lv_septum", 0.0, 1.0, "activation of the left septum"),
-    ("rv_delay", 3.0, 12.0, "right after left ventricle"),
-    ("rv_breakthrough", 7.0, 25.0, "right epicardial breakthrough"),
-    ("total", 60.0, 100.0, "total activation time"),
-)
+
+class MappedRange(NamedTuple):
+    """What mapped human hearts show of a time (ms) of `ActivationSequence`, and its name."""
+
+    lower: float
+    upper: float
+    name: str
+
+    def holds(self, time: float) -> bool:
+        """Whether a time (ms) is within it."""
+        return self.lower <= time <= self.upper
+
+
+# Of QRS complexes below 120 ms: Durrer et al., Circulation 41 (1970) 899-912; Wyndham et al.,
+# Circulation 59 (1979) 161-168
+MAPPED: Mapping[str, MappedRange] = {
+    "lv_septum": MappedRange(0.0, 1.0, "left septum after the first activation"),
+    "rv_delay": MappedRange(3.0, 12.0, "right endocardium after the left one"),
+    "rv_breakthrough": MappedRange(7.0, 25.0, "right epicardial breakthrough"),
+    "total": MappedRange(60.0, 100.0, "last activation"),
+}
+LATE_QRS = 120.0  # ms; from there on mapped hearts with a block are activated otherwise
+PARTS = {
+    "lv_septum": "left septum",
+    "lv_free_wall": "left free wall",
+    "rv_septum": "right septum",
+    "rv_free_wall": "right free wall",
+}
 
 
 @dataclass(frozen=True)
@@ -30,11 +53,13 @@ class ActivationSequence:
     Attributes
     ----------
     lv_septum, lv_free_wall, rv_septum, rv_free_wall : float
-        Left and right endocardium of the septum and of the free walls.
+        Left and right endocardium of the septum and of the free walls; inf where there is none.
     rv_breakthrough, lv_breakthrough : float
         Right and left epicardium.
     total : float
-        The last activation of all.
+        Last activation of all.
+    last : str
+        Where that is.
     """
 
     lv_septum: float
@@ -44,6 +69,7 @@ class ActivationSequence:
     rv_breakthrough: float
     lv_breakthrough: float
     total: float
+    last: str
 
     @property
     def rv_delay(self) -> float:
@@ -52,47 +78,154 @@ class ActivationSequence:
         return right - min(self.lv_septum, self.lv_free_wall)
 
     @property
+    def first(self) -> str:
+        """The part of the endocardium that is activated first."""
+        return PARTS[min(PARTS, key=lambda name: getattr(self, name))]
+
+    @property
     def is_mapped(self) -> bool:
         """Whether mapped human hearts are activated in this sequence."""
-        return all(low <= getattr(self, name) <= high for name, low, high, _ in MAPPED)
+        return all(known.holds(getattr(self, name)) for name, known in MAPPED.items())
 
 
 @dataclass(frozen=True)
 class VentricularSurfaces:
-    """Vertices of a heart on the parts of its surface, by the names of `ActivationSequence`.
+    """Parts of a heart's surface, and where in the ventricles each of its vertices lies.
 
     An endocardium belongs to the septum where the other endocardium is nearer than the epicardium.
+
+    Attributes
+    ----------
+    parts : mapping of str to (k,) array
+        Vertices of each part that `ActivationSequence` names.
+    places : (n,) array of str
+        Third of the left long axis, wall and ventricle of each vertex.
     """
 
-    vertices: Mapping[str, Integers]
+    parts: Mapping[str, Integers]
+    places: np.ndarray[tuple[int], np.dtype[np.str_]]
 
     __repr__ = short_repr
 
     @classmethod
     def of(cls, heart: Heart) -> VentricularSurfaces:
-        """Those of a heart."""
-        mesh = cKDTree(heart.vertices)
+        """Find them in a heart."""
+        vertices, mesh = heart.vertices, cKDTree(heart.vertices)
         endocardium = {
             e.side: np.unique(mesh.query(e.vertices[np.unique(e.triangles)])[1])
             for e in heart.endocardia
         }
         outside = np.unique(labelled_mesh(heart).having(Label.EPICARDIUM))
         epicardium = np.setdiff1d(outside, np.concatenate([*endocardium.values()]))
-        trees = {name: cKDTree(heart.vertices[k]) for name, k in endocardium.items()}
-        beyond = cKDTree(heart.vertices[epicardium])
-        found: dict[str, Integers] = {}
+        trees = {side: cKDTree(vertices[own]) for side, own in endocardium.items()}
+        beyond = cKDTree(vertices[epicardium]) if len(epicardium) else None
+        parts: dict[str, Integers] = {}
         for side, other in (("lv", "rv"), ("rv", "lv")):
             own = endocardium[side]
-            places = heart.vertices[own]
-            septal = trees[other].query(places)[0] < beyond.query(places)[0]
-            found |= {f"{side}_septum": own[septal], f"{side}_free_wall": own[~septal]}
-        away = {side: tree.query(heart.vertices[epicardium])[0] for side, tree in trees.items()}
-        right = away["rv"] < away["lv"]
-        found |= {"rv_breakthrough": epicardium[right], "lv_breakthrough": epicardium[~right]}
-        return cls(found)
+            septal = np.ones(len(own), bool)
+            if beyond is not None:
+                across = trees[other].query(vertices[own])[0]
+                septal = across < beyond.query(vertices[own])[0]
+            parts |= {f"{side}_septum": own[septal], f"{side}_free_wall": own[~septal]}
+        right = trees["rv"].query(vertices)[0] < trees["lv"].query(vertices)[0]
+        parts["rv_breakthrough"] = epicardium[right[epicardium]]
+        parts["lv_breakthrough"] = epicardium[~right[epicardium]]
+        return cls(parts, _places(heart, right))
 
     def sequence(self, activation: Floats) -> ActivationSequence:
         """The sequence of an activation (ms), one value a vertex."""
         after = activation - activation.min()
-        firsts = {name: float(after[k].min(initial=np.inf)) for name, k in self.vertices.items()}
-        return ActivationSequence(**firsts, total=float(after.max()))
+        firsts = {name: float(after[own].min(initial=np.inf)) for name, own in self.parts.items()}
+        reached = np.where(np.isfinite(after), after, -1.0)
+        last = int(reached.argmax())
+        return ActivationSequence(**firsts, total=float(after[last]), last=str(self.places[last]))
+
+
+def _places(
+    heart: Heart, right: np.ndarray[tuple[int], np.dtype[np.bool_]]
+) -> np.ndarray[tuple[int], np.dtype[np.str_]]:
+    """Where each vertex lies, given which ones are `right` of the middle of the septum (n,)."""
+    base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
+    down = unit(apex - base)
+    away = heart.vertices - base
+    height = away @ down / np.linalg.norm(apex - base)
+    septal = heart.rv.vertices.mean(axis=0) - base
+    septal = unit(septal - (septal @ down) * down)
+    angle = np.degrees(np.arctan2(away @ np.cross(septal, down), away @ septal))
+    third = np.select([height < 1 / 3, height < 2 / 3], ["basal", "mid"], "apical")
+    wall = np.select(
+        [np.abs(angle) < 60, np.abs(angle) > 120, angle > 0], ["septal", "lateral", "anterior"],
+        "posterior",
+    )  # fmt: skip
+    left = np.char.add(np.char.add(third, " "), np.char.add(wall, " left ventricle"))
+    return np.where(right, np.char.add(third, " right ventricle"), left)
+
+
+@dataclass(frozen=True)
+class SequenceSummary:
+    """What sequences of several networks have in common.
+
+    Attributes
+    ----------
+    times : mapping of str to (float, float, float)
+        Median, 5th and 95th percentile (ms) of each time that `MAPPED` names.
+    first, last : mapping of str to float
+        Shares of the networks in which a part is activated first, and last.
+    mapped : float
+        Share of the networks that are activated as mapped human hearts are.
+    """
+
+    times: Mapping[str, tuple[float, float, float]]
+    first: Mapping[str, float]
+    last: Mapping[str, float]
+    mapped: float
+
+    @classmethod
+    def of(cls, sequences: Sequence[ActivationSequence]) -> SequenceSummary:
+        """Summary of one sequence or more."""
+        times = {}
+        for name in MAPPED:
+            median, low, high = np.percentile([getattr(s, name) for s in sequences], (50, 5, 95))
+            times[name] = float(median), float(low), float(high)
+        first, last = (_shares([getattr(s, of) for s in sequences]) for of in ("first", "last"))
+        return cls(times, first, last, float(np.mean([s.is_mapped for s in sequences])))
+
+    @property
+    def departure(self) -> str:
+        """How most of the networks are activated otherwise than mapped hearts; else empty."""
+        if self.mapped >= 0.5:
+            return ""
+        first = next(iter(self.first))
+        if first != PARTS["lv_septum"]:
+            return f"activation begins on the {first}"
+        median = {name: times[0] for name, times in self.times.items()}
+        for name, known in MAPPED.items():
+            if not known.holds(median[name]):
+                return (
+                    f"{known.name} at {median[name]:.0f} ms, {known.lower:.0f} to "
+                    f"{known.upper:.0f} ms in mapped hearts"
+                )
+        return "the sequence of activation is that of a mapped heart in less than half of them"
+
+    @property
+    def lines(self) -> list[str]:
+        """Where activation begins and ends, and its times beside the mapped ranges."""
+        ends = (
+            f"{what}: " + ", ".join(f"{name} {share:.0%}" for name, share in [*shares.items()][:3])
+            for what, shares in (("first activated", self.first), ("last activated", self.last))
+        )
+        times = [
+            f"{known.name}: {middle:.0f} ms (90 % CrI {low:.0f} to {high:.0f}; mapped hearts "
+            f"{known.lower:.0f} to {known.upper:.0f})"
+            for (name, known), (middle, low, high) in zip(
+                MAPPED.items(), self.times.values(), strict=True
+            )
+        ]
+        return [*ends, *times]
+
+
+def _shares(names: Sequence[str]) -> dict[str, float]:
+    """Share of each name, the most frequent first."""
+    found, counts = np.unique(names, return_counts=True)
+    order = np.argsort(-counts, kind="stable")
+    return {str(found[k]): float(counts[k] / len(names)) for k in order}

@@ -22,12 +22,6 @@ LEFT_LATE: Ranges = {"interventricular_delay": (-40.0, -5.0), "root_time": (-75.
 RIGHT_LATE: Ranges = {"interventricular_delay": (15.0, 40.0), "root_time": (20.0, 50.0)}
 SLOW: Ranges = {**TOGETHER, "alpha": (0.02, 0.04), "fibre_speed": (0.2, 0.4), "cv": (1.0, 2.5)}
 USUAL = {p.name: p for p in HUMAN_SPACE.parameters}
-# A fascicular block changes the ECG of a network less than the discrepancy of the model does
-NOT_TOLD_APART = (
-    "left anterior fascicular block",
-    "left posterior fascicular block",
-    "right bundle branch and left anterior fascicular block",
-)
 
 
 @dataclass(frozen=True)
@@ -87,20 +81,18 @@ class ConductionState:
         return ParameterSpace(tuple(learnt.values()))
 
 
-# How probable each is in adults who are referred for an ECG (docs/diagnosis.md)
+# How probable the states are, that are told apart, in adults who are referred for an ECG
+# (docs/diagnosis.md); fascicular blocks belong to the first
 PREVALENCE = {
-    "normal": 0.8,
+    "normal": 0.855,
     "left bundle branch block": 0.025,
     "left bundle branch delay": 0.01,
-    "left anterior fascicular block": 0.05,
-    "left posterior fascicular block": 0.005,
-    "right bundle branch block": 0.02,
+    "right bundle branch block": 0.03,
     "right bundle branch delay": 0.05,
-    "right bundle branch and left anterior fascicular block": 0.01,
     "intraventricular delay": 0.03,
 }
 KNOWN_STATES = tuple(
-    ConductionState(name, PREVALENCE[name], ranges)
+    ConductionState(name, PREVALENCE.get(name, 1.0), ranges)
     for name, ranges in {
         **dict.fromkeys(CONDUCTION, TOGETHER),
         "left bundle branch delay": LEFT_LATE,
@@ -108,7 +100,13 @@ KNOWN_STATES = tuple(
         "intraventricular delay": SLOW,
     }.items()
 )
-STATES = tuple(state for state in KNOWN_STATES if state.name not in NOT_TOLD_APART)
+# A fascicular block changes the ECG of a network less than the discrepancy of the model does
+STATES = tuple(state for state in KNOWN_STATES if state.name in PREVALENCE)
+
+
+def state_label(name: str) -> str:
+    """What a state is called where fascicular blocks are not told apart from it."""
+    return "normal or fascicular block" if name == CONDUCTION[0] else name
 
 
 def states_of(priors: Mapping[str, float]) -> tuple[ConductionState, ...]:
@@ -125,7 +123,7 @@ def asked_states(asked: Any) -> tuple[ConductionState, ...]:
     InputError
         If there is no such state, or a prior is none.
     """
-    priors = {state.name: state.probability for state in KNOWN_STATES}
+    priors = {state.name: state.probability for state in STATES}
     if isinstance(asked, Mapping):
         given = {name: number(p, f"parameter 'conduction': '{name}'") for name, p in asked.items()}
         wrong = [name for name, p in given.items() if not (name in priors and 0 < p < math.inf)]

@@ -27,7 +27,12 @@ from fascicle.study.lock import study_lock
 from fascicle.study.pool import Pool
 from fascicle.study.population import Posterior, evenly_spread
 from fascicle.study.posterior import RUNS
-from fascicle.study.state_classifier import classifier_of, probabilities, simulations_of_states
+from fascicle.study.state_classifier import (
+    classifier_of,
+    probabilities,
+    simulations_of_states,
+    unlike,
+)
 from fascicle.study.state_fit import (
     HEART,
     Inputs,
@@ -88,7 +93,7 @@ def diagnosed(
             parts.append((_named(state, fitted), draws))
         stage_progress(progress, stage)(len(shares), len(shares))
         population = _mixture(parts, [*shares.values()], config.effective)
-        population = replace(population, states=probable)
+        population = replace(population, states=probable, unnamed=unlike(classifier, target))
         simulator = replace(simulator, space=config.space_of(probable), remembered={})
         fitted = FittedStudy(study, simulator, recordings, population)
         fitted = completed(fitted, emulated, progress)

@@ -39,6 +39,7 @@ from fascicle.inference.emulator import (
     train_together,
     weight_arrays,
 )
+from fascicle.mesh.measures import unit
 from fascicle.recording.target import Target
 from fascicle.study.ecg_emulator import all_leads, body_modes
 from fascicle.study.prior_simulations import BEFORE, Examples
@@ -51,6 +52,7 @@ COMPONENTS = 80  # principal ones
 NETWORKS, WIDTH, STEPS = 2, 128, 8000
 ONSET_SD = 6.0  # ms; of the first activation about the recorded onset
 NOISE = 0.01  # mV; of each coefficient
+FARTHEST = 0.98  # share of held-out recordings that are called like simulated ones
 GAIN_SD = float(FitSettings.model_fields["gain_sd"].default)
 
 
@@ -127,6 +129,10 @@ class EcgClassifier:
         Leads that it looks at, in `fascicle.core.leads.LEADS`.
     mean, components, scale : arrays
         Of its inputs: principal components of the cosines, over their scales.
+    centre, whitening : (p,) and (p, p) arrays
+        Of the directions of simulated recordings in the space of the inputs.
+    farthest : float
+        Distance from the centre, in standard deviations a direction, of 98 % of held-out ones.
     networks : tuple of Network
         Whose probabilities are averaged.
     right : float
@@ -137,6 +143,9 @@ class EcgClassifier:
     mean: Floats
     components: Floats
     scale: Floats
+    centre: Floats
+    whitening: Floats
+    farthest: float
     networks: tuple[Network, ...]
     right: float
 
@@ -157,20 +166,33 @@ class EcgClassifier:
         each = [softmax(network(inputs)) for network in self.networks]
         return np.asarray(np.mean(each, axis=0), dtype=float)
 
+    def distances(self, recordings: NDArray[Any]) -> Floats:
+        """Root mean square distance (n,) of recordings (n, r, MODES) from simulated ones.
+
+        In standard deviations of these (Mahalanobis 1936), whatever the gain.
+        """
+        directions = unit(_inputs(recordings, self.mean, self.components, self.scale).astype(float))
+        apart = (directions - self.centre) @ self.whitening
+        return np.asarray(np.sqrt((apart**2).mean(axis=1)))
+
     def arrays(self) -> dict[str, Any]:
         """All of it for a file; the weights in half precision."""
-        found = {each.name: np.asarray(getattr(self, each.name)) for each in fields(self)[:4]}
-        found["right"] = np.asarray(self.right)
-        found["components"] = found["components"].astype(np.float32)
+        found = {each.name: np.asarray(getattr(self, each.name)) for each in fields(self)}
+        del found["networks"]
+        for name in ("components", "whitening"):
+            found[name] = found[name].astype(np.float32)
         return found | weight_arrays("networks", self.networks)
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Any]) -> EcgClassifier:
         """The inverse of `arrays`."""
-        parts = ("rows", "mean", "components", "scale")
-        rows, mean, components, scale = (np.asarray(arrays[name]) for name in parts)
-        networks = networks_from("networks", arrays)
-        return cls(rows, mean, components, scale, networks, float(arrays["right"]))
+        parts = ("rows", "mean", "components", "scale", "centre", "whitening")
+        return cls(
+            **{name: np.asarray(arrays[name]) for name in parts},
+            farthest=float(arrays["farthest"]),
+            networks=networks_from("networks", arrays),
+            right=float(arrays["right"]),
+        )
 
 
 @dataclass(frozen=True)
@@ -203,7 +225,15 @@ def learn(
     report = stage_progress(progress, "training")
     total = NETWORKS * steps
     networks = train_together([of_kinds] * NETWORKS, rng, lambda done: report(done, total))
-    found = EcgClassifier(rows, mean, components, scale, tuple(networks), 0.0)
+    directions = unit(inputs.astype(float))
+    centre = directions.mean(axis=0)
+    values, vectors = np.linalg.eigh(np.cov(directions.T))
+    whitening = vectors / np.sqrt(np.maximum(values, 1e-9 * values.max()))
+    found = EcgClassifier(
+        rows, mean, components, scale, centre, whitening, 0.0, tuple(networks), 0.0
+    )
+    farthest = float(np.quantile(found.distances(held_out.recordings), FARTHEST))
+    found = replace(found, farthest=farthest)
     guessed = found.of_cosines(held_out.recordings).argmax(axis=1)
     found = replace(found, right=float((guessed == held_out.kinds.argmax(axis=1)).mean()))
     if progress is not None:

@@ -110,6 +110,8 @@ class Posterior(Population):
     states : mapping of name to float
         How probable each conduction state is, if that is learnt; ``averaged["conduction"]`` is then
         the number of that of each network.
+    unnamed : str
+        Why no state is named all the same; else empty.
     """
 
     log_likelihoods: Floats
@@ -121,6 +123,7 @@ class Posterior(Population):
     averaged: Mapping[str, Floats] = field(default_factory=dict)
     first_alone: Mapping[str, Floats] | None = None
     states: Mapping[str, float] = field(default_factory=dict)
+    unnamed: str = ""
 
     __repr__ = short_repr
 
@@ -305,6 +308,7 @@ def _describe(data: Any, population: Population) -> None:
     if isinstance(population, Posterior):
         stats.attrs["converged"] = int(population.converged)
         stats.attrs["states"] = json.dumps(dict(population.states))
+        stats.attrs["unnamed"] = population.unnamed
         for name in ("log_evidences", "effective", "evaluations"):
             stats.attrs[name] = getattr(population, name)
     for group in (data.posterior_predictive, data.observed_data, data.constant_data):
@@ -353,6 +357,7 @@ def read_population(path: Path) -> Population:
             averaged=groups.get(AVERAGED, {}),
             first_alone=groups.get(FIRST_ALONE),
             states=json.loads(stats.attrs.get("states", "{}")),
+            unnamed=str(stats.attrs.get("unnamed", "")),
         )
     except (OSError, KeyError, ValueError, IndexError, TypeError) as error:
         first = (str(error).splitlines() or [type(error).__name__])[0]
@@ -378,7 +383,7 @@ def read_checks(
     torsos = stats["torso"].to_numpy().astype(float) if "torso" in stats else None
     ecgs = (predictive[name].to_numpy().astype(float) for name in names)
     return (
-        Checks(**json.loads(stats.attrs["checks"])),
+        Checks.from_json(stats.attrs["checks"]),
         stats["gain"].to_numpy().ravel(),
         None if torsos is None else torsos.reshape(-1, *torsos.shape[2:]),
         tuple(each.reshape(-1, *each.shape[2:]) for each in ecgs),

@@ -8,6 +8,7 @@ realized discrepancies", Statistica Sinica 6 (1996).
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,6 +18,7 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import independent_rows
 from fascicle.core.ranges import short_repr
+from fascicle.forward.activation_sequence import LATE_QRS, SequenceSummary
 from fascicle.forward.likelihood import Likelihood, Replicate
 from fascicle.forward.simulation import Signals
 from fascicle.recording.criteria import frontal_axis
@@ -63,6 +65,8 @@ class Checks:
         held-out ones.
     least_explained : float
         What the best networks must explain.
+    sequence : SequenceSummary, optional
+        In which sequence the networks activate the ventricles in an intrinsic beat.
     """
 
     explained: float
@@ -71,6 +75,7 @@ class Checks:
     gain: list[float] = field(default_factory=lambda: [1.0, 1.0, 1.0])
     emulator: list[float] = field(default_factory=lambda: [0.0, 0.0])
     least_explained: float = LEAST_EXPLAINED
+    sequence: SequenceSummary | None = None
 
     @classmethod
     def joined(cls, each: Sequence[Checks]) -> Checks:
@@ -90,7 +95,16 @@ class Checks:
             max((checks.gain for checks in each), key=lambda gain: abs(gain[0] - 1)),
             max((checks.emulator for checks in each), key=lambda error: error[0]),
             least.least_explained,
+            next((checks.sequence for checks in each if checks.sequence is not None), None),
         )
+
+    @classmethod
+    def from_json(cls, text: str) -> Checks:
+        """The inverse of ``json.dumps(asdict(checks))``."""
+        values = json.loads(text)
+        if values.get("sequence") is not None:
+            values["sequence"] = SequenceSummary(**values["sequence"])
+        return cls(**values)
 
     @property
     def disagreeing(self) -> list[str]:
@@ -107,6 +121,15 @@ class Checks:
         """What the best networks explain."""
         share = math.floor(100 * self.explained + 1e-9)  # what is less than a limit looks it
         return f"{share}% of the QRS explained by the best {BEST:.0%} of networks"
+
+    @property
+    def unmapped(self) -> str:
+        """How networks are activated otherwise than mapped hearts with this QRS; else empty."""
+        recorded = [m[0] for name, m in self.measured.items() if name.startswith(DURATION)]
+        if self.sequence is None or not recorded or recorded[0] >= LATE_QRS:
+            return ""
+        departure = self.sequence.departure
+        return f"{departure}: not seen in mapped hearts with this QRS" if departure else ""
 
     @property
     def emulator_off(self) -> str:

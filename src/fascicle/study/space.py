@@ -25,7 +25,6 @@ from fascicle.core.parameters import (
     ordered_fascicles,
 )
 from fascicle.core.quantities import (
-    DELAY,
     GROUPS,
     SIDES,
     SPEED,
@@ -33,6 +32,7 @@ from fascicle.core.quantities import (
     checked,
     default_of,
     region_labels,
+    stand_ins,
 )
 from fascicle.core.ranges import number, shown
 from fascicle.forward.activation_sequence import ActivationSequence
@@ -59,8 +59,10 @@ def study_space(
     that are given separately.
     """
     human, wanted = method == "posterior", without_groups(wanted)
-    default = {f"{side}_fascicles": default_of(f"{side}_fascicles") for side in SIDES}
-    numbers: dict[str, Parameter | float] = default | ({"lv_fascicles": 3.0} if human else {})
+    default: dict[str, Parameter | float] = {
+        f"{side}_fascicles": default_of(f"{side}_fascicles") for side in SIDES
+    }
+    numbers = default | ({"lv_fascicles": 3.0} if human else {})
     numbers |= {name: _chosen(name, wanted[name], {}) for name in default if name in wanted}
     counts = {n[:2]: int(k) for n, k in numbers.items() if not isinstance(k, Parameter)}
     usual = list((human_space if human else network_space)(**counts).parameters)
@@ -70,11 +72,9 @@ def study_space(
         if name not in default
     }
     check_not_twice(chosen)
-    others = {n.replace("angle", "direction") for n in chosen}
-    for pair in (DELAY, SPEED):
-        others |= {*pair} if any(n in chosen for n in pair) else set()
-    others |= {*SPEED} if any(n in heart.values for n in SPEED) else set()
-    usual = [p for p in usual if p.name in chosen or p.name not in others]
+    replaced = {other for name in (*chosen, *heart.values) for other in stand_ins(name)}
+    replaced |= {*heart.values} & {*SPEED}
+    usual = [p for p in usual if p.name in chosen or p.name not in replaced]
     for label, name in region_labels(chosen).items():
         Region(1.0, label, source=name).elements(heart)
     learnt = {p.name: p for p in usual if not isinstance(chosen.get(p.name), float)}

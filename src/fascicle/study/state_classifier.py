@@ -18,14 +18,24 @@ from fascicle.core.arrays import Integers
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE
 from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS
+from fascicle.core.parameters import FREE
 from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.heart import Heart
 from fascicle.inference.emulator import Singles
 from fascicle.recording.target import Target
-from fascicle.study.conduction_states import STATES, ConductionState
-from fascicle.study.ecg_classifier import LENGTH, EcgClassifier, Lessons, Recorder, in_leads, learn
+from fascicle.recording.target_files import as_target
+from fascicle.study.conduction_states import STATES, ConductionState, asked_states, state_label
+from fascicle.study.ecg_classifier import (
+    LENGTH,
+    EcgClassifier,
+    Lessons,
+    Recorder,
+    classified_rows,
+    in_leads,
+    learn,
+)
 from fascicle.study.heart_emulator import (
     for_simulations,
     learnt_or_made,
@@ -92,6 +102,93 @@ def probabilities(
     found = {name: p * priors[name] for name, p in each if name in priors}
     total = sum(found.values())
     return {name: float(p / total) for name, p in found.items()}
+
+
+@dataclass(frozen=True)
+class NoStateNamed:
+    """Why no conduction state of a recording is named.
+
+    Attributes
+    ----------
+    reason : str
+        In a line.
+    unreliable : mapping of str to float
+        What the classifier says all the same; nobody knows how often it is right.
+    """
+
+    reason: str
+    unreliable: Mapping[str, float]
+
+    def __str__(self) -> str:
+        return f"no conduction state is named: {self.reason}"
+
+
+def state_probabilities(
+    heart: Heart | Path | str,
+    target: Target | Path | str,
+    priors: Any = FREE,
+    *,
+    prior_simulations: int | None = None,
+    workers: int | None = None,
+    progress: Progress | Lines | None = "lines",
+    pool: Pool | None = None,
+) -> Mapping[str, float] | NoStateNamed:
+    """Say how probable each conduction state is, without a fit.
+
+    Parameters
+    ----------
+    heart : Heart or path
+        The heart, its folder, or ``"default"``.
+    target : Target or path
+        A recording of the intrinsic beat.
+    priors : mapping of str to float, optional
+        Of the states before the ECG is seen; by default as common as they are in adults who are
+        referred for an ECG (`fascicle.study.conduction_states.PREVALENCE`).
+    prior_simulations, workers, progress, pool
+        As in `fascicle.locate`: a heart of your own is simulated once.
+
+    Returns
+    -------
+    mapping of str to float, or NoStateNamed
+        Probabilities, which add up to 1; or why none is named.
+
+    Raises
+    ------
+    InputError
+        If the heart or the target cannot be used.
+
+    Examples
+    --------
+    >>> import fascicle
+    >>> fascicle.state_probabilities("HEART", "target.nc")  # doctest: +SKIP
+    """
+    heart, folder, count, pool = for_simulations(
+        heart, prior_simulations, "prior_simulations", workers, pool
+    )
+    target = as_target(target)
+    with shown_progress(progress) as shown:
+        if shown is not None:
+            compile_kernels(shown)
+        simulator = usual_simulator(ForwardModel(heart, progress=shown), folder)
+        asked = {state.name: state.probability for state in asked_states(priors)}
+        known = simulations_of_states(simulator, folder, count)
+        rows = classified_rows(target)
+        classifier = classifier_of(known, rows, folder, count, pool, shown)
+    probable = probabilities(classifier, known, asked, target)
+    if reason := unlike(classifier, target):
+        return NoStateNamed(reason, probable)
+    return {state_label(name): p for name, p in probable.items()}
+
+
+def unlike(classifier: EcgClassifier, target: Target) -> str:
+    """Why a recording is not one of those that a classifier has learnt from; empty if it is."""
+    (distance,) = classifier.distances(classifier.cosines(target))
+    if distance <= classifier.farthest:
+        return ""
+    return (
+        f"the recording is unlike all simulated ones of this heart ({distance:.1f} SD from their "
+        f"mean, {classifier.farthest:.1f} at most expected)"
+    )
 
 
 def simulations_of_states(

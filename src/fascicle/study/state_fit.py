@@ -16,6 +16,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE
 from fascicle.core.progress import Progress
 from fascicle.core.quantities import torso_values
+from fascicle.forward.activation_sequence import SequenceSummary
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.likelihood import Likelihood
 from fascicle.forward.model import Backend, ForwardModel, usable
@@ -113,7 +114,12 @@ def completed(fitted: FittedStudy, emulated: Emulated, progress: Progress | None
         else:
             own = [emulated[state][number] for state in states]
             found = predict_recording(each.target, [e.likelihood for e in own], its, rng)
-            predictions.append(replace(found, checks=checked(found.checks, own, its)))
+            checks = checked(found.checks, own, its)
+            if each.scenario is None:
+                surfaces = fitted.simulator.model.surfaces
+                sequences = [surfaces.sequence(n.simulation.activation) for n in its]
+                checks = replace(checks, sequence=SequenceSummary.of(sequences))
+            predictions.append(replace(found, checks=checks))
             agreements.append(found.agreement)
     if predictions:
         checks = Checks.joined([each.checks for each in predictions])

@@ -14,11 +14,12 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.parameters import Parameter
-from fascicle.core.quantities import parameter_name, region_labels
+from fascicle.core.quantities import CONDUCTION, parameter_name, region_labels
 from fascicle.inference.evaluation import Evaluation
 from fascicle.inference.tempered_sampling import EVIDENCE_APART, MEANS_APART
 from fascicle.purkinje.tree import FEW_JUNCTIONS
 from fascicle.study.agreement import pearson
+from fascicle.study.conduction_states import state_label
 from fascicle.study.population import Population, Posterior
 from fascicle.study.predictive import Checks
 from fascicle.study.settings import FitSettings
@@ -56,6 +57,10 @@ class Caution(Enum):
 
     NOT_CONVERGED = "not to be relied on", "not to be relied on: the fit has not converged"
     POOR_FIT = "poor fit", "intervals are those of a model that does not fit the ECG"
+    UNMAPPED = (
+        "not a mapped sequence of activation",
+        "the networks activate the ventricles as no mapped heart with this QRS is activated",
+    )
 
     def __init__(self, brief: str, text: str) -> None:
         self.brief = brief  # what a sentence begins with
@@ -167,15 +172,23 @@ class Statements:
                     *([f"at the end of its range: {ends}"] if ends else []),
                 ]
                 fit = f"poor fit: {'; '.join(failures)}"
-            said = [self.diagnosis, _convergence(population), fit, checks.emulator_off]
+            said = [self.unmapped, self.diagnosis, _convergence(population), fit]
+            said.append(checks.emulator_off)
             return "; ".join(each for each in said if each)
         return self.networks_called
 
     @property
     def diagnosis(self) -> str:
-        """`states`, or that none is named as the result is not to be relied on."""
-        if getattr(self._result.population, "states", {}) and self.caution is not None:
-            return f"no conduction state is named ({self.caution.brief})"
+        """`states`, or why none is named."""
+        population = self._result.population
+        if getattr(population, "states", {}):
+            why = (
+                self.caution.brief
+                if self.caution is not None
+                else getattr(population, "unnamed", "")
+            )
+            if why:
+                return f"no conduction state is named ({why})"
         return self.states
 
     @property
@@ -185,7 +198,8 @@ class Statements:
         Empty if they are not learnt, or the result is not to be relied on.
         """
         states = getattr(self._result.population, "states", {})
-        if not states or self.caution is not None:
+        unnamed = getattr(self._result.population, "unnamed", "")
+        if not states or self.caution is not None or unnamed:
             return ""
         named = {name: p for name, p in states.items() if p >= LEAST_NAMED}
         ranked = sorted(named, key=lambda name: -named[name])
@@ -195,7 +209,8 @@ class Statements:
             for side in ("left", "right")
             if {f"{side} bundle branch block", f"{side} bundle branch delay"} <= {*named}
         ]
-        said = ", ".join([*(f"{name}: {named[name]:.2f}" for name in ranked), *others])
+        each = (f"{state_label(name)}: {named[name]:.2f}" for name in ranked)
+        said = ", ".join([*each, *others])
         return said + "".join(alike)
 
     @property
@@ -228,7 +243,25 @@ class Statements:
             return None
         if not self.converged:
             return Caution.NOT_CONVERGED
-        return Caution.POOR_FIT if self.acceptable is False else None
+        if self.acceptable is False:
+            return Caution.POOR_FIT
+        return Caution.UNMAPPED if self.unmapped else None
+
+    @property
+    def unmapped(self) -> str:
+        """How the intrinsic beat differs from those of mapped hearts, unless a block explains it.
+
+        Empty if it does not, or there is no posterior.
+        """
+        checks, states = self._result.checks, getattr(self._result.population, "states", {})
+        blocked = bool(states) and max(states, key=lambda name: states[name]) != CONDUCTION[0]
+        return "" if checks is None or blocked else checks.unmapped
+
+    @property
+    def sequence(self) -> list[str]:
+        """Where and when the networks are activated, beside mapped hearts, a line each."""
+        checks = self._result.checks
+        return [] if checks is None or checks.sequence is None else checks.sequence.lines
 
     @property
     def caution_text(self) -> str | None:
@@ -274,6 +307,7 @@ class Statements:
             "caution": self.caution_text,
             "converged": self.converged,
             "fit_acceptable": self.acceptable,
+            "sequence": self.sequence,
             "warnings": [asdict(warning) for warning in self.warnings],
             "parameters": [
                 asdict(each) | {"constrained": each.constrained} for each in self.parameters

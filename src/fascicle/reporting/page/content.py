@@ -219,6 +219,8 @@ def settings_file(config: StudyConfig) -> list[str]:
     """Lines of a settings file: settings of the method, fixed values and priors."""
     names = {*config.parameter_space.names, *config.fixed}
     fixed = {f"{side}_fascicles": fascicles(side, names) for side in SIDES} | config.fixed
+    if config.mapped:
+        fixed["conduction"] = 0.0
     priors = []
     for each in config.space:
         numbers = {key: getattr(each, key) for key in ("lower", "upper", "median", "sd")}
