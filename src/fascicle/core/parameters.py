@@ -269,16 +269,16 @@ HUMAN_RANGES: dict[str, tuple[float, float]] = {
     "lv_initial_length": (5.0, 20.0),
     "rv_initial_length": (35.0, 60.0),
     "interventricular_delay": (-75.0, 60.0),
-    "cv": (2.0, 3.5),
+    "cv": (1.5, 3.5),
     "fibre_speed": (0.4, 0.8),
 }
 # Lengths (mm), then directions of left fascicles and angles of right ones (rad)
 LEFT_FASCICLES = {
     "anterior": ((20.0, 50.0), (0.6, 1.5)),
-    "septal": ((5.0, 20.0), (-0.5, 0.5)),
+    "septal": ((5.0, 20.0), (-0.8, 0.8)),
     "posterior": ((20.0, 50.0), (-1.6, -0.6)),
 }
-RIGHT_FASCICLES = ((5.0, 30.0), (-1.5, 0.0)), ((5.0, 30.0), (0.3, 1.8))
+RIGHT_FASCICLES = ((5.0, 30.0), (-2.0, 0.0)), ((5.0, 30.0), (0.3, 1.8))
 ANY_FASCICLE = (5.0, 50.0), (-1.6, 1.6)
 
 

@@ -40,6 +40,7 @@ class Changes(StrEnum):
     TISSUE = "speeds of the tissue"
     BLOCKS = "what is blocked"
     TIMES = "times alone"
+    SOURCES = "the ECG alone"
     LEAD_FIELDS = "the lead fields"
 
 
@@ -193,6 +194,10 @@ def _of_conduction() -> Iterator[Quantity]:
         Changes.BLOCKS, is_integer=True, choices=CONDUCTION,
     )  # fmt: skip
     yield Quantity("gain", "1", 1.0, (1e-3, 1e3), (0.2, 5.0), "factor on the simulated ECG", times)
+    meaning = "factor on the sources of the right ventricle's free wall"
+    yield Quantity("rv_source", "1", 1.0, (0.01, 10.0), (0.2, 1.2), meaning, Changes.SOURCES)
+    meaning = "factor on the sources along the fibre, beyond those of isotropic tissue"
+    yield Quantity("axial_source", "1", 1.0, (0.0, 10.0), (0.0, 1.0), meaning, Changes.SOURCES)
 
 
 def _of_torso() -> Iterator[Quantity]:

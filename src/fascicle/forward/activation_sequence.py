@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fascicle.core.arrays import Floats, Integers
+from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.ranges import short_repr
 from fascicle.heart.endocardium import long_axis
 from fascicle.heart.heart import Heart
@@ -100,10 +100,13 @@ class VentricularSurfaces:
         Vertices of each part that `ActivationSequence` names.
     places : (n,) array of str
         Third of the left long axis, wall and ventricle of each vertex.
+    rv_wall : (m,) array
+        Which tetrahedra are of the right ventricle's free wall.
     """
 
     parts: Mapping[str, Integers]
     places: np.ndarray[tuple[int], np.dtype[np.str_]]
+    rv_wall: Booleans
 
     __repr__ = short_repr
 
@@ -130,7 +133,15 @@ class VentricularSurfaces:
         right = trees["rv"].query(vertices)[0] < trees["lv"].query(vertices)[0]
         parts["rv_breakthrough"] = epicardium[right[epicardium]]
         parts["lv_breakthrough"] = epicardium[~right[epicardium]]
-        return cls(parts, _places(heart, right))
+        middles = vertices[heart.tetrahedra].mean(axis=1)
+        away = {
+            name: cKDTree(vertices[own]).query(middles)[0] if len(own) else np.inf
+            for name, own in parts.items()
+            if name in PARTS
+        }
+        left = np.minimum(away["lv_septum"], away["lv_free_wall"])
+        rv_wall = away["rv_free_wall"] < np.minimum(left, away["rv_septum"])
+        return cls(parts, _places(heart, right), np.broadcast_to(rv_wall, len(middles)))
 
     def sequence(self, activation: Floats) -> ActivationSequence:
         """The sequence of an activation (ms), one value a vertex."""
@@ -141,9 +152,7 @@ class VentricularSurfaces:
         return ActivationSequence(**firsts, total=float(after[last]), last=str(self.places[last]))
 
 
-def _places(
-    heart: Heart, right: np.ndarray[tuple[int], np.dtype[np.bool_]]
-) -> np.ndarray[tuple[int], np.dtype[np.str_]]:
+def _places(heart: Heart, right: Booleans) -> np.ndarray[tuple[int], np.dtype[np.str_]]:
     """Where each vertex lies, given which ones are `right` of the middle of the septum (n,)."""
     base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
     down = unit(apex - base)

@@ -30,7 +30,12 @@ from fascicle.core.threads import made_once
 from fascicle.forward.activation_sequence import VentricularSurfaces
 from fascicle.forward.blocks import in_state
 from fascicle.forward.cable.template import default_template
-from fascicle.forward.ecg.electrocardiogram import ActionPotential, Electrocardiograph, first_sample
+from fascicle.forward.ecg.electrocardiogram import (
+    ActionPotential,
+    Electrocardiograph,
+    axial_projection,
+    first_sample,
+)
 from fascicle.forward.eikonal.activation import Coupling, attach, solve
 from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium
 from fascicle.forward.preparation import Prepared, as_arrays, cached, from_arrays, prepare
@@ -44,6 +49,7 @@ from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
 from fascicle.heart.sites import Sites
 from fascicle.kernels.arrays import TravelTimeTable
+from fascicle.mesh.measures import barycentric_gradients
 from fascicle.purkinje.growth import GrowthRules, grow_from_parameters, with_angles
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 from fascicle.torso.variation.conductor import InvalidTorso
@@ -357,7 +363,8 @@ class ForwardModel:
         """All leads (mV), in the torso of these values."""
         torso = torso_values(values)
         if not torso:
-            return np.asarray(values.get("gain", 1.0) * tissue.electrocardiograph.leads(times))
+            ecg = self.with_sources(tissue.electrocardiograph, values)
+            return np.asarray(values.get("gain", 1.0) * ecg.leads(times))
         leads = self.leads_in_torso(times, values)
         if isinstance(leads, InvalidTorso):
             raise InputError(f"{', '.join(torso)}: {leads.reason}; give smaller changes")
@@ -382,7 +389,28 @@ class ForwardModel:
             return coefficients
         standard = self.prepared.electrocardiograph
         ecg: Electrocardiograph = torso.electrocardiograph(standard, coefficients)
-        return ecg.scaled(self.conduction.with_values(values).scale(self.heart))
+        scale = self.conduction.with_values(values).scale(self.heart)
+        return self.with_sources(ecg.scaled(scale), values)
+
+    def with_sources(
+        self, ecg: Electrocardiograph, values: Mapping[str, float]
+    ) -> Electrocardiograph:
+        """An ECG integral of the heart's tissue with the sources that these values say."""
+        right, axial = (values.get(name, 1.0) for name in ("rv_source", "axial_source"))
+        if right == axial == 1.0:
+            return ecg
+        conducts = self.conduction.with_values(values).scale(self.heart) > 0
+        factors = np.where(self.surfaces.rv_wall[conducts], right, 1.0)
+        along, back = (each[conducts] for each in self._axial)
+        return ecg.with_sources(factors, axial - 1.0, along, back)
+
+    @cached_property
+    def _axial(self) -> tuple[Floats, Floats]:
+        """Projection of the ECG integral's weights on the fibres."""
+        heart, own = self.heart, self.conduction
+        gradients = barycentric_gradients(heart.vertices, heart.tetrahedra)
+        excess = 1 - own.intracellular_t / own.intracellular_l
+        return axial_projection(gradients, heart.fibres, excess)
 
     @overload
     def simulate_many(

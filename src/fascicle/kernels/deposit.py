@@ -9,7 +9,7 @@ bins give the histogram back.
 
 import numpy as np
 
-from fascicle.kernels.jit import CHANNELS, add_to_rows, allocating_kernel, prefetch
+from fascicle.kernels.jit import CHANNELS, add_to_rows, allocating_kernel, kernel, prefetch
 
 # Closest that two times of an element may be (bins); closer ones are moved apart. Where all four
 # are close, the jumps grow as 1/gap³ and with them the rounding error that the running sums leave:
@@ -143,3 +143,20 @@ def respond(histogram, kernel, stride, samples):
                 total[c] += kernel[j] * histogram[n * stride + last - j, c]
         response[:, n] = total
     return response
+
+
+@kernel()
+def reweight(weights, factors, axial, along, back, out):
+    """Weights (m, 3, 8) of the ECG integral with other sources, written to `out`.
+
+    Of each element all by a factor (m,), after w + axial·b(aᵀw) with a of `back` and b of `along`,
+    (m, 3) each: that changes what points along the fibre.
+    """
+    for e in range(len(weights)):
+        for c in range(weights.shape[2]):
+            part = np.float32(0.0)
+            for i in range(3):
+                part += back[e, i] * weights[e, i, c]
+            part *= axial
+            for i in range(3):
+                out[e, i, c] = factors[e] * (weights[e, i, c] + along[e, i] * part)

@@ -199,7 +199,8 @@ class PriorSimulations:
                 if k % HELD_OUT == HELD_OUT - 1:
                     leads = outcome.leads
                     if bodies:
-                        leads = bodies[drawn[k]].leads(outcome.activation)
+                        body = self.model.with_sources(bodies[drawn[k]], items[k][0])
+                        leads = body.leads(outcome.activation)
                     others.append(_from_activation(leads[rows], outcome))
             self.cache.write(
                 f"{self.content} {number}",

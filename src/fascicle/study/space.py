@@ -94,6 +94,8 @@ NOT_KNOWN = (
     free("branch_angle", prior="normal", median=0.15, sd=0.03),
     free("repulsion", prior="normal", median=0.1, sd=0.03),
     free("anterograde_delay", lower=0.0, upper=3.0),
+    free("rv_source", prior="log-normal", median=0.35, sd=0.4),
+    free("axial_source", lower=0.0, upper=0.5),
 )
 # As many tissues as can be kept at a time: the plain one, and others about it.
 TISSUES: tuple[dict[str, float], ...] = (

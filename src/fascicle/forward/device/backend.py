@@ -25,6 +25,8 @@ from fascicle.purkinje.growth import tree_of_nodes, tree_outside
 from fascicle.purkinje.tree import InvalidTree
 
 Made = TypeVar("Made")
+# Changes that the card does not make
+OF_THE_PROCESSOR = (Changes.TISSUE, Changes.BLOCKS, Changes.SOURCES, Changes.LEAD_FIELDS)
 
 
 class GpuBackend:
@@ -64,7 +66,7 @@ class GpuBackend:
         if model.heart.additional_electrodes:
             return "the card computes the twelve leads, and the heart has additional electrodes"
         for name in names:
-            if quantity(name).changes in (Changes.TISSUE, Changes.BLOCKS, Changes.LEAD_FIELDS):
+            if quantity(name).changes in OF_THE_PROCESSOR:
                 return f"parameter '{name}' changes {quantity(name).changes}"
         return ""
 

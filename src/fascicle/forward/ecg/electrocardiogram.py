@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, LEADS, lead_matrix
 from fascicle.forward.ecg.lead_field import MM_PER_CM
-from fascicle.kernels.deposit import deposit, respond
+from fascicle.kernels.deposit import deposit, respond, reweight
 from fascicle.kernels.jit import CHANNELS
 
 STEP = 1.0  # sampling of the ECG (ms)
@@ -130,16 +130,48 @@ class Electrocardiograph:
         """
         if (factors == 1).all():
             return self
-        there = factors > 0
+        there, corners = factors > 0, self.corners
+        every: Sequence[NDArray[np.float32]] = (self.weights, *self.additional)
+        if not there.all():
+            corners, every = corners[there], [each[there] for each in every]
         single = factors[there, None, None].astype(np.float32)
-        weights, *more = (each[there] * single for each in (self.weights, *self.additional))
-        return replace(self, corners=self.corners[there], weights=weights, additional=more)
+        weights, *more = (each * single for each in every)
+        return replace(self, corners=corners, weights=weights, additional=more)
+
+    def with_sources(
+        self, factors: Floats, axial: float, along: Floats, back: Floats
+    ) -> Electrocardiograph:
+        """The same with the sources of each tetrahedron times a factor (m,), lead fields as before.
+
+        Before that, what points along the fibre changes by the share `axial`; `along` and `back`
+        (m, 3) are those of `axial_projection`.
+        """
+        single = [np.asarray(each, np.float32) for each in (factors, along, back)]
+        every = []
+        for old in (self.weights, *self.additional):
+            new = np.empty_like(old)
+            reweight(old, single[0], np.float32(axial), single[1], single[2], new)
+            every.append(new)
+        return replace(self, weights=every[0], additional=every[1:])
 
     def leads(self, activation: Floats) -> Floats:
         """The twelve leads and the additional ones (mV), shape (12 + k, n_time); see `channels`."""
         channels = self.channels(activation)
         twelve = leads_from_independent() @ channels[:CHANNELS]
         return np.concatenate([twelve, channels[CHANNELS:]])
+
+
+def axial_projection(barycentric: Floats, fibres: Floats, excess: float) -> tuple[Floats, Floats]:
+    """Projection of weights (3,) of each tetrahedron on its fibre: vectors b and a, (m, 3) each.
+
+    With G the gradients of three barycentric coordinates and J = Gᵢ∇Z, the weights are w = GJ. What
+    points along the fibre f beyond isotropic tissue, σₗ-σₜ of σₗ, is the share `excess` of f(f·J),
+    so it gives the weights b(aᵀw) with b = `excess`·Gf and aᵀ = fᵀG⁻¹.
+    """
+    gradients = barycentric[:, 1:]
+    along = np.einsum("mix,mx->mi", gradients, fibres)
+    back = np.linalg.solve(gradients.transpose(0, 2, 1), fibres[:, :, None])[..., 0]
+    return np.asarray(excess * along), np.asarray(back)
 
 
 def leads_from_independent() -> Floats:

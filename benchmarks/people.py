@@ -1,0 +1,241 @@
+"""People, and two dogs, whose answer is known: what the priors, the model and the states say.
+
+    python -m benchmarks.people [prior] [ecgs] [blocks] [subject] [ptbxl] [--half check]
+
+Without names, all of these:
+
+- ``prior``: networks of the prior of the normal state on both packaged hearts: how many activate
+  the left septum first, and how many lie within all ranges of mapped human hearts.
+- ``ecgs``: ECGs of these in random torsos: net deflection (R − S)/(R + S) of V1 and V2, and the
+  transition. Of the normal recordings of PTB-XL these are −0.65, −0.43 and V3 to V4.
+- ``blocks``: one network with and without each block: change of the frontal axis, and share of the
+  energy of the QRS that changes.
+- ``subject``: the ECG of the subject of ``camps-dti004`` on the heart of that subject.
+- ``ptbxl``: recordings of PTB-XL with cardiologists' labels, on the packaged hearts, which are
+  somebody else's: how many get a state named, how many normal ones a block, and the area under the
+  ROC curve (AUC) of the side of a bundle branch block by what the classifier says all the same.
+
+The limit of `fascicle.study.ecg_classifier.FARTHEST` was looked at on the half ``tune`` of the
+recordings (half of their number odd); ``check`` took no part in it. Data are read from
+``FASCICLE_TEST_DATA``, by default ``../shared/data``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+import re
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import rankdata
+
+import fascicle
+from fascicle.core.errors import InputError
+from fascicle.core.leads import LEADS
+from fascicle.core.quantities import CONDUCTION
+from fascicle.forward.bodies import random_bodies
+from fascicle.forward.loss import align
+from fascicle.forward.simulation import Simulation
+from fascicle.recording.criteria import frontal_axis
+from fascicle.study.conduction_states import STATES
+from fascicle.study.heart_emulator import usual_prior
+from fascicle.study.space import is_kept
+from fascicle.study.state_classifier import NoStateNamed
+
+Array = NDArray[np.float64]
+HEARTS = ("camps-dti004", "default")
+DATA = Path(os.environ.get("FASCICLE_TEST_DATA", "../shared/data"))
+NETWORKS = 600  # that are drawn
+TORSOS = 12
+BUNDLE_BRANCH = {"left": ("CLBBB", "ILBBB"), "right": ("CRBBB", "IRBBB")}
+
+
+def normal_networks(
+    model: fascicle.ForwardModel, count: int, seed: int
+) -> Iterator[tuple[dict[str, float], Simulation]]:
+    """Networks of the prior of the normal state, with their beats."""
+    with tempfile.TemporaryDirectory() as folder:
+        prior = usual_prior(model, Path(folder), state=STATES[0])
+    rng, learnt = np.random.default_rng(seed), len(prior.space)
+    points = rng.random((count, learnt + len(prior.averaged)))
+    points[:, -1] = np.sort(points[:, -1])  # a tissue takes seconds to prepare
+    for point in points:
+        values = {**prior.fixed, **prior.space.from_unit(point[:learnt])}
+        values |= prior.averaged.values(point[learnt:])
+        beat = model.simulate(values)
+        if not isinstance(beat, Simulation):
+            continue
+        if is_kept(point, model.surfaces.sequence(beat.activation)):
+            yield values, beat
+
+
+def net_deflections(qrs: Array) -> Array:
+    """(R − S)/(R + S) of each lead of a QRS (12, n)."""
+    high, low = np.maximum(qrs.max(axis=1), 0), np.maximum(-qrs.min(axis=1), 0)
+    return np.asarray((high - low) / (high + low + 1e-9))
+
+
+def transition(net: Array) -> int:
+    """Number of the first chest lead that is net positive, 7 if none is."""
+    positive = np.flatnonzero(net[LEADS.index("V1") :] > 0)
+    return int(positive[0]) + 1 if len(positive) else 7
+
+
+def prior() -> None:
+    """Print how often the prior of the normal state is activated as mapped hearts are."""
+    for name in HEARTS:
+        model = fascicle.ForwardModel(name)
+        every = [
+            model.surfaces.sequence(beat.activation)
+            for _, beat in normal_networks(model, NETWORKS, 1)
+        ]
+        first = np.mean([s.first == "left septum" for s in every])
+        left = np.mean([s.first.startswith("left") for s in every])
+        mapped = np.mean([s.is_mapped for s in every])
+        print(f"{name}: {len(every)} of {NETWORKS} draws are of the prior")
+        print(f"  left ventricle first {left:.0%}, left septum {first:.0%}; mapped {mapped:.0%}")
+        for what in ("rv_delay", "rv_breakthrough", "lv_breakthrough", "total"):
+            low, middle, high = np.percentile([getattr(s, what) for s in every], (5, 50, 95))
+            print(f"  {what}: {middle:.0f} ms ({low:.0f} to {high:.0f})")
+
+
+def ecgs() -> None:
+    """Print V1, V2 and the transition of simulated normal ECGs in random torsos."""
+    for name in HEARTS:
+        model, rng = fascicle.ForwardModel(name), np.random.default_rng(2)
+        torsos = random_bodies(model, rng, TORSOS)
+        every = []
+        for values, beat in normal_networks(model, NETWORKS, 2):
+            torso = model.with_sources(torsos[rng.integers(TORSOS)], values)
+            leads = torso.leads(beat.activation)
+            net = net_deflections(leads)
+            axis = frontal_axis(leads)
+            every.append([net[LEADS.index("V1")], net[LEADS.index("V2")], transition(net), axis])
+        v1, v2, at, axis = np.median(every, axis=0)
+        print(f"{name}: net V1 {v1:+.2f}, V2 {v2:+.2f}, transition V{at:.0f}, axis {axis:.0f}°")
+
+
+def blocks() -> None:
+    """Print what each block changes in the same networks."""
+    for name in HEARTS:
+        model = fascicle.ForwardModel(name)
+        networks = [*normal_networks(model, 240, 3)][:60]
+        for state in CONDUCTION[1:]:
+            turned, changed = [], []
+            for values, beat in networks:
+                other = model.simulate(values | {"conduction": float(CONDUCTION.index(state))})
+                assert isinstance(other, Simulation)
+                found = align(other.leads, beat.leads, free_gain=True)
+                changed.append(found.loss * beat.leads.shape[1] / (beat.leads**2).sum())
+                turn = frontal_axis(other.leads) - frontal_axis(beat.leads)
+                turned.append((turn + 180) % 360 - 180)
+            if np.any(changed):
+                axis, energy = np.median(turned), np.median(changed)
+                print(f"{name}: {state}: axis {axis:+.0f}°, energy {energy:.0%}")
+
+
+def subject() -> None:
+    """Print the fit of the subject's ECG on the subject's heart."""
+    options = fascicle.TargetOptions(noise=0.03)
+    analysis = fascicle.analyse(fascicle.read_recording(HEARTS[0]), options)
+    with tempfile.TemporaryDirectory() as folder:
+        fitted = fascicle.fit(
+            HEARTS[0], analysis.target, folder, parameters={"conduction": "normal"}
+        )
+        networks = fitted.networks()
+    print(fitted.verdict)
+    print("\n".join(f"  {line}" for line in fitted.statements.sequence))
+    recorded, window = analysis.target.mean, analysis.target.qrs_samples
+    mean = np.mean([network.predicted for network in networks], axis=0)
+    left = ((mean - recorded)[:, window] ** 2).sum() / (recorded[:, window] ** 2).sum()
+    alike = {
+        lead: np.corrcoef(mean[k, window], recorded[k, window])[0, 1]
+        for k, lead in enumerate(LEADS)
+    }
+    print(f"  the mean explains {1 - left:.0%}; r of each lead:")
+    print("  " + ", ".join(f"{lead} {r:.2f}" for lead, r in alike.items()))
+
+
+def ptbxl(half: str) -> None:
+    """Print what is said of labelled people on hearts that are not theirs."""
+    folder = DATA / "ecg" / "ptbxl"
+    with (folder / "labels.csv").open(encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if is_of(half, row)]
+    targets = []
+    for row in rows:
+        try:
+            recording = fascicle.read_recording(folder / f"{int(row['ecg_id']):05d}_hr.hea")
+            targets.append((labels(row), fascicle.make_target(recording)))
+        except InputError as error:
+            print(f"  {row['ecg_id']}: {error}")
+    print(f"{len(targets)} of {len(rows)} recordings ({half})")
+    for name in HEARTS:
+        answers = [
+            (codes, fascicle.state_probabilities(name, target, progress=None))
+            for codes, target in targets
+        ]
+        named = [(c, a) for c, a in answers if not isinstance(a, NoStateNamed)]
+        normal = [(c, a) for c, a in named if "NORM" in c]
+        blocked = sum(max(a, key=a.__getitem__) != next(iter(a)) for _, a in normal)
+        print(f"{name}: a state is named of {len(named)} of {len(answers)}")
+        print(f"  of {len(normal)} normal recordings with a state {blocked} are called a block")
+        sides = [
+            (codes, {side: of_side(answer, side) for side in BUNDLE_BRANCH})
+            for codes, answer in answers
+        ]
+        for side, wanted in BUNDLE_BRANCH.items():
+            there = np.array([bool({*wanted} & codes) for codes, _ in sides])
+            scores = np.array([found[side] for _, found in sides])
+            complete = np.array([wanted[0] in codes for codes, _ in sides])
+            whole = auc(scores[complete | ~there], complete[complete | ~there])
+            print(
+                f"  {side} bundle branch, complete or incomplete: AUC {auc(scores, there):.2f} "
+                f"({there.sum()}), complete: {whole:.2f} ({complete.sum()})"
+            )
+
+
+def is_of(half: str, row: dict[str, str]) -> bool:
+    """Whether a recording is of the half ``tune`` or ``check``."""
+    return (int(row["ecg_id"]) // 2 % 2 == 1) == (half == "tune")
+
+
+def labels(row: dict[str, str]) -> set[str]:
+    """Codes that the cardiologists gave a recording."""
+    return {*re.findall(r"'(\w+)'", row["scp_codes"])}
+
+
+def of_side(answer: object, side: str) -> float:
+    """Probability that the bundle branch of a side is blocked or slow."""
+    found = answer.unreliable if isinstance(answer, NoStateNamed) else answer
+    assert isinstance(found, dict)
+    return float(sum(p for name, p in found.items() if name.startswith(f"{side} bundle branch")))
+
+
+def auc(scores: Array, there: NDArray[np.bool_]) -> float:
+    """Area under the ROC curve."""
+    ranks, count = rankdata(scores), there.sum()
+    above = ranks[there].sum() - count * (count + 1) / 2
+    return float(above / max(count * (len(there) - count), 1))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parts: dict[str, Callable[[], None]] = {
+        "prior": prior, "ecgs": ecgs, "blocks": blocks, "subject": subject,
+    }  # fmt: skip
+    parser.add_argument("parts", nargs="*", choices=[*parts, "ptbxl", []], metavar="PART")
+    parser.add_argument("--half", choices=("tune", "check"), default="check")
+    given = parser.parse_args()
+    parts["ptbxl"] = lambda: ptbxl(given.half)
+    for name in given.parts or parts:
+        print(f"== {name}")
+        parts[name]()
+
+
+if __name__ == "__main__":
+    main()
