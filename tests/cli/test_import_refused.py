@@ -75,7 +75,7 @@ def edited(values, rows, change):
 
 
 def mixed(m):
-    cells = {pv.CellType.TETRA: m.tetrahedra, pv.CellType.PYRAMID: np.array([[0, 1, 2, 3, 4]])}
+    cells = {pv.CellType.TETRA: m.tetrahedra, pv.CellType.QUAD: np.array([[0, 1, 2, 3]])}
     return m.save("mixed.vtu", pv.UnstructuredGrid(cells, m.points))
 
 
@@ -92,9 +92,16 @@ def beyond_the_points(m):
     return file
 
 
-def blocks(m):
+def curved_blocks(m):
+    corners = np.arange(40).reshape(2, 20)
+    return m.save("curved.vtu", pv.UnstructuredGrid({25: corners}, m.points))
+
+
+def folded_blocks(m):
     image = pv.ImageData(dimensions=(4, 4, 4), spacing=(20, 20, 20))
-    return m.save("blocks.vtu", image.cast_to_unstructured_grid())
+    blocks = image.cast_to_unstructured_grid()
+    blocks.points[21] += 25  # mm, beyond the block's opposite corner
+    return m.save("blocks.vtu", blocks)
 
 
 def swap(corners):
@@ -105,8 +112,9 @@ TISSUES = {
     "a surface": (lambda m: m.files["lv-endocardium"], "no tetrahedra", "give a mesh that has"),
     "points alone": (lambda m: m.save("cloud.vtp", pv.PolyData(m.points)),
                      "no tetrahedra in this file (729 points"),
-    "hexahedra": (blocks, "no tetrahedra", "other cells: 27"),
-    "others among them": (mixed, "3072 tetrahedra, but also other cells", "1 Pyramid", "; make"),
+    "curved hexahedra": (curved_blocks, "no tetrahedra", "other cells: 2 QuadraticHexahedron"),
+    "folded hexahedra": (folded_blocks, " of 27 voxels are flat or folded", "; correct the order"),
+    "others among them": (mixed, "3072 tetrahedra, but also other cells", "1 Quad", "; make"),
     "no volume": (lambda m: tissue(m, None, edited(m.tetrahedra, [812, 900], 5)),
                   "2 of 3072 tetrahedra have zero volume (first: 812 at ("),
     "inverted": (lambda m: tissue(m, None, edited(m.tetrahedra, [7, 8, 9], swap)),

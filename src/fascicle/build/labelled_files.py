@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -191,13 +191,24 @@ def labelled_tetrahedra(
     triangles, _ = boundary_triangles(tetrahedra)
     boundary = np.unique(file_tetrahedra)[triangles]
     labels = _label_boundary(mesh, boundary, array, names if names is not None else {}, cut)
+    tissue = LabelledMesh(vertices, tetrahedra, triangles, labels, name=name)
+    read = with_arrays(Anatomy(tissue, own_mesh=True), mesh, fibres)
+    return replace(read, coordinates=read_coordinates(mesh))
+
+
+def with_arrays(anatomy: Anatomy, mesh: MeshFile, fibres: FibreChoice = None) -> Anatomy:
+    """An anatomy with the regions, fibres and sheets of the file that its tetrahedra are from."""
     region = _named(mesh.cell_data.get(TETRAHEDRON, {}), REGION_NAMES)
     regions = None if region is None else region_labels(mesh, region[0])
-    notes: list[str] = []
+    notes = list(anatomy.notes)
     along, across = (_directions(mesh, what, fibres, notes) for what in DIRECTION_NAMES)
-    axes = along, None if along is None else across
-    tissue = LabelledMesh(vertices, tetrahedra, triangles, labels, regions, name)
-    return Anatomy(tissue, *axes, read_coordinates(mesh), tuple(notes), own_mesh=True)
+    return replace(
+        anatomy,
+        mesh=replace(anatomy.mesh, regions=regions),
+        fibres=along,
+        sheets=None if along is None else across,
+        notes=tuple(notes),
+    )
 
 
 def _named(arrays: Mapping[str, Floats], names: tuple[str, ...]) -> tuple[str, Floats] | None:

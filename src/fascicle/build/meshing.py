@@ -108,27 +108,35 @@ def _remeshed_inside(
 def remeshed_anatomy(anatomy: Anatomy) -> Anatomy:
     """Mesh the inside of labelled tetrahedra again, with edges as long as they were.
 
-    The boundary stays. Fibres and sheets are axes without a sign: the new one is the principal axis
-    of the mean of f fᵀ over the four nearest tetrahedra, weighted by the inverse of their distance.
-    A region is that of the nearest tetrahedron. Endocardia and labels do not change.
+    The boundary, endocardia and labels stay; the rest is `carried_over`.
     """
     mesh = anatomy.mesh
     new = _remeshed_inside(mesh, mesh.vertices, mesh.tetrahedra, optim=1)
     before, after = (quality(each.vertices, each.tetrahedra).angles.min() for each in (mesh, new))
-    near, weights = nearest_tetrahedra(mesh, new)
     note = (
         f"mesh: its inside was meshed again and its surface kept: {len(mesh.tetrahedra)} "
         f"tetrahedra before, {len(new.tetrahedra)} after; smallest dihedral angle {before:.1f} "
         f"degrees before, {after:.1f} after; fibres, sheets and regions are those of the nearest "
         "tetrahedra"
     )
+    carried = carried_over(anatomy, new)
+    return replace(carried, notes=(*anatomy.notes, note))
+
+
+def carried_over(anatomy: Anatomy, new: LabelledMesh) -> Anatomy:
+    """An anatomy on other tetrahedra: fibres, sheets and regions are those of the nearest ones.
+
+    Fibres and sheets are axes without a sign: the new one is the principal axis of the mean of f fᵀ
+    over the four nearest tetrahedra, weighted by the inverse of their distance.
+    """
+    regions = anatomy.mesh.regions
+    near, weights = nearest_tetrahedra(anatomy.mesh, new)
     return replace(
         anatomy,
-        mesh=replace(new, regions=None if mesh.regions is None else mesh.regions[near[:, 0]]),
+        mesh=replace(new, regions=None if regions is None else regions[near[:, 0]]),
         fibres=None if anatomy.fibres is None else mean_axes(anatomy.fibres[near], weights),
         sheets=None if anatomy.sheets is None else mean_axes(anatomy.sheets[near], weights),
         coordinates=None,
-        notes=(*anatomy.notes, note),
         own_mesh=False,
     )
 

@@ -17,9 +17,17 @@ from fascicle.build.labelled_files import (
     has_labels,
     labelled_surface,
     labelled_tetrahedra,
+    with_arrays,
 )
 from fascicle.build.mesh_repair import repaired_edges, repaired_mesh, separated_vertices
-from fascicle.build.meshing import check_memory, mesh_surface, remeshed_anatomy, subdivided
+from fascicle.build.meshing import (
+    carried_over,
+    check_memory,
+    mesh_surface,
+    remeshed_anatomy,
+    subdivided,
+)
+from fascicle.build.pieces import count_pieces, joined_pieces, with_common_vertices
 from fascicle.build.segmentation import SegmentationLabels, regions_at
 from fascicle.build.segmentation_files import read_segmentation
 from fascicle.build.segmentation_surface import surface_from_segmentation
@@ -29,10 +37,12 @@ from fascicle.build.whole_heart import Regions, labels_of_ventricles, regions_in
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
 from fascicle.core.progress import Progress, stage_progress
-from fascicle.heart.labelled_surface import Label, LabelledSurface, labels_by_number
+from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface, labels_by_number
+from fascicle.heart.validate import check_units, check_volumes
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.formats.read import MESH_FORMATS, read_mesh
 from fascicle.mesh.measures import closed_volume, mean_edge_length
+from fascicle.mesh.topology import boundary_triangles, without_unused_vertices
 
 OF_TETRAHEDRA = ("remesh", "regions", "region_array", "fibres")  # options for these alone
 
@@ -98,7 +108,7 @@ def read_anatomy(source: Source, edge_length: float, progress: Progress | None =
     check_file(source.file, MESH_FORMATS + segmentations, "anatomy")
     mesh = read_mesh(source.file, "anatomy")
     if TETRAHEDRON in mesh.cells:
-        return _from_tetrahedra(source, mesh, progress)
+        return _from_tetrahedra(source, mesh, edge_length, progress)
     return _from_surface(source, mesh, edge_length, progress)
 
 
@@ -141,6 +151,13 @@ def _from_surface(
     triangles = mesh.require(TRIANGLE, "triangles")
     unlabelled = np.zeros(len(triangles), dtype=np.int64)
     closed = closed_surface(LabelledSurface(mesh.points, triangles, unlabelled, str(mesh.path)))
+    return _classified_surface(closed, edge_length, progress)
+
+
+def _classified_surface(
+    closed: LabelledSurface, edge_length: float, progress: Progress | None
+) -> Anatomy:
+    """Tetrahedra within a closed surface whose labels are found from its shape."""
     volume = closed_volume(closed.vertices, closed.triangles) / 1e3
     repairs = closed.notes
     closed, notes = _fine_enough(closed, edge_length)
@@ -186,15 +203,22 @@ def _from_segmentation(
     return replace(anatomy, mesh=mesh, notes=(*anatomy.notes, note), values={scar: 0.0})
 
 
-def _from_tetrahedra(source: Source, mesh: MeshFile, progress: Progress | None) -> Anatomy:
+def _from_tetrahedra(
+    source: Source, mesh: MeshFile, edge_length: float, progress: Progress | None
+) -> Anatomy:
     source.check_unused("tetrahedra", "labels_file")
     names = labels_by_number(source.labels if source.labels is not None else {})
-    whole, cut, notes = mesh, None, []
+    whole, cut, notes = mesh, None, list(mesh.notes)
     if source.regions is not None:
         mesh, cut = ventricles(mesh, source.regions, source.region_array)
         share = len(mesh.cells[TETRAHEDRON]) / len(whole.cells[TETRAHEDRON])
         notes.append(f"regions: the ventricles are {share:.0%} of the file's tetrahedra")
     mesh, repairs = repaired_mesh(mesh)
+    mesh, merged = with_common_vertices(mesh)
+    repairs += merged
+    if count_pieces(mesh) > 1:
+        read = _from_pieces(source, mesh, edge_length, progress)
+        return replace(read, notes=(*notes, *repairs, *read.notes))
     if cut is None and len(mesh.cells[TETRAHEDRON]) != len(whole.cells[TETRAHEDRON]):
         cut = np.empty((0, 3), dtype=np.int64)
     read = labelled_tetrahedra(mesh, source.label_array, names, cut=cut, fibres=source.fibres)
@@ -206,6 +230,23 @@ def _from_tetrahedra(source: Source, mesh: MeshFile, progress: Progress | None) 
     read = separated_vertices(read)
     check_sides(read.mesh)
     return remeshed_anatomy(read) if source.remesh else read
+
+
+def _from_pieces(
+    source: Source, mesh: MeshFile, edge_length: float, progress: Progress | None
+) -> Anatomy:
+    """Pieces that touch without common vertices, meshed as one."""
+    source.check_unused("pieces that are joined", "labels", "label_array", "remesh")
+    vertices, tetrahedra = without_unused_vertices(mesh.points, mesh.cells[TETRAHEDRON])
+    check_units(str(mesh.path), vertices)
+    check_volumes(str(mesh.path), vertices, tetrahedra)
+    triangles, _ = boundary_triangles(tetrahedra)
+    unlabelled = np.zeros(len(triangles), dtype=np.int64)
+    pieces = LabelledMesh(vertices, tetrahedra, triangles, unlabelled, name=str(mesh.path))
+    read = with_arrays(Anatomy(pieces), mesh, source.fibres)
+    whole = _classified_surface(joined_pieces(pieces), edge_length, progress)
+    joined = carried_over(read, whole.mesh)
+    return replace(joined, notes=(*whole.notes, *read.notes), warnings=whole.warnings, guessed=True)
 
 
 def _classified(

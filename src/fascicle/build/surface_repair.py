@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import igl
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from fascicle.build.endocardia import cleaned_labels
+from fascicle.build.level_sets import closed_by
 from fascicle.build.surface_checks import OPEN_PIECE, check_sides
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
@@ -163,25 +166,66 @@ def oriented_outwards(surface: LabelledSurface) -> LabelledSurface:
     return replace(surface, triangles=turned_outwards(surface.vertices, triangles))
 
 
+class SampledDistance(NamedTuple):
+    """Distance (mm) to the surface of tissue, negative inside, at the nodes of a grid.
+
+    The first node is at `origin`, and neighbours are `edge` (mm) apart.
+    """
+
+    values: Floats
+    origin: Floats
+    edge: float
+
+    @classmethod
+    def of(
+        cls, vertices: Floats, triangles: Integers, box: tuple[Floats, Floats], margin: float = 0.0
+    ) -> SampledDistance:
+        """Sample triangles that face outwards, with nodes 1/150 of the diagonal of a box apart.
+
+        They may intersect: inside is where they go round a point (Barill et al. 2018). The box is
+        its two opposite corners (mm); two nodes and a margin (mm) lie around it.
+        """
+        low, high = box
+        edge = float(np.linalg.norm(high - low)) / 150
+        around = 2 + int(np.ceil(margin / edge))
+        shape = np.ceil((high - low) / edge).astype(np.int64) + 2 * around + 1
+        origin = low - edge * around
+        places = origin + edge * np.indices(tuple(shape.tolist())).reshape(3, -1).T
+        near = (places > vertices.min(axis=0)) & (places < vertices.max(axis=0))
+        inside = np.zeros(len(places), dtype=bool)
+        inside[near.all(axis=1)] = (
+            igl.fast_winding_number(vertices, triangles, places[near.all(axis=1)]) > 0.5
+        )
+        grid = inside.reshape(shape)
+        values = edge * (distance_transform_edt(~grid) - distance_transform_edt(grid)).ravel()
+        close = np.abs(values) < max(2.5 * edge, 2.0)  # mm; beyond, an edge does not matter
+        exact = np.sqrt(igl.point_mesh_squared_distance(places[close], vertices, triangles)[0])
+        values[close] = np.where(inside[close], -exact, exact)
+        return cls(values.reshape(shape), origin, edge)
+
+    def closed(self, radius: float) -> SampledDistance:
+        """Morphological closing with a ball (mm)."""
+        return self._replace(values=closed_by(self.values, radius, self.edge))
+
+    def surface(self) -> tuple[Floats, Integers]:
+        """Vertices (n, 3) (mm) and triangles (m, 3) of the largest surface around the tissue."""
+        # no node closer to the surface than a twentieth of an edge, which keeps slivers away
+        away = np.maximum(np.abs(self.values), self.edge / 20)
+        index, triangles = marching_cubes(np.where(self.values < 0, -away, away))
+        _, pieces = igl.facet_components(triangles)
+        largest = triangles[pieces == np.bincount(pieces).argmax()]
+        index, triangles = without_unused_vertices(index, largest)
+        return self.origin + self.edge * index, triangles
+
+
 def _without_cuts(surface: LabelledSurface, cuts: Integers) -> LabelledSurface:
     """The surface of the interior of one that intersects itself, with the nearest labels.
 
     Marching cubes on the signed distance, whose sign is that of the winding number (Barill et al.
-    2018, ACM Trans Graph 37(4):43), at nodes 1/150 of the diagonal apart.
+    2018, ACM Trans Graph 37:43), at nodes 1/150 of the diagonal apart.
     """
-    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
-    edge = float(np.linalg.norm(high - low)) / 150
-    shape = np.ceil((high - low) / edge).astype(np.int64) + 5
-    nodes = low + edge * (np.indices(shape).reshape(3, -1).T - 2.0)
-    sign = igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
-    distance = igl.signed_distance(nodes, surface.vertices, surface.triangles, sign_type=sign)[0]
-    # no node closer to the surface than a twentieth of an edge, which keeps slivers away
-    distance = np.where(distance < 0, -1, 1) * np.maximum(np.abs(distance), edge / 20)
-    index, triangles = marching_cubes(distance.reshape(shape))
-    _, pieces = igl.facet_components(triangles)
-    largest = triangles[pieces == np.bincount(pieces).argmax()]
-    index, triangles = without_unused_vertices(index, largest)
-    vertices = low + edge * (index - 2.0)
+    box = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    vertices, triangles = SampledDistance.of(surface.vertices, surface.triangles, box).surface()
     middle = vertices[triangles].mean(axis=1)
     _, nearest, _ = igl.point_mesh_squared_distance(middle, surface.vertices, surface.triangles)
     try:

@@ -48,7 +48,7 @@ AnatomyArgument = Annotated[
     Path | None,
     Argument(
         help="Closed surface (VTP, VTK, STL, OBJ, PLY), segmentation (NIfTI, NRRD) or "
-        "tetrahedra (VTU, VTK, Gmsh, openCARP .pts)."
+        "tetrahedra or hexahedra (VTU, VTK, Gmsh, openCARP .pts)."
     ),
 ]
 PartOption = Annotated[

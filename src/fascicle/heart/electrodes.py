@@ -17,14 +17,15 @@ from fascicle.core.leads import ELECTRODES, FRANK, FRANK_ELECTRODES, LEADS, POST
 from fascicle.core.ranges import check_position, shown
 
 Electrodes = dict[str, Floats]  # positions (3,) by name, mm
+GROUND = "RL"  # the right leg
 
 
 def read_electrodes(path: Path | str) -> tuple[Floats, Electrodes]:
     """Read electrodes (mm): positions (9, 3) of `fascicle.core.leads.ELECTRODES`, then others.
 
-    Any other name is an additional electrode; Frank's are given all seven or none. An error if the
-    file is missing, a pickle or unreadable, or an electrode is missing, misnamed or not at a finite
-    position.
+    Any other name is an additional electrode, but `GROUND`, which is in no lead and left out;
+    Frank's are given all seven or none. An error if the file is missing, a pickle or unreadable, or
+    an electrode is missing, misnamed or not at a finite position.
     """
     path = Path(path)
     check_file(path, (".csv", ".json"), "electrodes")
@@ -38,6 +39,8 @@ def read_electrodes(path: Path | str) -> tuple[Floats, Electrodes]:
     positions: dict[str, list[float]] = {}
     for name, values in rows:
         electrode = known.get(name.strip().upper(), name.strip())
+        if electrode.upper() == GROUND:
+            continue
         if electrode.upper() in of_leads or not re.fullmatch(r"[\w.+ -]{1,24}", electrode):
             raise InputError(
                 f"{path}: {electrode[:40]!r} is not a name of an electrode; the nine are "

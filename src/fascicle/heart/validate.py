@@ -14,7 +14,7 @@ from fascicle.core.errors import InputError
 from fascicle.heart.heart import Heart
 from fascicle.mesh.checks import refuse
 from fascicle.mesh.measures import signed_volumes, winding_number
-from fascicle.mesh.topology import components_of, faces_in_order
+from fascicle.mesh.topology import faces_in_order, pieces_of
 
 
 def check_units(name: str, points: Floats, limits: tuple[float, float] = (35.0, 400.0)) -> None:
@@ -44,6 +44,19 @@ def check_tetrahedra(name: str, vertices: Floats, tetrahedra: Integers) -> None:
 
     Every vertex (n, 3) belongs to one of the tetrahedra (m, 4).
     """
+    check_volumes(name, vertices, tetrahedra)
+    piece = pieces_of(tetrahedra, len(vertices))
+    refuse(
+        f"{name}: the tissue falls into {piece.max() + 1} unconnected pieces",
+        piece != np.bincount(piece).argmax(),
+        "vertices are outside the largest",
+        "keep one piece or join them",
+        vertices,
+    )
+
+
+def check_volumes(name: str, vertices: Floats, tetrahedra: Integers) -> None:
+    """Refuse flat, inverted or overlapping tetrahedra."""
     volumes = signed_volumes(vertices, tetrahedra)
     # the third tetrahedron on one face, or a further one, counts tissue twice
     order, same = faces_in_order(tetrahedra)
@@ -58,14 +71,6 @@ def check_tetrahedra(name: str, vertices: Floats, tetrahedra: Integers) -> None:
         ("overlap others", "remove what is there twice", overlapping),
     ):
         refuse(name, bad, f"tetrahedra {what}", remedy, vertices, tetrahedra)
-    piece = components_of(tetrahedra[:, [(0, 1), (0, 2), (0, 3)]].reshape(-1, 2), len(vertices))
-    refuse(
-        f"{name}: the tissue falls into {piece.max() + 1} unconnected pieces",
-        piece != np.bincount(piece).argmax(),
-        "vertices are outside the largest",
-        "keep one piece or join them",
-        vertices,
-    )
 
 
 def check_fibres(

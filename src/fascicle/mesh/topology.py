@@ -81,6 +81,11 @@ def components_of(pairs: Integers, count: int) -> Integers:
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
+def pieces_of(tetrahedra: Integers, count: int) -> Integers:
+    """Piece (count,) of each of `count` vertices: those of one are linked by tetrahedra (m, 4)."""
+    return components_of(tetrahedra[:, [(0, 1), (0, 2), (0, 3)]].reshape(-1, 2), count)
+
+
 def merged_vertices(vertices: Floats, tolerance: float) -> Integers:
     """For each vertex (n, 3) the first one that it is merged with, shape (n,).
 

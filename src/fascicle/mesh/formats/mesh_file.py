@@ -13,6 +13,8 @@ from fascicle.core.errors import InputError
 OPENCARP_FORMATS = (".pts", ".elem")  # either names both files, and the `.lon`
 # VTK's numbers for the cells that are used here
 VERTEX, LINE, TRIANGLE, TETRAHEDRON = 1, 3, 5, 10
+# what is cut into tetrahedra: name, and number of corners
+SOLIDS = {11: ("voxels", 8), 12: ("hexahedra", 8), 13: ("wedges", 6), 14: ("pyramids", 5)}
 GROUP = "gmsh:physical"  # meshio's name for the number of a cell's physical group
 
 
@@ -38,6 +40,7 @@ class MeshFile:
     has_polylines: bool = False  # a line was split into segments, which share its cell data
     # dimension and number of Gmsh's physical groups; cells have the number in the array `GROUP`
     groups: dict[str, tuple[int, int]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()  # how the cells were changed, for the user
 
     def cell_array(self, kind: int, name: str) -> Floats | None:
         """Values of an array on cells of one kind, if there is one of that name."""

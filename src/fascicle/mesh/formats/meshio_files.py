@@ -25,10 +25,13 @@ from fascicle.mesh.formats.mesh_file import GROUP, LINE, TETRAHEDRON, TRIANGLE, 
 # Gmsh's number of an element type: its name and how many nodes it has
 ELEMENTS = {
     1: ("line", 2), 2: ("triangle", 3), 3: ("quadrangle", 4), 4: ("tetra", 4),
-    5: ("hexahedron", 8), 6: ("prism", 6), 7: ("pyramid", 5), 8: ("line3", 3), 9: ("triangle6", 6),
+    5: ("hexahedron", 8), 6: ("wedge", 6), 7: ("pyramid", 5), 8: ("line3", 3), 9: ("triangle6", 6),
     10: ("quadrangle9", 9), 11: ("tetrahedron10", 10), 15: ("vertex", 1),
 }  # fmt: skip
-USED = {"line": LINE, "triangle": TRIANGLE, "tetra": TETRAHEDRON}
+USED = {
+    "line": LINE, "triangle": TRIANGLE, "tetra": TETRAHEDRON, "hexahedron": 12, "wedge": 13,
+    "pyramid": 14,
+}  # fmt: skip
 
 
 def read_meshio(path: Path) -> MeshFile:

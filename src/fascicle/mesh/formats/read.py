@@ -10,6 +10,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
 from fascicle.core.isolated import read_isolated
 from fascicle.mesh.checks import refuse
+from fascicle.mesh.formats.cut import cut_into_tetrahedra
 from fascicle.mesh.formats.mesh_file import OPENCARP_FORMATS, MeshFile, damaged
 from fascicle.mesh.formats.meshio_files import gmsh22_header, read_gmsh22, read_meshio
 from fascicle.mesh.formats.opencarp import read_opencarp_mesh
@@ -23,7 +24,7 @@ def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
     """Read a mesh file of any supported format.
 
     InputError is that the file is missing, of another format, truncated or otherwise unreadable,
-    empty, or has coordinates that are not finite.
+    empty, or has coordinates that are not finite. Hexahedra, wedges and pyramids become tetrahedra.
     """
     path = Path(path)
     check_file(path, MESH_FORMATS, purpose)
@@ -42,7 +43,7 @@ def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
     for cells in mesh.cells.values():
         if cells.size and (cells.min() < 0 or cells.max() >= len(mesh.points)):
             raise damaged(path, "cells refer to points that are not there")
-    return mesh
+    return cut_into_tetrahedra(mesh)
 
 
 def _check_complete(path: Path) -> None:

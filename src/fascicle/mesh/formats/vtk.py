@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError, one_line
 from fascicle.core.files import write_text
-from fascicle.mesh.formats.mesh_file import LINE, TETRAHEDRON, TRIANGLE, MeshFile, damaged
+from fascicle.mesh.formats.mesh_file import LINE, SOLIDS, TETRAHEDRON, TRIANGLE, MeshFile, damaged
 
 
 def read_vtk(path: Path) -> MeshFile:
@@ -139,7 +139,8 @@ def _cells(grid: Any) -> tuple[dict[int, Integers], dict[int, Integers], dict[st
     start = vtk_to_numpy(grid.GetCells().GetOffsetsArray()).astype(np.int64)
     points = vtk_to_numpy(grid.GetCells().GetConnectivityArray()).astype(np.int64)
     cells, index = {}, {}
-    for kind, corners in ((TRIANGLE, 3), (TETRAHEDRON, 4)):
+    used = {TRIANGLE: 3, TETRAHEDRON: 4} | {kind: n for kind, (_, n) in SOLIDS.items()}
+    for kind, corners in used.items():
         if (rows := np.flatnonzero(kinds == kind)).size:
             cells[kind] = points[start[rows][:, None] + np.arange(corners)]
             index[kind] = rows
@@ -150,7 +151,7 @@ def _cells(grid: Any) -> tuple[dict[int, Integers], dict[int, Integers], dict[st
         cells[LINE] = np.column_stack([points[:-1], points[1:]])[inside]
         index[LINE] = cell[:-1][inside]
     ignored = (0, 1, 2)  # empty cells and lone vertices
-    unused = kinds[~np.isin(kinds, (LINE, 4, TRIANGLE, TETRAHEDRON, *ignored))]
+    unused = kinds[~np.isin(kinds, (LINE, 4, *used, *ignored))]
     found, counts = np.unique(unused, return_counts=True)
     names = (vtkCellTypes.GetClassNameFromTypeId(kind) for kind in found.tolist())
     others = {
