@@ -283,6 +283,40 @@ def locate(
 
 @app.command()
 @every_command
+def states(
+    heart: HeartArgument,
+    target: Annotated[Path, Argument(help="Target of the intrinsic beat, made with 'target'.")],
+    prior_simulations: Annotated[
+        int | None, Option(min=100, help="Networks to learn from; by default as many as for a fit.")
+    ] = None,
+    workers: Annotated[
+        int | None, Option(min=1, help="Simulations at a time; by default one per core.")
+    ] = None,
+    scheduler: SchedulerOption = None,
+) -> Result:
+    """Say how probable each conduction state is, without a fit, in seconds.
+
+    States are a bundle branch block or delay, and slow conduction everywhere; their prior is how
+    common they are in adults who are referred for an ECG. No state is named where the recording is
+    unlike all that are simulated on this heart, as it is mostly on somebody else's.
+
+    A heart of your own is simulated once, which takes minutes; a packaged one has been.
+    """
+    with TerminalProgress() as progress:
+        found = fascicle.state_probabilities(
+            heart, target, prior_simulations=prior_simulations, workers=workers,
+            progress=progress, pool=pool_at(scheduler, progress),
+        )  # fmt: skip
+    if isinstance(found, fascicle.NoStateNamed):
+        print(found)
+        return {"states": None, "reason": found.reason, "unreliable": dict(found.unreliable)}
+    for name in sorted(found, key=lambda name: -found[name]):
+        print_row(name, f"{found[name]:.2f}")
+    return {"states": dict(found), "reason": None}
+
+
+@app.command()
+@every_command
 def explore(
     heart: Annotated[
         str, Argument(metavar="HEART|STUDY", help="Heart folder, study, or a packaged heart.")

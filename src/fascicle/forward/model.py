@@ -19,7 +19,7 @@ from typing import Any, Protocol, overload, runtime_checkable
 
 import numpy as np
 
-from fascicle.core.arrays import Floats
+from fascicle.core.arrays import Floats, Singles
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import complete
 from fascicle.core.progress import Progress, check_progress
@@ -189,27 +189,26 @@ class ForwardModel:
         """Parameters with angles of fascicles in place of their directions."""
         if not any("_fascicle_direction_" in name for name in parameters):
             return dict(parameters)
-        lv, prepared = self.heart.lv, self.prepared
-        base, apex = long_axis(lv.vertices, lv.triangles)
-        axes = apex - base, self.sites.anterior
-        return with_angles(prepared.charts["lv"], prepared.seeds["lv"], parameters, *axes)
+        chart, seed = self.prepared.charts["lv"], self.prepared.seeds["lv"]
+        return with_angles(chart, seed, parameters, self._apical, self.sites.anterior)
 
-    def with_root_time(
-        self, parameters: Mapping[str, float]
-    ) -> tuple[dict[str, float], tuple[PurkinjeTree, ...]] | InvalidTree:
-        """Parameters with angles and a root time, in place of what stands for them, and the trees.
+    @cached_property
+    def _apical(self) -> Floats:
+        """From the middle of the mitral opening to the apex (3,) (mm)."""
+        base, apex = long_axis(self.heart.lv.vertices, self.heart.lv.triangles)
+        return np.asarray(apex - base)
 
-        The interventricular delay is that between the first junctions of either side.
-        """
-        trees = self.grow(parameters)
-        if isinstance(trees, InvalidTree):
-            return trees
+    def with_root_time(self, parameters: Mapping[str, float]) -> dict[str, float] | InvalidTree:
+        """Parameters with angles and a root time, in place of what stands for them."""
         values = self._with_angles(parameters)
         if "interventricular_delay" in values:
-            left, right = (tree.to_first_junction / values["cv"] for tree in trees[:2])
-            root_time = values.pop("interventricular_delay") + left - right
-            values["root_time"] = root_time if np.isfinite(root_time) else 0.0
-        return values, trees
+            trees = self.grow(values)
+            if isinstance(trees, InvalidTree):
+                return trees
+            values["root_time"] = _root_time(
+                trees, values.pop("interventricular_delay"), values["cv"]
+            )
+        return values
 
     def torso(self, wanted: Sequence[str], progress: Progress | None = None) -> TorsoModel:
         """Lead fields as a function of the torso, built when first used: minutes, once per heart.
@@ -271,17 +270,16 @@ class ForwardModel:
             coefficients = self.torso([*torso]).lead_coefficients(torso)
             if isinstance(coefficients, InvalidTorso):
                 return coefficients
-        outcome = self.with_root_time(values)
-        if isinstance(outcome, InvalidTree):
-            return outcome
-        values, trees = outcome
+        trees = self.grow(values)
+        if isinstance(trees, InvalidTree):
+            return trees
         return self.activate(trees, scenario=scenario, **values)
 
     def activate(
         self,
         trees: Sequence[PurkinjeTree],
-        root_time: float | Sequence[float],
-        cv: float,
+        root_time: float | Sequence[float] | None = None,
+        cv: float | None = None,
         scenario: Scenario | None = None,
         **values: float,
     ) -> Simulation:
@@ -293,7 +291,9 @@ class ForwardModel:
             Left and right, or any number; not to be changed in place, since where they meet the
             myocardium is remembered.
         root_time : float or sequence of float
-            t_RV − t_LV (ms), the earlier root firing at time 0; or when each root fires (ms).
+            t_RV − t_LV (ms), the earlier root firing at time 0; or when each root fires (ms). The
+            quantity ``interventricular_delay`` may take its place: the delay between the first
+            junctions of the first two trees.
         cv : float
             Purkinje conduction velocity (mm/ms).
         scenario : Scenario, optional
@@ -309,7 +309,13 @@ class ForwardModel:
         """
         check_items(trees, PurkinjeTree, "trees", "fascicle.PurkinjeTree")
         check_kind(scenario, (Scenario, NoneType), "scenario", SCENARIO)
+        if cv is None:
+            raise InputError("missing parameter cv; add it")
         values = checked(values | {"cv": cv})
+        if root_time is None:
+            if "interventricular_delay" not in values:
+                raise InputError("missing parameter root_time; add it")
+            root_time = _root_time(trees, values["interventricular_delay"], cv)
         blocked = in_state(scenario or Scenario(), values.get("conduction", 0.0))
         beat = blocked.beat(trees, root_time, values, self.sites)
         conduction = self.conduction.with_values(values)
@@ -399,18 +405,20 @@ class ForwardModel:
         right, axial = (values.get(name, 1.0) for name in ("rv_source", "axial_source"))
         if right == axial == 1.0:
             return ecg
+        arrays = (np.where(self.surfaces.rv_wall, np.float32(right), np.float32(1.0)), *self._axial)
         conducts = self.conduction.with_values(values).scale(self.heart) > 0
-        factors = np.where(self.surfaces.rv_wall[conducts], right, 1.0)
-        along, back = (each[conducts] for each in self._axial)
-        return ecg.with_sources(factors, axial - 1.0, along, back)
+        if not conducts.all():
+            arrays = tuple(each[conducts] for each in arrays)
+        return ecg.with_sources(arrays[0], axial - 1.0, *arrays[1:])
 
     @cached_property
-    def _axial(self) -> tuple[Floats, Floats]:
+    def _axial(self) -> tuple[Singles, Singles]:
         """Projection of the ECG integral's weights on the fibres."""
         heart, own = self.heart, self.conduction
         gradients = barycentric_gradients(heart.vertices, heart.tetrahedra)
         excess = 1 - own.intracellular_t / own.intracellular_l
-        return axial_projection(gradients, heart.fibres, excess)
+        along, back = axial_projection(gradients, heart.fibres, excess)
+        return along.astype(np.float32), back.astype(np.float32)
 
     @overload
     def simulate_many(
@@ -521,6 +529,12 @@ def _check_stimuli(points: Floats, distances: Floats) -> None:
                 f"stimulus at ({where}): {distance:.1f} mm from the tissue; give a position in "
                 "it, in mm and in the heart's frame"
             )
+
+
+def _root_time(trees: Sequence[PurkinjeTree], delay: float, cv: float) -> float:
+    """t_RV − t_LV of the roots (ms) that gives a delay between the first junctions."""
+    left, right = (tree.to_first_junction / cv for tree in trees[:2])
+    return delay + left - right if np.isfinite(left) and np.isfinite(right) else delay
 
 
 def _grow_trees(

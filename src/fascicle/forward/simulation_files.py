@@ -74,12 +74,9 @@ def simulate_inputs(
         raise InputError("--params and --lv-tree/--rv-tree exclude each other; give one kind")
     if lv_tree is None or rv_tree is None:
         raise InputError("only one tree is given; give both --lv-tree and --rv-tree")
-    physics = {name: EXAMPLE_PARAMETERS[name] for name in ("root_time", "cv")} | overrides
-    if "interventricular_delay" in physics:
-        raise InputError(
-            "parameter 'interventricular_delay': networks from files have roots that fire at their "
-            "own times; give root_time"
-        )
+    physics = {name: EXAMPLE_PARAMETERS[name] for name in ("root_time", "cv")}
+    replaced = {other for name in overrides for other in stand_ins(name)}
+    physics = {n: v for n, v in physics.items() if n not in replaced} | overrides
     trees, model = [], make_model()
     for path, endocardium in zip((lv_tree, rv_tree), model.heart.endocardia, strict=True):
         root = endocardium.vertices[endocardium.root]

@@ -45,7 +45,7 @@ RIGHT, APEX = 0, 17  # segment numbers of the right ventricle's free wall, and o
 LAYERS = ("endocardium", "epicardium")
 RIGHT_SITES = ("rv apex", "rv septum", "rv outflow tract", "rv free wall")
 # mm below the left root, on the endocardium
-LEFT_SITES = {"left bundle": 15.0, "left septum": 25.0}
+LEFT_SITES = {"left bundle": 5.0, "left septum": 15.0}
 # Other names of sites, as `plain_name` gives them
 ALIASES = {
     "rvot": "rv outflow tract", "rvoutflow": "rv outflow tract", "rightventricularapex": "rv apex",
@@ -148,9 +148,9 @@ class Sites:
           segment is the right side of the septum;
         - ``"rv apex"``, ``"rv septum"``, ``"rv outflow tract"``, ``"rv free wall"``: on the right
           endocardium;
-        - ``"left bundle"``: 15 mm below the root of the left network, towards its direction and the
-          apex, and ``"left septum"``, 10 mm further, on the left endocardium. The bundles of all
-          networks with the paper's ranges of lengths pass there.
+        - ``"left bundle"``: 5 mm below the root of the left network, towards its direction and the
+          apex, where even the shortest left bundle passes; and ``"left septum"``, 10 mm further, on
+          the left endocardium.
 
         An error if there is no such site, or the heart has no ventricular coordinates.
         """

@@ -34,6 +34,7 @@ from fascicle.study.target_comparison import Network, TargetComparison
 INTRINSIC = "intrinsic"  # the scenario that others are compared with
 LEAD_IN, LEAD_OUT = 10, 20  # samples before the QRS onset (`RINGING` at most), after the last's end
 PRIOR_NETWORKS = 60
+MOST_TRIED = 10  # points for each of them
 
 
 def with_intrinsic_beat(scenarios: Mapping[str, Scenario]) -> dict[str, Scenario]:
@@ -188,21 +189,28 @@ def _simulate(
 def prior_networks(fitted: FittedStudy, progress: Progress | None = None) -> list[Network]:
     """Networks drawn from the prior of a study, and of its conduction states."""
     simulator, config, rng = fitted.simulator, fitted.study.config, np.random.default_rng(0)
-    points = rng.random((PRIOR_NETWORKS, simulator.dimension))
+    points = rng.random((MOST_TRIED * PRIOR_NETWORKS, simulator.dimension))
     space = ParameterSpace(config.space)
     each = [
-        replace(simulator, space=own, fixed=config.fixed | state.blocks)
+        replace(
+            simulator,
+            space=own,
+            fixed=config.fixed | state.blocks,
+            mapped=state.is_mapped({*own.names, *config.fixed}),
+        )
         for state in states_of(config.states)
         if (own := state.narrowed(space, config.fixed)) is not None
     ] or [simulator]
     numbers = rng.choice(len(each), len(points), p=[*config.states.values()] or None)
     report, networks = stage_progress(progress, "networks of the prior"), []
-    for done, (number, point) in enumerate(zip(numbers, points, strict=True), 1):
+    for number, point in zip(numbers, points, strict=True):
         (found,) = each[number].simulate([point])
-        if isinstance(found, Simulation):
+        if isinstance(found, Simulation) and each[number].keeps(point, found):
             parameters = each[number].parameters(point)
             networks.append(Network(parameters, found, found.leads, 1.0, 1.0))
-        report(done, len(points))
+            report(len(networks), PRIOR_NETWORKS)
+        if len(networks) == PRIOR_NETWORKS:
+            break
     return networks
 
 

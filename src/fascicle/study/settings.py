@@ -79,7 +79,8 @@ class FitSettings(BaseModel):
     method: Method = Field(
         "posterior",
         description="'paper': what the paper does and nothing else, with the speed constant alpha "
-        "fixed; it gives a population of networks, not a posterior. 'posterior' learns alpha, too.",
+        "fixed; it gives a population of networks, not a posterior. 'posterior' has priors of "
+        "human anatomy, and learns the speed along the fibre, too.",
     )
     leads: Literal["12", "8"] = Field(
         "12",

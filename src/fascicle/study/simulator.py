@@ -12,10 +12,10 @@ from fascicle.core.parameters import ParameterSpace
 from fascicle.core.ranges import short_repr
 from fascicle.forward.model import Backend, ForwardModel
 from fascicle.forward.scenario import Scenario
-from fascicle.forward.simulation import Signals, Simulation
+from fascicle.forward.simulation import Signals, SimulatedBeat, Simulation
 from fascicle.purkinje.tree import InvalidTree
 from fascicle.study.pool import Pool, Threads
-from fascicle.study.space import AveragedOver
+from fascicle.study.space import AveragedOver, is_kept
 from fascicle.torso.variation.conductor import InvalidTorso
 
 # Simulations by sorted parameters and the identity of a scenario
@@ -46,6 +46,10 @@ class PointSimulator:
         """All parameters of a point (d,) that are not at their defaults, by name."""
         learnt, rest = point[: len(self.space)], point[len(self.space) :]
         return self.fixed | self.space.from_unit(learnt) | self.averaged.values(rest)
+
+    def keeps(self, point: Floats, beat: SimulatedBeat) -> bool:
+        """Whether the intrinsic beat of a point (d,) belongs to the prior."""
+        return not self.mapped or is_kept(point, self.model.surfaces.sequence(beat.activation))
 
     @property
     def dimension(self) -> int:

@@ -106,7 +106,7 @@ class GpuBackend:
         made: Callable[[int, Mapping[str, float], Results], Made],
     ) -> Iterator[Made | InvalidTree | None]:
         """What is made of each network in a batch's results, in order."""
-        every = [_with_root_time(model, complete(network)) for network in parameters]
+        every = [model.with_root_time(complete(network)) for network in parameters]
         for start in range(0, len(every), self.batch):
             batch = every[start : start + self.batch]
             networks = [each for each in batch if not isinstance(each, InvalidTree)]
@@ -124,16 +124,6 @@ class GpuBackend:
                 )
             # all of them before the next batch takes their place
             yield from [each if isinstance(each, InvalidTree) else next(outcomes) for each in batch]
-
-
-def _with_root_time(
-    model: ForwardModel, values: dict[str, float]
-) -> dict[str, float] | InvalidTree:
-    """Parameters with angles and root time; trees are grown here only where those must be found."""
-    if "root_time" in values and not any("_fascicle_direction_" in name for name in values):
-        return values
-    outcome = model.with_root_time(values)
-    return outcome if isinstance(outcome, InvalidTree) else outcome[0]
 
 
 def _plan(model: ForwardModel, side: str, values: Mapping[str, float]) -> NDArray[np.void]:

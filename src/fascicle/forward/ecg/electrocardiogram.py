@@ -11,7 +11,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from fascicle.core.arrays import Floats, Integers
+from fascicle.core.arrays import Floats, Integers, Singles
 from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, LEADS, lead_matrix
 from fascicle.forward.ecg.lead_field import MM_PER_CM
 from fascicle.kernels.deposit import deposit, respond, reweight
@@ -139,18 +139,17 @@ class Electrocardiograph:
         return replace(self, corners=corners, weights=weights, additional=more)
 
     def with_sources(
-        self, factors: Floats, axial: float, along: Floats, back: Floats
+        self, factors: Singles, axial: float, along: Singles, back: Singles
     ) -> Electrocardiograph:
         """The same with the sources of each tetrahedron times a factor (m,), lead fields as before.
 
         Before that, what points along the fibre changes by the share `axial`; `along` and `back`
         (m, 3) are those of `axial_projection`.
         """
-        single = [np.asarray(each, np.float32) for each in (factors, along, back)]
         every = []
         for old in (self.weights, *self.additional):
             new = np.empty_like(old)
-            reweight(old, single[0], np.float32(axial), single[1], single[2], new)
+            reweight(old, factors, np.float32(axial), along, back, new)
             every.append(new)
         return replace(self, weights=every[0], additional=every[1:])
 
