@@ -539,6 +539,7 @@ def parameters() -> Result:
     Any of them can be fixed in `simulate` and `fit` (--fix NAME=VALUE), and all but counts can be
     learnt (--free NAME). The values of a heart are in its heart.toml.
     """
+    from fascicle.core.parameters import HUMAN_SPACE
     from fascicle.core.quantities import GROUPS, QUANTITIES, quantity
 
     rows = [("name", "unit", "default", "prior range", "meaning")]
@@ -549,6 +550,8 @@ def parameters() -> Result:
             prior = "" if known.is_integer else "{:.3g} to {:.3g}".format(*known.prior_range)
             rows.append((known.name, known.unit, default, prior, known.meaning))
     print_table(rows)
+    print("By default a fit learns, with priors of human anatomy:")
+    print_table([(p.name, p.unit, f"{p.lower:g} to {p.upper:g}") for p in HUMAN_SPACE.parameters])
     print("Groups that can be freed together (--free NAME): " + ", ".join(GROUPS))
     print("Fascicles are numbered 1 to at most 4; regions by their labels.")
     for known in QUANTITIES.values():

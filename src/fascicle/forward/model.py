@@ -405,11 +405,12 @@ class ForwardModel:
         right, axial = (values.get(name, 1.0) for name in ("rv_source", "axial_source"))
         if right == axial == 1.0:
             return ecg
-        arrays = (np.where(self.surfaces.rv_wall, np.float32(right), np.float32(1.0)), *self._axial)
+        factors = np.where(self.surfaces.rv_wall, np.float32(right), np.float32(1.0))
+        along, back = self._axial
         conducts = self.conduction.with_values(values).scale(self.heart) > 0
         if not conducts.all():
-            arrays = tuple(each[conducts] for each in arrays)
-        return ecg.with_sources(arrays[0], axial - 1.0, *arrays[1:])
+            factors, along, back = factors[conducts], along[conducts], back[conducts]
+        return ecg.with_sources(factors, axial - 1.0, along, back)
 
     @cached_property
     def _axial(self) -> tuple[Singles, Singles]:

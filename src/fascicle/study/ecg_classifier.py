@@ -11,7 +11,7 @@ learning", IEEE Trans. Neural Netw. Learn. Syst. 34, 2023).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from typing import Any
 
@@ -129,25 +129,21 @@ class EcgClassifier:
         Leads that it looks at, in `fascicle.core.leads.LEADS`.
     mean, components, scale : arrays
         Of its inputs: principal components of the cosines, over their scales.
-    centre, whitening : (p,) and (p, p) arrays
-        Of the directions of simulated recordings in the space of the inputs.
-    farthest : float
-        Distance from the centre, in standard deviations a direction, of 98 % of held-out ones.
     networks : tuple of Network
         Whose probabilities are averaged.
     right : float
         Share of held-out recordings whose most probable kind is the true one.
+    typical : Typical, optional
+        What tells recordings that are unlike all of those; None if it was not kept.
     """
 
     rows: Integers
     mean: Floats
     components: Floats
     scale: Floats
-    centre: Floats
-    whitening: Floats
-    farthest: float
     networks: tuple[Network, ...]
     right: float
+    typical: Typical | None = None
 
     def probabilities(self, target: Target) -> Floats:
         """How probable each kind is given a recording, (c,)."""
@@ -162,37 +158,67 @@ class EcgClassifier:
 
     def of_cosines(self, recordings: NDArray[Any]) -> Floats:
         """How probable each kind is given recordings (n, r, MODES), (n, c)."""
-        inputs = _inputs(recordings, self.mean, self.components, self.scale)
+        inputs = self.inputs(recordings)
         each = [softmax(network(inputs)) for network in self.networks]
         return np.asarray(np.mean(each, axis=0), dtype=float)
 
-    def distances(self, recordings: NDArray[Any]) -> Floats:
-        """Root mean square distance (n,) of recordings (n, r, MODES) from simulated ones.
-
-        In standard deviations of these (Mahalanobis 1936), whatever the gain.
-        """
-        directions = unit(_inputs(recordings, self.mean, self.components, self.scale).astype(float))
-        apart = (directions - self.centre) @ self.whitening
-        return np.asarray(np.sqrt((apart**2).mean(axis=1)))
+    def inputs(self, recordings: NDArray[Any]) -> Singles:
+        """Recordings (n, r, MODES) as the networks see them, (n, p)."""
+        return _inputs(recordings, self.mean, self.components, self.scale)
 
     def arrays(self) -> dict[str, Any]:
         """All of it for a file; the weights in half precision."""
-        found = {each.name: np.asarray(getattr(self, each.name)) for each in fields(self)}
-        del found["networks"]
-        for name in ("components", "whitening"):
-            found[name] = found[name].astype(np.float32)
+        found = {each.name: np.asarray(getattr(self, each.name)) for each in fields(self)[:4]}
+        found["right"] = np.asarray(self.right)
+        found["components"] = found["components"].astype(np.float32)
+        if self.typical is not None:
+            found |= {name: np.asarray(value) for name, value in asdict(self.typical).items()}
         return found | weight_arrays("networks", self.networks)
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Any]) -> EcgClassifier:
         """The inverse of `arrays`."""
-        parts = ("rows", "mean", "components", "scale", "centre", "whitening")
-        return cls(
-            **{name: np.asarray(arrays[name]) for name in parts},
-            farthest=float(arrays["farthest"]),
-            networks=networks_from("networks", arrays),
-            right=float(arrays["right"]),
-        )
+        parts = ("rows", "mean", "components", "scale")
+        rows, mean, components, scale = (np.asarray(arrays[name]) for name in parts)
+        typical = None
+        if "farthest" in arrays:
+            centre, whitening = (
+                np.asarray(arrays[name], float) for name in ("centre", "whitening")
+            )
+            typical = Typical(centre, whitening, float(arrays["farthest"]))
+        networks = networks_from("networks", arrays)
+        return cls(rows, mean, components, scale, networks, float(arrays["right"]), typical)
+
+
+@dataclass(frozen=True)
+class Typical:
+    """Where simulated recordings lie among the inputs of a classifier, whatever their gain.
+
+    Attributes
+    ----------
+    centre, whitening : (p,) and (p, p) arrays
+        Mean of their directions, and what makes the covariance of these the identity.
+    farthest : float
+        Distance from the centre of 98 % of held-out ones.
+    """
+
+    centre: Floats
+    whitening: Floats
+    farthest: float
+
+    @classmethod
+    def of(cls, seen: Singles, held_out: Singles) -> Typical:
+        """That of inputs (n, p), with the distance of others (m, p)."""
+        directions = unit(seen.astype(float))
+        values, vectors = np.linalg.eigh(np.cov(directions.T))
+        whitening = vectors / np.sqrt(np.maximum(values, 1e-9 * values.max()))
+        found = cls(directions.mean(axis=0), whitening.astype(np.float32), 0.0)
+        return replace(found, farthest=float(np.quantile(found.distances(held_out), FARTHEST)))
+
+    def distances(self, inputs: Singles) -> Floats:
+        """Root mean square distance (n,) of inputs (n, p), in standard deviations (Mahalanobis)."""
+        apart = (unit(inputs.astype(float)) - self.centre) @ self.whitening
+        return np.asarray(np.sqrt((apart**2).mean(axis=1)))
 
 
 @dataclass(frozen=True)
@@ -225,15 +251,8 @@ def learn(
     report = stage_progress(progress, "training")
     total = NETWORKS * steps
     networks = train_together([of_kinds] * NETWORKS, rng, lambda done: report(done, total))
-    directions = unit(inputs.astype(float))
-    centre = directions.mean(axis=0)
-    values, vectors = np.linalg.eigh(np.cov(directions.T))
-    whitening = vectors / np.sqrt(np.maximum(values, 1e-9 * values.max()))
-    found = EcgClassifier(
-        rows, mean, components, scale, centre, whitening, 0.0, tuple(networks), 0.0
-    )
-    farthest = float(np.quantile(found.distances(held_out.recordings), FARTHEST))
-    found = replace(found, farthest=farthest)
+    found = EcgClassifier(rows, mean, components, scale, tuple(networks), 0.0)
+    found = replace(found, typical=Typical.of(inputs, found.inputs(held_out.recordings)))
     guessed = found.of_cosines(held_out.recordings).argmax(axis=1)
     found = replace(found, right=float((guessed == held_out.kinds.argmax(axis=1)).mean()))
     if progress is not None:

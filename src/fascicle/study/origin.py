@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,10 +19,13 @@ from scipy.cluster.vq import kmeans2
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
+from fascicle.core.array_cache import ArrayCache
 from fascicle.core.arrays import Booleans, Floats, Integers
-from fascicle.core.files import as_path, atomic_folder
+from fascicle.core.files import DISPOSABLE, as_path, atomic_folder
 from fascicle.core.leads import INDEPENDENT_LEADS
+from fascicle.core.parameters import ParameterSpace, free, network_space, ordered_fascicles
 from fascicle.core.progress import Lines, Progress, shown_progress
+from fascicle.core.quantities import SPEED, Changes, quantity
 from fascicle.core.ranges import short_repr
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
@@ -47,9 +50,10 @@ from fascicle.study.ecg_classifier import (
     learn,
     most_alike,
 )
-from fascicle.study.heart_emulator import for_simulations, learnt_or_made, usual_prior
+from fascicle.study.heart_emulator import for_simulations, learnt_or_made
 from fascicle.study.pool import Pool
 from fascicle.study.prior_simulations import HELD_OUT, PART, SEED, PriorSimulations
+from fascicle.study.space import AveragedOver
 
 CLASSIFIER = "origin"  # kind of file
 # Of each ten beats, which begin at the same place, since to find the rays from one takes long; that
@@ -288,9 +292,18 @@ def locate(
 
 
 def ectopic_beats(model: ForwardModel, folder: Path) -> EctopicBeats:
-    """Prior simulations of all that a fit learns or averages over, in beats from anywhere."""
-    usual = usual_prior(model, folder)
-    return EctopicBeats(model, usual.space, usual.averaged, usual.fixed, usual.cache)
+    """Prior simulations of networks of the paper's ranges, in beats from anywhere.
+
+    Such a network has no normal sequence of activation: it only conducts where the front enters it.
+    Sources of the ECG are as they are.
+    """
+    heart = model.heart
+    speed = [] if {*SPEED} & {*heart.values} else [free("alpha")]
+    space = ordered_fascicles(ParameterSpace((*network_space().parameters, *speed)))
+    averaged = AveragedOver.of(space, {}, heart)
+    others = (p for p in averaged.space.parameters if quantity(p.name).changes != Changes.SOURCES)
+    averaged = replace(averaged, space=ParameterSpace(tuple(others)))
+    return EctopicBeats(model, space, averaged, {}, ArrayCache(folder / DISPOSABLE, "prior"))
 
 
 @dataclass(frozen=True)

@@ -182,12 +182,14 @@ def state_probabilities(
 
 def unlike(classifier: EcgClassifier, target: Target) -> str:
     """Why a recording is not one of those that a classifier has learnt from; empty if it is."""
-    (distance,) = classifier.distances(classifier.cosines(target))
-    if distance <= classifier.farthest:
+    typical = classifier.typical
+    assert typical is not None
+    (distance,) = typical.distances(classifier.inputs(classifier.cosines(target)))
+    if distance <= typical.farthest:
         return ""
     return (
         f"the recording is unlike all simulated ones of this heart ({distance:.1f} SD from their "
-        f"mean, {classifier.farthest:.1f} at most expected)"
+        f"mean, {typical.farthest:.1f} at most expected)"
     )
 
 
