@@ -12,7 +12,7 @@ kept (`truth-0007.json`), so that the same command goes on where it stopped, or 
 `--tuning` truths are others, to choose constants by.
 
 With `--physics other` the truth is of another model than the one that is fitted: it is activated
-on tetrahedra of half the edge length, with three left fascicles in every second truth, fibres
+on tetrahedra of half the edge length, with one more left fascicle in every second truth, fibres
 turned by some 10 degrees in the wall, other anisotropy, a fast endocardial layer, and delays at the
 junctions; its ECG is that of another torso, with the heart and the electrodes elsewhere and other
 conductivities (`docs/quantities.md`; in an unbounded conductor, with electrodes off by some 10 mm
@@ -23,11 +23,13 @@ With `--method paper` the truths have its parameters (α is fixed), no gain, and
 beats that vary as recorded ones do (`examples.recover_known_network`): what the method takes for
 granted.
 
+All truths of a posterior are of the prior of the normal state, which is that of mapped hearts.
+
 With `--wrong` each truth is fitted again with wrong inputs (`wrong_inputs`): gain 3, a chest lead
-inverted, two electrodes exchanged, α beyond its range by half of that end, half of the beats
-ectopic, and a truth of `--other-heart`, another person's; each with the one batch of particles that
-a fit begins with, whether it converges or not. How many of each are called a poor fit is printed,
-and how many of the right ones, which are false alarms.
+inverted, two electrodes exchanged, the speed along fibres beyond its range by half of that end,
+half of the beats ectopic, and a truth of `--other-heart`, another person's; each with the one batch
+of particles that a fit begins with, whether it converges or not. How many of each are called a poor
+fit is printed, and how many of the right ones, which are false alarms.
 
 Of the parameters and of four predictions: the total activation time; that with both roots fired
 together, which no ECG of the fit has shown; where along the heart's longest axis the activation
@@ -51,7 +53,7 @@ import json
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import lru_cache, partial
@@ -76,8 +78,9 @@ from fascicle.core.leads import (
     lead_matrix,
     limb_leads_from,
 )
+from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress
-from fascicle.core.quantities import torso_values
+from fascicle.core.quantities import stand_ins, torso_values
 from fascicle.forward.bodies import random_bodies
 from fascicle.forward.ecg.electrocardiogram import first_sample
 from fascicle.forward.model import ForwardModel
@@ -89,6 +92,7 @@ from fascicle.recording.target import Target, smooth_noise
 from fascicle.recording.target_files import read_target
 from fascicle.reporting.style import new_figure, save
 from fascicle.study import paper, posterior
+from fascicle.study.conduction_states import STATES
 from fascicle.study.ecg_emulator import EcgEmulator
 from fascicle.study.evaluations import Database, Journal
 from fascicle.study.heart_emulator import made_emulator, usual_prior
@@ -100,7 +104,7 @@ from fascicle.study.prior_simulations import PriorSimulations
 from fascicle.study.refined_emulator import refined_emulators
 from fascicle.study.settings import FitSettings, Method
 from fascicle.study.simulator import PointSimulator
-from fascicle.study.space import AveragedOver, study_space
+from fascicle.study.space import NOT_KNOWN, AveragedOver, is_kept, study_space
 from fascicle.study.state_fit import REFINEMENT
 from fascicle.study.target_comparison import Network, TargetComparison, evaluate
 from fascicle.study.target_comparison import networks as simulated
@@ -116,18 +120,32 @@ FIRST_ACTIVATION_SD = 3.0  # ms; as in the likelihood
 PAD = 100  # samples before and after the simulated ECG
 COLUMNS, PANEL = 6, 1.6  # of the figure; inch
 MAPPED = 60  # draws whose activation is simulated
-TOGETHER = {"root_time": 0.0}
+NORMAL = STATES[0]  # whose networks are those of mapped hearts
+SOURCES = ParameterSpace(tuple(p for p in NOT_KNOWN if p.name.endswith("_source")))
 TORSO_GROUPS = ("pose", "electrodes", "conductivities")
 PREDICTED = ("activation time", "with both roots together", "end along the axis", "QRS duration")
 
 
-def truth_of(model: ForwardModel, space: Any, fixed: Any, rng: np.random.Generator) -> Any:
-    """Parameters from the prior that give a network, and their simulation."""
+def truth_of(
+    model: ForwardModel, space: Any, fixed: Any, rng: np.random.Generator, mapped: bool = False
+) -> Any:
+    """Parameters from the prior that give a network, and their simulation.
+
+    If the prior is that of `mapped` hearts, of these.
+    """
     while True:
         point = rng.random(len(space))
         outcome = model.simulate({**fixed, **space.from_unit(point)})
-        if isinstance(outcome, Simulation):
+        if not isinstance(outcome, Simulation):
+            continue
+        if not mapped or is_kept(point, model.surfaces.sequence(outcome.activation)):
             return point, outcome
+
+
+def fired_together(values: Mapping[str, float]) -> dict[str, float]:
+    """A network whose roots fire at the same time."""
+    others = {*stand_ins("root_time")}
+    return {n: v for n, v in values.items() if n not in others} | {"root_time": 0.0}
 
 
 @lru_cache(1)
@@ -156,7 +174,10 @@ def turned(heart: Heart, degrees: float) -> Heart:
 
 
 def other_physics(
-    heart: str, rng: np.random.Generator, mesh: Callable[[str], Heart] = finer
+    heart: str,
+    rng: np.random.Generator,
+    mesh: Callable[[str], Heart] = finer,
+    method: Method = "posterior",
 ) -> tuple[ForwardModel, Any, Any]:
     """A model of the heart that is not the one that is fitted, and its own prior."""
     fine = turned(mesh(heart), rng.normal(0, TURNED))
@@ -172,31 +193,44 @@ def other_physics(
         "endocardial_layer": rng.uniform(1.0, 3.0),
         "endocardial_speed": rng.uniform(1.0, 2.0),
         "anterograde_delay": rng.uniform(0.0, 3.0),
-        "lv_fascicles": 2 + int(rng.integers(2)),
+        "lv_fascicles": (3 if method == "posterior" else 2) + int(rng.integers(2)),
+        **SOURCES.from_unit(rng.random(len(SOURCES))),
     }
-    space, fixed = study_space("posterior", choices, fine)
+    space, fixed = study_space(method, choices, fine)
     return ForwardModel(fine), space, fixed
 
 
 def another_torso(
-    model: ForwardModel, simulation: Simulation, count: int, rng: np.random.Generator
+    model: ForwardModel,
+    simulation: Simulation,
+    count: int,
+    rng: np.random.Generator,
+    values: Mapping[str, float],
 ) -> Simulation:
-    """A simulation on a finer mesh, of which `count` vertices are the model's, in another torso."""
+    """A simulation on a finer mesh, of which `count` vertices are the model's, in another torso.
+
+    The sources of the ECG are those of its `values`.
+    """
+    sources = {name: values[name] for name in SOURCES.names if name in values}
     space, _ = study_space("posterior", dict.fromkeys(TORSO_GROUPS, "free"), model.heart)
     times = simulation.activation[:count]
     while True:
         torso = torso_values(space.from_unit(rng.random(len(space))))
-        leads = model.leads_in_torso(times, torso)
+        leads = model.leads_in_torso(times, torso | sources)
         if not isinstance(leads, InvalidTorso):
             return replace(simulation, leads=leads, onset=first_sample(times))
 
 
 def truth_of_prior(prior: PriorSimulations, number: int, rng: np.random.Generator) -> Any:
     """Quantities of a network that no emulator has seen, and its simulation in a random body."""
-    for values in prior.parameters(number):
+    surfaces = prior.model.surfaces
+    for point, values in zip(prior.points(number), prior.parameters(number), strict=True):
         outcome = prior.model.simulate(values)
-        if isinstance(outcome, Simulation):
+        if not isinstance(outcome, Simulation):
+            continue
+        if not prior.mapped or is_kept(point, surfaces.sequence(outcome.activation)):
             (body,) = random_bodies(prior.model, rng, 1)
+            body = prior.model.with_sources(body, values)
             return values, replace(outcome, leads=body.leads(outcome.activation))
     raise ValueError("no network of the prior fits the heart")
 
@@ -279,12 +313,13 @@ def prepared(heart_path: str, method: Method, count: int) -> tuple[Any, ...]:
     model = ForwardModel(heart)
     averaged, prior, emulator = AveragedOver(), None, None
     if method == "posterior":
-        prior = usual_prior(model, heart.folder)
+        prior = usual_prior(model, heart.folder, state=NORMAL)
         space, fixed, averaged = prior.space, prior.fixed, prior.averaged
         emulator = made_emulator(prior, count, Threads(1))
     else:
         space, fixed = study_space(method, {}, heart)
-    simulator = PointSimulator(model, space, fixed, averaged=averaged)
+    mapped = prior is not None and prior.mapped
+    simulator = PointSimulator(model, space, fixed, averaged=averaged, mapped=mapped)
     return simulator, prior, emulator, longest_axis(heart)
 
 
@@ -353,11 +388,13 @@ def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, A
     seed = TUNING if given.tuning else HELD_OUT
     rng, true = np.random.default_rng([seed, number]), model
     if given.physics == "other":
-        true, its_space, its_fixed = other_physics(heart, rng)
-        point, simulation = truth_of(true, its_space, its_fixed, rng)
+        true, its_space, its_fixed = other_physics(heart, rng, method=settings.method)
+        if not of_paper:
+            its_space = NORMAL.narrowed(its_space, its_fixed)
+        point, simulation = truth_of(true, its_space, its_fixed, rng, simulator.mapped)
         values = {**its_fixed, **its_space.from_unit(point)}
         if model.heart.lead_fields is not None:
-            simulation = another_torso(model, simulation, len(axis), rng)
+            simulation = another_torso(model, simulation, len(axis), rng, values)
     elif of_paper:
         point, simulation = truth_of(model, space, simulator.fixed, rng)
         values = {**simulator.fixed, **space.from_unit(point)}
@@ -380,7 +417,7 @@ def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, A
     seconds = time.perf_counter() - begun
     result: dict[str, Any] = {"networks": len(population)}
     if networks:
-        paced = true.simulate({**values, **TOGETHER})
+        paced = true.simulate(fired_together(values))
         some = [networks[k] for k in rng.permutation(len(networks))[:MAPPED]]
         of_map = predicted_and_map(simulation, paced, axis)
         result |= places(simulator, population, some, (truth, *of_map), axis, rng)
@@ -392,15 +429,17 @@ def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, A
             "effective": population.effective.tolist(),
         }
     if given.wrong and not of_paper:
-        alpha = space.parameters[space.names.index("alpha")]
-        far = rng.choice([alpha.lower / 1.5, alpha.upper * 1.5])
+        speed = space.parameters[space.names.index("fibre_speed")]
+        far = rng.choice([speed.lower / 1.5, speed.upper * 1.5])
         others = {
-            "alpha out of range": record(true.simulate({**values, "alpha": float(far)})),
+            "fibre speed out of range": record(
+                true.simulate({**values, "fibre_speed": float(far)})
+            ),
             "half ectopic": record(true.simulate(values, ectopic())),
         }
         if given.other_heart is not None:
             other = other_person(given.other_heart)
-            others["another heart"] = record(truth_of(*other, rng)[1])
+            others["another heart"] = record(truth_of(*other, rng, mapped=True)[1])
         result["wrong"] = {}
         most, posterior.MOST_BATCHES = posterior.MOST_BATCHES, 1
         for name, wrong in wrong_inputs(target, rng, others).items():
@@ -426,7 +465,7 @@ def other_person(heart: str) -> tuple[ForwardModel, Any, Any]:
     """Model and prior of another heart."""
     loaded = fascicle.load_heart(heart)
     space, fixed = study_space("posterior", {}, loaded)
-    return ForwardModel(loaded), space, fixed
+    return ForwardModel(loaded), NORMAL.narrowed(space, fixed), fixed
 
 
 @lru_cache(1)
@@ -481,7 +520,7 @@ def places(
     space = simulator.space
 
     def together(values: Any) -> Simulation:
-        return simulator.model.simulate({**simulator.fixed, **values, **TOGETHER})
+        return simulator.model.simulate(fired_together({**simulator.fixed, **values}))
 
     found = np.array([predictions(n.simulation, together(n.parameters), axis) for n in networks])
     maps = np.array([n.simulation.activation - n.simulation.activation.min() for n in networks])
@@ -693,7 +732,8 @@ def main() -> None:
     with TerminalProgress() as progress:
         if given.method == "posterior":
             heart = fascicle.load_heart(given.heart)
-            prior = usual_prior(ForwardModel(heart, progress=progress), heart.folder)
+            model = ForwardModel(heart, progress=progress)
+            prior = usual_prior(model, heart.folder, state=NORMAL)
             made_emulator(prior, given.prior_simulations, Threads(given.processes), progress)
         if given.physics == "other" and fascicle.load_heart(given.heart).torso is not None:
             model = ForwardModel(fascicle.load_heart(given.heart), progress=progress)

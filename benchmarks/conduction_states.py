@@ -48,11 +48,11 @@ from benchmarks.calibration import (
     LEVELS,
     MAPPED,
     PREDICTED,
-    TOGETHER,
     TUNING,
     another_torso,
     coverage,
     finer,
+    fired_together,
     in_processes,
     longest_axis,
     other_physics,
@@ -102,11 +102,12 @@ def truths_of(number: int, given: argparse.Namespace) -> None:
         for state, path in zip(STATES, row, strict=True):
             own = state.narrowed(space, fixed)
             assert own is not None
-            point, simulation = truth_of(model, own, fixed | state.blocks, rng)
+            mapped = state.is_mapped({*own.names, *fixed})
+            point, simulation = truth_of(model, own, fixed | state.blocks, rng, mapped)
             values = {**fixed, **state.blocks, **own.from_unit(point)}
-            true = predicted_and_map(simulation, model.simulate(values | TOGETHER), axis)
+            true = predicted_and_map(simulation, model.simulate(fired_together(values)), axis)
             if heart.lead_fields is not None:
-                simulation = another_torso(plain, simulation, len(heart.vertices), rng)
+                simulation = another_torso(plain, simulation, len(heart.vertices), rng, values)
             target = recorded(simulation, FitSettings().gain_sd, rng, noise)
             with path.with_suffix(".npz").open("wb") as file:
                 np.savez(file, values=json.dumps(values), predicted=true[0], map=true[1])

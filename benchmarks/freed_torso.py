@@ -20,7 +20,7 @@ from benchmarks.refinement import refine, spread
 from fascicle.cli.output import TerminalProgress
 from fascicle.core.parameters import ParameterSpace, free
 from fascicle.core.progress import stage_progress
-from fascicle.core.quantities import GROUPS, QUANTITIES, TORSO_QUANTITIES
+from fascicle.core.quantities import DELAY, GROUPS, QUANTITIES, TORSO_QUANTITIES
 from fascicle.inference.evaluation import best_of
 from fascicle.study.target_comparison import evaluate
 
@@ -60,7 +60,7 @@ def main() -> None:
     print(f"flat line {fitted.null_loss:.3f}, torso as it is {best_of(known).loss:.3f}, "
           f"freed {best.loss:.3f} mV² after {given.generations} generations")  # fmt: skip
     values = space.from_unit(best.point)
-    for name in ("root_time", *(n for n in TORSO_QUANTITIES if n in values)):
+    for name in (n for n in (*DELAY, *TORSO_QUANTITIES) if n in values):
         print(f"{name} {fitted.population.best.get(name, 0.0):.3f} -> {values[name]:.3f}")
 
 

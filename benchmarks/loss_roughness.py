@@ -41,14 +41,14 @@ Problem = tuple[PointSimulator, TargetComparison]
 
 
 def simulated_problem(model: ForwardModel) -> Problem:
-    """The example's ECG on the model's heart as a target, and what a study learns by default."""
+    """The example's ECG on the model's heart as a target, and the paper's ranges with alpha."""
     from examples.recover_known_network import synthetic_target
 
     simulation = model.simulate(fascicle.EXAMPLE_PARAMETERS)
     if isinstance(simulation, InvalidTree):
         raise RuntimeError(f"the example gives no tree: {simulation.reason}")
     target = synthetic_target(simulation.leads, np.random.default_rng(0), noise=0.0)
-    space, fixed = study_space("posterior", {}, model.heart)
+    space, fixed = study_space("paper", {"alpha": "free"}, model.heart)
     return PointSimulator(model, space, fixed), TargetComparison(target)
 
 

@@ -130,7 +130,7 @@ def heart_task(folder: Path) -> Task:
     simulation = model.simulate(TRUTH)
     assert not isinstance(simulation, InvalidTree)
     target = synthetic_target(simulation.leads, np.random.default_rng(0))
-    simulator = PointSimulator(model, NETWORK_SPACE, {"alpha": TRUTH["alpha"]})
+    simulator = PointSimulator(model, NETWORK_SPACE, {"alpha": 0.065})
     recordings = [TargetComparison(target)]
 
     def losses(points: Array) -> Array:

@@ -58,7 +58,7 @@ def serve(heart: str) -> None:
     from fascicle.study.space import study_space
 
     model = ForwardModel(load_heart(heart))
-    space, fixed = study_space("posterior", {}, model.heart)
+    space, fixed = study_space("paper", {"alpha": "free"}, model.heart)
     prepared, alpha = model.prepared, model.conduction.alpha
 
     def staged(parameters: dict[str, float]) -> dict[str, Any] | None:

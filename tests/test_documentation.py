@@ -71,5 +71,5 @@ def test_the_posterior_s_page_states_the_numbers_of_the_code():
     for parameter in NOT_KNOWN:
         how = f"{parameter.lower:g} to {parameter.upper:g}"
         if parameter.median is not None:
-            how = f"normal, {parameter.median:g} ± {parameter.sd:g}"
+            how = f"{parameter.prior}, {parameter.median:g} ± {parameter.sd:g}"
         assert re.search(rf"`{parameter.name}` \| [^|]*{re.escape(how)}", table), parameter.name

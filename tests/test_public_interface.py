@@ -52,6 +52,10 @@ ALSO = {
     ("locate", "heart"): {"heart"},
     ("locate", "prior_simulations"): {"whole"},
     ("locate", "workers"): {"whole"},
+    ("state_probabilities", "heart"): {"heart"},
+    ("state_probabilities", "priors"): {"whole"},  # the number of a state
+    ("state_probabilities", "prior_simulations"): {"whole"},
+    ("state_probabilities", "workers"): {"whole"},
     ("fit", "heart"): {"heart"},
     ("fit", "out"): {"text"},
     ("report", "out"): {"text"},
@@ -84,8 +88,8 @@ TRIED_ABOVE = {
 }  # fmt: skip
 # What the program itself makes, and what it raises
 MADE = {
-    "Beat", "Comparison", "FittedStudy", "Heart", "InputError", "InvalidTree", "Origin",
-    "Predicted", "Primitive", "PurkinjeTree", "Replicate", "Simulation", "SimulatedBeat",
+    "Beat", "Comparison", "FittedStudy", "Heart", "InputError", "InvalidTree", "NoStateNamed",
+    "Origin", "Predicted", "Primitive", "PurkinjeTree", "Replicate", "Simulation", "SimulatedBeat",
 }  # fmt: skip
 
 
@@ -171,6 +175,9 @@ def right(study, predicted, recording, default_heart, default_model, tmp_path_fa
         "ExecutorPool": (fascicle.ExecutorPool, {"executor": ThreadPoolExecutor(1), "workers": 1}),
         "fit": (fascicle.fit, {"heart": default_heart, "target": target, "out": "new"}),
         "locate": (fascicle.locate, {"heart": default_heart, "target": target}),
+        "state_probabilities": (
+            fascicle.state_probabilities, {"heart": default_heart, "target": target},
+        ),
         "load_study": (fascicle.load_study, {"folder": study.folder}),
         "plot.heart": (plot.heart, {"heart": default_heart}),
         "plot.tree": (plot.tree, {"tree": fascicle.read_tree(tree_file, "lv")}),
@@ -210,7 +217,7 @@ def test_an_argument_of_the_wrong_kind_is_refused_in_one_line(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("fascicle.study.state_fit.simulated_and_compared", begun)
     monkeypatch.setattr("fascicle.explorer.explore.serve", begun)
-    for module in ("heart_emulator", "origin"):
+    for module in ("heart_emulator", "origin", "state_classifier"):
         monkeypatch.setattr(f"fascicle.study.{module}.ForwardModel", begun)
     function, arguments = right[name]
     failures = []

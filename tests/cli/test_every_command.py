@@ -28,7 +28,8 @@ pytestmark = pytest.mark.usefixtures("blank_pictures")
 COMMANDS = {  # with something of their help
     "simulate": "--root-time", "target": "--out", "parameters": "--free", "fit": "--effective",
     "predict": "--scenario", "compare": "--threshold", "sweep": "--delay", "scenarios": "copy",
-    "locate": "17 segments", "docs": "pages", "explore": "Only this machine",
+    "locate": "17 segments", "states": "without a fit", "docs": "pages",
+    "explore": "Only this machine",
     "report": "Finished study", "cohort": "--only", "template": "--out", "demo": "--out",
     "heart build": "--lv-endocardium", "heart import": "--lv-endocardium", "heart check": "HEART",
     "heart refine": "--out", "heart add-electrodes": "V2R", "heart simulate-prior": "--networks",
@@ -52,7 +53,7 @@ def test_the_options_of_every_command(run, monkeypatch, command):
     "asked",
     ["fit default t.nc --out o", "predict . --out o", "compare . his-pacing intrinsic",
      "sweep . biventricular-pacing --out o --delay=-10:10:10", "report .",
-     "heart simulate-prior default", "locate default t.nc --out o"],
+     "heart simulate-prior default", "locate default t.nc --out o", "states default t.nc"],
 )  # fmt: skip
 def test_what_simulates_many_networks_may_do_so_on_a_cluster(refused, asked):
     refused([*asked.split(), "--scheduler", "here"], "'here' is not an address of a Dask scheduler")
@@ -138,6 +139,27 @@ def test_log_holds_what_was_said_with_times(run, refused, heart, tmp_path):
     assert said[0].startswith("fascicle simulate ")
     assert said[1 : 1 + len(shown.splitlines())] == shown.splitlines()
     assert said[-1].startswith("error: --cv")
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ("nowhere t.nc", "nowhere: no such heart folder"),
+        ("default none.nc", "none.nc: no such file"),
+        ("default notes.txt", "notes.txt: "),
+        ("default t.nc", "t.nc: not a readable netCDF file"),
+    ],
+)
+def test_states_refuse_what_cannot_be_used(refused, run, tmp_path, monkeypatch, asked, words):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "notes.txt").write_text("nothing")
+    (tmp_path / "t.nc").write_text("nothing")
+    refused(["states", *asked.split()], words)
+    for option in ("--prior-simulations", "--workers"):
+        ended = run("states", "default", "t.nc", option, 0)
+        assert (ended.status, ended.out) == (2, "")
+        assert option in ended.err
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["notes.txt", "t.nc"]
 
 
 def test_the_file_of_a_scenario_is_printed(run, refused, tmp_path):

@@ -6,7 +6,7 @@ import re
 import pytest
 import xarray as xr
 
-from fascicle.core.parameters import NETWORK_SPACE
+from fascicle.core.parameters import HUMAN_SPACE, NETWORK_SPACE
 from fascicle.core.quantities import QUANTITIES
 from fascicle.study.study import Study
 
@@ -23,6 +23,9 @@ def test_every_quantity_is_listed(run):
         if "_fascicle_" not in name:
             assert name in ended.out
             assert known.meaning.split()[0] in ended.out
+    usual = ended.out.partition("By default a fit learns")[2].partition("Groups")[0]
+    for parameter in HUMAN_SPACE.parameters:
+        assert re.search(rf"{parameter.name} .*{parameter.lower:g} to {parameter.upper:g}\b", usual)
 
 
 def test_fixed_in_a_simulation(run, outside):
@@ -34,6 +37,21 @@ def test_fixed_in_a_simulation(run, outside):
 
 
 @pytest.mark.parametrize(
+    ("name", "other"),
+    [
+        ("interventricular_delay", "root_time"), ("lv_fascicle_direction_1", "lv_fascicle_angle_1"),
+    ],
+)  # fmt: skip
+def test_what_stands_for_another_is_simulated_in_its_place(run, outside, name, other):
+    out = outside / "sim"
+    ended = run("simulate", "default", "--fix", f"{name}=0.5", "--out", out)
+    assert ended.status == 0, ended.err
+    inputs = json.loads((out / "summary.json").read_text())["inputs"]["parameters"]
+    assert inputs[name] == 0.5
+    assert other not in inputs
+
+
+@pytest.mark.parametrize(
     ("options", "words"),
     [
         (["--fix", "alpha"], "--fix alpha: not a name and a number"),
@@ -41,6 +59,7 @@ def test_fixed_in_a_simulation(run, outside):
         (["--fix", "alpha=0.1", "--fix", "alpha=0.2"], "given twice"),
         (["--cv", "3", "--fix", "cv=2"], "given twice"),
         (["--fix", "cv=200"], "--fix cv=200: parameter 'cv' is 200 mm/ms; give"),
+        (["--fix", "alpha=0.1", "--fix", "fibre_speed=0.6"], "say the same; give one"),
     ],
 )
 def test_wrong_fixes_of_a_simulation(refused, outside, options, words):
@@ -52,10 +71,12 @@ def target(tmp_path_factory, default_model):
     import numpy as np
 
     from examples.recover_known_network import synthetic_target
-    from fascicle.core.parameters import EXAMPLE_PARAMETERS
     from fascicle.recording.target_files import write_target
 
-    leads = default_model.simulate(EXAMPLE_PARAMETERS).leads
+    # in the middle of the prior, which the fits of a posterior look at
+    human = HUMAN_SPACE.from_unit(np.full(len(HUMAN_SPACE), 0.5))
+    human |= {"interventricular_delay": 7.5, "rv_source": 0.35, "axial_source": 0.25}
+    leads = default_model.simulate(human).leads
     path = tmp_path_factory.mktemp("target") / "target.nc"
     write_target(synthetic_target(leads, np.random.default_rng(0)), path)
     return path
@@ -66,14 +87,17 @@ class TestFit:
         config = json.loads((out / "study.json").read_text())
         return [p["name"] for p in config["space"]], config
 
-    def test_alpha_is_learnt_unless_it_is_fixed(self, run, outside, target):
-        options = ["--fix", "alpha=0.06", "--free", "gain"]
-        assert run("fit", "default", target, "--out", outside / "b", *SMALL, *options).status == 0
+    def test_the_speed_is_learnt_unless_it_is_fixed(self, run, outside, target):
+        options = ["--fix", "fibre_speed=0.6", "--free", "gain"]
+        ended = run("fit", "default", target, "--out", outside / "b", *SMALL, *options)
+        assert ended.status == 0, ended.err
         names, config = self.space(outside / "b")
-        assert names == [*NETWORK_SPACE.names, "gain"]
-        assert config["fixed"] == {"alpha": 0.06}
+        assert names == [*(n for n in HUMAN_SPACE.names if n != "fibre_speed"), "gain"]
+        assert config["fixed"] == {"fibre_speed": 0.6}
+        assert config["mapped"] is True
         written = (outside / "b" / "networks" / "best" / "parameters.toml").read_text()
-        assert "alpha = 0.06" in written
+        assert "fibre_speed = 0.6" in written
+        assert "alpha" not in written
 
     def test_settings_file_and_options_over_it(self, run, outside, target):
         settings = outside / "study.toml"

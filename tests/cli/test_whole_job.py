@@ -19,6 +19,7 @@ from matplotlib import pyplot
 import fascicle
 from benchmarks.fits import demo_recording
 from fascicle.core.leads import LEADS
+from fascicle.core.parameters import HUMAN_SPACE
 from fascicle.forward.loss import align
 from fascicle.heart.sites import SEGMENTS
 from fascicle.purkinje.growth import GrowthRules
@@ -43,7 +44,7 @@ def study(target, tmp_path_factory):
 def test_study_folder_holds_what_is_promised(study):
     folder = study.folder
     posterior = az.from_netcdf(folder / "posterior.nc")
-    assert set(posterior.posterior.data_vars) == {*fascicle.NETWORK_SPACE.names, "alpha"}
+    assert set(posterior.posterior.data_vars) == {*HUMAN_SPACE.names}
     assert posterior.posterior["cv"].attrs["units"] == "mm/ms"
     assert posterior.posterior["cv"].shape == (2, len(study.population) / 2)
     assert set(posterior.prior.data_vars) == set(posterior.posterior.data_vars)
@@ -72,6 +73,12 @@ def test_study_folder_holds_what_is_promised(study):
     assert summary["qrs_duration_ms"] != summary["global_qrs_duration_ms"]
     found = agreement(target, study.networks()).content()
     assert {name: summary[name] for name in found} == found
+    times = summary["statements"]["sequence"]  # of its networks, beside mapped hearts
+    assert times == study.statements.sequence != []
+    assert times[0].startswith("first activated: ")
+    mapped = [study.simulator.model.surfaces.sequence(n.simulation.activation).is_mapped
+              for n in study.networks()]  # fmt: skip
+    assert np.mean(mapped) == study.checks.sequence.mapped
     assert summary["statements"] == json.loads(json.dumps(study.statements.content()))
     apart = replace(study, population=replace(study.population, converged=False))
     assert apart.statements.content()["parameters"] == []  # nothing, of what has not converged

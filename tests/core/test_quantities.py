@@ -12,17 +12,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fascicle.core.errors import InputError, ValueRefusedError
-from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE, complete
+from fascicle.core.parameters import (
+    EXAMPLE_PARAMETERS,
+    HUMAN_SPACE,
+    NETWORK_SPACE,
+    complete,
+    human_space,
+)
 from fascicle.core.quantities import (
     QUANTITIES,
     Changes,
     Quantity,
+    check_not_twice,
     checked,
     declare,
     fascicle_names,
     fascicles,
     quantity,
     region_labels,
+    stand_ins,
 )
 from fascicle.core.ranges import RANGES, digits
 from fascicle.forward.scenario_files import tables
@@ -56,6 +64,25 @@ def test_ranges_of_the_paper():
     assert ranges["rv_fascicle_length_2"] == (2.0, 50.0)
     assert ranges["lv_fascicle_angle_1"] == (-math.pi / 4, 3 * math.pi / 4)
     assert (ranges["root_time"], ranges["cv"]) == ((-75.0, 50.0), (2.0, 4.0))
+
+
+def test_fascicles_of_human_anatomy():
+    """Anterior, septal and posterior ones; of two on the left, none is septal."""
+    ranges = {p.name: (p.lower, p.upper) for p in HUMAN_SPACE.parameters}
+    assert len(ranges) == 15
+    for known in HUMAN_SPACE.parameters:
+        low, high = quantity(known.name).valid_range
+        assert low <= known.lower < known.upper <= high
+    anterior, septal, posterior = (ranges[f"lv_fascicle_direction_{k}"] for k in (1, 2, 3))
+    assert posterior[1] < 0 < anterior[0]
+    assert septal[0] == -septal[1]
+    two = {p.name: (p.lower, p.upper) for p in human_space(lv=2).parameters}
+    assert two["lv_fascicle_direction_2"] == posterior
+    assert two["lv_fascicle_length_2"] == ranges["lv_fascicle_length_3"]
+    for lv, rv in ((1, 1), (2, 3), (4, 4)):
+        names = human_space(lv, rv).names
+        assert (fascicles("lv", names), fascicles("rv", names)) == (lv, rv)
+        assert len({*names}) == len(names) == 5 + 2 * (lv + rv)
 
 
 @given(st.sampled_from(sorted(QUANTITIES)), ANY)
@@ -102,10 +129,12 @@ def test_regions_are_known_by_label():
 def test_fascicles_are_counted_and_complete():
     assert fascicles("lv", EXAMPLE_PARAMETERS) == 2
     assert fascicles("rv", fascicle_names("rv", 4)) == 4
+    assert fascicles("lv", HUMAN_SPACE.names) == 3  # directions stand for angles
     for names, missing in (
         (["lv_fascicle_length_1"], "lv_fascicle_angle_1"),
         (["lv_fascicle_length_2", "lv_fascicle_angle_2"], "lv_fascicle_length_1"),
         (["cv"], "lv_fascicle_length_1"),
+        (["lv_fascicle_length_1", "lv_fascicle_direction_2"], "lv_fascicle_angle_1"),
     ):
         with pytest.raises(ValueRefusedError, match=missing):
             fascicles("lv", names)
@@ -115,6 +144,8 @@ def test_fascicles_are_counted_and_complete():
     ("more", "word"),
     [
         ({"lv_fascicles": 2}, "'lv_fascicles'"), ({"alpha": 0.1, "fibre_speed": 0.6}, "alpha"),
+        ({"interventricular_delay": 5.0}, "'root_time' and 'interventricular_delay' say the same"),
+        ({"lv_fascicle_direction_2": 0.0}, "'lv_fascicle_angle_2' and 'lv_fascicle_direction_2'"),
         ({"anterograde_delay": -1}, "-1 ms"), ({"generations": 2.5}, "whole number"),
         ({"gain": math.inf}, "inf"), ({"cv": 1e-9}, "is 1e-09 mm/ms; give 0.1 to 20 mm/ms"),
     ],
@@ -122,6 +153,27 @@ def test_fascicles_are_counted_and_complete():
 def test_impossible_networks_are_refused(more, word):
     with pytest.raises(ValueRefusedError, match=word):
         complete(EXAMPLE_PARAMETERS | more)
+
+
+def test_what_stands_for_another_takes_its_place():
+    pairs = (
+        ("alpha", "fibre_speed"), ("root_time", "interventricular_delay"),
+        ("lv_fascicle_angle_3", "lv_fascicle_direction_3"),
+    )  # fmt: skip
+    for one, other in pairs:
+        assert (stand_ins(one), stand_ins(other)) == ({other}, {one})
+        with pytest.raises(ValueRefusedError, match=f"'{other}' and '{one}' say the same; give"):
+            check_not_twice([other, "cv", one])
+    assert stand_ins("rv_fascicle_angle_1") == stand_ins("lv_fascicle_length_1") == set()
+    check_not_twice([*NETWORK_SPACE.names, "alpha"])
+    check_not_twice(["lv_fascicle_angle_1", "lv_fascicle_direction_2"])
+
+
+def test_a_delay_of_the_ventricles_needs_no_root_time():
+    rest = {name: value for name, value in EXAMPLE_PARAMETERS.items() if name != "root_time"}
+    assert "root_time" not in complete(rest | {"interventricular_delay": 5.0})
+    with pytest.raises(ValueRefusedError, match="missing parameters root_time; add them"):
+        complete(rest)
 
 
 def test_a_blocked_junction_is_possible():

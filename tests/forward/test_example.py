@@ -26,13 +26,14 @@ def test_on_the_packaged_heart_it_is_the_example(default_model):
 
 
 def test_that_of_the_subject_has_a_normal_ecg():
-    """Left middle septum first, no Q wave in V2 to V6, R waves that grow up to V5."""
+    """Left middle septum first, mapped sequence, no Q wave in V2 to V6, R waves that grow up to V5."""
     model = fascicle.ForwardModel(fascicle.load_heart("camps-dti004"))
     found = model.simulate(fascicle.example_parameters(model))
     heart, first = model.heart, found.activation.argmin()
     (elements,) = np.nonzero((heart.tetrahedra == first).any(axis=1))
     (most,) = Counter(model.sites.places.segment[elements]).most_common(1)
-    assert SEGMENTS[most[0] - 1] == "mid inferoseptal"
+    assert SEGMENTS[most[0] - 1] == "mid anteroseptal"
+    assert model.surfaces.sequence(found.activation).is_mapped
     away = [cKDTree(e.vertices).query(heart.vertices[first])[0] for e in heart.endocardia]
     assert away[0] < away[1]
     assert 80 <= found.global_qrs_duration <= 100

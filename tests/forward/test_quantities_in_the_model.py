@@ -10,11 +10,16 @@ import pytest
 
 import fascicle
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.core.parameters import EXAMPLE_PARAMETERS, HUMAN_SPACE
 from fascicle.core.quantities import QUANTITIES, Changes, fascicle_names
+from fascicle.forward.ecg.electrocardiogram import build_electrocardiograph
+from fascicle.forward.ecg.lead_field import nodal_gradients
 from fascicle.heart.conduction import Conduction, Region, share_below
+from fascicle.mesh.measures import barycentric_gradients
+from fascicle.torso.lead_fields import resolve_lead_fields
 
 CV = EXAMPLE_PARAMETERS["cv"]
+HUMAN = HUMAN_SPACE.from_unit(np.full(len(HUMAN_SPACE), 0.5))
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +54,106 @@ def test_fibre_speed_stands_for_alpha(default_model):
     alpha = 0.05 * 0.9 / Conduction().speeds[0]
     by_alpha = default_model.simulate(EXAMPLE_PARAMETERS | {"alpha": alpha})
     np.testing.assert_allclose(by_speed.activation, by_alpha.activation, rtol=1e-12)
+
+
+def first_arrival(simulation, side):
+    """When a tree's own front reaches the first of its junctions (ms)."""
+    tree, times = simulation.trees[side], simulation.coupled.trees[side]
+    return times[tree.junctions].min()
+
+
+@pytest.mark.parametrize("delay", [-40.0, -3.0, 0.0, 7.5, 30.0])
+def test_the_interventricular_delay_is_between_first_junctions(default_model, delay):
+    """Where nothing comes back from the tissue; whatever the ways from the roots are."""
+    alone = {"retrograde_delay": np.inf, "interventricular_delay": delay}
+    for values in (HUMAN | alone, HUMAN | alone | {"lv_initial_length": 18.0, "cv": 1.7}):
+        found = default_model.simulate(values)
+        left, right = (first_arrival(found, side) for side in (0, 1))
+        assert right - left == pytest.approx(delay, abs=1e-9)
+        roots = [times[t.root] for t, times in zip(found.trees, found.coupled.trees, strict=True)]
+        assert min(roots) == 0
+        of_root = default_model.with_root_time(values)
+        assert of_root["root_time"] == pytest.approx(roots[1] - roots[0], abs=1e-9)
+        again = default_model.simulate(of_root)
+        np.testing.assert_allclose(again.activation, found.activation, rtol=1e-12)
+
+
+def test_a_delay_of_trees_that_are_given(default_model):
+    trees = default_model.grow(EXAMPLE_PARAMETERS)
+    found = default_model.activate(
+        trees, cv=CV, interventricular_delay=12.0, retrograde_delay=np.inf
+    )
+    assert first_arrival(found, 1) - first_arrival(found, 0) == pytest.approx(12.0, abs=1e-9)
+    with pytest.raises(InputError, match="missing parameter root_time; add it"):
+        default_model.activate(trees, cv=CV)
+    with pytest.raises(InputError, match="missing parameter cv; add it"):
+        default_model.activate(trees, 3.0)
+
+
+def test_a_bundle_that_does_not_fit_has_no_root_time(default_model):
+    long = default_model.with_root_time(HUMAN | {"lv_initial_length": 300.0})
+    assert isinstance(long, fascicle.InvalidTree)
+
+
+def test_sources_along_fibres_are_those_of_intracellular_anisotropy(default_model, plain):
+    """Without them, the ECG of a heart that is isotropic inside, with the same lead fields."""
+    found = default_model.simulate(EXAMPLE_PARAMETERS | {"axial_source": 0.0})
+    np.testing.assert_array_equal(found.activation, plain.activation)
+    heart, own = default_model.heart, default_model.conduction
+    fields = np.asarray(resolve_lead_fields(heart, own, None).values)
+    gradients = barycentric_gradients(heart.vertices, heart.tetrahedra)
+    isotropic = replace(own, intracellular_l=own.intracellular_t)
+    ecg = build_electrocardiograph(
+        heart.tetrahedra, gradients, heart.volumes, isotropic.intracellular(heart.fibres),
+        nodal_gradients(fields, heart.tetrahedra, gradients), default_model.action_potential,
+    )  # fmt: skip
+    expected = ecg.leads(plain.activation)
+    assert np.abs(found.leads - expected).max() < 1e-6 * np.abs(expected).max()
+    assert np.abs(found.leads - plain.leads).max() > 0.1 * np.abs(plain.leads).max()
+    half = default_model.simulate(EXAMPLE_PARAMETERS | {"axial_source": 0.5})
+    middle = (found.leads + plain.leads) / 2  # the ECG is linear in its sources
+    assert np.abs(half.leads - middle).max() < 1e-6 * np.abs(plain.leads).max()
+
+
+def test_sources_of_the_right_free_wall(default_model, plain):
+    """Without them, the ECG of the rest; with half of them, the mean."""
+    ecg, wall = default_model.electrocardiograph, default_model.surfaces.rv_wall
+    rest = ecg.scaled(np.where(wall, 0.0, 1.0)).leads(plain.activation)
+    none = default_model.with_sources(ecg, {"rv_source": 0.0})
+    assert (none.weights[wall] == 0).all()
+    np.testing.assert_array_equal(none.weights[~wall], ecg.weights[~wall])
+    largest = np.abs(plain.leads).max()
+    assert np.abs(none.leads(plain.activation) - rest).max() < 1e-6 * largest
+    half = default_model.simulate(EXAMPLE_PARAMETERS | {"rv_source": 0.5})
+    np.testing.assert_array_equal(half.activation, plain.activation)
+    assert np.abs(half.leads - (rest + plain.leads) / 2).max() < 1e-6 * largest
+    assert np.abs(rest - plain.leads).max() > 0.05 * largest
+    both = default_model.simulate(EXAMPLE_PARAMETERS | {"rv_source": 0.5, "axial_source": 0.2})
+    axial = default_model.simulate(EXAMPLE_PARAMETERS | {"axial_source": 0.2}).leads
+    without = default_model.with_sources(ecg, {"rv_source": 0.0, "axial_source": 0.2})
+    middle = (without.leads(plain.activation) + axial) / 2
+    assert np.abs(both.leads - middle).max() < 1e-6 * largest
+
+
+def test_sources_of_a_heart_with_scar_are_of_what_conducts(default_heart):
+    centre = tuple(default_heart.rv.vertices[100].tolist())
+    model = fascicle.ForwardModel(
+        replace(default_heart, folder=None),
+        Conduction(regions=(Region(0.0, centre=centre, radius=15.0),)),
+    )
+    scarred = model.conduction.scale(default_heart) == 0
+    assert 0 < scarred.sum() < len(scarred)
+    ecg = model.electrocardiograph
+    found = model.with_sources(ecg, {"rv_source": 0.25})
+    ratio = np.abs(found.weights).max(axis=(1, 2)) / np.abs(ecg.weights).max(axis=(1, 2))
+    expected = np.where(model.surfaces.rv_wall[~scarred], 0.25, 1.0)
+    np.testing.assert_allclose(ratio, expected, rtol=1e-6)
+
+
+def test_usual_sources_change_nothing(default_model, plain):
+    ecg = default_model.electrocardiograph
+    assert default_model.with_sources(ecg, {"rv_source": 1.0}) is ecg
+    assert default_model.with_sources(ecg, {"cv": 2.0}) is ecg
 
 
 def test_gain_scales_the_ecg_alone(default_model, plain):

@@ -84,7 +84,8 @@ def test_what_is_learnt_is_not_fixed_as_well(made, default_heart):
     fitted = made(given)
     known = {name: text for _, name, text in learnt(fitted.study.config)}
     fixed = {name: text for _, name, text in held(fitted) if name}
-    assert known["alpha"] == "uniform, 0.04 to 0.12 cm/ms √(cm/mS)"
+    assert known["fibre_speed"] == "uniform, 0.4 to 0.8 mm/ms"
+    assert not {"alpha", "root_time"} & (known.keys() | fixed.keys())
     assert known["gain"] == "uniform, 0.5 to 2"
     assert not known.keys() & fixed.keys()
     assert known.keys() | fixed.keys() <= QUANTITIES.keys()
@@ -96,9 +97,11 @@ def test_what_is_learnt_is_not_fixed_as_well(made, default_heart):
 
 
 def test_a_speed_that_stands_for_alpha_leaves_no_alpha(made):
-    names = [name for _, name, _ in held(made({"fibre_speed": 0.7}))]
-    assert "fibre_speed" in names
-    assert "alpha" not in names
+    for fixed, other in (("fibre_speed", "alpha"), ("alpha", "fibre_speed")):
+        fitted = made({fixed: 0.07})
+        names = [name for _, name, _ in (*held(fitted), *learnt(fitted.study.config))]
+        assert fixed in names
+        assert other not in names
 
 
 def test_recordings_by_name(made):
@@ -141,6 +144,15 @@ def test_the_target_s_command_makes_it_again(command, tmp_path, monkeypatch):
                 "alpha": {"prior": "log-normal", "median": 0.07, "sd": 0.2},
                 "root_time": {"lower": -120.0, "upper": 0.0},
                 "anterograde_delay": float("inf"),
+            },
+            {},
+        ),
+        (
+            {
+                "lv_fascicles": 2,
+                "lv_fascicle_angle_2": "free",
+                "rv_source": "free",
+                "interventricular_delay": {"lower": 3.0, "upper": 12.0},
             },
             {},
         ),

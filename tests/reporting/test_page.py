@@ -345,6 +345,19 @@ def test_everything_that_cannot_be_relied_on_is_marked():
     assert Caution.NOT_CONVERGED.text not in inputs
 
 
+def test_the_sequence_of_activation_is_among_the_answers():
+    """Beside mapped hearts; marked where it cannot be relied on, and left out of the paper's."""
+    lines = ["first activated: left septum 90%", "last activation: 75 ms (mapped hearts <100)"]
+    text = page(sequence=lines)
+    answer = text[text.index('<section id="answer"') : text.index('<section id="ecg"')]
+    assert "<li>first activated: left septum 90%</li>" in answer
+    assert "&lt;100)</li>" in answer
+    assert "Sequence of activation" not in page(sequence=[])
+    marked = page(sequence=lines, caution=Caution.UNMAPPED)
+    assert '<ul class="doubted"><li>first activated' in marked
+    assert Caution.UNMAPPED.text in marked
+
+
 def test_numbers_of_an_ecg_stand_in_its_tables():
     ecg = {
         "source": "", "text": "the ECG", "leads": [("V1", 0.834, 0.912)],

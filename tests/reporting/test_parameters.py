@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from fascicle.core.parameters import NETWORK_SPACE, Parameter, ParameterSpace
+from fascicle.core.parameters import HUMAN_SPACE, NETWORK_SPACE, Parameter, ParameterSpace
 from fascicle.core.quantities import parameter_name
 from fascicle.reporting.names import MEASURES, index_name
 from fascicle.reporting.parameters import draw_convergence, pair_figure, prior_figure
@@ -37,8 +37,9 @@ def test_names_of_indices(index, name):
 
 
 def test_names_of_parameters_and_measures():
-    names = {parameter_name(name) for name in NETWORK_SPACE.names}
-    assert len(names) == len(NETWORK_SPACE)
+    every = {*NETWORK_SPACE.names, *HUMAN_SPACE.names}
+    names = {parameter_name(name) for name in every}
+    assert len(names) == len(every)
     assert {
         "LV bundle length", "RV fascicle\N{NO-BREAK SPACE}2 angle", "Purkinje conduction velocity",
         "RV–LV activation delay",

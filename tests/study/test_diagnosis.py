@@ -10,13 +10,23 @@ from builders import recorded
 
 import fascicle
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import ParameterSpace, free
+from fascicle.core.leads import INDEPENDENT_LEADS, limb_leads_from
+from fascicle.core.parameters import HUMAN_SPACE, ParameterSpace, free
 from fascicle.core.quantities import CONDUCTION, fascicle_names
+from fascicle.forward.simulation import Simulation
 from fascicle.prediction.scenarios import prior_networks
+from fascicle.recording.target import smooth_noise
 from fascicle.reporting.page.content import settings_file
 from fascicle.reporting.study import drawings
 from fascicle.study import ecg_classifier, prior_simulations, state_classifier
-from fascicle.study.conduction_states import STATES, asked_states, united
+from fascicle.study.conduction_states import (
+    KNOWN_STATES,
+    PREVALENCE,
+    STATES,
+    asked_states,
+    states_of,
+    united,
+)
 from fascicle.study.diagnosis import _apportioned, most_probable
 from fascicle.study.fit import read_inputs
 from fascicle.study.heart_emulator import emulator_of
@@ -24,18 +34,28 @@ from fascicle.study.pool import Threads
 from fascicle.study.settings import checked_settings
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import AveragedOver, read_settings, study_space
-from fascicle.study.state_classifier import classifier_of, probabilities, simulations_of_states
+from fascicle.study.state_classifier import (
+    NoStateNamed,
+    classifier_of,
+    probabilities,
+    simulations_of_states,
+    state_probabilities,
+)
 from fascicle.study.statements import Statements
 
 BLOCK = "left bundle branch block"
 PRIORS = {"normal": 0.6, BLOCK: 0.4}
+TOGETHER = (3.0, 12.0)  # ms; interventricular delays of mapped hearts
+# In the middle of the prior
+NETWORK = HUMAN_SPACE.from_unit(np.full(len(HUMAN_SPACE), 0.5)) | {
+    "interventricular_delay": 7.5, "rv_source": 0.35, "axial_source": 0.25,
+}  # fmt: skip
 SETTINGS = {"prior_simulations": 100, "effective": 20, "workers": 2, "progress": None}
 
 
 @pytest.fixture(scope="module")
 def target(default_model):
-    parameters = {**fascicle.EXAMPLE_PARAMETERS, "alpha": 0.07, "conduction": BLOCK}
-    return recorded(default_model.simulate(parameters))
+    return recorded(default_model.simulate(NETWORK | {"conduction": BLOCK}))
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +102,9 @@ def test_a_study_is_read_back_and_fitted_again_as_it_is(fitted, target):
 def test_the_study_of_a_state_is_one_of_its_own(fitted):
     alone = fascicle.load_study(fitted.folder / "states" / "left-bundle-branch-block", None)
     assert alone.simulator.fixed == {"conduction": 1.0}
-    assert (np.abs(alone.population.values["root_time"]) <= 20).all()
+    delays = alone.population.values["interventricular_delay"]
+    assert ((delays >= TOGETHER[0]) & (delays <= TOGETHER[1])).all()
+    assert not alone.simulator.mapped
 
 
 def test_predictions_keep_the_block(fitted):
@@ -97,8 +119,13 @@ def test_networks_of_the_prior_are_of_all_states(fitted, monkeypatch):
     monkeypatch.setattr("fascicle.prediction.scenarios.PRIOR_NETWORKS", 30)
     networks = prior_networks(fitted)
     blocked = [network.parameters.get("conduction", 0.0) == 1.0 for network in networks]
-    assert 0.15 < np.mean(blocked) < 0.65
-    assert all(abs(network.parameters["root_time"]) <= 20 for network in networks)
+    assert 0.15 < np.mean(blocked) < 0.65  # 0.4, though few of the normal ones are kept
+    low, high = TOGETHER
+    assert all(low <= n.parameters["interventricular_delay"] <= high for n in networks)
+    surfaces = fitted.simulator.model.surfaces
+    sequences = [surfaces.sequence(n.simulation.activation) for n in networks]
+    mapped = [s.is_mapped for s, block in zip(sequences, blocked, strict=True) if not block]
+    assert np.mean(mapped) > 0.5
 
 
 def test_the_settings_file_of_the_report_repeats_it(fitted, target, tmp_path):
@@ -110,10 +137,33 @@ def test_the_settings_file_of_the_report_repeats_it(fitted, target, tmp_path):
     assert inputs.config == config
 
 
-def test_a_root_time_without_effect_is_not_called_constrained(fitted):
+@pytest.mark.parametrize(
+    ("parameters", "mapped"),
+    [
+        ({}, False),
+        ({"conduction": "normal"}, True),
+        ({"conduction": "normal", "lv_fascicles": 2, "rv_fascicles": 3}, True),
+        ({"conduction": "right bundle branch delay", "fibre_speed": 0.5}, False),
+        ({"conduction": "left anterior fascicular block"}, False),
+        ({"root_time": -60.0}, False),
+    ],
+)
+def test_a_settings_file_gives_the_same_study(target, tmp_path, parameters, mapped):
+    """Of one state as well, of which there is nothing to fix if it is normal."""
+    first = read_inputs("default", target, parameters, checked_settings({})).config
+    assert first.mapped == mapped
+    (tmp_path / "settings.toml").write_text("\n".join(settings_file(first)))
+    read = read_settings(tmp_path / "settings.toml")
+    again = read_inputs("default", target, read.pop("parameters"), checked_settings(read)).config
+    assert {p.name: p for p in again.space} == {p.name: p for p in first.space}
+    unordered = {"space": (), "workers": 1}
+    assert again.model_copy(update=unordered) == first.model_copy(update=unordered)
+
+
+def test_a_delay_without_effect_is_not_called_constrained(fitted):
     """The prior of the states that are left, which is narrower than that of all."""
-    (root_time,) = (p for p in fitted.statements.parameters if p.name == "root_time")
-    assert root_time.contraction < 0.5
+    said = {p.name: p for p in fitted.statements.parameters}
+    assert said["interventricular_delay"].contraction < 0.5
     read = fascicle.load_study(fitted.folder, None).statements.parameters
     assert [str(p) for p in read] == [str(p) for p in fitted.statements.parameters]
 
@@ -147,8 +197,9 @@ def test_what_the_ecg_cannot_tell_apart_is_said(fitted):
     states = {BLOCK: 0.6, "left bundle branch delay": 0.3, "normal": 0.1, "other": 0.001}
     population = replace(fitted.population, states=states)
     assert Statements(replace(fitted, population=population)).states == (
-        "left bundle branch block: 0.60, left bundle branch delay: 0.30, normal: 0.10, others "
-        "below 0.02 (block and delay of the left bundle branch give much the same ECG)"
+        "left bundle branch block: 0.60, left bundle branch delay: 0.30, normal or fascicular "
+        "block: 0.10, others below 0.02 (block and delay of the left bundle branch give much the "
+        "same ECG)"
     )
 
 
@@ -162,16 +213,34 @@ def test_states_are_learnt_of_one_intrinsic_beat_unless_something_speaks_against
     assert sum(learnt(target, {}).values()) == pytest.approx(1)
     assert learnt(target, {"conduction": "normal"}) == {}
     assert learnt(target, {"root_time": -60.0}) == {}
+    assert learnt(target, {"interventricular_delay": "free"}) == {}
     assert learnt([target, target], {}) == {}
     assert learnt(target, {}, likelihoods=[None]) == {}
     assert learnt(replace(target, earliest_onset=target.qrs_onset), {}) == {}
 
 
-def test_normal_alone_has_the_usual_root_times(target):
-    inputs = read_inputs("default", target, {"conduction": "normal"}, checked_settings({}))
-    (root_time,) = (p for p in inputs.config.space if p.name == "root_time")
-    assert (root_time.lower, root_time.upper) == (-75.0, 50.0)
-    assert inputs.config.fixed == {}
+def of_one_state(target, parameters):
+    config = read_inputs("default", target, parameters, checked_settings({})).config
+    return config, {p.name: (p.lower, p.upper) for p in config.space}
+
+
+def test_normal_alone_is_activated_as_mapped_hearts_are(target):
+    """Unless root times are asked for, of which mapped hearts say nothing."""
+    normal = {"conduction": "normal"}
+    config, ranges = of_one_state(target, normal)
+    assert ranges["interventricular_delay"] == TOGETHER
+    assert (config.fixed, config.states, config.mapped) == ({}, {}, True)
+    config, ranges = of_one_state(target, normal | {"root_time": "free"})
+    assert ranges["root_time"] == (-20.0, 20.0)
+    assert "interventricular_delay" not in ranges
+    assert not config.mapped
+    config, ranges = of_one_state(target, normal | {"interventricular_delay": 5.0})
+    assert config.fixed == {"interventricular_delay": 5.0}
+    assert config.mapped
+    with pytest.raises(InputError, match="the ranges exclude what was asked"):
+        of_one_state(target, normal | {"interventricular_delay": 30.0})
+    assert not of_one_state(target, {"conduction": "right bundle branch delay"})[0].mapped
+    assert not of_one_state(target, {"interventricular_delay": "free"})[0].mapped
 
 
 def test_the_packaged_heart_brings_the_emulators_of_all_states(default_model, tmp_path):
@@ -180,7 +249,9 @@ def test_the_packaged_heart_brings_the_emulators_of_all_states(default_model, tm
     for state in STATES:
         own, its = state.narrowed(space, fixed), fixed | state.blocks
         averaged = AveragedOver.of(own, its, default_model.heart)
-        simulator = PointSimulator(default_model, own, its, averaged=averaged)
+        mapped = state.is_mapped({*own.names, *its})
+        assert mapped == (state.name == "normal")
+        simulator = PointSimulator(default_model, own, its, averaged=averaged, mapped=mapped)
         emulator = emulator_of(simulator, 8000, tmp_path)
         assert emulator.report["r_squared"] > 0.6
     assert not [*tmp_path.iterdir()]
@@ -192,8 +263,8 @@ def test_one_state_is_a_study_of_it(target, tmp_path):
     found = fascicle.fit("default", target, tmp_path / "study", parameters=given, **SETTINGS)
     assert found.population.states == {}
     assert found.simulator.fixed == {}
-    times = found.population.values["root_time"]
-    assert times.min() >= 20
+    times = found.population.values["interventricular_delay"]
+    assert times.min() >= 15
 
 
 @pytest.mark.parametrize(
@@ -202,6 +273,7 @@ def test_one_state_is_a_study_of_it(target, tmp_path):
         ({}, "'conduction': nothing; give a prior above 0 for each of some of normal, left"),
         ({"normal": 0.0}, r"\['normal'\]; give a prior above 0"),
         ({"block": 0.5}, r"\['block'\]; give a prior above 0"),
+        ({"left anterior fascicular block": 0.5}, r"\['left anterior .*'\]; give a prior above 0"),
         ("block", "'block'; 'fascicle parameters' lists the names"),
         (12, "12"),
     ],
@@ -219,22 +291,39 @@ def test_the_method_of_the_paper_knows_no_states(target, tmp_path):
 
 
 def named(name):
-    return next(state for state in STATES if state.name == name)
+    return next(state for state in KNOWN_STATES if state.name == name)
+
+
+def test_six_states_are_told_apart_and_all_are_known():
+    """Fascicular blocks belong to normal, and can still be asked for alone."""
+    assert [state.name for state in asked_states("free")] == [*PREVALENCE]
+    assert sum(state.probability for state in STATES) == pytest.approx(1)
+    assert len(STATES) == 6
+    assert {*CONDUCTION} == {state.name for state in KNOWN_STATES}
+    assert len(KNOWN_STATES) == 9
+    (fascicular,) = asked_states("left posterior fascicular block")
+    assert fascicular.blocks == {"conduction": CONDUCTION.index(fascicular.name)}
+    assert [s.probability for s in states_of({"normal": 0.2, fascicular.name: 0.8})] == [0.2, 0.8]
 
 
 def test_states_have_ranges_of_their_own(default_heart):
     space, fixed = study_space("posterior", {}, default_heart)
     mixed = united(space, fixed, {state.name: state.probability for state in STATES})
     ends = {p.name: (p.lower, p.upper) for p in mixed.parameters}
-    assert ends["root_time"] == (-75.0, 50.0)
-    assert ends["alpha"] == (0.02, 0.12)
-    assert ends["cv"] == (1.0, 4.0)
+    assert ends["interventricular_delay"] == (-40.0, 40.0)
+    assert ends["fibre_speed"] == (0.2, 0.8)
+    assert ends["cv"] == (1.0, 3.5)
     assert mixed.parameters[0] == space.parameters[0]
     draws = mixed.columns(np.random.default_rng(0).random((20_000, len(mixed))))
-    assert (np.abs(draws["root_time"]) <= 20).mean() == pytest.approx(7 / 9, abs=0.01)
-    assert (draws["alpha"] < 0.04).mean() == pytest.approx(1 / 9, abs=0.01)
+    delays, slow = draws["interventricular_delay"], PREVALENCE["intraventricular delay"]
+    late = {side: PREVALENCE[f"{side} bundle branch delay"] for side in ("left", "right")}
+    together = (delays >= TOGETHER[0]) & (delays <= TOGETHER[1])
+    assert together.mean() == pytest.approx(1 - sum(late.values()), abs=0.006)
+    assert (delays < 0).mean() == pytest.approx(late["left"], abs=0.003)
+    assert (delays > TOGETHER[1]).mean() == pytest.approx(late["right"], abs=0.006)
+    assert (draws["fibre_speed"] < 0.4).mean() == pytest.approx(slow, abs=0.005)
     named_so = {p.name: p for p in mixed.parameters}
-    for name in ("root_time", "alpha", "cv"):
+    for name in ("interventricular_delay", "fibre_speed", "cv"):
         shares = named_so[name].to_unit(draws[name])
         assert np.histogram(shares, 5, (0, 1))[0] == pytest.approx([4000] * 5, rel=0.05)
 
@@ -245,17 +334,28 @@ def test_what_is_asked_for_excludes_states():
     assert named("left bundle branch delay").narrowed(late, {}) is None
     narrowed = named("right bundle branch delay").narrowed(late, {})
     assert [(p.lower, p.upper) for p in narrowed.parameters[:2]] == [(20.0, 30.0), (2.0, 4.0)]
+    for asked, range_ in (
+        ({"lower": 10.0, "upper": 30.0}, (15.0, 30.0)), ({"lower": -75.0, "upper": 60.0}, (15, 40))
+    ):  # fmt: skip
+        delay = ParameterSpace((free("interventricular_delay", **asked), *late.parameters[1:]))
+        narrowed = named("right bundle branch delay").narrowed(delay, {}).parameters[0]
+        assert (narrowed.lower, narrowed.upper) == range_
+        left = named("left bundle branch delay").narrowed(delay, {})
+        assert (left is None) == (asked["lower"] == 10.0)
     rest = ParameterSpace(late.parameters[1:])
     assert named("normal").narrowed(rest, {"root_time": -30.0}) is None
+    assert named("normal").narrowed(rest, {"interventricular_delay": 2.0}) is None
+    assert named("normal").narrowed(rest, {"interventricular_delay": 3.0}) is not None
     one = ParameterSpace(tuple(map(free, fascicle_names("lv", 1))))
     assert named("left anterior fascicular block").narrowed(one, {}) is None
 
 
 def test_a_known_speed_excludes_slow_tissue(default_heart, target):
-    heart = replace(default_heart, values={"alpha": 0.07}, folder=None)
-    states = read_inputs(heart, target, {"conduction": "free"}, checked_settings({})).config.states
-    assert len(states) == len(STATES) - 1
-    assert "intraventricular delay" not in states
+    for known in ({"fibre_speed": 0.6}, {"alpha": 0.07}):
+        heart = replace(default_heart, values=known, folder=None)
+        free = {"conduction": "free"}
+        states = read_inputs(heart, target, free, checked_settings({})).config.states
+        assert {*states} == {*PREVALENCE} - {"intraventricular delay"}
     slow = {"conduction": "intraventricular delay"}
     with pytest.raises(InputError, match="the heart's values or the ranges exclude what was asked"):
         read_inputs(heart, target, slow, checked_settings({}))
@@ -285,23 +385,69 @@ def test_one_intrinsic_beat_is_wanted(target, tmp_path):
         fascicle.fit("default", both, tmp_path / "s", parameters=free)
 
 
-def test_states_share_simulations_or_have_their_own(default_model, tmp_path):
+def test_states_have_simulations_of_their_own(default_model, tmp_path):
+    """Those of the usual priors, where they are of what is asked for."""
     space, fixed = study_space("posterior", {}, default_model.heart)
     known = simulations_of_states(PointSimulator(default_model, space, fixed), tmp_path, 2000)
     assert [*known] == [state.name for state in STATES]
-    usual = known["normal"].prior.content
-    assert known["left bundle branch delay"].prior.content == usual
-    assert known["normal"].count == 2000
-    assert known[BLOCK].prior.content != usual
-    assert known[BLOCK].count == 1000
-    (root_time,) = (p for p in known[BLOCK].prior.space.parameters if p.name == "root_time")
-    assert (root_time.lower, root_time.upper) == (-20.0, 20.0)
+    usual = {name: each.prior.content for name, each in known.items()}
+    assert len({*usual.values()}) == len(STATES)
+    delays = {}
+    for name, each in known.items():
+        (delay,) = (p for p in each.prior.space.parameters if p.name == "interventricular_delay")
+        delays[name] = delay.lower, delay.upper
+        assert each.prior.fixed == named(name).blocks
+        assert each.prior.mapped == (name == "normal")
+        assert each.count == (2000 if name == "normal" else 1000)  # of which many are left out
+    assert delays.pop("left bundle branch delay") == (-40.0, -5.0)
+    assert delays.pop("right bundle branch delay") == (15.0, 40.0)
+    assert {*delays.values()} == {TOGETHER}
     first = space.parameters[0]
-    for upper, same in ((first.upper - 10, True), (first.upper + 10, False)):
+    for upper, same in ((first.upper - 5, True), (first.upper + 10, False)):
         asked = ParameterSpace((replace(first, upper=upper), *space.parameters[1:]))
         found = simulations_of_states(PointSimulator(default_model, asked, fixed), tmp_path, 2000)
-        assert (found["normal"].prior.content == usual) == same
-        assert (found["left bundle branch delay"].prior.content == usual) == same
+        for name, content in usual.items():
+            assert (found[name].prior.content == content) == same
+
+
+def test_states_of_a_recording_without_a_fit(target, default_model):
+    found = state_probabilities("default", target, progress=None)
+    assert not isinstance(found, NoStateNamed)
+    assert next(iter(found)) == "normal or fascicular block"
+    assert {*found} - {"normal or fascicular block"} == {*PREVALENCE} - {"normal"}
+    assert sum(found.values()) == pytest.approx(1)
+    left = BLOCK, "left bundle branch delay"
+    assert sum(found[name] for name in left) > 0.9
+    other = state_probabilities("default", target, {"normal": 1e6, BLOCK: 1.0}, progress=None)
+    assert {*other} == {"normal or fascicular block", BLOCK}
+    assert other[BLOCK] < found[BLOCK]
+    wide = default_model.simulate(NETWORK | {"conduction": "right bundle branch block"})
+    assert isinstance(wide, Simulation)
+    right = state_probabilities("default", recorded(wide), progress=None)
+    assert sum(right[f"right bundle branch {how}"] for how in ("block", "delay")) > 0.5
+
+
+def test_no_state_is_named_of_noise(target):
+    """It says what the classifier says all the same, and that this cannot be relied on."""
+    noise = smooth_noise(np.random.default_rng(3), target.beats.shape[1:], 0.5)
+    limb = limb_leads_from(INDEPENDENT_LEADS)
+    noise[:6] = limb[:, :2] @ noise[:2]
+    found = state_probabilities("default", replace(target, beats=target.beats * 0 + noise),
+                                progress=None)  # fmt: skip
+    assert isinstance(found, NoStateNamed)
+    assert found.reason.startswith("the recording is unlike all simulated ones of this heart (")
+    assert str(found) == f"no conduction state is named: {found.reason}"
+    assert found.unreliable.keys() == PREVALENCE.keys()
+    assert sum(found.unreliable.values()) == pytest.approx(1)
+
+
+def test_what_has_no_states_is_refused(target):
+    for given, words in (
+        ({"priors": {"block": 1.0}}, r"\['block'\]; give a prior above 0"),
+        ({"prior_simulations": 0}, "prior_simulations is 0"), ({"workers": 0}, "workers is 0"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=words):
+            state_probabilities("default", target, progress=None, **given)
 
 
 @pytest.mark.slow

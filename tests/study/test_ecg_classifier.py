@@ -1,24 +1,31 @@
 """A classifier of simulated recordings."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.fft import idct
+from scipy.spatial.distance import mahalanobis
 
 from fascicle.core.leads import INDEPENDENT_ROWS
 from fascicle.recording.target import Target
 from fascicle.study.ecg_classifier import (
     CHUNK,
+    FARTHEST,
     GAIN_SD,
     LENGTH,
     MODES,
     EcgClassifier,
     Lessons,
     Recorder,
+    Typical,
     in_cosines,
     in_leads,
     learn,
     most_alike,
 )
 from fascicle.study.prior_simulations import BEFORE
+from fascicle.study.state_classifier import unlike
 
 ROWS = np.array(INDEPENDENT_ROWS)
 
@@ -59,6 +66,74 @@ def test_it_is_stored_as_it_is(classifier):
     recordings = np.random.default_rng(1).normal(0, 1, (20, 8, MODES))
     np.testing.assert_allclose(
         again.of_cosines(recordings), classifier.of_cosines(recordings), atol=0.01
+    )
+    assert again.typical.farthest == classifier.typical.farthest
+    np.testing.assert_allclose(
+        distances(again, recordings), distances(classifier, recordings), rtol=1e-3
+    )
+    without = replace(classifier, typical=None).arrays()  # as those of origins are kept
+    assert not {"centre", "whitening", "farthest"} & without.keys()
+    assert EcgClassifier.from_arrays(without).typical is None
+
+
+MEANS = (-1.0, 0.0, 2.0)
+
+
+def distances(classifier, recordings):
+    return classifier.typical.distances(classifier.inputs(recordings))
+
+
+def test_distances_are_mahalanobis_s(classifier):
+    """Against SciPy's, of directions in the space of the inputs."""
+    seen = normal(np.random.default_rng(0), MEANS, 20_000).recordings
+    others = np.random.default_rng(6).normal(0, 0.3, (20, 8, MODES)).astype(np.float32)
+    among, apart = (
+        (each.reshape(len(each), -1) - classifier.mean) @ classifier.components.T / classifier.scale
+        for each in (seen, others)
+    )
+    among, apart = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in (among, apart))
+    inverse, middle = np.linalg.inv(np.cov(among.T)), among.mean(axis=0)
+    expected = [mahalanobis(one, middle, inverse) for one in apart] / np.sqrt(apart.shape[1])
+    np.testing.assert_allclose(distances(classifier, others), expected, rtol=0.01)
+
+
+def test_what_is_typical_whatever_its_size():
+    """Inputs that differ in few directions: others that do in all lie far."""
+    rng, sds = np.random.default_rng(7), 0.7 ** np.arange(12)
+    seen, held_out, again = (sds * rng.normal(size=(4000, 12)) for _ in range(3))
+    typical = Typical.of(seen, held_out)
+    assert (typical.distances(again) <= typical.farthest).mean() == pytest.approx(
+        FARTHEST, abs=0.01
+    )
+    assert (typical.distances(rng.normal(size=(500, 12))) > typical.farthest).mean() > 0.9
+    np.testing.assert_allclose(typical.distances(30 * again), typical.distances(again))
+    root_mean_square = np.sqrt((typical.distances(seen) ** 2).mean())
+    assert root_mean_square == pytest.approx(1, abs=1e-3)
+
+
+def target_of(cosines):
+    """A recording whose independent leads are these, in silence before and after."""
+    ecg = np.zeros((12, LENGTH))
+    ecg[ROWS] = idct(cosines, n=LENGTH, axis=1, norm="ortho")
+    time = np.arange(LENGTH) - float(BEFORE)
+    return Target(ecg[None], time, time[0] + BEFORE, time[-1], 60.0, {}, 4.0, 5.0)
+
+
+def test_what_is_unlike_all_simulated_recordings_is_said(classifier):
+    """Of one pulse in all leads, with some noise; other noise is unlike it."""
+    rng, pulse = np.random.default_rng(8), in_cosines(pulses(1))
+    seen, held_out = (
+        pulse * rng.normal(1, 0.3, (3000, 1, 1)) + rng.normal(0, 0.1, (3000, 8, MODES))
+        for _ in range(2)
+    )
+    typical = Typical.of(classifier.inputs(seen), classifier.inputs(held_out))
+    of_pulses = replace(classifier, typical=typical)
+    assert unlike(of_pulses, target_of(held_out[0])) == ""
+    strange = target_of(3 * rng.normal(size=(8, MODES)))
+    (far,) = distances(of_pulses, of_pulses.cosines(strange))
+    assert unlike(of_pulses, strange) == (
+        f"the recording is unlike all simulated ones of this heart ({far:.1f} SD from their mean, "
+        f"{typical.farthest:.1f} at most expected)"
     )
 
 

@@ -8,7 +8,7 @@ from builders import case
 
 import fascicle
 from fascicle.cli import main
-from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.core.parameters import EXAMPLE_PARAMETERS, ParameterSpace, free
 from fascicle.forward.device import batch
 from fascicle.forward.device import card as card_module
 from fascicle.forward.device.backend import GpuBackend
@@ -58,6 +58,30 @@ def test_other_tissues_are_simulated_here(backend, simulator, recordings, points
     expected = list(evaluate(several, recordings, both))
     assert expected[0].loss != pytest.approx(expected[1].loss, rel=0.01)
     assert_alike(evaluated(several, recordings, both, backend), expected, simulated_here=[1])
+
+
+class Untouched:
+    def signals(self, model, parameters):
+        raise AssertionError("the card is asked")
+
+
+def test_what_needs_activation_or_other_sources_is_simulated_here(simulator, points):
+    """Whether a network is activated as mapped hearts are; sources that vary."""
+    sources = AveragedOver(ParameterSpace((free("rv_source"),)))
+    for other, each in (
+        (replace(simulator, mapped=True), points[:2]),
+        (replace(simulator, averaged=sources), [np.append(points[0], 0.5)]),
+    ):
+        assert replace(other, backend=Untouched()).from_backend(each) == [None] * len(each)
+    with pytest.raises(AssertionError, match="the card is asked"):
+        replace(simulator, backend=Untouched()).from_backend(points[:2])
+
+
+def test_sources_of_the_ecg_are_not_of_the_card(default_model, backend):
+    for name in ("rv_source", "axial_source"):
+        refusal = backend.refusal(default_model, ["cv", name])
+        assert refusal == f"parameter '{name}' changes the ECG alone"
+    assert backend.refusal(default_model, ["cv", "interventricular_delay", "fibre_speed"]) == ""
 
 
 def test_further_recordings_are_simulated_here(backend, simulator, recordings, points):

@@ -10,11 +10,12 @@ import pytest
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import Parameter, ParameterSpace, free
+from fascicle.forward.activation_sequence import ActivationSequence, SequenceSummary
 from fascicle.heart.conduction import Conduction
 from fascicle.inference.evaluation import Evaluation
 from fascicle.study.evaluations import Stage
 from fascicle.study.population import Posterior, read_checks, read_population, write_population
-from fascicle.study.predictive import Checks, Prediction
+from fascicle.study.predictive import DURATION, Checks, Prediction
 from fascicle.study.space import AveragedOver
 from fascicle.study.statements import (
     Caution,
@@ -206,6 +207,62 @@ def test_verdict_and_caution(done, checks, words, caution):
     assert apart.parameters == apart.correlated == ()
 
 
+# Activated first on the free wall of the right ventricle, 9 ms before the left one
+RIGHT_FIRST = ActivationSequence(9, 12, 7, 0, 5, 30, 80, "basal lateral left ventricle")
+MAPPED = ActivationSequence(0, 4, 8, 15, 20, 30, 75, "basal lateral left ventricle")
+BLOCK = "left bundle branch block"
+SAID = "activation begins on the right free wall: not seen in mapped hearts with this QRS"
+
+
+def in_sequence(*sequences, qrs=90.0, share=0.9):
+    measured = {DURATION: [qrs, 80.0, 88.0, 95.0]}
+    return Checks(share, {}, measured, sequence=SequenceSummary.of(sequences))
+
+
+def test_a_sequence_that_no_mapped_heart_has_is_said_first(done):
+    said = said_of(done[1], in_sequence(RIGHT_FIRST))
+    assert said.unmapped == SAID
+    assert said.verdict == f"{SAID}; converged; fit acceptable: 90{BEST}"
+    assert said.caution is Caution.UNMAPPED
+    assert said.acceptable is True  # the ECG is explained all the same
+    assert said.sequence[0] == "first activated: right free wall 100%"
+    # a worse failure is the caution, but this is still said first
+    poor = said_of(done[1], in_sequence(RIGHT_FIRST, share=0.5))
+    assert poor.verdict.startswith(f"{SAID}; converged; poor fit: 50%")
+    assert poor.caution is Caution.POOR_FIT
+    for explained in (
+        in_sequence(RIGHT_FIRST, qrs=150.0), in_sequence(MAPPED), in_sequence(MAPPED, RIGHT_FIRST),
+        Checks(0.9, {}, {DURATION: [90.0, 80.0, 88.0, 95.0]}),
+    ):  # fmt: skip
+        said = said_of(done[1], explained)
+        assert (said.unmapped, said.caution) == ("", None)
+        assert said.verdict == f"converged; fit acceptable: 90{BEST}"
+    assert said.sequence == []
+
+
+def test_a_block_explains_a_sequence_that_no_mapped_heart_has(done):
+    checks = in_sequence(RIGHT_FIRST)
+    normal = said_of(replace(done[1], states={"normal": 0.6, BLOCK: 0.4}), checks)
+    assert normal.verdict.startswith(
+        f"{SAID}; no conduction state is named (not a mapped sequence of activation); converged"
+    )
+    blocked = said_of(replace(done[1], states={"normal": 0.4, BLOCK: 0.6}), checks)
+    assert (blocked.unmapped, blocked.caution) == ("", None)
+    assert blocked.verdict.startswith(f"{BLOCK}: 0.60, normal or fascicular block: 0.40; converged")
+
+
+def test_no_state_is_named_of_a_recording_like_no_simulated_one(done):
+    why = "the recording is unlike all simulated ones of this heart"
+    posterior = replace(done[1], states={"normal": 0.1, BLOCK: 0.9}, unnamed=why)
+    said = said_of(posterior, Checks(0.9, {}))
+    assert said.states == ""
+    assert said.verdict.startswith(f"no conduction state is named ({why}); converged; fit accept")
+    assert said.caution is None  # of the parameters
+    poor = said_of(posterior, Checks(0.5, {}))
+    assert poor.verdict.startswith("no conduction state is named (poor fit); ")
+    assert said_of(replace(posterior, states={}), Checks(0.9, {})).verdict.startswith("converged")
+
+
 def test_a_poor_fit_names_what_is_at_the_end_of_its_range(done):
     values = done[1].values | {"root_time": np.full(60, -74.0)}
     said = said_of(replace(done[1], values=values), Checks(0.5, {}))
@@ -284,7 +341,9 @@ def test_the_file_is_whole_inference_data(done, tmp_path):
     rng = np.random.default_rng(0)
     ecg = rng.standard_normal((60, 12, len(time)))
     drawn, torsos = rng.random((3, 60)), rng.random((60, 12, 12))
-    checks = Checks(0.92, {"QRS duration": 0.03, "V1": 0.4}, {"QRS duration": [191, 131, 148, 161]})
+    measured, sequence = {DURATION: [191, 131, 148, 161]}, SequenceSummary.of([MAPPED, RIGHT_FIRST])
+    checks = Checks(0.92, {DURATION: 0.03, "V1": 0.4}, measured, sequence=sequence)
+    posterior = replace(posterior, states={"normal": 0.6, BLOCK: 0.4}, unnamed="unlike all others")
     target = SimpleNamespace(time=time, mean=ecg[0], beats=ecg[:5], leads=LEADS)
     path = tmp_path / "posterior.nc"
     prediction = Prediction(ecg, ecg + 1, drawn[0], torsos, *drawn[1:], checks, None)
@@ -306,13 +365,16 @@ def test_the_file_is_whole_inference_data(done, tmp_path):
     for name in ("losses", "log_likelihoods", "log_evidences", "effective", "evaluations"):
         assert getattr(again, name) == pytest.approx(getattr(posterior, name))
     assert again.best == posterior.best
+    assert (again.states, again.unnamed) == (posterior.states, posterior.unnamed)
     assert [again.parameters(k) for k in range(60)] == [posterior.parameters(k) for k in range(60)]
     kinds = [again.parameters(k).keys() - again.values.keys() for k in range(60)]
     assert {frozenset(each) for each in kinds} == {
         frozenset({"branch_length"}), frozenset({"branch_length", "anisotropy_ratio"})
     }  # fmt: skip
     found, gains, in_torsos, ecgs = read_checks(path)
-    assert found == checks
+    assert found.sequence.lines == sequence.lines
+    assert found.sequence.departure == sequence.departure
+    assert replace(found, sequence=None) == replace(checks, sequence=None)
     np.testing.assert_allclose(ecgs[0], ecg, rtol=1e-6)
     np.testing.assert_array_equal(gains, drawn[0])
     np.testing.assert_allclose(in_torsos, torsos, rtol=1e-6)

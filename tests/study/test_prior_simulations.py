@@ -12,20 +12,21 @@ from fascicle.core.array_cache import ArrayCache
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE
 from fascicle.core.leads import INDEPENDENT_ROWS
+from fascicle.core.quantities import fascicles
 from fascicle.forward.bodies import random_bodies
 from fascicle.forward.loss import placed
 from fascicle.forward.model import ForwardModel
-from fascicle.forward.simulation import Simulation
+from fascicle.forward.simulation import SimulatedBeat, Simulation
 from fascicle.heart.folder import write_heart
 from fascicle.study import ecg_emulator, heart_emulator, refined_emulator
 from fascicle.study import prior_simulations as tested
 from fascicle.study.heart_emulator import emulator_of, made_emulator
 from fascicle.study.likelihood import EmulatedLikelihood
 from fascicle.study.pool import Threads
-from fascicle.study.prior_simulations import BEFORE, PriorSimulations
+from fascicle.study.prior_simulations import BEFORE, Examples, PriorSimulations
 from fascicle.study.refined_emulator import refined_emulators
 from fascicle.study.simulator import PointSimulator
-from fascicle.study.space import AveragedOver, study_space
+from fascicle.study.space import AveragedOver, is_kept, study_space
 from fascicle.study.state_classifier import simulate_prior
 
 PART, COUNT = 40, 70
@@ -91,6 +92,7 @@ def test_examples_are_simulations_of_their_points(prior, model):
     examples = prior.examples(COUNT)
     parameters = [each for number in range(2) for each in prior.parameters(number)]
     assert len(parameters) == len(examples.points) == len(examples.feasible) == 2 * PART
+    assert_array_equal(examples.kept, examples.feasible)  # the prior is not that of mapped hearts
     numbers = np.cumsum(examples.feasible) - 1
     for k in (0, 9, 50, 79):
         found = model.simulate(parameters[k])
@@ -117,13 +119,11 @@ def test_those_held_out_have_bodies(prior):
         assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.3
 
 
-@pytest.mark.parametrize(("fascicles", "share"), [(2, 1 / 3), (1, 0), (3, 1)])
-def test_a_third_have_a_third_fascicle(model, tmp_path, fascicles, share):
-    prior = prior_in(tmp_path, model, {"lv_fascicles": fascicles})
-    found = [each for number in range(10) for each in prior.parameters(number)]
-    third = ["lv_fascicle_length_3" in each for each in found]
-    assert np.mean(third) == pytest.approx(share, abs=0.08)
-    assert third == ["lv_fascicle_angle_3" in each for each in found]
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_all_have_as_many_fascicles_as_are_asked_for(model, tmp_path, count):
+    prior = prior_in(tmp_path, model, {"lv_fascicles": count})
+    assert {fascicles("lv", each) for each in prior.parameters(0)} == {count}
+    assert {fascicles("rv", each) for each in prior.parameters(1)} == {2}
 
 
 def test_what_makes_a_tissue_is_alike_in_a_part(model, tmp_path):
@@ -131,7 +131,7 @@ def test_what_makes_a_tissue_is_alike_in_a_part(model, tmp_path):
     speeds = [{each["endocardial_speed"] for each in prior.parameters(n)} for n in range(3)]
     assert [len(each) for each in speeds] == [1, 1, 1]
     assert len(set.union(*speeds)) == 3
-    assert len({each["alpha"] for each in prior.parameters(0)}) == PART
+    assert len({each["fibre_speed"] for each in prior.parameters(0)}) == PART
 
 
 def test_interrupted_it_goes_on_to_the_same_bits(prior, model, tmp_path):
@@ -166,7 +166,7 @@ def test_a_damaged_part_is_named_and_made_again(prior, model):
     [
         ({}, True),
         ({"cv": {"lower": 2.5, "upper": 3.5}}, True),
-        ({"cv": {"lower": 1.5, "upper": 3.5}}, False),
+        ({"cv": {"lower": 1.4, "upper": 3.5}}, False),
         ({"cv": 2.5, "branch_length": 7.0}, True),
         ({"cv": 5.0}, False),
         ({"branch_length": {"lower": 7.0, "upper": 9.0}}, True),  # learnt, not averaged over
@@ -174,20 +174,88 @@ def test_a_damaged_part_is_named_and_made_again(prior, model):
         ({"anisotropy_ratio": 2.0}, False),
         ({"his_time": 40.0}, False),
         ({"lv_fascicles": 1}, False),
-        ({"lv_fascicles": 3}, False),
-        ({"alpha": 0.06}, True),
-        ({"fibre_speed": "free"}, False),
+        ({"lv_fascicles": 2}, False),
+        ({"lv_fascicles": 3}, True),
+        ({"fibre_speed": 0.6}, True),
+        ({"fibre_speed": 0.9}, False),
+        ({"alpha": "free"}, False),
+        ({"root_time": 10.0}, False),
+        ({"interventricular_delay": 10.0}, True),
+        ({"axial_source": 0.4}, True),
+        ({"axial_source": 0.6}, False),
+        ({"rv_source": 0.5}, True),
+        ({"rv_source": "free"}, False),  # beyond two SD of what is averaged over
     ],
 )
 def test_whom_it_serves(prior, model, wanted, served):
-    assert prior.covers(*study(model.heart, wanted)) == served
+    asked = study(model.heart, wanted)
+    assert prior.covers(*asked, False) == served
+    assert not prior.covers(*asked, True)  # which wants networks that are activated otherwise
+    of_mapped_hearts = replace(prior, mapped=True)
+    assert of_mapped_hearts.covers(*asked, True) == served
+    assert not of_mapped_hearts.covers(*asked, False)
 
 
 def test_another_prior_has_other_simulations(prior, model, tmp_path):
     assert len({prior_in(tmp_path, model, wanted).content
                 for wanted in ({}, {"cv": 5.0}, {"gain": "free"})}) == 3  # fmt: skip
     known = replace(model.heart, values={"alpha": 0.07})
-    assert not prior.covers(*study(known))
+    assert not prior.covers(*study(known), False)
+    assert replace(prior, mapped=True).content != prior.content
+
+
+def test_examples_of_the_prior_leave_out_what_does_not_belong_to_it():
+    """Ten networks that are feasible but for the second, of which half are kept; two held out."""
+    feasible, kept = np.ones(20, bool), np.arange(20) % 4 != 2
+    feasible[1] = kept[1] = False
+    kept[9] = False  # held out, as the last is
+    numbers = np.arange(20.0)
+    ecgs = np.broadcast_to(numbers[feasible, None, None], (19, 8, 5)).astype(np.float32)
+    in_bodies = -np.broadcast_to(numbers[[9, 19], None, None], (2, 8, 5)).astype(np.float32)
+    examples = Examples(numbers[:, None], feasible, kept, ecgs, in_bodies, np.array([4, 7]))
+    found = examples.of_the_prior
+    assert_array_equal(found.points, examples.points)
+    assert_array_equal(found.feasible, kept)
+    assert_array_equal(found.ecgs[:, 0, 0], numbers[kept])
+    assert_array_equal(found.in_bodies[:, 0, 0], [-19])
+    assert_array_equal(found.bodies, [7])
+    assert_array_equal(found.held_out, examples.held_out)
+    assert_array_equal(found.of_the_prior.ecgs, found.ecgs)
+
+
+def test_networks_that_mapped_hearts_are_not_activated_like_are_marked(model, tmp_path):
+    """All are kept with their ECGs; of the prior are the mapped ones, and few of the others."""
+    surfaces, leads = model.surfaces, np.ones((12, 50))
+    mapped = np.full(len(model.heart.vertices), 60.0)
+    for name, time in (
+        ("lv_septum", 0.0), ("lv_free_wall", 4.0), ("rv_septum", 8.0), ("rv_free_wall", 15.0),
+        ("rv_breakthrough", 20.0),
+    ):  # fmt: skip
+        mapped[surfaces.parts[name]] = time
+    mapped[surfaces.parts["lv_breakthrough"]] = 80.0
+    assert surfaces.sequence(mapped).is_mapped
+    activations = [mapped, mapped[::-1].copy(), None]
+
+    class Pool:
+        def map(self, function, items, *shared):
+            for k, _ in enumerate(items):
+                times = activations[k % 3]
+                yield None if times is None else SimulatedBeat(leads, 0.0, times, ())
+
+    prior = replace(prior_in(tmp_path, model), mapped=True)
+    prior.simulate(COUNT, Pool())
+    examples = prior.examples(COUNT)
+    which = np.tile(np.arange(PART) % 3, 2)
+    assert_array_equal(examples.feasible, which < 2)
+    unlike = surfaces.sequence(activations[1])
+    assert not unlike.is_mapped
+    expected = [
+        k == 0 or (k == 1 and is_kept(point, unlike))
+        for k, point in zip(which, examples.points, strict=True)
+    ]
+    assert_array_equal(examples.kept, expected)
+    assert len(examples.ecgs) == (which < 2).sum()
+    assert len(examples.of_the_prior.ecgs) == examples.kept.sum() < len(examples.ecgs)
 
 
 def simulator_of(model, pool, wanted=None):
@@ -265,14 +333,14 @@ def test_an_emulator_is_refined_with_draws_of_the_posterior(prior, model, tmp_pa
     monkeypatch.setattr(refined_emulator, "PARTICLES", 60)
     emulator, pool = made_emulator(prior, COUNT, Threads(1)), Counting()
     simulator = PointSimulator(model, prior.space, prior.fixed, pool, averaged=prior.averaged)
-    root_time, seen = prior.space.names.index("root_time"), []
+    delay, seen = prior.space.names.index("interventricular_delay"), []
 
     class Emulated(EmulatedLikelihood):
         first = 0.5  # where the posterior lies by the emulator of the prior
 
         def __call__(self, points):
             middle = self.first if self.emulator is emulator else 0.5
-            return -0.5 * ((points[:, root_time] - middle) / 0.02) ** 2
+            return -0.5 * ((points[:, delay] - middle) / 0.02) ** 2
 
         def inputs(self, points):
             seen.append(points)
@@ -288,7 +356,7 @@ def test_an_emulator_is_refined_with_draws_of_the_posterior(prior, model, tmp_pa
     assert first is again
     assert pool.sent == PART
     drawn, usual = seen
-    assert drawn[:, root_time].std() < 0.04 < usual[:, root_time].std()
+    assert drawn[:, delay].std() < 0.04 < usual[:, delay].std()
     assert first.expected_error != emulator.expected_error
     assert len([*(tmp_path / DISPOSABLE).glob("posterior-*.npz")]) == 1
     found = refined_emulators(*given(), np.random.default_rng(0))[0]
@@ -305,5 +373,5 @@ def test_an_emulator_is_refined_with_draws_of_the_posterior(prior, model, tmp_pa
     refined_emulators(*given(made=Moving), np.random.default_rng(0))
     assert pool.sent == 3 * PART  # the posterior moves once, and then stays
     drawn, again = seen[::2]
-    assert drawn[:, root_time].mean() == pytest.approx(0.3, abs=0.01)
-    assert again[:, root_time].mean() == pytest.approx(0.5, abs=0.01)
+    assert drawn[:, delay].mean() == pytest.approx(0.3, abs=0.01)
+    assert again[:, delay].mean() == pytest.approx(0.5, abs=0.01)

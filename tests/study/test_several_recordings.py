@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 import fascicle
 from fascicle.cli.options import with_scenario
 from fascicle.core.errors import InputError
+from fascicle.core.parameters import NETWORK_SPACE
 from fascicle.forward.likelihood import QrsLikelihood, cosines, matern, separable
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.primitives import SlowConduction, Stimulus
@@ -19,7 +20,6 @@ from fascicle.recording.target import Target, smooth_noise
 from fascicle.reporting.study import drawings
 from fascicle.study.recordings import digests, given_recordings, read_recordings, write_recordings
 from fascicle.study.simulator import PointSimulator
-from fascicle.study.space import study_space
 from fascicle.study.target_comparison import TargetComparison, evaluate
 
 SMALL = {"prior_simulations": 100, "effective": 20, "workers": 2}
@@ -141,14 +141,12 @@ def likelihood(target):
 
 
 def test_likelihoods_and_losses_add_up(model, paced, both):
-    space, fixed = study_space("posterior", {}, model.heart)
     first, second = (
         TargetComparison(target, scenario, likelihood(target), free_gain=True)
         for target, scenario in ((both[0], None), both[1])
     )
-    simulator = PointSimulator(model, space, fixed)
-    values = {"alpha": 0.05, **fascicle.EXAMPLE_PARAMETERS}
-    point = space.to_unit({name: values[name] for name in space.names})
+    simulator = PointSimulator(model, NETWORK_SPACE)
+    point = NETWORK_SPACE.to_unit(fascicle.EXAMPLE_PARAMETERS)
     one, other, together, swapped = (
         next(evaluate(simulator, recordings, [point]))
         for recordings in ([first], [second], [first, second], [replace(second, scenario=None)])

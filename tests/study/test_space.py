@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import NETWORK_SPACE
-from fascicle.study.space import read_settings, study_space
+from fascicle.core.parameters import HUMAN_SPACE, NETWORK_SPACE, human_space
+from fascicle.forward.activation_sequence import ActivationSequence
+from fascicle.study.space import UNMAPPED, is_kept, read_settings, study_space
 
 
 def test_the_paper_learns_twelve(default_heart):
@@ -16,17 +17,56 @@ def test_the_paper_learns_twelve(default_heart):
     assert fixed == {}
 
 
-def test_a_posterior_has_alpha_too_unless_it_is_known(default_heart):
-    space, _ = study_space("posterior", {}, default_heart)
-    assert space.names == (*NETWORK_SPACE.names, "alpha")
+def test_a_posterior_is_of_human_anatomy(default_heart):
+    space, fixed = study_space("posterior", {}, default_heart)
+    assert space == HUMAN_SPACE
+    assert len(space) == 15
+    assert fixed == {}
+    for lv, rv in ((1, 2), (2, 3), (4, 1)):
+        wanted = {"lv_fascicles": lv, "rv_fascicles": rv}
+        assert study_space("posterior", wanted, default_heart) == (human_space(lv, rv), {})
+
+
+def test_a_posterior_has_the_speed_of_fibres_too_unless_it_is_known(default_heart):
+    """Or fixed, by either of its names."""
+    without = tuple(name for name in HUMAN_SPACE.names if name != "fibre_speed")
     for wanted, heart in (
         ({"alpha": 0.08}, default_heart),
         ({"fibre_speed": 0.6}, default_heart),
         ({}, replace(default_heart, values={"alpha": 0.07})),
+        ({}, replace(default_heart, values={"fibre_speed": 0.5})),
     ):
         space, fixed = study_space("posterior", wanted, heart)
-        assert space.names == NETWORK_SPACE.names
+        assert space.names == without
         assert fixed == wanted
+
+
+@pytest.mark.parametrize(
+    ("method", "name", "other"),
+    [
+        ("posterior", "root_time", "interventricular_delay"),
+        ("posterior", "alpha", "fibre_speed"),
+        ("posterior", "lv_fascicle_angle_2", "lv_fascicle_direction_2"),
+        ("paper", "interventricular_delay", "root_time"),
+        ("paper", "lv_fascicle_direction_1", "lv_fascicle_angle_1"),
+    ],
+)
+def test_what_stands_for_another_is_learnt_in_its_place(default_heart, method, name, other):
+    usual, _ = study_space(method, {}, default_heart)
+    assert other in usual.names
+    assert name not in usual.names
+    space, fixed = study_space(method, {name: "free"}, default_heart)
+    assert {*space.names} == {*usual.names} - {other} | {name}
+    assert fixed == {}
+
+
+def test_what_is_free_has_its_usual_prior(default_heart):
+    """That of human anatomy where the method has one; else the declared one."""
+    wanted = {"interventricular_delay": "free", "fibre_speed": "free", "lv_initial_length": "free"}
+    assert study_space("posterior", wanted, default_heart)[0] == HUMAN_SPACE
+    paper, _ = study_space("paper", {"fibre_speed": "free"}, default_heart)
+    (speed,) = (p for p in paper.parameters if p.name == "fibre_speed")
+    assert (speed.lower, speed.upper) == (0.5, 1.5)
 
 
 def test_what_is_said_of_a_quantity_counts(default_heart):
@@ -80,6 +120,9 @@ def test_a_region_must_be_there(default_heart):
         ({"lv_fascicles": 5}, "give 1 to 4"),
         ({"lv_fascicle_length_3": 10.0}, "fix lv_fascicles at 3"),
         ({"alpha": 0.05, "fibre_speed": "free"}, "say the same"),
+        ({"root_time": "free", "interventricular_delay": 5.0}, "say the same"),
+        ({"lv_fascicle_angle_1": 0.1, "lv_fascicle_direction_1": "free"}, "say the same"),
+        ({"lv_fascicle_direction_3": 0.5}, "fix lv_fascicles at 3"),
         (dict.fromkeys(NETWORK_SPACE.names, 1.0) | {"cv": 3.0}, "nothing is left to learn"),
     ],
 )
@@ -120,3 +163,22 @@ def test_a_prior_of_ones_own_replaces_the_usual_one(default_heart):
     wanted = {"heart_up": {"lower": -5.0, "upper": 5.0}}
     space, _ = study_space("paper", wanted, default_heart)
     assert space.parameters[-1].prior == "uniform"
+
+
+MAPPED = ActivationSequence(0.0, 4.0, 8.0, 15.0, 20.0, 30.0, 75.0, "basal lateral left ventricle")
+UNLIKE = replace(MAPPED, total=130.0)
+
+
+def test_all_that_is_mapped_is_kept_and_few_of_the_rest():
+    """And each of these always or never."""
+    points = np.random.default_rng(0).random((20_000, 21))
+    assert all(is_kept(point, MAPPED) for point in points[:1000])
+    kept = np.array([is_kept(point, UNLIKE) for point in points])
+    expected, error = UNMAPPED, np.sqrt(UNMAPPED * (1 - UNMAPPED) / len(points))
+    assert kept.mean() == pytest.approx(expected, abs=4 * error)
+    assert abs(np.corrcoef(kept, points[:, 0])[0, 1]) < 4 / np.sqrt(len(points))
+    again = [is_kept(np.array(point.tolist()), UNLIKE) for point in points]
+    assert (kept == again).all()
+    assert kept[::2].tolist() == [is_kept(point, UNLIKE) for point in points.copy()[::2]]
+    columns = np.asfortranarray(points[:200])  # whatever its layout in memory
+    assert [is_kept(point, UNLIKE) for point in columns] == kept[:200].tolist()

@@ -20,7 +20,7 @@ from pydantic import BaseModel, Field, ValidationError
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
-from fascicle.core.parameters import NETWORK_SPACE, Parameter, ParameterSpace, free
+from fascicle.core.parameters import HUMAN_SPACE, NETWORK_SPACE, Parameter, ParameterSpace, free
 from fascicle.core.progress import Progress, ProgressLines
 from fascicle.core.quantities import (
     CONDUCTION,
@@ -147,7 +147,9 @@ class Session:
         """What has a slider: the parameters of the study, or of the networks, and α."""
         if self.study is not None:
             return self.study.simulator.space
-        return ParameterSpace((*NETWORK_SPACE.parameters, free("alpha")))
+        paper = (*NETWORK_SPACE.parameters, free("alpha"))
+        named = {p.name: p for p in (*paper, *HUMAN_SPACE.parameters)}
+        return ParameterSpace(tuple(named[name] for name in self.start if name in named))
 
     @cached_property
     def surface(self) -> tuple[Integers, Integers, int]:

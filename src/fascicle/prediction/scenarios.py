@@ -34,7 +34,7 @@ from fascicle.study.target_comparison import Network, TargetComparison
 INTRINSIC = "intrinsic"  # the scenario that others are compared with
 LEAD_IN, LEAD_OUT = 10, 20  # samples before the QRS onset (`RINGING` at most), after the last's end
 PRIOR_NETWORKS = 60
-MOST_TRIED = 10  # points for each of them
+MOST_TRIED = 30  # points for each of them, of which the first that belongs to the prior is taken
 
 
 def with_intrinsic_beat(scenarios: Mapping[str, Scenario]) -> dict[str, Scenario]:
@@ -189,7 +189,6 @@ def _simulate(
 def prior_networks(fitted: FittedStudy, progress: Progress | None = None) -> list[Network]:
     """Networks drawn from the prior of a study, and of its conduction states."""
     simulator, config, rng = fitted.simulator, fitted.study.config, np.random.default_rng(0)
-    points = rng.random((MOST_TRIED * PRIOR_NETWORKS, simulator.dimension))
     space = ParameterSpace(config.space)
     each = [
         replace(
@@ -201,16 +200,16 @@ def prior_networks(fitted: FittedStudy, progress: Progress | None = None) -> lis
         for state in states_of(config.states)
         if (own := state.narrowed(space, config.fixed)) is not None
     ] or [simulator]
-    numbers = rng.choice(len(each), len(points), p=[*config.states.values()] or None)
+    numbers = rng.choice(len(each), PRIOR_NETWORKS, p=[*config.states.values()] or None)
     report, networks = stage_progress(progress, "networks of the prior"), []
-    for number, point in zip(numbers, points, strict=True):
-        (found,) = each[number].simulate([point])
-        if isinstance(found, Simulation) and each[number].keeps(point, found):
-            parameters = each[number].parameters(point)
-            networks.append(Network(parameters, found, found.leads, 1.0, 1.0))
-            report(len(networks), PRIOR_NETWORKS)
-        if len(networks) == PRIOR_NETWORKS:
-            break
+    for done, number in enumerate(numbers, 1):
+        for point in rng.random((MOST_TRIED, simulator.dimension)):
+            (found,) = each[number].simulate([point])
+            if isinstance(found, Simulation) and each[number].keeps(point, found):
+                parameters = each[number].parameters(point)
+                networks.append(Network(parameters, found, found.leads, 1.0, 1.0))
+                break
+        report(done, len(numbers))
     return networks
 
 

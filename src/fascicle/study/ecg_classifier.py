@@ -192,7 +192,7 @@ class EcgClassifier:
 
 @dataclass(frozen=True)
 class Typical:
-    """Where simulated recordings lie among the inputs of a classifier, whatever their gain.
+    """Where simulated recordings lie among the inputs of a classifier, by the direction of these.
 
     Attributes
     ----------

@@ -102,8 +102,9 @@ class Checks:
     def from_json(cls, text: str) -> Checks:
         """The inverse of ``json.dumps(asdict(checks))``."""
         values = json.loads(text)
-        if values.get("sequence") is not None:
-            values["sequence"] = SequenceSummary(**values["sequence"])
+        if (sequence := values.get("sequence")) is not None:
+            times = {name: tuple(each) for name, each in sequence["times"].items()}
+            values["sequence"] = SequenceSummary(**{**sequence, "times": times})
         return cls(**values)
 
     @property

@@ -72,9 +72,7 @@ class PointSimulator:
     def from_backend(self, points: Sequence[Floats]) -> list[Signals | str | None]:
         """Intrinsic beats that a backend simulates, in the plain tissue; None for all others."""
         found: list[Signals | str | None] = [None] * len(points)
-        # what is mapped takes the activation, and the card knows no other sources
-        sources = {"rv_source", "axial_source"} & {*self.averaged.space.names}
-        if self.backend is None or not points or self.mapped or sources:
+        if self.backend is None or not points or self.mapped:  # that takes the activation
             return found
         tissues = self.averaged.tissue(np.asarray(points)[:, len(self.space) :])
         plain = [k for k, number in enumerate(tissues) if not self.averaged.tissues[number]]

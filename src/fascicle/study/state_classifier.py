@@ -166,11 +166,15 @@ def state_probabilities(
         heart, prior_simulations, "prior_simulations", workers, pool
     )
     target = as_target(target)
+    asked = {state.name: state.probability for state in asked_states(priors)}
+    if others := {*asked} - {state.name for state in STATES}:
+        raise InputError(
+            f"priors: '{min(others)}' is not told apart from normal; give others, or leave them out"
+        )
     with shown_progress(progress) as shown:
         if shown is not None:
             compile_kernels(shown)
         simulator = usual_simulator(ForwardModel(heart, progress=shown), folder)
-        asked = {state.name: state.probability for state in asked_states(priors)}
         known = simulations_of_states(simulator, folder, count)
         rows = classified_rows(target)
         classifier = classifier_of(known, rows, folder, count, pool, shown)

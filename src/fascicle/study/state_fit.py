@@ -255,7 +255,9 @@ def simulated_and_compared(
         compile_kernels(progress)
     space, fixed = config.parameter_space, config.fixed
     model = model or ForwardModel(heart, rules=rules, progress=progress)
-    backend = usable(backend, model, [*space.names, *fixed], recordings[0][1])
+    averaged = config.averaged_over
+    names = [*space.names, *fixed, *averaged.space.names]
+    backend = usable(backend, model, names, recordings[0][1])
     if torso := torso_values(dict.fromkeys((*space.names, *fixed), 0.0)):
         model.torso([*torso])  # built here, not by every worker
     compared = tuple(
@@ -269,7 +271,5 @@ def simulated_and_compared(
         for target, scenario in recordings
     )
     pool = pool or Threads(config.workers)
-    simulator = PointSimulator(
-        model, space, fixed, pool, config.averaged_over, backend, mapped=config.mapped
-    )
+    simulator = PointSimulator(model, space, fixed, pool, averaged, backend, mapped=config.mapped)
     return simulator, compared

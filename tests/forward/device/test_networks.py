@@ -14,7 +14,7 @@ from builders import box, conduction_for, face_of, straight_times, vertex_at
 from emulated import Emulated, drawn
 
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.core.parameters import EXAMPLE_PARAMETERS, HUMAN_SPACE
 from fascicle.forward.device import batch
 from fascicle.forward.device.backend import GpuBackend
 from fascicle.forward.eikonal.activation import attach
@@ -81,6 +81,16 @@ def test_quantities_that_change_trees_and_times(crtdemo_model, emulated):
     assert compare(crtdemo_model, emulated, networks) == len(networks)
     times = [beat.activation for beat in on(emulated).beats(crtdemo_model, networks)]
     assert np.abs(times[1] - times[2]).max() > 1.0
+
+
+def test_directions_and_interventricular_delays(default_model, emulated):
+    """Also in a batch with a bundle that does not fit, from which no delay follows."""
+    rng = np.random.default_rng(0)
+    networks = [HUMAN_SPACE.from_unit(rng.uniform(0.4, 0.6, len(HUMAN_SPACE))) for _ in range(3)]
+    networks.insert(1, networks[0] | {"lv_initial_length": 300.0})
+    assert compare(default_model, emulated, networks) == 3
+    (alone,) = on(emulated, 1).beats(default_model, networks[1:2])
+    assert isinstance(alone, InvalidTree)
 
 
 def test_scar_is_not_activated(crtdemo_model, emulated):
