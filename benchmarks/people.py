@@ -15,8 +15,8 @@ Without names, all of these:
   somebody else's: how many get a state named, how many normal ones a block, and the area under the
   ROC curve (AUC) of the side of a bundle branch block by what the classifier says all the same.
 
-The limit of `fascicle.study.ecg_classifier.FARTHEST` was looked at on the half ``tune`` of the
-recordings (half of their number odd); ``check`` took no part in it. Data are read from
+The priors of `rv_source` and `axial_source` were chosen by the normal recordings of the half
+``tune`` (half of their number odd); ``check`` took no part in anything. Data are read from
 ``FASCICLE_TEST_DATA``, by default ``../shared/data``.
 """
 

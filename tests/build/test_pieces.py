@@ -74,6 +74,7 @@ def test_vertices_in_the_same_places_are_merged(tmp_path):
     assert with_common_vertices(given) == (given, ())
 
 
+@pytest.mark.slow
 def test_ventricles_in_two_pieces(tmp_path):
     """The free wall of the right ventricle ends on the left one, half a mm away."""
     mesh = tissue()

@@ -26,7 +26,7 @@ def test_on_the_packaged_heart_it_is_the_example(default_model):
 
 
 def test_that_of_the_subject_has_a_normal_ecg():
-    """Left middle septum first, mapped sequence, no Q wave in V2 to V6, R waves that grow up to V5."""
+    """Left middle septum first, mapped, no Q wave in V2 to V6, R waves that grow up to V5."""
     model = fascicle.ForwardModel(fascicle.load_heart("camps-dti004"))
     found = model.simulate(fascicle.example_parameters(model))
     heart, first = model.heart, found.activation.argmin()

@@ -11,7 +11,7 @@ learning", IEEE Trans. Neural Netw. Learn. Syst. 34, 2023).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
 
@@ -39,7 +39,6 @@ from fascicle.inference.emulator import (
     train_together,
     weight_arrays,
 )
-from fascicle.mesh.measures import unit
 from fascicle.recording.target import Target
 from fascicle.study.ecg_emulator import all_leads, body_modes
 from fascicle.study.prior_simulations import BEFORE, Examples
@@ -52,7 +51,7 @@ COMPONENTS = 80  # principal ones
 NETWORKS, WIDTH, STEPS = 2, 128, 8000
 ONSET_SD = 6.0  # ms; of the first activation about the recorded onset
 NOISE = 0.01  # mV; of each coefficient
-FARTHEST = 0.98  # share of held-out recordings that are called like simulated ones
+FAMILIAR = 0.98  # share of held-out recordings that are called like simulated ones
 GAIN_SD = float(FitSettings.model_fields["gain_sd"].default)
 
 
@@ -133,8 +132,9 @@ class EcgClassifier:
         Whose probabilities are averaged.
     right : float
         Share of held-out recordings whose most probable kind is the true one.
-    typical : Typical, optional
-        What tells recordings that are unlike all of those; None if it was not kept.
+    most_outside : float, optional
+        Share of its energy that 98 % of held-out recordings have outside the components, at most;
+        None if it was not kept.
     """
 
     rows: Integers
@@ -143,7 +143,7 @@ class EcgClassifier:
     scale: Floats
     networks: tuple[Network, ...]
     right: float
-    typical: Typical | None = None
+    most_outside: float | None = None
 
     def probabilities(self, target: Target) -> Floats:
         """How probable each kind is given a recording, (c,)."""
@@ -158,21 +158,23 @@ class EcgClassifier:
 
     def of_cosines(self, recordings: NDArray[Any]) -> Floats:
         """How probable each kind is given recordings (n, r, MODES), (n, c)."""
-        inputs = self.inputs(recordings)
+        inputs = _inputs(recordings, self.mean, self.components, self.scale)
         each = [softmax(network(inputs)) for network in self.networks]
         return np.asarray(np.mean(each, axis=0), dtype=float)
 
-    def inputs(self, recordings: NDArray[Any]) -> Singles:
-        """Recordings (n, r, MODES) as the networks see them, (n, p)."""
-        return _inputs(recordings, self.mean, self.components, self.scale)
+    def outside(self, recordings: NDArray[Any]) -> Floats:
+        """Share of the energy of recordings (n, r, MODES) outside the components, (n,)."""
+        flat = recordings.reshape(len(recordings), -1).astype(float)
+        inside = ((flat @ self.components.T) ** 2).sum(axis=1)
+        return np.asarray(1 - inside / (flat**2).sum(axis=1))
 
     def arrays(self) -> dict[str, Any]:
         """All of it for a file; the weights in half precision."""
         found = {each.name: np.asarray(getattr(self, each.name)) for each in fields(self)[:4]}
         found["right"] = np.asarray(self.right)
         found["components"] = found["components"].astype(np.float32)
-        if self.typical is not None:
-            found |= {name: np.asarray(value) for name, value in asdict(self.typical).items()}
+        if self.most_outside is not None:
+            found["most_outside"] = np.asarray(self.most_outside)
         return found | weight_arrays("networks", self.networks)
 
     @classmethod
@@ -180,45 +182,9 @@ class EcgClassifier:
         """The inverse of `arrays`."""
         parts = ("rows", "mean", "components", "scale")
         rows, mean, components, scale = (np.asarray(arrays[name]) for name in parts)
-        typical = None
-        if "farthest" in arrays:
-            centre, whitening = (
-                np.asarray(arrays[name], float) for name in ("centre", "whitening")
-            )
-            typical = Typical(centre, whitening, float(arrays["farthest"]))
+        most_outside = float(arrays["most_outside"]) if "most_outside" in arrays else None
         networks = networks_from("networks", arrays)
-        return cls(rows, mean, components, scale, networks, float(arrays["right"]), typical)
-
-
-@dataclass(frozen=True)
-class Typical:
-    """Where simulated recordings lie among the inputs of a classifier, by the direction of these.
-
-    Attributes
-    ----------
-    centre, whitening : (p,) and (p, p) arrays
-        Mean of their directions, and what makes the covariance of these the identity.
-    farthest : float
-        Distance from the centre of 98 % of held-out ones.
-    """
-
-    centre: Floats
-    whitening: Floats
-    farthest: float
-
-    @classmethod
-    def of(cls, seen: Singles, held_out: Singles) -> Typical:
-        """That of inputs (n, p), with the distance of others (m, p)."""
-        directions = unit(seen.astype(float))
-        values, vectors = np.linalg.eigh(np.cov(directions.T))
-        whitening = vectors / np.sqrt(np.maximum(values, 1e-9 * values.max()))
-        found = cls(directions.mean(axis=0), whitening.astype(np.float32), 0.0)
-        return replace(found, farthest=float(np.quantile(found.distances(held_out), FARTHEST)))
-
-    def distances(self, inputs: Singles) -> Floats:
-        """Root mean square distance (n,) of inputs (n, p), in standard deviations (Mahalanobis)."""
-        apart = (unit(inputs.astype(float)) - self.centre) @ self.whitening
-        return np.asarray(np.sqrt((apart**2).mean(axis=1)))
+        return cls(rows, mean, components, scale, networks, float(arrays["right"]), most_outside)
 
 
 @dataclass(frozen=True)
@@ -252,7 +218,8 @@ def learn(
     total = NETWORKS * steps
     networks = train_together([of_kinds] * NETWORKS, rng, lambda done: report(done, total))
     found = EcgClassifier(rows, mean, components, scale, tuple(networks), 0.0)
-    found = replace(found, typical=Typical.of(inputs, found.inputs(held_out.recordings)))
+    most_outside = float(np.quantile(found.outside(held_out.recordings), FAMILIAR))
+    found = replace(found, most_outside=most_outside)
     guessed = found.of_cosines(held_out.recordings).argmax(axis=1)
     found = replace(found, right=float((guessed == held_out.kinds.argmax(axis=1)).mean()))
     if progress is not None:

@@ -74,6 +74,8 @@ class PointSimulator:
         found: list[Signals | str | None] = [None] * len(points)
         if self.backend is None or not points or self.mapped:  # that takes the activation
             return found
+        if self.backend.refusal(self.model, self.averaged.space.names):
+            return found
         tissues = self.averaged.tissue(np.asarray(points)[:, len(self.space) :])
         plain = [k for k, number in enumerate(tissues) if not self.averaged.tissues[number]]
         asked = [self.parameters(points[k]) for k in plain]

@@ -186,14 +186,13 @@ def state_probabilities(
 
 def unlike(classifier: EcgClassifier, target: Target) -> str:
     """Why a recording is not one of those that a classifier has learnt from; empty if it is."""
-    typical = classifier.typical
-    assert typical is not None
-    (distance,) = typical.distances(classifier.inputs(classifier.cosines(target)))
-    if distance <= typical.farthest:
+    assert classifier.most_outside is not None
+    (outside,) = classifier.outside(classifier.cosines(target))
+    if outside <= classifier.most_outside:
         return ""
     return (
-        f"the recording is unlike all simulated ones of this heart ({distance:.1f} SD from their "
-        f"mean, {typical.farthest:.1f} at most expected)"
+        f"the recording is unlike all simulated ones of this heart ({outside:.0%} of its QRS, "
+        f"{classifier.most_outside:.0%} at most expected)"
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -161,24 +161,25 @@ def _evaluate_part(
         (point, simulator.parameters(point), there)
         for point, there in zip(points, known, strict=True)
     ]
-    shared = simulator.model, recordings, simulator.mapped
+    shared, evaluated = (simulator.model, recordings), partial(_evaluate, mapped=simulator.mapped)
     if isinstance(simulator.pool, Threads):
-        yield from simulator.pool.map(_evaluate, items, *shared, simulator.remembered)
+        yield from simulator.pool.map(evaluated, items, *shared, simulator.remembered)
         return
     # what needs no simulation is compared here
     left = [item for item in items if item[-1] is None or not all(intrinsic)]
-    outcomes = simulator.pool.map(_evaluate, left, *shared) if left else iter(())
+    outcomes = simulator.pool.map(evaluated, left, *shared) if left else iter(())
     for item in items:
         here = item[-1] is not None and all(intrinsic)
-        yield _evaluate(item, *shared) if here else next(outcomes)
+        yield evaluated(item, *shared) if here else next(outcomes)
 
 
 def _evaluate(
     item: Item,
     model: ForwardModel,
     recordings: Sequence[TargetComparison],
-    mapped: bool,
     remembered: Remembered | None = None,
+    *,
+    mapped: bool = False,
 ) -> Evaluation:
     """Simulate a point in the scenario of each recording, and compare it with all of them.
 
