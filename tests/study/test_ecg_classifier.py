@@ -5,20 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.fft import idct
-from scipy.spatial.distance import mahalanobis
 
 from fascicle.core.leads import INDEPENDENT_ROWS
 from fascicle.recording.target import Target
 from fascicle.study.ecg_classifier import (
     CHUNK,
-    FARTHEST,
+    FAMILIAR,
     GAIN_SD,
     LENGTH,
     MODES,
     EcgClassifier,
     Lessons,
     Recorder,
-    Typical,
     in_cosines,
     in_leads,
     learn,
@@ -67,48 +65,24 @@ def test_it_is_stored_as_it_is(classifier):
     np.testing.assert_allclose(
         again.of_cosines(recordings), classifier.of_cosines(recordings), atol=0.01
     )
-    assert again.typical.farthest == classifier.typical.farthest
-    np.testing.assert_allclose(
-        distances(again, recordings), distances(classifier, recordings), rtol=1e-3
-    )
-    without = replace(classifier, typical=None).arrays()  # as those of origins are kept
-    assert not {"centre", "whitening", "farthest"} & without.keys()
-    assert EcgClassifier.from_arrays(without).typical is None
+    assert again.most_outside == classifier.most_outside
+    np.testing.assert_allclose(again.outside(recordings), classifier.outside(recordings), atol=1e-5)
+    without = replace(classifier, most_outside=None).arrays()  # as those of origins are kept
+    assert "most_outside" not in without
+    assert EcgClassifier.from_arrays(without).most_outside is None
 
 
-MEANS = (-1.0, 0.0, 2.0)
-
-
-def distances(classifier, recordings):
-    return classifier.typical.distances(classifier.inputs(recordings))
-
-
-def test_distances_are_mahalanobis_s(classifier):
-    """Against SciPy's, of directions in the space of the inputs."""
-    seen = normal(np.random.default_rng(0), MEANS, 20_000).recordings
-    others = np.random.default_rng(6).normal(0, 0.3, (20, 8, MODES)).astype(np.float32)
-    among, apart = (
-        (each.reshape(len(each), -1) - classifier.mean) @ classifier.components.T / classifier.scale
-        for each in (seen, others)
-    )
-    among, apart = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in (among, apart))
-    inverse, middle = np.linalg.inv(np.cov(among.T)), among.mean(axis=0)
-    expected = [mahalanobis(one, middle, inverse) for one in apart] / np.sqrt(apart.shape[1])
-    np.testing.assert_allclose(distances(classifier, others), expected, rtol=0.01)
-
-
-def test_what_is_typical_whatever_its_size():
-    """Inputs that differ in few directions: others that do in all lie far."""
-    rng, sds = np.random.default_rng(7), 0.7 ** np.arange(12)
-    seen, held_out, again = (sds * rng.normal(size=(4000, 12)) for _ in range(3))
-    typical = Typical.of(seen, held_out)
-    assert (typical.distances(again) <= typical.farthest).mean() == pytest.approx(
-        FARTHEST, abs=0.01
-    )
-    assert (typical.distances(rng.normal(size=(500, 12))) > typical.farthest).mean() > 0.9
-    np.testing.assert_allclose(typical.distances(30 * again), typical.distances(again))
-    root_mean_square = np.sqrt((typical.distances(seen) ** 2).mean())
-    assert root_mean_square == pytest.approx(1, abs=1e-3)
+def test_what_lies_outside_the_components(classifier):
+    """Nothing of a sum of components, all of what is orthogonal to them, whatever the size."""
+    flat = classifier.components[:3].sum(axis=0)
+    inside = flat.reshape(1, 8, MODES)
+    np.testing.assert_allclose(classifier.outside(7 * inside), 0, atol=1e-5)
+    other = np.random.default_rng(6).normal(size=flat.shape)
+    other -= classifier.components.T @ (classifier.components @ other)
+    np.testing.assert_allclose(classifier.outside(other.reshape(1, 8, MODES)), 1, atol=1e-5)
+    held_out = normal(np.random.default_rng(3), (-1.0, 0.0, 2.0), 2000).recordings
+    familiar = (classifier.outside(held_out) <= classifier.most_outside).mean()
+    assert familiar == pytest.approx(FAMILIAR, abs=0.01)
 
 
 def target_of(cosines):
@@ -120,20 +94,15 @@ def target_of(cosines):
 
 
 def test_what_is_unlike_all_simulated_recordings_is_said(classifier):
-    """Of one pulse in all leads, with some noise; other noise is unlike it."""
-    rng, pulse = np.random.default_rng(8), in_cosines(pulses(1))
-    seen, held_out = (
-        pulse * rng.normal(1, 0.3, (3000, 1, 1)) + rng.normal(0, 0.1, (3000, 8, MODES))
-        for _ in range(2)
-    )
-    typical = Typical.of(classifier.inputs(seen), classifier.inputs(held_out))
-    of_pulses = replace(classifier, typical=typical)
-    assert unlike(of_pulses, target_of(held_out[0])) == ""
-    strange = target_of(3 * rng.normal(size=(8, MODES)))
-    (far,) = distances(of_pulses, of_pulses.cosines(strange))
-    assert unlike(of_pulses, strange) == (
-        f"the recording is unlike all simulated ones of this heart ({far:.1f} SD from their mean, "
-        f"{typical.farthest:.1f} at most expected)"
+    """A recording of components alone is like them; noise is unlike them."""
+    of_few = replace(classifier, most_outside=0.1)
+    like = classifier.components[:3].sum(axis=0).reshape(8, MODES)
+    assert unlike(of_few, target_of(like)) == ""
+    strange = target_of(3 * np.random.default_rng(8).normal(size=(8, MODES)))
+    (outside,) = of_few.outside(of_few.cosines(strange))
+    assert unlike(of_few, strange) == (
+        f"the recording is unlike all simulated ones of this heart ({outside:.0%} of its QRS, "
+        "10% at most expected)"
     )
 
 

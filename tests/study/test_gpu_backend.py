@@ -61,6 +61,9 @@ def test_other_tissues_are_simulated_here(backend, simulator, recordings, points
 
 
 class Untouched:
+    def refusal(self, model, names):
+        return "another source" if "rv_source" in names else ""
+
     def signals(self, model, parameters):
         raise AssertionError("the card is asked")
 
