@@ -148,8 +148,9 @@ class Session:
         if self.study is not None:
             return self.study.simulator.space
         paper = (*NETWORK_SPACE.parameters, free("alpha"))
-        named = {p.name: p for p in (*paper, *HUMAN_SPACE.parameters)}
-        return ParameterSpace(tuple(named[name] for name in self.start if name in named))
+        human = "interventricular_delay" in self.start
+        usual = HUMAN_SPACE.parameters if human else paper
+        return ParameterSpace(tuple(each for each in usual if each.name in self.start))
 
     @cached_property
     def surface(self) -> tuple[Integers, Integers, int]:
