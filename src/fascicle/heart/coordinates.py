@@ -238,7 +238,8 @@ def _lengths(mesh: LabelledMesh, potential: Floats, level: float) -> tuple[Float
     slope = np.where(total > 0, fall / np.where(length > 0, length, 1), -np.inf).ravel()
 
     count, corner = len(vertices), tetrahedra.ravel()
-    order = np.lexsort((slope, corner))
+    # rounded, so that of equally steep ones the machine's rounding does not choose
+    order = np.lexsort((slope.round(9), corner))
     steepest = order[np.flatnonzero(np.diff(corner[order], append=count))]
     slope, length = slope[steepest], length.ravel()[steepest]
     ends = (potential <= level) | (slope <= 0)
