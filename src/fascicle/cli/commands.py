@@ -21,6 +21,7 @@ from fascicle.cli.options import (
     OutOption,
     SchedulerOption,
     StudyArgument,
+    WorkersOption,
     explicit,
     fit_options,
     fixed_values,
@@ -241,9 +242,7 @@ def locate(
     prior_simulations: Annotated[
         int | None, Option(min=100, help="Beats to learn from; by default as many as for a fit.")
     ] = None,
-    workers: Annotated[
-        int | None, Option(min=1, help="Simulations at a time; by default one per core.")
-    ] = None,
+    workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
 ) -> Result:
     """Say where an ectopic or paced beat comes from, with a probability of every place.
@@ -289,16 +288,14 @@ def states(
     prior_simulations: Annotated[
         int | None, Option(min=100, help="Networks to learn from; by default as many as for a fit.")
     ] = None,
-    workers: Annotated[
-        int | None, Option(min=1, help="Simulations at a time; by default one per core.")
-    ] = None,
+    workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
 ) -> Result:
     """Say how probable each conduction state is, without a fit, in seconds.
 
     States are a bundle branch block or delay, and slow conduction everywhere; their prior is how
     common they are in adults who are referred for an ECG. No state is named where the recording is
-    unlike all that are simulated on this heart, as it is mostly on somebody else's.
+    unlike all that are simulated on this heart, such as noise.
 
     A heart of your own is simulated once, which takes minutes; a packaged one has been.
     """

@@ -20,6 +20,7 @@ from fascicle.cli.options import (
     HeartArgument,
     OutOption,
     SchedulerOption,
+    WorkersOption,
     lead_names,
     option,
     pool_at,
@@ -370,10 +371,7 @@ def heart_simulate_prior(
         int | None,
         Option("--networks", min=1, help="Number of networks; by default that of a fit."),
     ] = None,
-    workers: Annotated[
-        int | None,
-        Option("--workers", min=1, help="Simulations at a time; by default one per core."),
-    ] = None,
+    workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
 ) -> Result:
     """Simulate networks of the prior once, and train the emulators that every fit samples.

@@ -25,6 +25,9 @@ HeartArgument = Annotated[
 StudyArgument = Annotated[Path, Argument(help="Finished study folder.")]
 OutOption = Annotated[Path, Option("--out", help="Folder to write.")]
 FormatOption = Annotated[Literal["png", "svg", "pdf"], Option("--format", help="Picture format.")]
+WorkersOption = Annotated[
+    int | None, Option("--workers", min=1, help="Simulations at a time; by default one per core.")
+]
 SchedulerOption = Annotated[
     str | None,
     Option(

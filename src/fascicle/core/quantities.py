@@ -296,6 +296,12 @@ def stand_ins(name: str) -> set[str]:
     return {other for pair in pairs if name in pair for other in pair} - {name}
 
 
+def overridden(values: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:
+    """Values with changes, which also take the place of what says the same."""
+    replaced = {other for name in changes for other in stand_ins(name)}
+    return {n: value for n, value in values.items() if n not in replaced} | dict(changes)
+
+
 def check_not_twice(names: Collection[str]) -> None:
     """Refuse quantities that say one thing twice: the speed of the myocardium, for one."""
     for name in names:

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.ranges import short_repr
-from fascicle.heart.endocardium import long_axis
+from fascicle.heart.endocardium import about_long_axis
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import Label, labelled_mesh
 from fascicle.mesh.measures import unit
@@ -154,13 +154,9 @@ class VentricularSurfaces:
 
 def _places(heart: Heart, right: Booleans) -> np.ndarray[tuple[int], np.dtype[np.str_]]:
     """Where each vertex lies, given which ones are `right` of the middle of the septum (n,)."""
-    base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
-    down = unit(apex - base)
-    away = heart.vertices - base
-    height = away @ down / np.linalg.norm(apex - base)
-    septal = heart.rv.vertices.mean(axis=0) - base
-    septal = unit(septal - (septal @ down) * down)
-    angle = np.degrees(np.arctan2(away @ np.cross(septal, down), away @ septal))
+    height, around, down = about_long_axis(heart.lv, heart.vertices)
+    septal = unit(about_long_axis(heart.lv, heart.rv.vertices)[1].mean(axis=0))
+    angle = np.degrees(np.arctan2(around @ np.cross(septal, down), around @ septal))
     third = np.select([height < 1 / 3, height < 2 / 3], ["basal", "mid"], "apical")
     wall = np.select(
         [np.abs(angle) < 60, np.abs(angle) > 120, angle > 0], ["septal", "lateral", "anterior"],

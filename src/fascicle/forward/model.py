@@ -44,7 +44,6 @@ from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Signals, SimulatedBeat, Simulation, check_activation
 from fascicle.forward.torso_model import TorsoModel, prepare_response, torso_model
 from fascicle.heart.conduction import Conduction
-from fascicle.heart.endocardium import long_axis
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
 from fascicle.heart.sites import Sites
@@ -187,16 +186,8 @@ class ForwardModel:
 
     def _with_angles(self, parameters: Mapping[str, float]) -> dict[str, float]:
         """Parameters with angles of fascicles in place of their directions."""
-        if not any("_fascicle_direction_" in name for name in parameters):
-            return dict(parameters)
         chart, seed = self.prepared.charts["lv"], self.prepared.seeds["lv"]
-        return with_angles(chart, seed, parameters, self._apical, self.sites.anterior)
-
-    @cached_property
-    def _apical(self) -> Floats:
-        """From the middle of the mitral opening to the apex (3,) (mm)."""
-        base, apex = long_axis(self.heart.lv.vertices, self.heart.lv.triangles)
-        return np.asarray(apex - base)
+        return with_angles(chart, seed, parameters, self.sites.apical, self.sites.anterior)
 
     def with_root_time(self, parameters: Mapping[str, float]) -> dict[str, float] | InvalidTree:
         """Parameters with angles and a root time, in place of what stands for them."""

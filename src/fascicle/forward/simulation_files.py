@@ -16,7 +16,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_folder, write_text
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, read_parameters
-from fascicle.core.quantities import checked, stand_ins
+from fascicle.core.quantities import checked, overridden
 from fascicle.forward.example import example_parameters
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
@@ -60,8 +60,7 @@ def simulate_inputs(
         source = str(params) if params is not None else "example parameters"
         model = make_model()
         parameters = given if given is not None else example_parameters(model)
-        replaced = {other for name in overrides for other in stand_ins(name)}
-        parameters = {n: v for n, v in parameters.items() if n not in replaced} | overrides
+        parameters = overridden(parameters, overrides)
         with _naming(scenario):
             _check_trees(scenario, model)
             outcome = model.simulate(parameters, scenario)
@@ -75,8 +74,7 @@ def simulate_inputs(
     if lv_tree is None or rv_tree is None:
         raise InputError("only one tree is given; give both --lv-tree and --rv-tree")
     physics = {name: EXAMPLE_PARAMETERS[name] for name in ("root_time", "cv")}
-    replaced = {other for name in overrides for other in stand_ins(name)}
-    physics = {n: v for n, v in physics.items() if n not in replaced} | overrides
+    physics = overridden(physics, overrides)
     trees, model = [], make_model()
     for path, endocardium in zip((lv_tree, rv_tree), model.heart.endocardia, strict=True):
         root = endocardium.vertices[endocardium.root]

@@ -70,6 +70,18 @@ def long_axis(vertices: Floats, triangles: Integers) -> tuple[Floats, Floats]:
     return np.asarray(base), np.asarray(apex)
 
 
+def about_long_axis(endocardium: Endocardium, points: Floats) -> tuple[Floats, Floats, Floats]:
+    """Points (n, 3) about an endocardium's `long_axis`.
+
+    Height (n,), 0 at the opening and 1 at the apex; offset from the axis (n, 3) (mm); and the unit
+    direction (3,) to the apex.
+    """
+    base, apex = long_axis(endocardium.vertices, endocardium.triangles)
+    away, down = points - base, unit(apex - base)
+    height = away @ down / np.linalg.norm(apex - base)
+    return height, away - np.outer(away @ down, down), down
+
+
 def septal_seeds(
     vertices: Floats, triangles: Integers, opposite: Floats, valves: Booleans | None = None
 ) -> tuple[int, int]:

@@ -25,7 +25,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.ranges import did_you_mean, plain_name
 from fascicle.heart.coordinate_arrays import VentricularCoordinates
 from fascicle.heart.coordinates import ventricular_coordinates
-from fascicle.heart.endocardium import long_axis, septal_seeds
+from fascicle.heart.endocardium import about_long_axis, long_axis, septal_seeds
 from fascicle.heart.fibres import Wall, wall_and_depth, wall_potentials
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import labelled_mesh
@@ -80,11 +80,8 @@ def places(heart: Heart) -> Places:
     mesh = labelled_mesh(heart)
     potentials, _ = wall_potentials(quadratic_space(mesh.vertices, mesh.tetrahedra), mesh)
     wall, depth = wall_and_depth(potentials)
-    base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
-    away = heart.vertices[heart.tetrahedra].mean(axis=1) - base
-    down = unit(apex - base)
-    height = away @ down / np.linalg.norm(apex - base)
-    around = away - np.outer(away @ down, down)
+    middles = heart.vertices[heart.tetrahedra].mean(axis=1)
+    height, around, down = about_long_axis(heart.lv, middles)
     in_septum = (wall == Wall.SEPTUM) & (height < 1)
     septal = unit(heart.volumes[in_septum] @ unit(around[in_septum]))
     angle = np.arctan2(around @ np.cross(septal, down), around @ septal)
@@ -132,13 +129,24 @@ class Sites:
         return places(self.heart)
 
     @cached_property
+    def _long_axis(self) -> tuple[Floats, Floats]:
+        """Middle of the mitral opening, and the left apex (mm)."""
+        return long_axis(self.heart.lv.vertices, self.heart.lv.triangles)
+
+    @cached_property
+    def apical(self) -> Floats:
+        """From the middle of the mitral opening to the left apex (3,) (mm)."""
+        base, apex = self._long_axis
+        return np.asarray(apex - base)
+
+    @cached_property
     def anterior(self) -> Floats:
         """Direction (3,) from the posterior wall to the anterior one.
 
         It is across the left ventricle's long axis and the way to the right ventricle.
         """
-        base, apex = long_axis(self.heart.lv.vertices, self.heart.lv.triangles)
-        return unit(np.cross(self.heart.rv.vertices.mean(axis=0) - base, apex - base))
+        base, _ = self._long_axis
+        return unit(np.cross(self.heart.rv.vertices.mean(axis=0) - base, self.apical))
 
     def position(self, site: str | CoordinateSite) -> tuple[float, float, float]:
         """Position of a site (mm): ventricular coordinates, or a name in any case.

@@ -218,10 +218,12 @@ def learn(
     total = NETWORKS * steps
     networks = train_together([of_kinds] * NETWORKS, rng, lambda done: report(done, total))
     found = EcgClassifier(rows, mean, components, scale, tuple(networks), 0.0)
-    most_outside = float(np.quantile(found.outside(held_out.recordings), FAMILIAR))
-    found = replace(found, most_outside=most_outside)
     guessed = found.of_cosines(held_out.recordings).argmax(axis=1)
-    found = replace(found, right=float((guessed == held_out.kinds.argmax(axis=1)).mean()))
+    found = replace(
+        found,
+        right=float((guessed == held_out.kinds.argmax(axis=1)).mean()),
+        most_outside=float(np.quantile(found.outside(held_out.recordings), FAMILIAR)),
+    )
     if progress is not None:
         progress("classifier", 1, 1, f"{found.right:.0%} of held-out recordings told right")
     return found
