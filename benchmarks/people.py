@@ -37,12 +37,11 @@ from scipy.stats import rankdata
 import fascicle
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
-from fascicle.core.quantities import CONDUCTION
 from fascicle.forward.bodies import random_bodies
 from fascicle.forward.loss import align
 from fascicle.forward.simulation import Simulation
 from fascicle.recording.criteria import frontal_axis
-from fascicle.study.conduction_states import STATES
+from fascicle.study.conduction_states import KNOWN_STATES, STATES
 from fascicle.study.heart_emulator import usual_prior
 from fascicle.study.space import is_kept
 from fascicle.study.state_classifier import NoStateNamed
@@ -125,18 +124,23 @@ def blocks() -> None:
     for name in HEARTS:
         model = fascicle.ForwardModel(name)
         networks = [*normal_networks(model, 240, 3)][:60]
-        for state in CONDUCTION[1:]:
+        for state in KNOWN_STATES[1:]:
             turned, changed = [], []
             for values, beat in networks:
-                other = model.simulate(values | {"conduction": float(CONDUCTION.index(state))})
-                assert isinstance(other, Simulation)
+                late = {
+                    name: (low + high) / 2
+                    for name, (low, high) in state.ranges.items()
+                    if name in values and not low <= values[name] <= high
+                }
+                other = model.simulate(values | late | state.blocks)
+                if not isinstance(other, Simulation):
+                    continue
                 found = align(other.leads, beat.leads, free_gain=True)
                 changed.append(found.loss * beat.leads.shape[1] / (beat.leads**2).sum())
                 turn = frontal_axis(other.leads) - frontal_axis(beat.leads)
                 turned.append((turn + 180) % 360 - 180)
-            if np.any(changed):
-                axis, energy = np.median(turned), np.median(changed)
-                print(f"{name}: {state}: axis {axis:+.0f}°, energy {energy:.0%}")
+            axis, energy = np.median(turned), np.median(changed)
+            print(f"{name}: {state.name}: axis {axis:+.0f}°, energy {energy:.0%}")
 
 
 def subject() -> None:

@@ -11,7 +11,7 @@ from builders import recorded
 
 import fascicle
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import NETWORK_SPACE, read_parameters
+from fascicle.core.parameters import HUMAN_SPACE, read_parameters
 from fascicle.explorer.explore import session_of
 from fascicle.explorer.session import Session, State, _spoken
 from fascicle.forward.scenario_files import read_scenario
@@ -65,7 +65,7 @@ def test_it_describes_the_surface_and_the_sliders(session):
     groups = {group["name"]: group["sliders"] for group in said["groups"]}
     assert [*groups] == ["network", "growth and junctions", "tissue", "torso"]
     names = [each["name"] for each in groups["network"]]
-    assert {"lv_initial_length", "root_time", "cv", "alpha"} <= {*names}
+    assert {"lv_initial_length", "interventricular_delay", "cv", "fibre_speed"} <= {*names}
     for each in (each for sliders in groups.values() for each in sliders):
         value = said["start"].get(each["name"], each["value"])
         assert each["low"] <= value <= each["high"], each["name"]
@@ -75,7 +75,7 @@ def test_it_describes_the_surface_and_the_sliders(session):
 
 
 def test_an_answer_is_what_simulate_gives(session):
-    values = {**session.start, "cv": 2.4, "root_time": -20.0}
+    values = {**session.start, "cv": 2.4, "interventricular_delay": -20.0}
     said, arrays = ask(session, values=values)
     expected = session.model.simulate(values)
     begin = expected.activation.min()
@@ -93,10 +93,10 @@ def test_an_answer_is_what_simulate_gives(session):
 
 def test_the_networks_of_a_study_are_there(session):
     each = [{**session.start, "cv": cv} for cv in (2.2, 2.4, 3.0)]
-    learnt = {name: np.array([e[name] for e in each]) for name in NETWORK_SPACE.names}
-    simulator = SimpleNamespace(
-        space=NETWORK_SPACE, fixed={"retrograde_delay": np.inf}, model=session.model
-    )
+    learnt = {name: np.array([e[name] for e in each]) for name in HUMAN_SPACE.names}
+    fixed = {name: value for name, value in session.start.items() if name not in learnt}
+    fixed["retrograde_delay"] = np.inf
+    simulator = SimpleNamespace(space=HUMAN_SPACE, fixed=fixed, model=session.model)
     population = Population(learnt, np.arange(3.0), each[1], 0.5)
     study = SimpleNamespace(
         simulator=simulator, population=population, verdict="converged", gains=np.full(3, 1.5),

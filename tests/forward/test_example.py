@@ -16,13 +16,24 @@ from fascicle.heart.sites import SEGMENTS
 from fascicle.purkinje.tree import FEW_JUNCTIONS, InvalidTree
 
 
+@pytest.fixture(scope="module")
+def bare_model(default_heart):
+    """Of a heart without an example network of its own."""
+    return fascicle.ForwardModel(replace(default_heart, example={}))
+
+
 def test_areas_are_those_of_the_packaged_heart(default_heart):
     for endocardium in default_heart.endocardia:
         assert endocardium.area == pytest.approx(EXAMPLE_AREAS[endocardium.side], rel=1e-3)
 
 
-def test_on_the_packaged_heart_it_is_the_example(default_model):
-    assert fascicle.example_parameters(default_model) == EXAMPLE_PARAMETERS
+def test_that_of_the_packaged_heart_is_activated_as_mapped_hearts_are(default_model):
+    found = default_model.simulate(fascicle.example_parameters(default_model))
+    sequence = default_model.surfaces.sequence(found.activation)
+    assert sequence.is_mapped
+    assert sequence.first == "left septum"
+    assert sequence.last == "basal lateral left ventricle"
+    assert not any(criterion.met for criterion in found.conventional_criteria)
 
 
 def test_that_of_the_subject_has_a_normal_ecg():
@@ -72,7 +83,7 @@ def small(heart, factor, rv_width):
         return centre + factor * (points - centre - np.outer((1 - rv_width) * beyond, across))
 
     lv, rv = (replace(e, vertices=moved(e.vertices)) for e in heart.endocardia)
-    new = {"torso": None, "lead_fields": None, "folder": None}
+    new = {"torso": None, "lead_fields": None, "folder": None, "example": {}}
     return replace(heart, vertices=moved(heart.vertices), lv=lv, rv=rv, **new)
 
 
@@ -90,8 +101,8 @@ def test_on_small_hearts(default_heart, factor, rv_width, ml):
         assert 0.5 < found[name] / EXAMPLE_PARAMETERS[name] / np.sqrt(share) < 1.01
 
 
-def test_the_most_junctions_where_there_are_few(default_model, monkeypatch):
-    trees = list(default_model.grow(EXAMPLE_PARAMETERS))
+def test_the_most_junctions_where_there_are_few(bare_model, monkeypatch):
+    trees = list(bare_model.grow(EXAMPLE_PARAMETERS))
     lengths = []
 
     def grow(parameters):
@@ -99,12 +110,12 @@ def test_the_most_junctions_where_there_are_few(default_model, monkeypatch):
         count = 9 if len(lengths) == 3 else 4
         return [SimpleNamespace(side=tree.side, junctions=range(count)) for tree in trees]
 
-    monkeypatch.setattr(default_model, "grow", grow)
-    assert fascicle.example_parameters(default_model)["lv_initial_length"] == lengths[2]
+    monkeypatch.setattr(bare_model, "grow", grow)
+    assert fascicle.example_parameters(bare_model)["lv_initial_length"] == lengths[2]
 
 
-def test_a_heart_with_no_room_is_refused(default_model, monkeypatch):
+def test_a_heart_with_no_room_is_refused(bare_model, monkeypatch):
     invalid = InvalidTree("rv", 2, 0.0, 10.0, (0.0, 0.0, 0.0))
-    monkeypatch.setattr(default_model, "grow", lambda parameters: invalid)
+    monkeypatch.setattr(bare_model, "grow", lambda parameters: invalid)
     with pytest.raises(InputError, match="no example network was found that fits; choose other"):
-        fascicle.example_parameters(default_model)
+        fascicle.example_parameters(bare_model)

@@ -96,7 +96,8 @@ class TestSimulated:
         assert found.called(8.0) == "8 mm"
         one, other = (found.predicted[radius] for radius in (0.0, 8.0))
         areas = one.indices["qrs_area"]
-        np.testing.assert_allclose(areas / areas[0], [1, 4, 7])
+        # the marks of a larger QRS lie a little further apart
+        np.testing.assert_allclose(areas / areas[0], [1, 4, 7], rtol=1e-3)
         assert (one.indices["total_activation_time"] > other.indices["total_activation_time"]).all()
 
     def test_a_segment_that_cannot_be_fired_is_named(self, fitted, monkeypatch):

@@ -87,20 +87,24 @@ def septal_seeds(
 ) -> tuple[int, int]:
     """Root near the base and direction towards the apex: vertices in the middle of the septum.
 
-    The septum is where this endocardium comes nearest to the vertices `opposite` (k, 3) of the
-    other ventricle's. The bundle branches appear subendocardially in the upper septum; none starts
-    on a valve.
+    The septum is where this endocardium comes near to the vertices `opposite` (k, 3) of the other
+    ventricle's, and its middle is where the plane through the long axis and the middle of these
+    cuts it; where the septum is thinnest, it joins the free walls. The bundle branches appear
+    subendocardially in the upper septum; none starts on a valve.
     """
     base, apex = long_axis(vertices, triangles)
     axis = unit(apex - base)
     depth = (vertices - base) @ axis / np.linalg.norm(apex - base)
+    middle = opposite.mean(axis=0) - base
+    across = (vertices - base) @ np.cross(axis, unit(middle - (middle @ axis) * axis))
     to_other, _ = cKDTree(opposite).query(vertices)
+    score = to_other + np.abs(across)
     allowed = np.ones(len(vertices), dtype=bool)
     allowed[boundary_loops(triangles)[0]] = False
     if valves is not None:
         allowed[triangles[valves]] = False
 
-    def lowest(score: Floats, low: float, high: float) -> int:
+    def best(low: float, high: float) -> int:
         beyond = np.maximum(np.maximum(low - depth, depth - high), 0)
         nearest = float(beyond[allowed].min())
         # a coarse surface may have no vertex in the band: then those next to it, of 5 % of the way
@@ -108,11 +112,7 @@ def septal_seeds(
         return int(np.argmin(np.where(inside, score, np.inf)))
 
     # bands of the depth below the base, as a fraction of the way to the apex
-    direction = lowest(to_other, 0.4, 0.55)
-    # of the septal vertices near the base, the one from which the way down is straightest
-    sideways = vertices - vertices[direction]
-    sideways = np.linalg.norm(sideways - np.outer(sideways @ axis, axis), axis=1)
-    return lowest(to_other + sideways, 0.08, 0.22), direction
+    return best(0.08, 0.22), best(0.4, 0.55)
 
 
 def seeded_endocardia(
