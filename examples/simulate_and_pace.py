@@ -17,15 +17,16 @@ model = fascicle.ForwardModel(heart)
 # endocardia give an `InvalidTree`, with the reason.
 
 # %%
-own = model.simulate(fascicle.EXAMPLE_PARAMETERS)
+parameters = fascicle.example_parameters(model)
+own = model.simulate(parameters)
 assert isinstance(own, fascicle.Simulation), own.reason
 v1 = own.ecg.sel(lead="V1")  # xarray, mV over ms
 print(f"V1 from {float(v1.min()):.2f} to {float(v1.max()):.2f} mV")
 print(f"QRS window {own.qrs_duration:.0f} ms, activation {own.total_activation_time:.0f} ms")
 
 # %% [markdown]
-# Scenarios change what happens, not the network: its trees are handed on. `fascicle scenarios`
-# lists the library; a file of your own, or a `fascicle.Scenario`, is as good.
+# Scenarios change what happens, not the network. `fascicle scenarios` lists the library; a file of
+# your own, or a `fascicle.Scenario`, is as good.
 
 # %%
 NAMES = [
@@ -35,11 +36,7 @@ NAMES = [
     "biventricular-pacing",
 ]
 scenarios = fascicle.read_scenarios(NAMES)
-learnt = {name: fascicle.EXAMPLE_PARAMETERS[name] for name in ("cv", "root_time")}
-simulated = {
-    name: model.activate(own.trees, scenario=scenario, **learnt)
-    for name, scenario in scenarios.items()
-}
+simulated = {name: model.simulate(parameters, scenario) for name, scenario in scenarios.items()}
 for name, found in simulated.items():
     print(
         f"{name:<26} QRS window {found.qrs_duration:3.0f} ms, activation "
@@ -56,7 +53,7 @@ pacing = scenarios["left-bundle-branch-pacing"]
 with_block = pacing.mapped(
     lambda part: replace(part, left=0.0) if isinstance(part, fascicle.His) else part
 )
-paced = model.activate(own.trees, scenario=with_block, **learnt)
+paced = model.simulate(parameters, with_block)
 blocked = simulated["left-bundle-branch-block"]
 print(f"paced, with the block: QRS window {paced.qrs_duration:.0f} ms")
 assert blocked.qrs_duration > own.qrs_duration + 10

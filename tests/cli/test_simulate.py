@@ -140,7 +140,7 @@ class TestOutputs:
         out = tmp_path / "simulation"
         assert sorted(p.name for p in out.iterdir()) == FILES
         inputs = json.loads((out / "summary.json").read_text())["inputs"]
-        assert inputs["parameters"] == EXAMPLE_PARAMETERS
+        assert inputs["parameters"] == load_heart("default").example
         header, rows = read_ecg(out)
         v1, v6 = (rows[:, header.index(lead)] for lead in ("V1", "V6"))
         assert -v1.min() > v1.max()  # rS on the right, R on the left

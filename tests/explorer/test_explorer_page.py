@@ -108,10 +108,10 @@ def in_the_middle(page):
 def test_a_slider_gives_the_ecg_that_simulate_gives(server, visit, default_model):
     page = visit(server.url)
     before = shown(page)
-    change(page, lambda: slide(page, "lv_initial_length", 60))
+    change(page, lambda: slide(page, "lv_initial_length", 18))
     after = shown(page)
     expected = default_model.simulate(after["state"]["values"])
-    assert after["state"]["values"]["lv_initial_length"] == pytest.approx(60, abs=0.2)
+    assert after["state"]["values"]["lv_initial_length"] == pytest.approx(18, abs=0.2)
     found = np.array(after["leads"]).reshape(12, -1)
     np.testing.assert_allclose(found, expected.leads[:12], atol=1e-6)
     assert after["pixels"] != before["pixels"]

@@ -116,7 +116,7 @@ def test_those_held_out_have_bodies(prior):
     for one, other in zip(plain, examples.in_bodies, strict=True):
         apart = ((one - other) ** 2).sum() / (one**2).sum()
         assert 1e-3 < apart < 3
-        assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.3
+        assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.2
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
