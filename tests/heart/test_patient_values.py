@@ -55,7 +55,7 @@ def test_a_heart_may_have_its_own_example_network(tmp_path, default_heart):
 def test_what_cannot_be_is_refused_with_the_file(folder, line, words):
     manifest = folder / MANIFEST
     before = manifest.read_text(encoding="utf-8")
-    manifest.write_text(f"{before}{line}\n", encoding="utf-8")
+    manifest.write_text(before.replace("[values]\n", f"[values]\n{line}\n"), encoding="utf-8")
     with pytest.raises(InputError, match=words) as caught:
         load_heart(folder)
     manifest.write_text(before, encoding="utf-8")

@@ -172,21 +172,19 @@ def test_recordings(data_folder, file, names):
 
 
 def test_simulated_blocks(default_model):
-    """The blocked ventricle is late: R peaks late over it, and S is long on the other side."""
-    trees = default_model.grow(fascicle.EXAMPLE_PARAMETERS)
-    learnt = {name: fascicle.EXAMPLE_PARAMETERS[name] for name in ("cv", "root_time")}
+    """They meet the criteria of their names: R peaks late over the blocked ventricle."""
+    own = fascicle.example_parameters(default_model)
     scenarios = fascicle.read_scenarios(["left-bundle-branch-block", "right-bundle-branch-block"])
-    left, right = (default_model.activate(trees, scenario=s, **learnt) for s in scenarios.values())
-    assert min(left.global_qrs_duration, right.global_qrs_duration) > 140
-    assert any(one.met for one in left.conventional_criteria)
+    left, right = (default_model.simulate(own, s) for s in scenarios.values())
+    met = [{one.name for one in found.conventional_criteria if one.met} for found in (left, right)]
+    assert "complete left bundle branch block" in met[0]
+    assert met[1] == {"complete right bundle branch block"}
     in_left, in_right = (
         {lead: Qrs(found.ecg.sel(lead=lead).values[round(found.first_activation) :])
          for lead in LEADS}
         for found in (left, right)
     )  # fmt: skip
-    assert in_left["V1"].is_rs
-    assert in_left["V6"].r_peak > 60 > 20 > in_left["V1"].r_peak
+    assert in_left["V6"].r_peak > 60
     assert in_left["V6"].notches(1)
     assert in_right["V1"].r_peak > 60 > in_right["V6"].r_peak
-    assert in_right["I"].signs.endswith("+-")
     assert in_right["V6"].signs.endswith("+-")

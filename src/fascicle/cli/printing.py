@@ -52,7 +52,10 @@ def print_fit(fitted: FittedStudy, summary: Mapping[str, Any]) -> None:
         null = f"(flat line: {fitted.null_loss:.4f})"
         print_row("best of the first", f"{fitted.best_initial_loss:.4f} mV² {null}")
     else:
-        print_row("prior simulations", fitted.study.config.prior_simulations)
+        # a packaged emulator may have learnt from more than were asked for
+        learnt = [round(each["networks"]) for each in summary.get("emulators", ())]
+        asked = fitted.study.config.prior_simulations
+        print_row("prior simulations", min(learnt, default=asked))
     best = f"{population.best_loss:.4f} mV², {max(fitted.explained, 0):.0%} of the QRS explained"
     print_row("best network", best)
     for number, recording in enumerate([summary, *summary.get("other_recordings", [])], 1):
