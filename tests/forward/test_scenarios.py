@@ -365,7 +365,7 @@ class TestScar:
     def place(self, normal):
         """Where the left tree meets the wall."""
         tree = normal.trees[0]
-        return tuple(tree.nodes[tree.junctions[100]].tolist())
+        return tuple(tree.nodes[tree.junctions[120]].tolist())
 
     @pytest.fixture(scope="class")
     def scarred(self, default_heart, place):
@@ -428,7 +428,7 @@ class TestScar:
     def test_junctions_in_it_fire_nothing(self, simulation, scarred):
         site = np.concatenate([tree.nodes[tree.junctions] for tree in simulation.trees])
         dead = scarred.myocardium.on_surface(site).elements < 0
-        assert dead.any()
+        assert dead.sum() > 3
         assert not np.isin(np.flatnonzero(dead), simulation.coupled.origin).any()
         entered = np.concatenate(simulation.coupled.entered_by)
         assert (entered[dead] == -1).all()

@@ -91,13 +91,12 @@ class TestSimulated:
         )
 
     def test_networks_are_spread_over_the_population(self, fitted):
-        paced = case((Stimulus(0.0, site="rv apex"),), inactive=("lv", "rv"))
+        paced = case((Stimulus(0.0, site="rv free wall"),), inactive=("lv", "rv"))
         found = simulate_sweep(fitted, radii(paced, "0:8:8"), 3)
         assert found.called(8.0) == "8 mm"
         one, other = (found.predicted[radius] for radius in (0.0, 8.0))
         areas = one.indices["qrs_area"]
-        # the marks of a larger QRS lie a little further apart
-        np.testing.assert_allclose(areas / areas[0], [1, 4, 7], rtol=1e-3)
+        np.testing.assert_allclose(areas / areas[0], [1, 4, 7])
         assert (one.indices["total_activation_time"] > other.indices["total_activation_time"]).all()
 
     def test_a_segment_that_cannot_be_fired_is_named(self, fitted, monkeypatch):

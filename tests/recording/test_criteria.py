@@ -187,4 +187,5 @@ def test_simulated_blocks(default_model):
     assert in_left["V6"].r_peak > 60
     assert in_left["V6"].notches(1)
     assert in_right["V1"].r_peak > 60 > in_right["V6"].r_peak
+    assert in_right["I"].signs.endswith("+-")
     assert in_right["V6"].signs.endswith("+-")

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from clinical import SHORT_BUNDLES
 
 from benchmarks.qrs_window import simulated
 from benchmarks.synthetic_recordings.rhythms import hump
@@ -167,7 +168,7 @@ def test_nothing_before_the_end_of_a_spike_counts():
     signal[:, 140:144] += 5.0 * np.cos(np.arange(12))[:, None]
     assert qrs_window(signal)[0] < 140
     onset, offset = qrs_window(signal, not_before=146)
-    assert 146 <= onset == pytest.approx(150, abs=8)
+    assert 146 <= onset == pytest.approx(150, abs=6)
     assert offset == BEAT_WINDOW[1]
     assert outermost(signal, not_before=146)[0] >= 146
 
@@ -189,7 +190,7 @@ def test_two_electrodes_decide_but_not_one_nor_the_limb_leads_that_share_theirs(
         assert 274 <= offset <= 290
     for leads in ([7], [11], range(6)):
         moved = beat() + in_leads(leads, 110, 175) + in_leads(leads, 225, 300)
-        assert outermost(moved) == pytest.approx(PLAIN.global_window, abs=8)
+        assert outermost(moved) == pytest.approx(PLAIN.global_window, abs=6)
 
 
 def test_marks_that_rest_on_few_leads_are_less_sure():
@@ -211,7 +212,7 @@ def test_delta_wave_close_to_the_p_wave(height, length):
     signal = 0.4 * depolarisation(150, 250, 1.0, 700) + p_wave + delta
     onset, offset = qrs_window(signal)
     assert onset == pytest.approx(start, abs=9)
-    assert offset == pytest.approx(250, abs=8)
+    assert offset == pytest.approx(250, abs=6)
 
 
 @pytest.mark.parametrize("digit", [0.001, 0.00488, 0.02])
@@ -226,9 +227,10 @@ def test_digits_are_no_qrs(digit):
 
 def test_global_window_is_the_same_with_the_noise_of_recordings_as_without(default_model):
     """A simulated ECG has none: the level must not be that of the noise."""
-    simulation = default_model.simulate(example_parameters(default_model))
+    block = {"interventricular_delay": -60.0}
+    simulation = default_model.simulate(example_parameters(default_model) | block)
     clean = simulation.global_qrs_duration
-    assert 10 < clean - np.ptp(simulation.activation) < 30  # what experts mark further out
+    assert 10 < clean - np.ptp(simulation.activation) < 25  # what experts mark further out
     rng = np.random.default_rng(5)
     noisy = []
     for _ in range(8):
@@ -236,7 +238,7 @@ def test_global_window_is_the_same_with_the_noise_of_recordings_as_without(defau
         onset, offset = outermost(case.beats.mean(axis=0))
         # some are slowed to a wide QRS
         noisy.append(offset - onset - (case.offset - case.onset))
-    assert np.median(noisy) == pytest.approx(clean - np.ptp(simulation.activation), abs=8)
+    assert np.median(noisy) == pytest.approx(clean - np.ptp(simulation.activation), abs=6)
 
 
 def test_global_qrs_of_a_target():
@@ -257,14 +259,14 @@ def lowpass(cutoff, order):
 
 @pytest.mark.parametrize(("cutoff", "order"), [(35.0, 20.0), (40.0, 20.0), (40.0, 10.0)])
 def test_ringing_is_no_qrs(default_model, cutoff, order):
-    leads = default_model.simulate(example_parameters(default_model)).leads
+    leads = default_model.simulate(SHORT_BUNDLES).leads
     sharp = np.pad(leads, ((0, 0), (250, 250)))
     size = sharp.shape[1]
     filters = (lowpass(cutoff, order),)
     gain = filters[0].gain(np.fft.rfftfreq(size, 1e-3))
     blurred = np.fft.irfft(gain * np.fft.rfft(sharp), size)
     true = qrs_window(sharp)
-    assert np.ptp(qrs_window(blurred)) - np.ptp(true) > 10
+    assert np.ptp(qrs_window(blurred)) - np.ptp(true) > 20
     found = qrs_window(blurred, smoothing=smoothing_against_ringing(filters))
     assert found == pytest.approx(true, abs=11)
 

@@ -53,6 +53,7 @@ def small():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tested, "PART", PART)
         patch.setattr(tested, "BODIES", 2)
+        patch.setattr(tested, "SEED", 1)  # bodies that are not at the far end of their prior
         patch.setattr(tested, "random_bodies", random_bodies)
         patch.setattr(ecg_emulator, "FEWEST", 20)
         patch.setattr(ecg_emulator, "EPOCHS", 1)
@@ -116,7 +117,7 @@ def test_those_held_out_have_bodies(prior):
     for one, other in zip(plain, examples.in_bodies, strict=True):
         apart = ((one - other) ** 2).sum() / (one**2).sum()
         assert 1e-3 < apart < 3
-        assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.2
+        assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.3
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
