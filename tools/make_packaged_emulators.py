@@ -23,7 +23,6 @@ import fascicle
 from fascicle.core.array_cache import ArrayCache
 from fascicle.core.files import DISPOSABLE, PACKAGED
 from fascicle.core.leads import INDEPENDENT_ROWS
-from fascicle.core.quantities import CONDUCTION
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.heart import Heart
 from fascicle.study import origin
@@ -43,9 +42,9 @@ from fascicle.study.state_classifier import (
 
 FOLDER = Path(fascicle.__file__).parent / "data" / "emulators"
 COUNT = int(FitSettings.model_fields["prior_simulations"].default)
-# Networks of the normal state of the subject's heart, which the demonstration fits: the emulator's
-# error is a sixth less than with the usual number
-NORMAL = {"camps-dti004": 40_000}
+# Of the state in which the demonstration fits the subject's heart: with as many networks the error
+# of its emulator is a sixth less than with the usual number
+MORE = {("camps-dti004", "normal"): 40_000}
 ROWS = np.array(INDEPENDENT_ROWS)
 
 
@@ -63,8 +62,7 @@ def make_those_of(heart: Heart) -> dict[str, StateSimulations]:
     simulator = usual_simulator(ForwardModel(heart), heart.folder)
     known = simulations_of_states(simulator, heart.folder, COUNT)
     for each in known.values():
-        normal = each.state.name == CONDUCTION[0]
-        its = NORMAL.get(heart.name, each.count) if normal else each.count
+        its = MORE.get((heart.name, each.state.name), each.count)
         made_emulator(each.prior, its, Threads(2))
         take(heart.folder, EMULATOR, its, each.prior.content)
     beats = origin.ectopic_beats(simulator.model, heart.folder)

@@ -12,7 +12,7 @@ from fascicle.build.endocardia import cleaned_labels
 from fascicle.build.surface_checks import Walls, median_thickness, wall_thickness
 from fascicle.core.arrays import Floats
 from fascicle.heart.conduction import Conduction
-from fascicle.heart.endocardium import Endocardium, long_axis
+from fascicle.heart.endocardium import Endocardium, about_long_axis, long_axis
 from fascicle.heart.fibres import placeholder
 from fascicle.heart.heart import Heart, TorsoTissue
 from fascicle.heart.labelled_surface import Label, LabelledMesh, labelled_mesh
@@ -134,8 +134,7 @@ def _endocardium_rows(heart: Heart, charts: Mapping[str, Chart]) -> list[tuple[s
     rows = []
     for e in heart.endocardia:
         side, worst = e.side.upper(), _largest_stretch(e, charts[e.side])
-        base, apex = long_axis(e.vertices, e.triangles)
-        down = (e.vertices - base) @ (apex - base) / ((apex - base) @ (apex - base))
+        down, _, _ = about_long_axis(e.vertices, e.triangles, e.vertices)
         rows += [
             (f"{side} endocardium", f"{len(e.vertices)} points, {e.area / 100:.0f} cm²"),
             (

@@ -154,8 +154,9 @@ class VentricularSurfaces:
 
 def _places(heart: Heart, right: Booleans) -> np.ndarray[tuple[int], np.dtype[np.str_]]:
     """Where each vertex lies, given which ones are `right` of the middle of the septum (n,)."""
-    height, around, down = about_long_axis(heart.lv, heart.vertices)
-    septal = unit(about_long_axis(heart.lv, heart.rv.vertices)[1].mean(axis=0))
+    of_left = heart.lv.vertices, heart.lv.triangles
+    height, around, down = about_long_axis(*of_left, heart.vertices)
+    septal = unit(about_long_axis(*of_left, heart.rv.vertices)[1].mean(axis=0))
     angle = np.degrees(np.arctan2(around @ np.cross(septal, down), around @ septal))
     third = np.select([height < 1 / 3, height < 2 / 3], ["basal", "mid"], "apical")
     wall = np.select(

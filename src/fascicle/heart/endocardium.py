@@ -70,13 +70,15 @@ def long_axis(vertices: Floats, triangles: Integers) -> tuple[Floats, Floats]:
     return np.asarray(base), np.asarray(apex)
 
 
-def about_long_axis(endocardium: Endocardium, points: Floats) -> tuple[Floats, Floats, Floats]:
-    """Points (n, 3) about an endocardium's `long_axis`.
+def about_long_axis(
+    vertices: Floats, triangles: Integers, points: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Points (n, 3) about the `long_axis` of an endocardium.
 
     Height (n,), 0 at the opening and 1 at the apex; offset from the axis (n, 3) (mm); and the unit
     direction (3,) to the apex.
     """
-    base, apex = long_axis(endocardium.vertices, endocardium.triangles)
+    base, apex = long_axis(vertices, triangles)
     away, down = points - base, unit(apex - base)
     height = away @ down / np.linalg.norm(apex - base)
     return height, away - np.outer(away @ down, down), down
@@ -92,11 +94,9 @@ def septal_seeds(
     cuts it; where the septum is thinnest, it joins the free walls. The bundle branches appear
     subendocardially in the upper septum; none starts on a valve.
     """
-    base, apex = long_axis(vertices, triangles)
-    axis = unit(apex - base)
-    depth = (vertices - base) @ axis / np.linalg.norm(apex - base)
-    middle = opposite.mean(axis=0) - base
-    across = (vertices - base) @ np.cross(axis, unit(middle - (middle @ axis) * axis))
+    depth, around, axis = about_long_axis(vertices, triangles, vertices)
+    middle = about_long_axis(vertices, triangles, opposite)[1].mean(axis=0)
+    across = around @ np.cross(axis, unit(middle))
     to_other, _ = cKDTree(opposite).query(vertices)
     score = to_other + np.abs(across)
     allowed = np.ones(len(vertices), dtype=bool)

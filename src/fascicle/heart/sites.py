@@ -81,7 +81,7 @@ def places(heart: Heart) -> Places:
     potentials, _ = wall_potentials(quadratic_space(mesh.vertices, mesh.tetrahedra), mesh)
     wall, depth = wall_and_depth(potentials)
     middles = heart.vertices[heart.tetrahedra].mean(axis=1)
-    height, around, down = about_long_axis(heart.lv, middles)
+    height, around, down = about_long_axis(heart.lv.vertices, heart.lv.triangles, middles)
     in_septum = (wall == Wall.SEPTUM) & (height < 1)
     septal = unit(heart.volumes[in_septum] @ unit(around[in_septum]))
     angle = np.arctan2(around @ np.cross(septal, down), around @ septal)
@@ -232,9 +232,8 @@ class Sites:
     def _on_the_right(self, name: str) -> Floats:
         left, right = self.heart.lv, self.heart.rv
         vertices = right.vertices
-        base, apex = long_axis(vertices, right.triangles)
         if name == "rv apex":
-            return apex
+            return long_axis(vertices, right.triangles)[1]
         if name == "rv septum":
             seeds = septal_seeds(vertices, right.triangles, left.vertices, right.valves)
             return np.asarray(vertices[seeds[1]])
@@ -244,7 +243,7 @@ class Sites:
         else:
             score = vertices @ self.anterior
             first, last = 0.05, 0.25
-        depth = (vertices - base) @ unit(apex - base) / np.linalg.norm(apex - base)
+        depth, _, _ = about_long_axis(vertices, right.triangles, vertices)
         allowed = (depth >= first) & (depth <= last)
         if right.valves is not None:
             allowed[right.triangles[right.valves]] = False
