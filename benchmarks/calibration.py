@@ -95,7 +95,7 @@ from fascicle.study import paper, posterior
 from fascicle.study.conduction_states import STATES
 from fascicle.study.ecg_emulator import EcgEmulator
 from fascicle.study.evaluations import Database, Journal
-from fascicle.study.heart_emulator import made_emulator, usual_prior
+from fascicle.study.heart_emulator import emulator_of, usual_prior
 from fascicle.study.likelihood import EmulatedLikelihood, checked
 from fascicle.study.pool import Threads
 from fascicle.study.population import Population, Posterior
@@ -104,7 +104,7 @@ from fascicle.study.prior_simulations import PriorSimulations
 from fascicle.study.refined_emulator import refined_emulators
 from fascicle.study.settings import FitSettings, Method
 from fascicle.study.simulator import PointSimulator
-from fascicle.study.space import NOT_KNOWN, AveragedOver, is_kept, study_space
+from fascicle.study.space import NOT_KNOWN, is_kept, study_space
 from fascicle.study.state_fit import REFINEMENT
 from fascicle.study.target_comparison import Network, TargetComparison, evaluate
 from fascicle.study.target_comparison import networks as simulated
@@ -310,17 +310,22 @@ def prepared(heart_path: str, method: Method, count: int) -> tuple[Any, ...]:
     """Simulator, prior and emulator of a heart, and its longest axis, once a process."""
     threadpool_limits(1)
     heart = fascicle.load_heart(heart_path)
-    model = ForwardModel(heart)
-    averaged, prior, emulator = AveragedOver(), None, None
-    if method == "posterior":
-        prior = usual_prior(model, heart.folder, state=NORMAL)
-        space, fixed, averaged = prior.space, prior.fixed, prior.averaged
-        emulator = made_emulator(prior, count, Threads(1))
-    else:
-        space, fixed = study_space(method, {}, heart)
-    mapped = prior is not None and prior.mapped
-    simulator = PointSimulator(model, space, fixed, averaged=averaged, mapped=mapped)
-    return simulator, prior, emulator, longest_axis(heart)
+    model, axis = ForwardModel(heart), longest_axis(heart)
+    if method == "paper":
+        return PointSimulator(model, *study_space(method, {}, heart)), None, None, axis
+    simulator, prior = normal_state(model)
+    return simulator, prior, emulator_of(simulator, count, heart.folder), axis
+
+
+def normal_state(
+    model: ForwardModel, processes: int = 1
+) -> tuple[PointSimulator, PriorSimulations]:
+    """Simulator of the networks of the normal state of a heart, and their prior."""
+    prior = usual_prior(model, model.heart.folder, state=NORMAL)
+    simulator = PointSimulator(
+        model, prior.space, prior.fixed, Threads(processes), prior.averaged, mapped=prior.mapped
+    )
+    return simulator, prior
 
 
 def fitted(
@@ -732,9 +737,8 @@ def main() -> None:
     with TerminalProgress() as progress:
         if given.method == "posterior":
             heart = fascicle.load_heart(given.heart)
-            model = ForwardModel(heart, progress=progress)
-            prior = usual_prior(model, heart.folder, state=NORMAL)
-            made_emulator(prior, given.prior_simulations, Threads(given.processes), progress)
+            simulator, _ = normal_state(ForwardModel(heart, progress=progress), given.processes)
+            emulator_of(simulator, given.prior_simulations, heart.folder, progress)
         if given.physics == "other" and fascicle.load_heart(given.heart).torso is not None:
             model = ForwardModel(fascicle.load_heart(given.heart), progress=progress)
             model.torso(TORSO_GROUPS)  # kept on disk, where each process finds it

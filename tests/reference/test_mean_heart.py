@@ -5,6 +5,7 @@ import pytest
 from clinical import assert_left_bundle_branch_block, assert_normal
 
 import fascicle
+from fascicle.core.quantities import CONDUCTION
 from fascicle.mesh.topology import boundary_loops
 
 pytestmark = pytest.mark.slow
@@ -48,19 +49,24 @@ def test_volume_edge_and_rims(heart, folder):
 
 
 def test_normal_ecg(model):
-    assert_normal(model.simulate(fascicle.EXAMPLE_PARAMETERS))
+    found = model.simulate(fascicle.example_parameters(model))
+    assert_normal(found)
+    assert model.surfaces.sequence(found.activation).is_mapped
 
 
 def test_left_bundle_branch_block(model):
-    left_root_late = fascicle.EXAMPLE_PARAMETERS | {"root_time": -60.0}
-    assert_left_bundle_branch_block(model.simulate(left_root_late))
+    block = {"conduction": float(CONDUCTION.index("left bundle branch block"))}
+    found = model.simulate(fascicle.example_parameters(model) | block)
+    assert_left_bundle_branch_block(found)
+    met = {criterion.name for criterion in found.conventional_criteria if criterion.met}
+    assert "complete left bundle branch block" in met
 
 
 def test_fit_accepts_it(folder, model, tmp_path):
     """A few evaluations against the heart's own normal ECG."""
     from examples.recover_known_network import synthetic_target
 
-    leads = model.simulate(fascicle.EXAMPLE_PARAMETERS).leads
+    leads = model.simulate(fascicle.example_parameters(model)).leads
     fitted = fascicle.fit(
         folder, synthetic_target(leads, np.random.default_rng(0)), tmp_path / "study",
         method="paper", initial=6, steps=1, samples=1, draws=1000,

@@ -43,7 +43,7 @@ def folder(small, default_heart, tmp_path_factory):
 def target(default_model):
     """A beat from the apex of the right ventricle."""
     scenario = fascicle.read_scenarios(["rv-apical-pacing"])["rv-apical-pacing"]
-    return recorded(default_model.simulate(fascicle.EXAMPLE_PARAMETERS, scenario))
+    return recorded(default_model.simulate(fascicle.example_parameters(default_model), scenario))
 
 
 @pytest.fixture(scope="module")

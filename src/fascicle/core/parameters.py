@@ -334,7 +334,6 @@ def read_parameters(path: Path | str) -> dict[str, float]:
 
 # A network in the paper's parameters, which grows on most hearts; it is not of human anatomy, and
 # activates the right ventricle first. With root_time -60 it shows left bundle branch block.
-EXAMPLE_AREAS = {"lv": 11_349.0, "rv": 14_620.0}  # mm², of the idealised heart's endocardia
 EXAMPLE_PARAMETERS: dict[str, float] = {
     "lv_initial_length": 98.0,
     "rv_initial_length": 86.0,

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import EXAMPLE_AREAS, EXAMPLE_PARAMETERS
 from fascicle.core.ranges import check_kind
 from fascicle.forward.model import ForwardModel
+from fascicle.heart.folder import load_heart
 from fascicle.purkinje.tree import FEW_JUNCTIONS, InvalidTree
 
+SUBJECT = "camps-dti004"  # whose network is of human anatomy, and whose ECG is normal
 SHORTER = 0.9  # of what fits
 SHORTEST = 0.1  # mm
 MOST_TRIES = 40
@@ -19,9 +20,9 @@ def example_parameters(model: ForwardModel) -> dict[str, float]:
     """Parameters of a network with a plausible ECG, that grows on the heart of a model.
 
     A heart may have its own (`fascicle.Heart.example`), such as the packaged ones, which activate
-    the ventricles in the sequence of mapped human hearts. Of others, lengths are those of
-    `fascicle.EXAMPLE_PARAMETERS` times the root of the endocardium's area over that of the
-    idealised heart; what then leaves the endocardium is shortened, and so is a bundle whose tree
+    the ventricles in the sequence of mapped human hearts. On others it is the network of
+    ``camps-dti004``, with lengths times the root of the endocardium's area over that of
+    ``camps-dti004``; what then leaves the endocardium is shortened, and so is a bundle whose tree
     has few junctions: below 50, or fewer on an endocardium of less than half the area, which has
     less room. Where no length gives as many, it is the network with the most.
 
@@ -40,10 +41,10 @@ def example_parameters(model: ForwardModel) -> dict[str, float]:
     check_kind(model, ForwardModel, "model", "a fascicle.ForwardModel")
     if model.heart.example:
         return dict(model.heart.example)
-    found, few = dict(EXAMPLE_PARAMETERS), {}
-    for endocardium in model.heart.endocardia:
-        side = endocardium.side
-        share = endocardium.area / EXAMPLE_AREAS[side]
+    subject = load_heart(SUBJECT)
+    found, few = dict(subject.example), {}
+    for endocardium, of_subject in zip(model.heart.endocardia, subject.endocardia, strict=True):
+        side, share = endocardium.side, endocardium.area / of_subject.area
         factor, few[side] = round(math.sqrt(share), 2), FEW_JUNCTIONS * min(1.0, 2 * share)
         for name in found:
             if name.startswith(f"{side}_") and "length" in name:
