@@ -12,6 +12,7 @@ from fascicle.build.surface_repair import MERGED, SampledDistance, oriented_outw
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import LabelledMesh, LabelledSurface
+from fascicle.mesh.checks import largest_pieces
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, MeshFile
 from fascicle.mesh.measures import closed_volume, signed_volumes
 from fascicle.mesh.topology import merged_vertices, pieces_of, without_unused_vertices
@@ -60,11 +61,13 @@ def joined_pieces(mesh: LabelledMesh) -> LabelledSurface:
     both = sampled._replace(values=np.min(filled, axis=0))
     radii = LARGEST_GAP / 2 * np.array([1.0, 1.5, 2.0])
     whole = _without_channels(both, radii) or both.closed(float(radii[0]))
-    volumes = np.bincount(label(whole.values < 0)[0].ravel())[1:] * whole.edge**3 / 1e3
+    numbered = label(whole.values < 0)[0]
+    volumes = np.asarray(np.bincount(numbered.ravel())[1:] * whole.edge**3 / 1e3)
     if volumes.max() < 0.999 * volumes.sum():
-        sizes = ", ".join(f"{volume:.3g} ml" for volume in np.sort(volumes)[:-4:-1])
+        places = np.diag([whole.edge] * 3 + [1.0])
+        places[:3, 3] = whole.origin
         raise InputError(
-            f"{mesh.name}: its pieces of tissue ({sizes}{', ...' if len(volumes) > 3 else ''}) are "
+            f"{mesh.name}: its pieces of tissue ({largest_pieces(numbered, volumes, places)}) are "
             f"more than {LARGEST_GAP:g} mm apart; keep one piece or join them"
         )
     vertices, triangles = whole.surface()

@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, center_of_mass, find_objects, label
+from scipy.ndimage import binary_dilation, find_objects, label
 from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.validate import check_units
-from fascicle.mesh.checks import place
+from fascicle.mesh.checks import largest_pieces
 
 
 @dataclass(frozen=True)
@@ -232,17 +232,10 @@ def _remove_small_components(
     sizes = np.bincount(pieces.ravel())[1:]
     largest = int(sizes.argmax())
     ml = sizes * segmentation.voxel_volume / 1000
-    if (large := np.flatnonzero(sizes > 0.01 * sizes.sum())).size > 1:
-        largest_first = large[np.argsort(-ml[large], kind="stable")]
-        middles = center_of_mass(pieces > 0, pieces, largest_first[:3] + 1)
-        places = np.array(middles) @ affine[:3, :3].T + affine[:3, 3]
-        listed = ", ".join(
-            f"{ml[k]:.3g} ml about {place(at)}"
-            for k, at in zip(largest_first, places, strict=False)
-        )
+    if (large := sizes > 0.01 * sizes.sum()).sum() > 1:
         raise InputError(
-            f"{segmentation.name}: {part} falls into {large.size} unconnected pieces ({listed}"
-            f"{', ...' if large.size > 3 else ''}); join them, or keep one"
+            f"{segmentation.name}: {part} falls into {large.sum()} unconnected pieces "
+            f"({largest_pieces(pieces, np.where(large, ml, 0), affine)}); join them, or keep one"
         )
     for piece, box in enumerate(find_objects(pieces)):
         if piece == largest:
