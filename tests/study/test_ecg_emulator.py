@@ -206,6 +206,13 @@ def test_too_few_networks_are_refused(examples):
         learn(given, SPACE, AVERAGED, 2.5, np.random.default_rng(0))
 
 
+def with_fast_noise(simulation):
+    """Leads with as much again at 250 Hz, which no emulator says."""
+    t = np.arange(simulation.leads.shape[1])
+    fast = np.sin(np.pi * t / 2) * np.hanning(len(t)) * np.ptp(simulation.leads)
+    return replace(simulation, leads=simulation.leads + fast)
+
+
 def test_the_packaged_heart_has_one(default_model, tmp_path):
     """Of its present priors, so that its fits simulate nothing beforehand."""
     space, fixed = study_space("posterior", {}, default_model.heart)
@@ -235,6 +242,8 @@ def test_the_packaged_heart_has_one(default_model, tmp_path):
     none = Checks(1.0, {})
     error, expected = checked(none, emulated, networks).emulator
     assert error < 1.3 * expected == pytest.approx(1.3 * found.report["error"])
+    noisy = [replace(n, simulation=with_fast_noise(n.simulation)) for n in networks]
+    assert checked(none, emulated, noisy).emulator[0] == pytest.approx(error, rel=0.02)
     others = [*networks[1:], networks[0]]
     swapped = [replace(n, parameters=o.parameters) for n, o in zip(networks, others, strict=True)]
     assert checked(none, emulated, swapped).emulator[0] > 2 * expected

@@ -269,7 +269,7 @@ def learn(
     _refuse(examples, names, raw)
     made, count = examples.feasible, max(2, round(2 * HIGHEST * examples.ecgs.shape[2]))
     begin = np.flatnonzero(~examples.held_out[made])
-    cosines = _cosines(examples.ecgs, count)
+    cosines = cosines_of(examples.ecgs, count)
     mean = cosines[begin].mean(axis=0)
     flat = (cosines[begin] - mean).reshape(len(begin), -1)
     components = np.linalg.svd(flat[:6000], full_matrices=False)[2][:COMPONENTS]
@@ -290,7 +290,7 @@ def learn(
     clocks = "cv" in names and {*DELAY} & {*names} and {*FASTER[:2]} & {*names}
     for _ in range(COPIES if same_on_any_clock and clocks else 0):
         others, ecgs = _on_another_clock(here, ends, examples.ecgs[begin], rng)
-        lessons.append(lesson(others, _cosines(ecgs, count)))
+        lessons.append(lesson(others, cosines_of(ecgs, count)))
     seen, wanted = (np.concatenate(each).astype(np.float32) for each in zip(*lessons, strict=True))
     every, free = emulator.inputs(values, tissues), ~examples.held_out
     known = examples.kept[free][:, None].astype(np.float32)
@@ -333,8 +333,9 @@ def _trained(
     return train_together(trainings, rng, lambda done: report(done, steps * len(trainings)))
 
 
-def _cosines(ecgs: NDArray[np.float32], count: int) -> Floats:
-    return np.asarray(dct(ecgs, axis=2, norm="ortho")[:, :, :count], dtype=float)
+def cosines_of(ecgs: NDArray[Any], count: int) -> Floats:
+    """The lowest cosines (..., count) of ECGs (..., length)."""
+    return np.asarray(dct(ecgs, axis=-1, norm="ortho")[..., :count], dtype=float)
 
 
 def _on_another_clock(
@@ -370,8 +371,8 @@ def _with_what_is_left(
     """The same with what held-out ECGs have beside the emulated ones, and a report."""
     held_out = examples.held_out
     emulated = emulator.cosines(emulator.scores(inputs[held_out & examples.feasible]))
-    in_bodies = _cosines(examples.in_bodies, count)
-    true = _cosines(examples.ecgs[held_out[examples.feasible]], count)
+    in_bodies = cosines_of(examples.in_bodies, count)
+    true = cosines_of(examples.ecgs[held_out[examples.feasible]], count)
     bodies, factors = body_modes(true, in_bodies, examples.bodies)
     mixed = np.einsum("hk,kab->hab", factors[examples.bodies], bodies) + np.eye(true.shape[1])
     errors_in_bodies = in_bodies - mixed @ emulated
@@ -414,7 +415,7 @@ def trained_on(
     """
     if latest < FOLDS:
         return emulator
-    true = _cosines(ecgs, emulator.mean.shape[1])
+    true = cosines_of(ecgs, emulator.mean.shape[1])
     flat = emulator.components.reshape(len(emulator.components), -1)
     scores = (true - emulator.mean).reshape(len(true), -1) @ flat.T / emulator.unit
 
