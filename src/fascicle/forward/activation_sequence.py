@@ -217,7 +217,7 @@ class SequenceSummary:
     def lines(self) -> list[str]:
         """Where activation begins and ends, and its times beside the mapped ranges."""
         ends = (
-            f"{what}: " + ", ".join(f"{name} {p:.0%}" for name, p in shares.items() if p > 0.04)
+            f"{what}: " + ", ".join(f"{n} {p:.0%}" for n, p in [*shares.items()][:3] if p > 0.005)
             for what, shares in (("first activated", self.first), ("last activated", self.last))
         )
         times = [
