@@ -13,8 +13,8 @@ Without names, all of these:
 - ``subject``: the ECG of the subject of ``camps-dti004`` on the heart of that subject.
 - ``dogs``: two dogs on their own hearts, before and after ablation of the left bundle branch
   (Oomen et al., Biomech. Model. Mechanobiol. 2021, doi:10.1007/s10237-021-01532-7): how probable
-  each state is with the priors of people. 2000 networks of each state and dog are simulated, half
-  an hour in all.
+  each state is with the priors of people. Of each dog 2000 networks of the normal state are
+  simulated, and 1000 of each other, half an hour in all.
 - ``ptbxl``: recordings of PTB-XL with cardiologists' labels, on the packaged hearts, which are
   somebody else's: how many get a state named, how many normal ones a block, and the area under the
   ROC curve (AUC) of the side of a bundle branch block by what the classifier says all the same.
@@ -62,7 +62,7 @@ NETWORKS = 600  # that are drawn
 TORSOS = 12
 # The slow onset of the QRS of dog007 is lost in hum and wander.
 DOGS: dict[str, dict[str, float]] = {"dog006": {}, "dog007": {"notch": 60.0, "onset": -20.0}}
-DOG_NETWORKS = 2000  # of each state
+DOG_NETWORKS = 2000  # of the normal state; half as many of each other
 BUNDLE_BRANCH = {"left": ("CLBBB", "ILBBB"), "right": ("CRBBB", "IRBBB")}
 
 
