@@ -31,7 +31,7 @@ import csv
 import os
 import re
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -60,7 +60,7 @@ HEARTS = ("camps-dti004", "default")
 DATA = Path(os.environ.get("FASCICLE_TEST_DATA", "../shared/data"))
 NETWORKS = 600  # that are drawn
 TORSOS = 12
-# The slow onset of the QRS of dog007 is lost in hum and wander.
+# The slow onset of the QRS of dog007 is lost in power-line interference and baseline wander.
 DOGS: dict[str, dict[str, float]] = {"dog006": {}, "dog007": {"notch": 60.0, "onset": -20.0}}
 DOG_NETWORKS = 2000  # of the normal state; half as many of each other
 BUNDLE_BRANCH = {"left": ("CLBBB", "ILBBB"), "right": ("CRBBB", "IRBBB")}
@@ -192,10 +192,9 @@ def dogs() -> None:
                 answer = fascicle.state_probabilities(
                     Path(folder) / name, target, prior_simulations=DOG_NETWORKS, progress=progress
                 )
-                likely = answer.unreliable if isinstance(answer, NoStateNamed) else answer
                 why = f" ({answer.reason})" if isinstance(answer, NoStateNamed) else ""
                 print(f"{name}, {when}: QRS {target.qrs_duration:.0f} ms{why}")
-                print("  " + ", ".join(f"{state} {p:.2f}" for state, p in likely.items()))
+                print("  " + ", ".join(f"{state} {p:.2f}" for state, p in likely(answer).items()))
 
 
 def ptbxl(half: str) -> None:
@@ -246,11 +245,15 @@ def labels(row: dict[str, str]) -> set[str]:
     return {*re.findall(r"'(\w+)'", row["scp_codes"])}
 
 
-def of_side(answer: object, side: str) -> float:
+def likely(answer: Mapping[str, float] | NoStateNamed) -> Mapping[str, float]:
+    """Probability of each state, also where none is named."""
+    return answer.unreliable if isinstance(answer, NoStateNamed) else answer
+
+
+def of_side(answer: Mapping[str, float] | NoStateNamed, side: str) -> float:
     """Probability that the bundle branch of a side is blocked or slow."""
-    found = answer.unreliable if isinstance(answer, NoStateNamed) else answer
-    assert isinstance(found, dict)
-    return float(sum(p for name, p in found.items() if name.startswith(f"{side} bundle branch")))
+    states = likely(answer)
+    return float(sum(states[name] for name in states if name.startswith(f"{side} bundle branch")))
 
 
 def auc(scores: Array, there: NDArray[np.bool_]) -> float:
