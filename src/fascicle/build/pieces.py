@@ -8,11 +8,11 @@ import igl
 import numpy as np
 from scipy.ndimage import label
 
+from fascicle.build.segmentation import largest_pieces
 from fascicle.build.surface_repair import MERGED, SampledDistance, oriented_outwards
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import LabelledMesh, LabelledSurface
-from fascicle.mesh.checks import largest_pieces
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, MeshFile
 from fascicle.mesh.measures import closed_volume, signed_volumes
 from fascicle.mesh.topology import merged_vertices, pieces_of, without_unused_vertices

@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, find_objects, label
+from scipy.ndimage import binary_dilation, center_of_mass, find_objects, label
 from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.validate import check_units
-from fascicle.mesh.checks import largest_pieces
+from fascicle.mesh.checks import place
 
 
 @dataclass(frozen=True)
@@ -214,6 +214,22 @@ def _parts(segmentation: Segmentation, labels: SegmentationLabels) -> dict[str, 
                 "of every part (--labels; scar alone may be left out)"
             )
     return masks
+
+
+def largest_pieces(numbered: Integers, volumes: Floats, affine: Floats) -> str:
+    """Volumes (ml) and middles (mm) of the three largest pieces of a grid (i, j, k).
+
+    Nodes of a piece have its number, from 1; pieces of no volume are not counted. The affine (4, 4)
+    maps indices of nodes to mm.
+    """
+    count = np.count_nonzero(volumes)
+    largest = np.argsort(-volumes, kind="stable")[: min(count, 3)]
+    middles = np.array(center_of_mass(numbered > 0, numbered, largest + 1))
+    places = middles @ affine[:3, :3].T + affine[:3, 3]
+    listed = [
+        f"{volumes[k]:.3g} ml about {place(at)}" for k, at in zip(largest, places, strict=True)
+    ]
+    return ", ".join([*listed, *(["..."] if count > 3 else [])])
 
 
 def _remove_small_components(

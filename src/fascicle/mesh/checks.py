@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import igl
 import numpy as np
-from scipy.ndimage import center_of_mass
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
@@ -14,22 +13,6 @@ from fascicle.mesh.topology import boundary_loops, directed_edges, unique_edges
 def place(point: Floats) -> str:
     """A position (mm) as messages give it."""
     return "({:.1f}, {:.1f}, {:.1f}) mm".format(*point)
-
-
-def largest_pieces(numbered: Integers, volumes: Floats, affine: Floats) -> str:
-    """Volumes (ml) and middles (mm) of the three largest pieces of a grid (i, j, k).
-
-    Nodes of a piece have its number, from 1; pieces of no volume are not counted. The affine (4, 4)
-    maps indices of nodes to mm.
-    """
-    count = np.count_nonzero(volumes)
-    largest = np.argsort(-volumes, kind="stable")[: min(count, 3)]
-    middles = np.array(center_of_mass(numbered > 0, numbered, largest + 1))
-    places = middles @ affine[:3, :3].T + affine[:3, 3]
-    listed = [
-        f"{volumes[k]:.3g} ml about {place(at)}" for k, at in zip(largest, places, strict=True)
-    ]
-    return ", ".join([*listed, *(["..."] if count > 3 else [])])
 
 
 def first_places(bad: Integers, points: Floats) -> str:
