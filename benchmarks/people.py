@@ -13,8 +13,9 @@ Without names, all of these:
 - ``subject``: the ECG of the subject of ``camps-dti004`` on the heart of that subject.
 - ``dogs``: two dogs on their own hearts, before and after ablation of the left bundle branch
   (Oomen et al., Biomech. Model. Mechanobiol. 2021, doi:10.1007/s10237-021-01532-7): how probable
-  each state is with the priors of people. Of each dog 2000 networks of the normal state are
-  simulated, and 1000 of each other, half an hour in all.
+  each state is with priors of dogs (`canine_priors`), and the fitted speed along fibres. Of each
+  dog 2000 networks of the normal state are simulated, and 1000 of each other, an hour in
+  all.
 - ``ptbxl``: recordings of PTB-XL with cardiologists' labels, on the packaged hearts, which are
   somebody else's: how many get a state named, how many normal ones a block, and the area under the
   ROC curve (AUC) of the side of a bundle branch block by what the classifier says all the same.
@@ -45,6 +46,7 @@ from fascicle.build.torso import TorsoOptions
 from fascicle.cli.output import TerminalProgress
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
+from fascicle.core.parameters import HUMAN_SPACE
 from fascicle.forward.bodies import random_bodies
 from fascicle.forward.loss import align
 from fascicle.forward.simulation import Simulation
@@ -63,6 +65,10 @@ TORSOS = 12
 # The slow onset of the QRS of dog007 is lost in power-line interference and baseline wander.
 DOGS: dict[str, dict[str, float]] = {"dog006": {}, "dog007": {"notch": 60.0, "onset": -20.0}}
 DOG_NETWORKS = 2000  # of the normal state; half as many of each other
+# Speeds (m/s) of canine Purkinje fibres: 1.62 in 12 preparations (Myerburg et al., Circ. Res. 42
+# (1978) 27-35), stretched 2.32 +- 0.45 (Rosen et al., Am. J. Physiol. 240 (1981) H546-H554). Of
+# ventricular muscle along fibres: deep 0.26, superficial 0.98 (Myerburg)
+CANINE_SPEEDS = {"cv": (1.5, 2.8), "fibre_speed": (0.25, 0.8)}
 BUNDLE_BRANCH = {"left": ("CLBBB", "ILBBB"), "right": ("CRBBB", "IRBBB")}
 
 
@@ -177,6 +183,18 @@ def subject() -> None:
     print("  " + ", ".join(f"{lead} {r:.2f}" for lead, r in alike.items()))
 
 
+def canine_priors(heart: fascicle.Heart) -> dict[str, dict[str, float]]:
+    """Parameters of a fit of a dog: lengths of people scaled with its endocardia, and speeds."""
+    person = fascicle.load_heart(HEARTS[0])
+    ranges = dict(CANINE_SPEEDS)
+    for canine, human in zip(heart.endocardia, person.endocardia, strict=True):
+        scale = (canine.area / human.area) ** 0.5
+        for p in HUMAN_SPACE.parameters:
+            if p.name.startswith(canine.side) and "length" in p.name:
+                ranges[p.name] = scale * p.lower, scale * p.upper
+    return {name: {"lower": low, "upper": high} for name, (low, high) in ranges.items()}
+
+
 def dogs() -> None:
     """Print how probable each state is before and after ablation of the left bundle branch."""
     for name, options in DOGS.items():
@@ -185,16 +203,26 @@ def dogs() -> None:
         torso = TorsoOptions(electrodes=files / "electrodes.csv")
         with tempfile.TemporaryDirectory() as folder, TerminalProgress() as progress:
             built = build_heart(source, edge_length=3.0, torso=torso, name=name, progress=progress)
-            write_heart(built.heart, Path(folder) / name)
-            for when in ("baseline", "lbbb"):
+            heart = Path(folder) / name
+            write_heart(built.heart, heart)
+            priors = canine_priors(built.heart)
+            for when, state in (("baseline", "normal"), ("lbbb", "left bundle branch block")):
                 recording = fascicle.read_recording(files / f"ecg_{when}.csv")
                 target = fascicle.make_target(recording, **options)
                 answer = fascicle.state_probabilities(
-                    Path(folder) / name, target, prior_simulations=DOG_NETWORKS, progress=progress
-                )
+                    heart, target, parameters=priors, prior_simulations=DOG_NETWORKS,
+                    progress=progress,
+                )  # fmt: skip
                 why = f" ({answer.reason})" if isinstance(answer, NoStateNamed) else ""
                 print(f"{name}, {when}: QRS {target.qrs_duration:.0f} ms{why}")
                 print("  " + ", ".join(f"{state} {p:.2f}" for state, p in likely(answer).items()))
+                study = fascicle.fit(
+                    heart, target, Path(folder) / when, parameters={**priors, "conduction": state},
+                    prior_simulations=DOG_NETWORKS, effective=100, progress=progress,
+                )  # fmt: skip
+                speeds = np.percentile(study.population.values["fibre_speed"], (50, 5, 95))
+                print(f"  {study.verdict}")
+                print("  speed along fibres {:.2f} m/s ({:.2f} to {:.2f})".format(*speeds))
 
 
 def ptbxl(half: str) -> None:

@@ -2,8 +2,9 @@
 # # From an ECG file to a comparison of pacings
 #
 # The 12-lead DICOM recording that comes inside pydicom, on the packaged heart, which is not this
-# person's: so the result will say that it does not explain the ECG. Twenty networks are drawn
-# rather than 300, enough to see every stage work.
+# person's: so it explains three quarters of the QRS. Twenty networks are drawn rather than 300,
+# enough to see every stage work; the first line of the result says whether the runs agree all the
+# same.
 
 # %%
 import tempfile

@@ -148,18 +148,21 @@ def test_log_holds_what_was_said_with_times(run, refused, heart, tmp_path):
         ("default none.nc", "none.nc: no such file"),
         ("default notes.txt", "notes.txt: "),
         ("default t.nc", "t.nc: not a readable netCDF file"),
+        ("default t.nc --settings none.toml", "none.toml: no such file"),
+        ("default t.nc --settings wrong.toml", "wrong.toml: parameter 'cv': unknown key 'low'"),
     ],
 )
 def test_states_refuse_what_cannot_be_used(refused, run, tmp_path, monkeypatch, asked, words):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "notes.txt").write_text("nothing")
     (tmp_path / "t.nc").write_text("nothing")
+    (tmp_path / "wrong.toml").write_text("[parameters]\ncv = { low = 1.5 }\n")
     refused(["states", *asked.split()], words)
     for option in ("--prior-simulations", "--workers"):
         ended = run("states", "default", "t.nc", option, 0)
         assert (ended.status, ended.out) == (2, "")
         assert option in ended.err
-    assert [path.name for path in sorted(tmp_path.iterdir())] == ["notes.txt", "t.nc"]
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["notes.txt", "t.nc", "wrong.toml"]
 
 
 def test_the_file_of_a_scenario_is_printed(run, refused, tmp_path):

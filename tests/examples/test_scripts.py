@@ -1,5 +1,6 @@
 """The examples that notebooks are made from run as they stand, and find what they say."""
 
+import re
 import runpy
 from pathlib import Path
 
@@ -19,7 +20,10 @@ def test_simulate_and_pace():
 @pytest.mark.slow
 def test_learn_and_predict(capsys):
     found = runpy.run_path(str(EXAMPLES / "learn_and_predict.py"))
-    assert "poor fit" in found["study"].verdict
+    verdict = found["study"].verdict
+    assert "converged" in verdict.lower()
+    explained = int(re.search(r"(\d+)% of the QRS explained by the best 5% of networks", verdict)[1])
+    assert 60 <= explained < 90  # another person's heart
     assert found["page"].stat().st_size > 500_000
     assert "probability to be faster " in capsys.readouterr().out
     assert found["found"].probability() >= 0.7

@@ -418,9 +418,12 @@ def test_states_of_a_recording_without_a_fit(target, default_model):
     assert sum(found.values()) == pytest.approx(1)
     left = BLOCK, "left bundle branch delay"
     assert sum(found[name] for name in left) > 0.9
-    other = state_probabilities("default", target, {"normal": 1e6, BLOCK: 1.0}, progress=None)
+    priors = {"normal": 1e6, BLOCK: 1.0}
+    other = state_probabilities("default", target, priors, progress=None)
     assert {*other} == {"normal or fascicular block", BLOCK}
     assert other[BLOCK] < found[BLOCK]
+    asked = {"conduction": priors}
+    assert state_probabilities("default", target, parameters=asked, progress=None) == other
     wide = default_model.simulate(NETWORK | {"conduction": "right bundle branch block"})
     assert isinstance(wide, Simulation)
     right = state_probabilities("default", recorded(wide), progress=None)
@@ -445,6 +448,10 @@ def test_what_has_no_states_is_refused(target):
     for given, words in (
         ({"priors": {"block": 1.0}}, r"\['block'\]; give a prior above 0"),
         ({"prior_simulations": 0}, "prior_simulations is 0"), ({"workers": 0}, "workers is 0"),
+        ({"parameters": [1]}, "parameters is .*; give a dict of names to values"),
+        ({"parameters": {"cw": 2.0}}, "'cw'"),
+        ({"parameters": {"interventricular_delay": 55.0}}, "exclude what was asked for; fix less"),
+        ({"parameters": {"conduction": {"block": 1.0}}}, r"\['block'\]; give a prior above 0"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=words):
             state_probabilities("default", target, progress=None, **given)

@@ -285,6 +285,10 @@ def locate(
 def states(
     heart: HeartArgument,
     target: Annotated[Path, Argument(help="Target of the intrinsic beat, made with 'target'.")],
+    settings_file: Annotated[
+        Path | None,
+        Option("--settings", help="Settings file of a fit; its parameters are read, nothing else."),
+    ] = None,
     prior_simulations: Annotated[
         int | None, Option(min=100, help="Networks to learn from; by default as many as for a fit.")
     ] = None,
@@ -297,12 +301,17 @@ def states(
     common they are in adults who are referred for an ECG. No state is named where the recording is
     unlike all that are simulated on this heart, such as noise.
 
-    A heart of your own is simulated once, which takes minutes; a packaged one has been.
+    A heart of your own is simulated once, which takes minutes; a packaged one has been. So is one
+    with parameters of a settings file, such as priors of another species than people.
     """
+    from fascicle.study.space import PARAMETERS, read_settings
+
+    given = read_settings(settings_file) if settings_file is not None else {}
     with TerminalProgress() as progress:
         found = fascicle.state_probabilities(
-            heart, target, prior_simulations=prior_simulations, workers=workers,
-            progress=progress, pool=pool_at(scheduler, progress),
+            heart, target, parameters=given.get(PARAMETERS),
+            prior_simulations=prior_simulations, workers=workers, progress=progress,
+            pool=pool_at(scheduler, progress),
         )  # fmt: skip
     if isinstance(found, fascicle.NoStateNamed):
         print(found)

@@ -139,6 +139,26 @@ def asked_states(asked: Any) -> tuple[ConductionState, ...]:
     return states_of({CONDUCTION[int(value)]: 1.0})
 
 
+def possible_states(
+    asked: Any, space: ParameterSpace, known: Mapping[str, float]
+) -> tuple[ConductionState, ...]:
+    """The states that were asked for and that are possible with what is learnt and known.
+
+    Raises
+    ------
+    InputError
+        If there is no such state, a prior is none, or no state is left.
+    """
+    states = asked_states(asked)
+    states = tuple(state for state in states if state.narrowed(space, known) is not None)
+    if not states:
+        raise InputError(
+            "parameter 'conduction': what is fixed, the heart's values or the ranges exclude "
+            "what was asked for; fix less, or leave it out"
+        )
+    return states
+
+
 def united(
     space: ParameterSpace, fixed: Mapping[str, float], probable: Mapping[str, float]
 ) -> ParameterSpace:

@@ -21,7 +21,7 @@ from fascicle.forward.model import Backend
 from fascicle.heart.folder import as_heart, load_heart
 from fascicle.heart.heart import Heart
 from fascicle.purkinje.growth import GrowthRules
-from fascicle.study.conduction_states import ConductionState, asked_states
+from fascicle.study.conduction_states import ConductionState, possible_states
 from fascicle.study.diagnosis import diagnosed
 from fascicle.study.ecg_emulator import MODES
 from fascicle.study.fitted import FittedStudy
@@ -239,14 +239,7 @@ def _states(
             "parameter 'conduction': the method 'paper' knows no conduction states; leave it "
             "out, or use the method 'posterior'"
         )
-    states, known = asked_states(asked), {**heart.values, **fixed}
-    states = tuple(state for state in states if state.narrowed(space, known) is not None)
-    if not states:
-        raise InputError(
-            "parameter 'conduction': what is fixed, the heart's values or the ranges exclude "
-            "what was asked for; fix less, or leave it out"
-        )
-    return states
+    return possible_states(asked, space, {**heart.values, **fixed})
 
 
 def _hashes(recordings: Sequence[Recorded]) -> dict[str, Any]:

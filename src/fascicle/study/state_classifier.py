@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -20,13 +21,14 @@ from fascicle.core.files import DISPOSABLE
 from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS
 from fascicle.core.parameters import FREE
 from fascicle.core.progress import Lines, Progress, shown_progress
+from fascicle.core.ranges import check_kind
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.heart import Heart
 from fascicle.inference.emulator import Singles
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import as_target
-from fascicle.study.conduction_states import STATES, ConductionState, asked_states, state_label
+from fascicle.study.conduction_states import STATES, ConductionState, possible_states, state_label
 from fascicle.study.ecg_classifier import (
     LENGTH,
     EcgClassifier,
@@ -36,17 +38,11 @@ from fascicle.study.ecg_classifier import (
     in_leads,
     learn,
 )
-from fascicle.study.heart_emulator import (
-    for_simulations,
-    learnt_or_made,
-    made_emulator,
-    prior_of,
-    usual_prior,
-)
+from fascicle.study.heart_emulator import for_simulations, learnt_or_made, made_emulator, prior_of
 from fascicle.study.pool import Pool
 from fascicle.study.prior_simulations import SEED, PriorSimulations
 from fascicle.study.simulator import PointSimulator
-from fascicle.study.space import AveragedOver
+from fascicle.study.space import AveragedOver, study_space
 
 CLASSIFIER = "classifier"  # kind of file
 RECORDINGS = 40_000  # of each state to learn from
@@ -128,6 +124,7 @@ def state_probabilities(
     target: Target | Path | str,
     priors: Any = FREE,
     *,
+    parameters: Mapping[str, Any] | None = None,
     prior_simulations: int | None = None,
     workers: int | None = None,
     progress: Progress | Lines | None = "lines",
@@ -144,6 +141,9 @@ def state_probabilities(
     priors : mapping of str to float, optional
         Of the states before the ECG is seen; by default as common as they are in adults who are
         referred for an ECG (`fascicle.study.conduction_states.PREVALENCE`).
+    parameters : mapping of name to value, optional
+        Quantities with other priors than those of people, or fixed, as in `fascicle.fit`, so that
+        its ``"conduction"`` stands for `priors`. Networks of these are simulated once a heart.
     prior_simulations, workers, progress, pool
         As in `fascicle.locate`: a heart of your own is simulated once.
 
@@ -155,7 +155,7 @@ def state_probabilities(
     Raises
     ------
     InputError
-        If the heart or the target cannot be used.
+        If the heart, the target, a parameter or the priors of states cannot be used.
 
     Examples
     --------
@@ -166,7 +166,12 @@ def state_probabilities(
         heart, prior_simulations, "prior_simulations", workers, pool
     )
     target = as_target(target)
-    asked = {state.name: state.probability for state in asked_states(priors)}
+    check_kind(parameters, (Mapping, NoneType), "parameters", "a dict of names to values")
+    wanted = {"conduction": priors, **(parameters or {})}
+    asked_of = wanted.pop("conduction")
+    space, fixed = study_space("posterior", wanted, heart)
+    states = possible_states(asked_of, space, {**heart.values, **fixed})
+    asked = {state.name: state.probability for state in states}
     if others := {*asked} - {state.name for state in STATES}:
         raise InputError(
             f"priors: '{min(others)}' is not told apart from normal; give others, or leave them out"
@@ -174,7 +179,7 @@ def state_probabilities(
     with shown_progress(progress) as shown:
         if shown is not None:
             compile_kernels(shown)
-        simulator = usual_simulator(ForwardModel(heart, progress=shown), folder)
+        simulator = PointSimulator(ForwardModel(heart, progress=shown), space, fixed)
         known = simulations_of_states(simulator, folder, count)
         rows = classified_rows(target)
         classifier = classifier_of(known, rows, folder, count, pool, shown)
@@ -203,7 +208,8 @@ def simulations_of_states(
 
     Those of the heart's usual priors, of all states, wherever they are of what is learnt and fixed.
     """
-    found = _of_each(usual_simulator(simulator.model, folder), folder, count)
+    usual = PointSimulator(simulator.model, *study_space("posterior", {}, simulator.model.heart))
+    found = _of_each(usual, folder, count)
     asked = _of_each(simulator, folder, count)
     if all(
         name in found
@@ -214,12 +220,6 @@ def simulations_of_states(
     ):
         return found
     return asked
-
-
-def usual_simulator(model: ForwardModel, folder: Path) -> PointSimulator:
-    """What a study simulates if nothing is said of what it learns."""
-    usual = usual_prior(model, folder)
-    return PointSimulator(model, usual.space, {**usual.fixed})
 
 
 def _of_each(simulator: PointSimulator, folder: Path, count: int) -> dict[str, StateSimulations]:
@@ -317,7 +317,8 @@ def simulate_prior(
         if shown is not None:
             compile_kernels(shown)
         model = ForwardModel(heart, progress=shown)
-        known = simulations_of_states(usual_simulator(model, folder), folder, count)
+        simulator = PointSimulator(model, *study_space("posterior", {}, heart))
+        known = simulations_of_states(simulator, folder, count)
         classifier_of(known, np.array(INDEPENDENT_ROWS), folder, count, pool, shown)
         for each in {each.prior.content: each for each in known.values()}.values():
             made_emulator(each.prior, each.count, pool, shown)
