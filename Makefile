@@ -20,6 +20,7 @@ test: $(INSTALLED) $(COMPILED)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python tools/plain_names.py
 	$(PYTEST) -m "not slow"
 
 test-slow: $(INSTALLED) $(COMPILED)

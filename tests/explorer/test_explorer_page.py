@@ -34,7 +34,7 @@ class Server:
 
     def ended(self):
         """Its exit status, and what it said on standard error."""
-        return self.process.wait(20), self.process.stderr.read()
+        return self.process.wait(120), self.process.stderr.read()
 
 
 @pytest.fixture
@@ -277,10 +277,10 @@ def test_a_page_says_that_its_server_has_gone(server, visit):
 
 
 class Slow(Session):
-    """A session whose answers take longer than anyone waits."""
+    """A session whose answers take ten minutes, longer than `Server.ended` waits."""
 
     def answer(self, message, report=None):
-        for k in range(100):
+        for k in range(6000):
             time.sleep(0.1)
             report(packed({"progress": f"step {k}"}, {}))
         return super().answer(message, report)
@@ -303,12 +303,10 @@ def test_it_ends_at_once_while_it_computes(browser, interrupted):
     page = browser.new_page()
     page.goto(server.url)
     page.get_by_text("step 5").wait_for()
-    begun = time.monotonic()
     if interrupted:
         server.process.send_signal(signal.SIGINT)
     page.close()
     status, said = server.ended()
-    assert time.monotonic() - begun < 8  # of ten seconds
     assert "ASGI" not in said
     assert "running task" not in said
     assert interrupted or (status == 0 and "Traceback" not in said)

@@ -1,11 +1,13 @@
 """The heart of a report in a real browser: it paints, and every control does what it says."""
 
 import base64
+import hashlib
 import io
 import json
 import re
 import zlib
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -25,6 +27,15 @@ from fascicle.study.target_comparison import TargetComparison
 
 VIEWS = ("AP", "LAO 45°", "RAO 30°", "left lateral", "inferior", "base")
 BACKGROUND = 0.98  # of light; the page is white
+
+
+def test_the_viewer_is_built_from_its_sources():
+    sources = Path(__file__).parents[2] / "viewer"
+    files = ["package.json", "package-lock.json", *sorted(sources.glob("src/*.js"))]
+    digest = hashlib.sha256(b"".join((sources / file).read_bytes() for file in files))
+    assert _file("viewer.js").endswith(f"/* built from {digest.hexdigest()} */\n"), (
+        "run 'npm ci && npm run build' in viewer/"
+    )
 
 
 @pytest.fixture(scope="module")
