@@ -24,7 +24,7 @@ from fascicle.mesh.topology import (
     unique_edges,
 )
 
-NARROWEST = 2.0  # mm between endocardium and epicardium, so that a thin wall, too, ends in a rim
+NARROWEST = 2.0  # mm between endocardium and epicardium, so that even a thin wall ends in a rim
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class DualGraph:
         """Weight of each edge (e,): 1 between triangles in a plane, nearly 0 across a crease."""
         ahead, behind = self.normals[self.edges[0][:, 0]], self.normals[self.edges[0][:, 1]]
         angle = np.arccos(np.clip(np.einsum("ij,ij->i", ahead, behind), -1.0, 1.0))
-        # 1/e at 0.5 rad; a little keeps the graph connected across sharp edges
+        # 1/e at 0.5 rad; the minimum keeps the graph connected across sharp edges
         return np.asarray(np.maximum(np.exp(-((angle / 0.5) ** 2)), 1e-4))
 
     def laplacian(self, weights: Floats) -> csr_array:
@@ -99,10 +99,10 @@ class DualGraph:
         return np.where(chosen, rank[piece], -1)
 
     def random_walker(self, seeds: Integers, labels: int) -> Integers:
-        """Label every triangle as a random walker from it would first arrive.
+        """Label every triangle by the seeds that a random walker from it most likely meets first.
 
         The walker goes along the surface and seldom crosses creases (Grady 2006, IEEE Trans Pattern
-        Anal Mach Intell 28:1768-1783). Seeds (m,) are -1 where a triangle has none of the labels.
+        Anal Mach Intell 28:1768-1783). Seeds (m,) are labels, or -1 where a triangle has none.
         """
         free, fixed = np.flatnonzero(seeds < 0), np.flatnonzero(seeds >= 0)
         if not free.size:
@@ -117,21 +117,20 @@ class DualGraph:
 
 
 def openness(graph: DualGraph, progress: StageProgress = no_progress) -> Floats:
-    """One minus the ambient occlusion of each triangle (m,), from 0 to 1, by Lambert's cosine.
+    """Openness of each triangle (m,): 1 minus its ambient occlusion, weighted by Lambert's cosine.
 
-    Rays leave over the half space before a triangle and either meet the surface again or do not;
-    a triangle on a plane is open (1), one in a well is not (0). (`igl.ambient_occlusion` has no
-    cosine, draws its rays at random, so that labels differ from run to run, and takes three times
-    as long.)
+    It is the share of rays over the half space in front of a triangle that do not meet the surface
+    again: 1 on a plane, nearly 0 in a well. (`igl.ambient_occlusion` has no cosine, draws its rays
+    at random, so that labels differ from run to run, and takes three times as long.)
     """
     count, samples, rays, chunk = len(graph.triangles), 6000, 48, 500
     chosen = np.arange(count)
-    if count > samples:  # the others take it from the nearest of them
+    if count > samples:  # the others take the mean of the nearest samples
         share = graph.areas / graph.areas.sum()
         chosen = np.random.default_rng(0).choice(count, samples, replace=False, p=share)
     tree = igl.AABB()
     tree.init(graph.vertices, graph.triangles)
-    # the half space about z by the cosine law: a sunflower's seeds, lifted
+    # directions about z by the cosine law: a sunflower's seeds, projected onto the half sphere
     radius = np.sqrt((np.arange(rays) + 0.5) / rays)
     angle = np.pi * (3 - np.sqrt(5)) * np.arange(rays)
     x, y, z = radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - radius**2)
@@ -147,8 +146,8 @@ def openness(graph: DualGraph, progress: StageProgress = no_progress) -> Floats:
         met, _, _ = tree.intersect_ray_first(graph.vertices, graph.triangles, origins, towards)
         seen[start : start + chunk] = (met.reshape(-1, rays) < 0).mean(axis=1)
         progress(min(start + chunk, len(chosen)), len(chosen))
-    # the mean of the four nearest samples that face the same way, not those across a thin wall:
-    # samples that face away count as 10 mm farther
+    # the mean of the four nearest samples that face the same way, not those across a thin wall: a
+    # difference between unit normals counts as 10 mm
     place = np.hstack([graph.centres, 10.0 * graph.smooth_normals])
     _, nearest = cKDTree(place[chosen]).query(place, k=4)
     return np.asarray(seen[nearest].mean(axis=1))
@@ -169,8 +168,8 @@ class Region(IntEnum):
 def smoothed_regions(graph: DualGraph, regions: Integers) -> Integers:
     """Regions of triangles (m,) with borders that are as smooth as the triangles allow.
 
-    Each cavity and the outer surface is smoothed for itself, so that a narrow base between them
-    stays; then the outer surface ends `NARROWEST` before the cavities do.
+    Cavities and outer surface are smoothed separately, so that a narrow base between them stays;
+    the outer surface then keeps `NARROWEST` away from the cavities.
     """
     parts = (Region.FIRST, Region.SECOND, Region.OUTER)
     shares = [_smoothed(graph, regions == part) for part in parts]
@@ -185,10 +184,10 @@ def smoothed_regions(graph: DualGraph, regions: Integers) -> Integers:
 
 
 def cut_along_borders(surface: LabelledSurface, edge_length: float = NARROWEST) -> LabelledSurface:
-    """The same surface with triangles divided so that borders need not follow their edges.
+    """Divide the triangles of a surface so that borders need not follow their edges.
 
-    The surface is closed, with `Label.BASE` between the other labels. The base is nowhere narrower
-    than the edge length of the triangles to come (mm).
+    The surface is closed, with `Label.BASE` between the other labels. The base becomes nowhere
+    narrower than the edge length (mm) that the surface is to be meshed with.
     """
     for part in (*ENDOCARDIA, Label.EPICARDIUM):
         inside = surface.labels == part
@@ -210,9 +209,9 @@ def cut_along_borders(surface: LabelledSurface, edge_length: float = NARROWEST) 
 def _smoothed(graph: DualGraph, chosen: Booleans) -> Floats:
     """Share of the surface about each triangle that is chosen, shape (m,).
 
-    The characteristic function after an implicit step of diffusion that hardly crosses creases: its
-    level ½ is the border without teeth (Merriman, Bence and Osher 1992, Diffusion generated motion
-    by mean curvature), and a border that follows a crease stays there.
+    It is the characteristic function after an implicit step of diffusion that hardly crosses
+    creases: its level ½ is the border without teeth (Merriman, Bence and Osher 1992, Diffusion
+    generated motion by mean curvature), and a border that follows a crease stays there.
     """
     reach = max(2.5, 1.5 * float(graph.lengths.mean()))  # mm over which a border is smoothed
     system = diags_array(graph.areas) + reach**2 * graph.laplacian(graph.crease_weights)
@@ -220,7 +219,7 @@ def _smoothed(graph: DualGraph, chosen: Booleans) -> Floats:
 
 
 def _level(graph: DualGraph, inside: Booleans) -> Floats:
-    """A function of the vertices that is positive inside, zero on the smooth border, (n,)."""
+    """Function (n,) of the vertices that is positive inside and zero on the smooth border."""
     corners, count = graph.triangles.ravel(), len(graph.vertices)
     weights = np.repeat(graph.areas, 3)
     share = np.repeat(_smoothed(graph, inside) - 0.5, 3)
@@ -233,22 +232,22 @@ def cut_at_zero(
 ) -> tuple[Floats, Integers, Integers, Integers]:
     """Divide the triangles that the zero level of a function, given at the vertices, crosses.
 
-    The old vertices come first. Of each triangle (m, 3) follow which it is part of (m,), and its
-    side (m,): 1 where the function is positive, -1 where negative, 0 where all corners are on the
-    line.
+    Returns vertices, the old ones first; triangles (m, 3); the old triangle that each is part of
+    (m,); and its side (m,): 1 where the function is positive, -1 where negative, 0 where all
+    corners are on the line.
     """
-    near = 0.15  # of an edge; a line that passes a vertex so near is led through it
+    near = 0.15  # of an edge; a line that passes a vertex this closely is moved onto it
     values = values.copy()
     edges, _ = unique_edges(triangles)
-    one, other = values[edges].T
-    crossing = one * other < 0
-    share = np.divide(one, one - other, out=np.zeros(len(edges)), where=crossing)
+    first, second = values[edges].T
+    crossing = first * second < 0
+    share = np.divide(first, first - second, out=np.zeros(len(edges)), where=crossing)
     for close, end in ((share < near, 0), (share > 1 - near, 1)):
         values[edges[crossing & close, end]] = 0.0
-    one, other = values[edges].T
-    edges = edges[one * other < 0]
-    one, other = values[edges].T
-    share = (one / (one - other))[:, None]
+    first, second = values[edges].T
+    edges = edges[first * second < 0]
+    first, second = values[edges].T
+    share = (first / (first - second))[:, None]
     added = (1 - share) * vertices[edges[:, 0]] + share * vertices[edges[:, 1]]
     on_edge = {tuple(edge): len(vertices) + k for k, edge in enumerate(edges.tolist())}
     corner_signs = np.sign(values[triangles]).astype(np.int64)
@@ -266,7 +265,7 @@ def cut_at_zero(
 
 
 def _divided(corners: list[int], on_edge: dict[tuple[int, int], int]) -> list[list[int]]:
-    """Two or three triangles for one, at the new vertices on one or two of its edges."""
+    """Two or three parts of a triangle that is cut at new vertices on one or two of its edges."""
     edges = np.sort(np.array(corners)[TRIANGLE_EDGES], axis=1).tolist()
     new = [on_edge.get((a, b), -1) for a, b in edges]
     cut = [vertex != -1 for vertex in new]

@@ -43,8 +43,8 @@ def build_heart(
     """Build a simulation-ready heart from an anatomy, meshed with a mean edge length (mm).
 
     Fibres of the source take precedence over the angles of rule-based ones. Seeds (by side, root
-    and direction) say where each bundle starts and heads; by default the anatomy does. An error if
-    the anatomy or the torso cannot be used.
+    and direction) are where each bundle starts and heads; by default the anatomy decides. An error
+    if the anatomy or the torso cannot be used.
     """
     anatomy = read_anatomy(source, edge_length, progress)
     check_tetrahedra(anatomy.mesh.name, anatomy.mesh.vertices, anatomy.mesh.tetrahedra)
@@ -66,14 +66,14 @@ def heart_of(
     name: str = "heart",
     progress: Progress | None = None,
 ) -> Heart:
-    """Fibres, endocardia and seeds of an anatomy; its electrodes are not placed yet (NaN)."""
+    """Heart with fibres, endocardia and seeds of an anatomy; electrodes are not placed (NaN)."""
     mesh, fibres, sheets = anatomy.mesh, anatomy.fibres, anatomy.sheets
     if fibres is None:
         ruled = rule_based_fibres(mesh, angles, stage_progress(progress, "fibres"))
         fibres, sheets = ruled.fibre, ruled.sheet
     surfaces = {
-        side: (mesh.name, own.vertices, own.triangles, own.valve if own.valve.any() else None)
-        for side, own in zip(("lv", "rv"), endocardia(mesh), strict=True)
+        side: (mesh.name, e.vertices, e.triangles, e.valve if e.valve.any() else None)
+        for side, e in zip(("lv", "rv"), endocardia(mesh), strict=True)
     }
     chosen = {side: (seeds or {}).get(side, (None, None)) for side in surfaces}
     left, right = seeded_endocardia(surfaces, chosen)

@@ -21,7 +21,7 @@ from fascicle.purkinje.chart import Chart, stretch
 from fascicle.torso.electrode_sites import electrode_warnings
 from fascicle.torso.lead_fields import is_up_to_date
 
-DISTORTED = 12.0  # ratio of a chart's stretch in two directions, from which it warns
+DISTORTED = 12.0  # ratio of a chart's stretches in two directions, above which a check warns
 LAYERS = 5  # from endocardium to epicardium, in which helix angles are reported
 WALLS = ("LV free wall", "septum", "RV free wall")
 
@@ -114,7 +114,7 @@ def helix_angles(mesh: LabelledMesh, heart: Heart) -> dict[str, HelixAngles]:
             distances[k], nearest[k] = np.sqrt(np.asarray(square)), point
     furthest = distances.argmax(axis=0)
     base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
-    found = {}
+    helix = {}
     for name, inner, outer in zip(WALLS, (0, 0, 2), (1, 2, 1), strict=True):
         outward = nearest[outer] - nearest[inner]
         across = distances[inner] + distances[outer]
@@ -126,8 +126,8 @@ def helix_angles(mesh: LabelledMesh, heart: Heart) -> dict[str, HelixAngles]:
         along = unit(base - apex - (through @ (base - apex))[:, None] * through)
         upwards = np.einsum("ij,ij->i", fibres[here], along)
         around = np.einsum("ij,ij->i", fibres[here], np.cross(along, through))
-        found[name] = HelixAngles(depth, 90 - (90 - np.degrees(np.arctan2(upwards, around))) % 180)
-    return found
+        helix[name] = HelixAngles(depth, 90 - (90 - np.degrees(np.arctan2(upwards, around))) % 180)
+    return helix
 
 
 def _endocardium_rows(heart: Heart, charts: Mapping[str, Chart]) -> list[tuple[str, str]]:
@@ -152,7 +152,7 @@ def _endocardium_rows(heart: Heart, charts: Mapping[str, Chart]) -> list[tuple[s
 
 
 def _largest_stretch(endocardium: Endocardium, chart: Chart) -> float:
-    """Largest ratio of a chart's stretches but at valve openings, where no network grows."""
+    """Largest ratio of a chart's stretches, valve openings apart, where no network grows."""
     stretched = stretch(chart.metric)
     if endocardium.valves is not None:
         openings = endocardium.triangles[endocardium.valves]
@@ -168,8 +168,8 @@ def _torso_rows(heart: Heart) -> list[tuple[str, str]]:
     value = f"{len(names)}; nearest to the heart {names[near]}, {distance[near]:.0f} mm"
     rows = [("electrodes", value)]
     if heart.torso is None:
-        known = "lead fields given" if heart.lead_fields is not None else "unbounded conductor"
-        return [*rows, ("torso", f"none ({known})")]
+        conductor = "lead fields given" if heart.lead_fields is not None else "unbounded conductor"
+        return [*rows, ("torso", f"none ({conductor})")]
     volumes = signed_volumes(heart.torso.vertices, heart.torso.tetrahedra)
     parts = ", ".join(
         f"{tissue.name.lower()} {volumes[heart.torso.tissues == tissue].sum() / 1e6:.2f} l"
@@ -186,7 +186,7 @@ def _size_warnings(
     lv, rv = (cavity_volume(endocardium) for endocardium in heart.endocardia)
     lv_wall, rv_wall = median_thickness(walls.lv), median_thickness(walls.rv)
     # ranges of human adults, healthy or not
-    for what, value, (low, high), units, remedy in (
+    for part, value, (low, high), units, remedy in (
         ("LV cavity", lv, (40.0, 400.0), "ml", "check units and endocardium"),
         ("RV cavity", rv, (40.0, 400.0), "ml", "check units and endocardium"),
         ("myocardium", heart.volumes.sum() / 1e3, (60.0, 450.0), "ml", "check units and surfaces"),
@@ -195,7 +195,7 @@ def _size_warnings(
     ):
         if np.isfinite(value) and not low <= value <= high:
             warnings.append(
-                f"{what}: {value:.3g} {units}; human adults have {low:g} to {high:g}; {remedy}"
+                f"{part}: {value:.3g} {units}; human adults have {low:g} to {high:g}; {remedy}"
             )
     if shape.angles.min() < 5.0:
         warnings.append(
@@ -212,7 +212,7 @@ def _size_warnings(
 
 
 def _lead_field_warnings(heart: Heart) -> list[str]:
-    """Lead fields of other electrodes or fibres, or of another torso."""
+    """Warning about lead fields of other electrodes or fibres, or of another torso."""
     if heart.lead_fields is None or is_up_to_date(heart, Conduction()):
         return []
     then = "they are solved again when needed"
@@ -222,14 +222,14 @@ def _lead_field_warnings(heart: Heart) -> list[str]:
 
 
 def _fibre_warnings(heart: Heart, free_wall: HelixAngles) -> list[str]:
-    """Fibres that are none or turn the wrong way: a right-handed helix lines the human LV."""
+    """Warning about placeholder fibres, or a helix angle that does not fall as in human hearts."""
     if fault := placeholder(heart.fibres):
         return [
             f"fibres: they are a placeholder, as {fault}; build or import the heart again with "
             "--fibres rule"
         ]
     inside, *_, outside = free_wall.in_layers()
-    if not inside + 20.0 < outside:  # nor where there are none
+    if not inside + 20.0 < outside:  # false where a layer has no fibres (NaN)
         return []
     return [
         f"fibres: the helix angle of the LV free wall goes from {inside:.0f} degrees inside to "

@@ -16,7 +16,7 @@ from fascicle.mesh.checks import check_edges, oriented_piece, place
 from fascicle.mesh.measures import closed_by_fan, turned_outwards, unit
 from fascicle.mesh.topology import boundary_loops, without_unused_vertices
 
-# At the upper edge of a cavity the openness of a wall is a half, deeper less; that of the
+# The openness of a wall is a half at the upper edge of a cavity and less deeper down; that of the
 # epicardium is more than 0.8 even in the grooves between the ventricles.
 IN_CAVITY, OUTSIDE = 0.6, 0.85
 
@@ -27,10 +27,10 @@ def classify_surface(
     """Label the closed surface of the ventricles from its shape alone.
 
     Endocardium is where rays that leave the surface mostly meet it again (ambient occlusion); there
-    must be two such pieces, of which the left one is rounder, closer to convex and behind the
-    thicker wall. The base is where the surface along the openings faces upwards out of the wall,
-    whether it is flat or a rounded rim. A random walker draws the borders along the creases; the
-    borders are then smoothed, and the base is nowhere narrower than about 2 mm.
+    must be two such pieces, of which the left one is rounder, closer to convex and has the thicker
+    wall. The base is where the surface along the openings faces upwards out of the wall, whether it
+    is flat or a rounded rim. A random walker draws the borders along the creases; the borders are
+    then smoothed, and the base is nowhere narrower than about 2 mm.
 
     Vertices (n, 3) (mm) are in any frame, triangles (m, 3) in any orientation; they are turned to
     face out of the tissue. Each label is one piece and each endocardium has one opening. Vertices
@@ -61,22 +61,22 @@ def _cavities(graph: DualGraph, exposed: Floats, name: str) -> Integers:
     """Number of the cavity that each triangle lies deep in, -1 elsewhere; there must be two."""
     piece = graph.components(exposed < IN_CAVITY)
     area = np.bincount(piece[piece >= 0], graph.areas[piece >= 0], minlength=1)
-    found = int((area > 0.02 * graph.areas.sum()).sum())  # smaller ones are dents
-    if found != 2:
-        sizes = [f"{_millilitres(graph, piece == k):.3g} ml" for k in range(found)]
+    count = int((area > 0.02 * graph.areas.sum()).sum())  # smaller ones are dents
+    if count != 2:
+        sizes = [f"{_millilitres(graph, piece == k):.3g} ml" for k in range(count)]
         remedy = "give a surface of both ventricles, each open at the base"
-        if found > 2:
+        if count > 2:
             remedy = "cut off what is no ventricle, or label the surface (--label-array)"
-        what, listed = "cavity" if found == 1 else "cavities", ", ".join(sizes)
+        noun, listed = "cavity" if count == 1 else "cavities", ", ".join(sizes)
         raise InputError(
-            f"{name}: {found} {what} found{f' ({listed})' if sizes else ''}, and two needed; "
+            f"{name}: {count} {noun} found{f' ({listed})' if sizes else ''}, and two needed; "
             f"{remedy}"
         )
     return np.where(piece < 2, piece, -1)
 
 
 def _millilitres(graph: DualGraph, chosen: Booleans) -> float:
-    """Volume of the cavity that chosen triangles line."""
+    """Volume (ml) of the cavity that chosen triangles line."""
     return abs(closed_by_fan(graph.vertices, graph.triangles[chosen])[0]) / 1e3
 
 
@@ -159,7 +159,7 @@ def _without_non_manifold_vertices(graph: DualGraph, regions: Integers) -> Integ
     corners = graph.triangles.ravel()
     present = np.zeros((len(graph.vertices), len(Region)), dtype=bool)
     present[corners, np.repeat(regions, 3)] = True
-    # around a vertex k regions change k times (two regions twice), more where one comes back
+    # around a vertex k regions change k times (two regions twice), more if one touches itself
     kinds = present.sum(axis=1)
     touching = (changes > kinds) & (changes > 2)
     result = regions.copy()
@@ -171,10 +171,10 @@ def _without_non_manifold_vertices(graph: DualGraph, regions: Integers) -> Integ
 
 def _check_openings(graph: DualGraph, regions: Integers, name: str) -> None:
     """Refuse a surface that is all base or has none, and a cavity with several openings."""
-    for region, what in ((Region.OUTER, "epicardium"), (Region.BASAL, "base")):
+    for region, part in ((Region.OUTER, "epicardium"), (Region.BASAL, "base")):
         if not (regions == region).any():
             raise InputError(
-                f"{name}: no {what} found around the cavities; give the surface's parts one by one"
+                f"{name}: no {part} found around the cavities; give the surface's parts one by one"
             )
     for region in (Region.FIRST, Region.SECOND):
         if len(loops := boundary_loops(graph.triangles[regions == region])) != 1:

@@ -29,10 +29,10 @@ from fascicle.mesh.topology import (
 
 
 class EndocardialSurface(NamedTuple):
-    """One endocardium: vertices (n, 3) exactly those of its mesh (mm), and triangles (m, 3).
+    """Endocardium with vertices (n, 3) exactly those of its mesh (mm), and triangles (m, 3).
 
-    These are counter-clockwise seen from inside the cavity; where `valve` (m,) is true they close a
-    valve's opening, and no tissue is there.
+    Triangles are counter-clockwise seen from inside the cavity; where `valve` (m,) is true they
+    close a valve's opening, without tissue.
     """
 
     vertices: Floats
@@ -54,9 +54,9 @@ def endocardia(mesh: LabelledMesh) -> tuple[EndocardialSurface, EndocardialSurfa
 
 def _endocardium(mesh: LabelledMesh, labels: Integers, label: Label) -> EndocardialSurface:
     name = f"{mesh.name}: {label.name[:2]} endocardium"
-    if not len(own := mesh.triangles[labels == label]):
+    if not len(tissue_triangles := mesh.triangles[labels == label]):
         raise InputError(f"{name}: no triangle of the boundary has label {label}; label it")
-    vertices, tissue = without_unused_vertices(mesh.vertices, own)
+    vertices, tissue = without_unused_vertices(mesh.vertices, tissue_triangles)
     loops = sorted(boundary_loops(tissue), key=lambda loop: loop_length(vertices, loop))
     triangles = np.concatenate([tissue, *[_cap(vertices, loop, name) for loop in loops[:-1]]])
     valve = np.arange(len(triangles)) >= len(tissue)
@@ -82,8 +82,8 @@ def labels_from_points(vertices: Floats, triangles: Integers, at_points: Integer
 
     Programs differ in whether points on the edge of the base are labelled as base, so two rules are
     tried: a triangle is basal if any corner is, or if all three are. Both draw the border along
-    points, where a majority vote would zigzag. The rule that separates endocardium from epicardium
-    is taken; if both do, the one whose borders of the base lie on sharper edges.
+    points, where a majority vote would zigzag. The rule that better separates endocardium from
+    epicardium is taken; if both do, the one whose borders of the base lie on sharper edges.
     """
     corners = at_points[triangles]
     kinds = np.array(sorted(Label), dtype=np.int64)
@@ -92,29 +92,29 @@ def labels_from_points(vertices: Floats, triangles: Integers, at_points: Integer
     for is_base in (basal.any(axis=1), basal.all(axis=1)):
         counted = np.where(np.asarray(is_base)[:, None], basal, ~basal)
         votes = ((corners[:, :, None] == kinds) & counted[:, :, None]).sum(axis=1)
-        candidates.append(np.asarray(kinds[votes.argmax(axis=1)]))  # the lowest of equals
+        candidates.append(np.asarray(kinds[votes.argmax(axis=1)]))  # the lowest label of a tie
     return min(candidates, key=lambda labels: _border_cost(vertices, triangles, labels))
 
 
 def _border_cost(vertices: Floats, triangles: Integers, labels: Integers) -> tuple[float, float]:
-    """Length of border from endocardium to epicardium, and bluntness of the base's borders."""
+    """Length (mm) of border between endocardium and epicardium, and bluntness of the base's."""
     edges, across = interior_edges(triangles)
-    one, other = labels[across].T
+    first, second = labels[across].T
     length = edge_lengths(vertices, edges)
-    touch = (one != other) & ~np.isin(one, BASAL) & ~np.isin(other, BASAL)
-    rim = np.isin(one, BASAL) != np.isin(other, BASAL)
+    touch = (first != second) & ~np.isin(first, BASAL) & ~np.isin(second, BASAL)
+    rim = np.isin(first, BASAL) != np.isin(second, BASAL)
     normals = unit(triangle_normals(vertices, triangles))
     cosine = np.einsum("ij,ij->i", normals[across[:, 0]], normals[across[:, 1]])
     return float(length[touch].sum()), float((cosine * length)[rim].sum() / length[rim].sum())
 
 
 def cleaned_labels(vertices: Floats, triangles: Integers, labels: Integers) -> Integers:
-    """Labels (m,) of a closed surface (mm) without small components, spurs, non-manifold vertices.
+    """Clean the labels (m,) of a closed surface (mm) of small components, spurs and pinches.
 
     A component with less than a twentieth of its label's area takes the label that it borders on
     longest; a basal one only if it borders on one label alone, since an annulus may be small. A
     spur, a triangle with two neighbours of the base, becomes base, and so do the triangles around a
-    vertex where an endocardium touches itself.
+    pinch, a vertex where an endocardium touches itself.
     """
     edges, across = interior_edges(triangles)
     length = edge_lengths(vertices, edges)
@@ -137,7 +137,7 @@ def cleaned_labels(vertices: Floats, triangles: Integers, labels: Integers) -> I
 def _remove_small_components(
     labels: Integers, across: Integers, length: Floats, area: Floats
 ) -> None:
-    """Give small pieces the label around them, in place."""
+    """Give small components the label around them, in place."""
     same = labels[across[:, 0]] == labels[across[:, 1]]
     piece = components_of(across[same], len(labels))
     count = piece.max() + 1
@@ -146,9 +146,9 @@ def _remove_small_components(
     areas = np.bincount(piece, area, count)
     whole = np.bincount(of_piece, areas)
     border = np.zeros((count, max(Label) + 1))
-    for here, there in ((0, 1), (1, 0)):
+    for side, opposite in ((0, 1), (1, 0)):
         rows = across[~same]
-        np.add.at(border, (piece[rows[:, here]], labels[rows[:, there]]), length[~same])
+        np.add.at(border, (piece[rows[:, side]], labels[rows[:, opposite]]), length[~same])
     small = (areas < 0.05 * whole[of_piece]) & border.any(axis=1)
     small &= ~np.isin(of_piece, BASAL) | ((border > 0).sum(axis=1) == 1)
     labels[:] = np.where(small, border.argmax(axis=1), of_piece)[piece]
@@ -157,13 +157,13 @@ def _remove_small_components(
 def _split_non_manifold_vertices(
     labels: Integers, triangles: Integers, edges: Integers, across: Integers, label: Label
 ) -> None:
-    """Give the triangles around a vertex where the border passes twice another label, in place."""
+    """Relabel the triangles around vertices that the border of a label passes twice, in place."""
     inside = labels[across] == label
     rim = edges[inside[:, 0] != inside[:, 1]]
     passes = np.bincount(rim.ravel(), minlength=int(triangles.max()) + 1)
     for vertex in np.flatnonzero(passes > 2):
         star = np.flatnonzero((triangles == vertex).any(axis=1))
-        others = labels[star][labels[star] != label]
-        basal = others[np.isin(others, BASAL)]
-        kinds = basal if basal.size else others
+        around = labels[star][labels[star] != label]
+        basal = around[np.isin(around, BASAL)]
+        kinds = basal if basal.size else around
         labels[star] = np.where(labels[star] == label, np.bincount(kinds).argmax(), labels[star])

@@ -30,9 +30,9 @@ def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTre
     `fascicle.heart.labelled_surface.labelled_mesh`, and 'heart build' reads them.
 
     The kind ``"opencarp"`` (µm) is a folder, see `write_opencarp`, whose files are called
-    ``heart``, perhaps with Purkinje networks; ``"vtu"`` (mm) a file of tetrahedra with the cell
-    arrays ``fibre``, ``sheet`` and ``region`` and the point arrays ``lead_field_RA``, ... (kΩ), as
-    far as the heart has them; ``"gmsh"`` (mm) a file, see `write_gmsh`.
+    ``heart``, with the Purkinje networks of the trees; ``"vtu"`` (mm) a file of tetrahedra with the
+    cell arrays ``fibre``, ``sheet`` and ``region`` and the point arrays ``lead_field_RA``, ...
+    (kΩ), as far as the heart has them; ``"gmsh"`` (mm) a file, see `write_gmsh`.
     """
     suffixes = {"opencarp": "", "vtu": ".vtu", "gmsh": ".msh"}
     if kind not in suffixes:
@@ -123,7 +123,7 @@ def _write_endocardium(stem: Path, endocardium: Endocardium, heart: Heart) -> No
     used, corners = np.unique(wall, return_inverse=True)
     vertices = endocardium.vertices[used]
     distance, _ = cKDTree(heart.vertices).query(vertices)
-    if (distance <= 1e-3).all():  # mm; text files round
+    if (distance <= 1e-3).all():  # mm; text files hold rounded numbers
         return
     corners = corners.reshape(-1, 3)
     opencarp.write_opencarp_mesh(stem, vertices, "Tr", corners, np.full(len(corners), ONE_REGION))

@@ -29,15 +29,15 @@ from fascicle.mesh.topology import (
     without_unused_vertices,
 )
 
-SAME_POINT = 1e-3  # mm; points closer than this are one (STL repeats them)
-CLEAR = 0.7  # of the spacing that inner points of the base keep from the loops
+SAME_POINT = 1e-3  # mm; points closer than this are merged (STL repeats them)
+CLEAR = 0.7  # of the spacing: distance that inner points of the base keep from the loops
 
 
 class Part(NamedTuple):
-    """A surface that a heart is joined from: its name in messages, vertices and triangles.
+    """Surface that a heart is joined from: its name in messages, vertices and triangles.
 
-    Vertices (n, 3) are in mm; points may be repeated and triangles (m, 3) turned either way, until
-    it is one oriented manifold piece whose boundary loops are known.
+    Vertices (n, 3) are in mm; points may be repeated and triangles (m, 3) turned either way. Once
+    cleaned, it is one oriented manifold piece with its boundary loops.
     """
 
     name: str
@@ -47,10 +47,10 @@ class Part(NamedTuple):
 
 
 class Outline(NamedTuple):
-    """The boundary loops that a base is spanned between, one after the other.
+    """Boundary loops that a base is spanned between, one after the other.
 
-    Their vertices (k, 3) in mm, their edges (k, 2), the names of the parts, and the index of the
-    part that each vertex belongs to (k,).
+    Vertices (k, 3) in mm, edges (k, 2), the names of the parts, and the index of the part that each
+    vertex belongs to (k,).
     """
 
     points: Floats
@@ -65,7 +65,7 @@ Base = tuple[Floats, Integers]
 
 
 def join_surfaces(parts: Mapping[str, Part]) -> LabelledSurface:
-    """Join separate surfaces of the ventricles to one that is closed.
+    """Join separate surfaces of the ventricles to one closed surface.
 
     Endocardia and epicardium do not move. A base whose boundary loops lie within 2.5 mm of theirs
     is fitted to them; without a base, one is spanned between them.
@@ -75,11 +75,11 @@ def join_surfaces(parts: Mapping[str, Part]) -> LabelledSurface:
     """
     name = ", ".join(part.name for part in parts.values())
     named = {"epicardium": "epicardium", "lv": "LV endocardium", "rv": "RV endocardium"}
-    clean = [_clean_part(parts[part], what, 1) for part, what in named.items()]
-    given = _clean_part(parts["base"], "base", 3) if "base" in parts else None
+    clean = [_clean_part(parts[part], kind, 1) for part, kind in named.items()]
+    base = _clean_part(parts["base"], "base", 3) if "base" in parts else None
     _check_places(*clean)
     outline = _outline_of(clean)
-    inner, between = _made_base(outline) if given is None else _fitted_base(outline, given)
+    inner, between = _made_base(outline) if base is None else _fitted_base(outline, base)
     starts = np.cumsum([0, *(len(part.vertices) for part in clean)])
     number = [part.loops[0] + start for part, start in zip(clean, starts, strict=False)]
     number.append(starts[-1] + np.arange(len(inner)))
@@ -94,9 +94,9 @@ def join_surfaces(parts: Mapping[str, Part]) -> LabelledSurface:
     return LabelledSurface(vertices, whole, of_triangles, name)
 
 
-def _clean_part(part: Part, what: str, needed: int) -> Part:
-    """A part in mm with repeated points merged, one manifold piece with the loops that it needs."""
-    name, vertices = f"{part.name} ({what})", part.vertices
+def _clean_part(part: Part, kind: str, needed: int) -> Part:
+    """Merge repeated points of a part (mm); an error if not one piece with the loops it needs."""
+    name, vertices = f"{part.name} ({kind})", part.vertices
     check_units(name, vertices[np.unique(part.triangles)])
     merged = merged_vertices(vertices, SAME_POINT)[part.triangles]
     points, triangles = without_unused_vertices(vertices, merged[whole_triangles(merged)])
@@ -134,8 +134,8 @@ def _outline_of(parts: list[Part]) -> Outline:
 def _made_base(outline: Outline) -> Base:
     """Span a smooth base between boundary loops.
 
-    The loops are laid out in the plane that fits them best and triangulated there, with a regular
-    grid of points between them. The heights of these over the plane are harmonic.
+    The loops are projected onto the plane that fits them best and triangulated there, with a
+    regular grid of points between them, whose heights over the plane are harmonic.
     """
     flat, centre, frame = _flattened(outline)
     spacing = float(edge_lengths(flat, outline.sides).mean())
@@ -170,8 +170,8 @@ def _fitted_base(outline: Outline, base: Part) -> Base:
         return base.vertices[within], number[base.triangles]
     _check_gap(outline, base, boundary)
     flat, centre, frame = _flattened(outline)
-    own = (base.vertices - centre) @ frame.T
-    a, b, c = own[base.triangles, :2].transpose(1, 2, 0)
+    in_plane = (base.vertices - centre) @ frame.T
+    a, b, c = in_plane[base.triangles, :2].transpose(1, 2, 0)
     area = (b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0]
     folded = min(area[area > 0].sum(), -area[area < 0].sum()) / np.abs(area).sum()
     if folded > 0.05:
@@ -180,24 +180,26 @@ def _fitted_base(outline: Outline, base: Part) -> Base:
             f"be fitted to them, as {folded:.0%} of it is folded over the rest; make them meet, or "
             "give no base to have one made"
         )
-    distance, nearest = cKDTree(flat[:, :2]).query(own[within, :2])
+    distance, nearest = cKDTree(flat[:, :2]).query(in_plane[within, :2])
     clear = distance > CLEAR * mean_edge_length(base.vertices, base.triangles)
     within, distance, nearest = within[clear], distance[clear], nearest[clear]
-    opposite = boundary[cKDTree(own[boundary]).query(flat)[1]]
-    own[within, 2] += (flat[:, 2] - own[opposite, 2])[nearest] * np.maximum(1 - distance / 7.5, 0)
-    inner, triangles = _triangulated(flat[:, :2], own[within, :2], outline)
-    _, row = cKDTree(own[within, :2]).query(inner)
-    return own[within[row]] @ frame + centre, triangles
+    opposite = boundary[cKDTree(in_plane[boundary]).query(flat)[1]]
+    in_plane[within, 2] += (flat[:, 2] - in_plane[opposite, 2])[nearest] * np.maximum(
+        1 - distance / 7.5, 0
+    )
+    inner, triangles = _triangulated(flat[:, :2], in_plane[within, :2], outline)
+    _, row = cKDTree(in_plane[within, :2]).query(inner)
+    return in_plane[within[row]] @ frame + centre, triangles
 
 
 def _flattened(outline: Outline) -> tuple[Floats, Floats, Floats]:
-    """Points in the frame of the plane that fits them best, by length; its centre and axes."""
+    """Points in the frame of their best plane, weighted by length; its centre and axes."""
     centre, frame = best_plane(outline.points, edge_lengths(outline.points, outline.sides))
     return (outline.points - centre) @ frame.T, centre, frame
 
 
 def _triangulated(places: Floats, inner: Floats, outline: Outline) -> tuple[Floats, Integers]:
-    """Triangles between the loops in a plane, and the inner points that they use."""
+    """Inner points that are used, and triangles between the loops, in a plane."""
     count = len(places)
     loops = [np.flatnonzero(outline.owner == k) for k in range(len(outline.names))]
     triangles, missing = constrained_delaunay(np.vstack([places, inner]), loops)

@@ -50,9 +50,9 @@ DIRECTION_NAMES = {"fibres": FIBRE_NAMES, "sheets": ("sheet", "sheets", "s0", "s
 
 @dataclass(frozen=True)
 class Anatomy:
-    """A labelled mesh, and what else its files hold."""
+    """Labelled mesh, with the fibres and other properties that its files hold."""
 
-    mesh: LabelledMesh  # all labels are 0 until they are known
+    mesh: LabelledMesh  # labels are all 0 before they are found
     fibres: Floats | None = None  # unit directions (m, 3), if the source has any
     sheets: Floats | None = None
     coordinates: VentricularCoordinates | None = None
@@ -64,7 +64,7 @@ class Anatomy:
 
 
 class LabelArray(NamedTuple):
-    """An array of labels: its place for messages, values (k,), and whether one a triangle."""
+    """Array of labels: its source for messages, values (k,), and whether it is of triangles."""
 
     source: str
     values: Floats | Integers
@@ -73,32 +73,32 @@ class LabelArray(NamedTuple):
 
 
 def find_label_array(mesh: MeshFile, array: str | None) -> LabelArray | None:
-    """Find the array called so, or else one of `LABEL_NAMES`; triangles come before points."""
+    """Find the array of this name, or else of `LABEL_NAMES`; triangles come before points."""
     of_triangles = mesh.cell_data.get(TRIANGLE, {})
     for arrays in (of_triangles, mesh.point_data):
-        given = None if array not in arrays else (array, arrays[array])
-        if found := _named(arrays, LABEL_NAMES) if array is None else given:
-            name, values = found
+        requested = None if array not in arrays else (array, arrays[array])
+        if entry := _named(arrays, LABEL_NAMES) if array is None else requested:
+            name, values = entry
             surfaces = {number: group for group, (size, number) in mesh.groups.items() if size == 2}
             groups = surfaces if name == GROUP else None
             source = f"{mesh.path}: array '{name}'"
             return LabelArray(source, values, arrays is of_triangles, groups)
     if array is not None:
-        known = ", ".join(sorted({*of_triangles, *mesh.point_data})) or "none"
+        names = ", ".join(sorted({*of_triangles, *mesh.point_data})) or "none"
         raise InputError(
-            f"{mesh.path}: no array '{array}' on triangles or points; there are: {known}; name one "
+            f"{mesh.path}: no array '{array}' on triangles or points; there are: {names}; name one "
             "of them (--label-array)"
         )
     return None
 
 
 def has_labels(mesh: MeshFile, array: str | None = None, labels_file: Path | None = None) -> bool:
-    """Whether there are labels: a file of them, a named array, or one of `LABEL_NAMES`."""
+    """Whether there are labels: in a file, a named array, or an array of `LABEL_NAMES`."""
     if labels_file is not None or array is not None:
         return True
-    found = find_label_array(mesh, None)
-    # a surface that is all one physical group, or none, has no labels
-    return found is not None and (found.groups is None or len(np.unique(found.values)) > 1)
+    labels = find_label_array(mesh, None)
+    # a surface that is all one physical group, or in none, has no labels
+    return labels is not None and (labels.groups is None or len(np.unique(labels.values)) > 1)
 
 
 def labelled_surface(
@@ -107,20 +107,20 @@ def labelled_surface(
     names: Mapping[str, int] | None = None,
     labels_file: Path | None = None,
 ) -> LabelledSurface:
-    """The surface of a file (mm) with the labels of its triangles; repeated points are merged.
+    """Surface of a file (mm) with labels of its triangles; repeated points are merged.
 
-    Labels are one a triangle or one a point: an array called so, if it is none of `LABEL_NAMES`, or
-    a text file of whole numbers. Names are the number of each label, as ``{"lv": 3}``; the others
-    have `Label`'s number.
+    There is a label for each triangle or point, in the array of this name, by default one of
+    `LABEL_NAMES`, or in a text file of whole numbers. Names give the number of each label, as in
+    ``{"lv": 3}``; the other labels have `Label`'s numbers.
     """
     check_units(str(mesh.path), mesh.points)
     triangles = mesh.require(TRIANGLE, "triangles")
     if labels_file is None:
-        if (found := find_label_array(mesh, array)) is None:
-            there = sorted({*mesh.point_data, *mesh.cell_data.get(TRIANGLE, {})})
+        if (label_array := find_label_array(mesh, array)) is None:
+            arrays = sorted({*mesh.point_data, *mesh.cell_data.get(TRIANGLE, {})})
             raise InputError(
                 f"{mesh.path}: no labels: no array called {', '.join(LABEL_NAMES[:-1])} on "
-                f"triangles or points (arrays: {', '.join(there) or 'none'}); name the array "
+                f"triangles or points (arrays: {', '.join(arrays) or 'none'}); name the array "
                 "(--label-array) or give a file of labels (--labels-file)"
             )
     else:
@@ -130,14 +130,14 @@ def labelled_surface(
                 f"{labels_file}: {len(values)} labels, but {mesh.path} has {len(triangles)} "
                 f"triangles and {len(mesh.points)} points; give one a triangle or point"
             )
-        found = LabelArray(str(labels_file), values, len(values) == len(triangles), None)
+        label_array = LabelArray(str(labels_file), values, len(values) == len(triangles), None)
     numbers = {} if names is None else labels_by_number(names)
-    whole = whole_numbers(found.source, found.values)
-    labels = labels_of(found.source, whole, numbers, found.groups or {})
+    whole = whole_numbers(label_array.source, label_array.values)
+    labels = labels_of(label_array.source, whole, numbers, label_array.groups or {})
     extent = float(np.ptp(mesh.points, axis=0).max())
     used, number = np.unique(merged_vertices(mesh.points, MERGED * extent), return_inverse=True)
     vertices, triangles = mesh.points[used], number[triangles]
-    if not found.of_triangles:
+    if not label_array.of_triangles:
         at_vertices = np.empty(len(vertices), dtype=np.int64)
         at_vertices[number] = labels
         labels = labels_from_points(vertices, triangles, at_vertices)
@@ -165,14 +165,14 @@ def labelled_tetrahedra(
     cut: Integers | None = None,
     fibres: FibreChoice = None,
 ) -> Anatomy:
-    """Tetrahedra of a file, the labels of their surface, regions, fibres and sheets.
+    """Tetrahedra of a file, with the labels of their surface, regions, fibres and sheets.
 
     The labels come from
 
     - triangles of the same file with a cell array ``label`` (or ``class``, ``surface``, ...)
       of `Label` numbers: VTK, VTU;
-    - such a point array on the boundary's points; a triangle gets the label of most of its corners
-      (ties: the endocardia, then the epicardium, then the base);
+    - a point array of such a name on the boundary's points; a triangle gets the label of most of
+      its corners (ties: the endocardia, then the epicardium, then the base);
     - physical groups of triangles, by name or number: Gmsh;
     - ``.surf`` files, or else ``.vtx`` files, in the mesh's folder with names like
       ``<stem>_lv_endo.surf``: openCARP.
@@ -197,11 +197,11 @@ def labelled_tetrahedra(
 
 
 def with_arrays(anatomy: Anatomy, mesh: MeshFile, fibres: FibreChoice = None) -> Anatomy:
-    """An anatomy with the regions, fibres and sheets of the file that its tetrahedra are from."""
+    """Add regions, fibres and sheets to an anatomy, from the file of its tetrahedra."""
     region = _named(mesh.cell_data.get(TETRAHEDRON, {}), REGION_NAMES)
     regions = None if region is None else region_labels(mesh, region[0])
     notes = list(anatomy.notes)
-    along, across = (_directions(mesh, what, fibres, notes) for what in DIRECTION_NAMES)
+    along, across = (_directions(mesh, kind, fibres, notes) for kind in DIRECTION_NAMES)
     return replace(
         anatomy,
         mesh=replace(anatomy.mesh, regions=regions),
@@ -217,22 +217,22 @@ def _named(arrays: Mapping[str, Floats], names: tuple[str, ...]) -> tuple[str, F
     return next(((lower[name], arrays[lower[name]]) for name in names if name in lower), None)
 
 
-def _directions(mesh: MeshFile, what: str, choice: FibreChoice, notes: list[str]) -> Floats | None:
-    """Unit directions of the tetrahedra, from a cell or else a point array named so, if usable."""
+def _directions(mesh: MeshFile, kind: str, choice: FibreChoice, notes: list[str]) -> Floats | None:
+    """Unit directions of the tetrahedra, from a cell or else a point array, if usable."""
     tetrahedra = mesh.cells[TETRAHEDRON]
-    of_cells = _named(mesh.cell_data.get(TETRAHEDRON, {}), DIRECTION_NAMES[what])
-    found = of_cells or _named(mesh.point_data, DIRECTION_NAMES[what])
-    if found is None or choice == "rule":
-        if choice == "file" and what == "fibres":
+    of_cells = _named(mesh.cell_data.get(TETRAHEDRON, {}), DIRECTION_NAMES[kind])
+    entry = of_cells or _named(mesh.point_data, DIRECTION_NAMES[kind])
+    if entry is None or choice == "rule":
+        if choice == "file" and kind == "fibres":
             raise InputError(f"--fibres file: {mesh.path} has none; leave it out to have a rule")
         return None
-    title, values = f"{mesh.path}: array '{found[0]}'", np.asarray(found[1], dtype=float)
+    title, values = f"{mesh.path}: array '{entry[0]}'", np.asarray(entry[1], dtype=float)
     if values.shape[1:] != (3,):
         raise InputError(f"{title} has shape {values.shape}; give three components, or rename it")
     used = values if of_cells else values[np.unique(tetrahedra)]
     points = mesh.points if of_cells else mesh.points[np.unique(tetrahedra)]
     remedy = "give every one a direction, or take a rule (--fibres rule)"
-    if is_placeholder(what, f"array '{found[0]}'", used, notes, kept=choice == "file"):
+    if is_placeholder(kind, f"array '{entry[0]}'", used, notes, kept=choice == "file"):
         return None
     check_fibres(title, used, points, tetrahedra if of_cells else None, remedy)
     return unit(values) if of_cells else average_to_tetrahedra(values, tetrahedra)
@@ -243,18 +243,18 @@ def _label_boundary(
 ) -> Integers:
     """Labels (b,) of boundary triangles (b, 3) by the mesh's file, or others in its folder.
 
-    Triangles that were cut are base, if they have no other; all others are 0 if none is labelled.
+    Triangles without a label are base if they were cut. Without any labels, all others are 0.
     """
     basal = np.zeros(len(boundary), dtype=np.int64)
     if cut is not None:
         basal[places_in(boundary, cut) >= 0] = Label.BASE
     if mesh.path.suffix.lower() in OPENCARP_FORMATS and array is None:
-        found = _from_surface_files(mesh, boundary, names, changed=cut is not None)
+        sourced = _from_surface_files(mesh, boundary, names, changed=cut is not None)
     else:
-        found = _from_array(mesh, boundary, array, names)
-    if found is None:
+        sourced = _from_array(mesh, boundary, array, names)
+    if sourced is None:
         return basal
-    source, labels = found[0], np.where(found[1] == 0, basal, found[1])
+    source, labels = sourced[0], np.where(sourced[1] == 0, basal, sourced[1])
     if missing := missing_parts(labels):
         without = f"{(labels == 0).sum()} of {len(labels)} boundary triangles have none"
         raise InputError(
@@ -269,21 +269,23 @@ def _from_array(
     mesh: MeshFile, boundary: Integers, array: str | None, names: Names
 ) -> tuple[str, Integers] | None:
     """Source and labels (b,) of the boundary's triangles by an array of triangles or points."""
-    if (found := find_label_array(mesh, array)) is None:
+    if (label_array := find_label_array(mesh, array)) is None:
         return None
-    if not found.of_triangles:
+    if not label_array.of_triangles:
         points = np.unique(boundary)
-        numbers = whole_numbers(found.source, found.values[points])
+        numbers = whole_numbers(label_array.source, label_array.values[points])
         votes = np.zeros((len(mesh.points), max(Label) + 1), dtype=bool)
-        votes[points, labels_of(found.source, numbers, names, {})] = True
-        return found.source, _elected(votes, boundary)
-    numbers = whole_numbers(found.source, found.values)
-    given = np.full(len(numbers), found.groups is None) | (numbers != 0)
-    if not given.any():
+        votes[points, labels_of(label_array.source, numbers, names, {})] = True
+        return label_array.source, _elected(votes, boundary)
+    numbers = whole_numbers(label_array.source, label_array.values)
+    labelled = np.full(len(numbers), label_array.groups is None) | (numbers != 0)
+    if not labelled.any():
         return None
-    labels = labels_of(found.source, numbers[given], names, found.groups or {})
-    triangles = mesh.cells[TRIANGLE][given]
-    return found.source, _on_boundary(found.source, mesh.points, triangles, labels, boundary)
+    labels = labels_of(label_array.source, numbers[labelled], names, label_array.groups or {})
+    triangles = mesh.cells[TRIANGLE][labelled]
+    return label_array.source, _on_boundary(
+        label_array.source, mesh.points, triangles, labels, boundary
+    )
 
 
 def _from_surface_files(
@@ -305,7 +307,7 @@ def _from_surface_files(
             parts = [read_surf(path, points) for path, _ in files]
             labels = np.repeat([int(label) for _, label in files], list(map(len, parts)))
             triangles = np.concatenate(parts)
-            # of a boundary that was changed, triangles may be gone
+            # triangles may be missing from a boundary that was changed
             still = (places_in(triangles, boundary) >= 0) | (not changed)
             triangles, labels = triangles[still], labels[still]
             return source, _on_boundary(source, mesh.points, triangles, labels, boundary)
@@ -324,20 +326,20 @@ def _elected(votes: Booleans, boundary: Integers) -> Integers:
     """Label (b,) of most corners of each triangle, by the votes (points, labels) of points."""
     valves = sorted(set(Label) - set(NEEDED))
     order = np.array([*ENDOCARDIA, Label.EPICARDIUM, *valves, Label.BASE], dtype=np.int64)
-    # argmax takes the first of those with as many
+    # argmax takes the first label of a tie
     return np.asarray(order[np.argmax(votes[boundary].sum(axis=1)[:, order], axis=1)])
 
 
 def _on_boundary(
-    source: str, points: Floats, triangles: Integers, given: Integers, boundary: Integers
+    source: str, points: Floats, triangles: Integers, triangle_labels: Integers, boundary: Integers
 ) -> Integers:
-    """Label of each boundary triangle; 0 where none was given."""
+    """Label of each boundary triangle; 0 where it has none."""
     at = places_in(triangles, boundary)
     labels = np.zeros(len(boundary), dtype=np.int64)
-    labels[at] = given
+    labels[at] = triangle_labels
     for bad, fault, remedy in (
         (at < 0, "labelled triangles are not on the boundary", "label faces of the mesh itself"),
-        (labels[at] != given, "triangles have two labels", "keep one"),
+        (labels[at] != triangle_labels, "triangles have two labels", "keep one"),
     ):
         refuse(source, bad, fault, remedy, points, triangles, triangles)
     return labels

@@ -1,4 +1,4 @@
-"""The base of a segmented heart, and smooth functions whose zero levels are its surfaces below."""
+"""Base plane of a segmented heart, and smooth level-set functions of its surfaces below."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from fascicle.build.segmentation import Faces, Masks, blood_faces
 from fascicle.core.arrays import Booleans, Floats, Integers
 
 LEVEL = 1.0  # mm, resolution of the search along the axis
-OPEN = 0.3  # of a cavity's largest cross-section, which it has at the base
-BARE = 0.1  # of the circumference of its blood, around which there may be no tissue there
+OPEN = 0.3  # of a cavity's largest cross-section, least that it has at the base
+BARE = 0.1  # of the circumference of its blood, most that may be without tissue at the base
 PADDING = 5  # voxels around a mask, three standard deviations of the smoothing
 
 
 class BasePlane(NamedTuple):
-    """A plane by a point (mm) and the unit vector from apex to base, and how it was found."""
+    """Plane of a point (mm) and the unit vector from apex to base, and how it was found."""
 
     point: Floats
     normal: Floats
@@ -69,7 +69,7 @@ def find_base_plane(masks: Masks) -> BasePlane:
 
 
 def _slice_axis(masks: Masks, long_axis: Floats) -> int | None:
-    """The index that counts thick slices across the LV; None where slices are thin or oblique."""
+    """Axis of the map across thick short-axis slices; None if slices are thin or oblique."""
     spacing = np.linalg.norm(masks.affine[:3, :3], axis=0)
     thickest = int(spacing.argmax())
     normal = masks.affine[:3, thickest] / spacing[thickest]
@@ -83,7 +83,7 @@ def _end_of_slices(masks: Masks, faces: Faces, axis: Floats, index: int) -> Base
     side = np.rint(faces.voxels @ back[:3] + back[3]).astype(np.int64)
     size = np.linalg.norm(faces.areas - np.outer(faces.areas @ axis, axis), axis=1)
     count = masks.lv.shape[index]
-    whole, bare = (np.bincount(side, each, count) for each in (size, size * faces.free))
+    whole, bare = (np.bincount(side, weights, count) for weights in (size, size * faces.free))
     is_open = bare <= BARE * whole
     for blood in (masks.lv, masks.rv):
         area = np.moveaxis(blood, index, 0).sum(axis=(1, 2))
@@ -97,13 +97,13 @@ def _end_of_slices(masks: Masks, faces: Faces, axis: Floats, index: int) -> Base
 
 
 def _sections(masks: Masks, along: Floats, axis: Floats) -> tuple[Integers, float]:
-    """Voxels of blood in each slice from the lowest up, and how thick slices are (mm)."""
+    """Number of blood voxels in each slice, from the lowest up, and thickness of slices (mm)."""
     width = max(masks.thickness(axis), LEVEL)
     return np.bincount(np.floor((along - along.min()) / width).astype(np.int64)), width
 
 
 def _flat_opening(masks: Masks, faces: Faces, centre: Floats) -> BasePlane | None:
-    """The plane with most of the opening within half a voxel, by random samples; None if < 60 %."""
+    """Plane with most of the opening within half a voxel, by random samples; None if < 60 %."""
     points, areas = faces.centres[faces.free], faces.areas[faces.free]
     size = np.linalg.norm(areas, axis=1)
     rng = np.random.default_rng(0)
@@ -115,7 +115,7 @@ def _flat_opening(masks: Masks, faces: Faces, centre: Floats) -> BasePlane | Non
             continue
         normal /= length
         near = np.abs((points - a) @ normal) <= masks.thickness(normal) / 2
-        # what a slanted step has of its faces counts as it is seen along the normal
+        # faces of a slanted staircase count by their area projected along the normal
         seen = abs(float((areas[near] @ normal).sum()))
         if seen > best:
             best, inliers = seen, near
@@ -135,7 +135,7 @@ def _flat_opening(masks: Masks, faces: Faces, centre: Floats) -> BasePlane | Non
 def _level(masks: Masks, faces: Faces, centre: Floats, axis: Floats) -> tuple[float, str]:
     """Height of the plane above the centre of the LV blood (mm), and how it was found."""
     along = (faces.centres - centre) @ axis
-    # only the part of a face that looks sideways belongs to the ring
+    # only the sideways component of a face belongs to the ring
     sideways = np.linalg.norm(faces.areas - np.outer(faces.areas @ axis, axis), axis=1)
     start = np.floor(along.min() / LEVEL)
     level = np.floor(along / LEVEL - start).astype(np.int64)
@@ -157,7 +157,7 @@ def _level(masks: Masks, faces: Faces, centre: Floats, axis: Floats) -> tuple[fl
 
 
 class Grid(NamedTuple):
-    """A grid of cubes (edge in mm) whose top layer lies in the base plane.
+    """Grid of cubes (edge in mm) whose top layer lies in the base plane.
 
     The rows of `axes` (3, 3) are its directions, the third the base plane's normal.
     """
@@ -172,7 +172,7 @@ class Grid(NamedTuple):
         return np.asarray(self.origin + self.edge * index @ self.axes)
 
     def nodes_in(self, affine: Floats) -> Floats:
-        """All nodes, in the indices of a voxel grid, shape (3, i, j, k)."""
+        """Voxel indices of all nodes, for a voxel grid of this affine, shape (3, i, j, k)."""
         back = np.linalg.inv(affine)
         steps = (self.edge * back[:3, :3] @ self.axes.T)[..., None, None, None]
         first = (back[:3, :3] @ self.origin + back[:3, 3])[:, None, None, None]
@@ -181,13 +181,13 @@ class Grid(NamedTuple):
 
 
 def grid_below(plane: BasePlane, masks: Masks, edge: float) -> Grid:
-    """Lay a grid with this edge (mm) around what lies below the base plane."""
+    """Lay a grid with this edge (mm) around the parts of the masks below the base plane."""
     first = np.cross(plane.normal, np.eye(3)[np.argmin(np.abs(plane.normal))])
     first /= np.linalg.norm(first)
     axes = np.array([first, np.cross(plane.normal, first), plane.normal])
     relative = (masks.positions(masks.lv | masks.rv | masks.tissue) - plane.point) @ axes.T
     halves = np.array([masks.thickness(axis) / 2 for axis in axes])
-    # mm; an added wall has to fit in
+    # mm; leaves room for an added wall
     low, high = relative.min(axis=0) - halves - 6.0, relative.max(axis=0) + halves + 6.0
     shape = np.ceil((high - low) / edge).astype(np.int64) + 1
     layers = int(np.ceil(-low[2] / edge)) + 1
@@ -196,7 +196,7 @@ def grid_below(plane: BasePlane, masks: Masks, edge: float) -> Grid:
 
 
 def _continued_above(mask: Booleans, masks: Masks, plane: BasePlane) -> Booleans:
-    """Continue a padded mask above the base plane by what is just below, to keep its edge sharp."""
+    """Extend a padded mask above the base plane by its values just below: its edge stays sharp."""
     half = masks.thickness(plane.normal) / 2
     mask, back = np.pad(mask, PADDING), np.linalg.inv(masks.affine)
     index = np.indices(mask.shape).reshape(3, -1).T - PADDING
@@ -220,7 +220,7 @@ def level_set(mask: Booleans, masks: Masks, plane: BasePlane, grid: Grid) -> Flo
     functions, so curved surfaces do not shrink. A constant is added such that the volume below
     the plane is the mask's.
 
-    The mask (i, j, k) is on the voxel grid of `masks`, and counts below the plane.
+    The mask (i, j, k) is on the voxel grid of `masks`; only its part below the plane counts.
     """
     mask = _continued_above(mask, masks, plane)
     spacing = np.linalg.norm(masks.affine[:3, :3], axis=0)
@@ -228,7 +228,7 @@ def level_set(mask: Booleans, masks: Masks, plane: BasePlane, grid: Grid) -> Flo
     inside = distance_transform_edt(mask, sampling=spacing)
     # the surface lies between two voxel centres
     distance = outside - inside + 0.5 * spacing.min() * np.where(mask, 1, -1)
-    # enough to level the staircase, which is one voxel high, and what the grid cannot resolve
+    # smooths the staircase, which is one voxel high, and what the grid cannot resolve
     sigma = 1.5 * max(spacing.min(), grid.edge) / spacing
     once = gaussian_filter(distance, sigma, mode="nearest")
     smooth = 2 * once - gaussian_filter(once, sigma, mode="nearest")
@@ -241,19 +241,19 @@ def level_set(mask: Booleans, masks: Masks, plane: BasePlane, grid: Grid) -> Flo
     # voxels that the plane cuts count in part
     share = np.clip(0.5 - height / masks.thickness(plane.normal), 0, 1)
     nodes_inside = float(share.sum() * abs(np.linalg.det(axes))) / grid.edge**3
-    # half of the cubes around the top layer's nodes lie below the plane: the others count twice
+    # half of a cube around a node of the top layer lies below the plane: other nodes count twice
     below = values[:, :, :-1].ravel()
     twice = np.concatenate([below, below, values[:, :, -1].ravel()])
-    wanted = round(2 * nodes_inside)
-    level = np.partition(twice, wanted)[wanted]
+    rank = round(2 * nodes_inside)
+    level = np.partition(twice, rank)[rank]
     return np.asarray(values - level, dtype=np.float64)
 
 
 def closed_by(values: Floats, radius: float, edge: float) -> Floats:
-    """Morphological closing, with a ball (mm), of what a signed distance (mm) on a grid describes.
+    """Close the shape of a signed distance (mm) on a grid morphologically, with a ball (mm).
 
-    Strands of outside thinner than twice the radius are filled.
+    Gaps narrower than twice the radius are filled.
     """
     grown = distance_transform_edt(values < radius) * edge
-    # one edge less than all, so that nothing but gaps changes for what the grid cannot resolve
+    # one edge less, so that only gaps change, not details that the grid cannot resolve
     return np.asarray(np.minimum(values, radius + edge - grown))

@@ -1,4 +1,4 @@
-"""Tetrahedra of a file repaired: turned, without crumbs and voids, separated where edges meet."""
+"""Repairs of a file's tetrahedra: orientation, crumbs, voids, contact at edges or vertices."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from fascicle.mesh.topology import (
 
 
 def repaired_mesh(mesh: MeshFile) -> tuple[MeshFile, tuple[str, ...]]:
-    """Turn tetrahedra that are all inverted, drop crumbs and fill small voids; notes of what.
+    """Turn tetrahedra that are all inverted, drop crumbs and fill small voids; with notes.
 
     A crumb is a piece of at most `LARGEST_CRUMB` that shares no face with the rest. A void is a
-    surface inside the tissue; the tetrahedra in it have the rows of a neighbour in every array.
-    Triangles of the file that are no longer on the boundary are left out.
+    closed cavity in the tissue; the tetrahedra that fill it have a neighbour's values in every
+    array. Triangles of the file that are no longer on the boundary are left out.
     """
     tetrahedra = mesh.require(TETRAHEDRON, "tetrahedra")
     notes: list[str] = []
@@ -121,9 +121,9 @@ def _with_voids_filled(mesh: MeshFile, notes: list[str]) -> MeshFile:
 def separated_vertices(anatomy: Anatomy) -> Anatomy:
     """Double vertices of the endocardia in which tetrahedra meet without a chain of faces.
 
-    An endocardium touches itself there, so that no disk is left of it. Each copy goes a tenth of
-    the way into its tetrahedra where these stay positive. Fibres, sheets, regions and labels stay.
-    The anatomy is returned as it is if that would take the tissue apart.
+    An endocardium touches itself there, so it would not be a disk. Each copy moves a tenth of the
+    way into its tetrahedra where these stay positive. Fibres, sheets, regions and labels stay. The
+    anatomy is returned as it is if that would take the tissue apart.
     """
     mesh, tetrahedra = anatomy.mesh, anatomy.mesh.tetrahedra.copy()
     if components_of(_neighbours(tetrahedra), len(tetrahedra)).any():
@@ -178,17 +178,17 @@ def repaired_edges(anatomy: Anatomy) -> Anatomy:
             new, whole = len(vertices), tetrahedra[fan]
             vertices = np.concatenate([vertices, vertices[edge].mean(axis=0)[None]])
             ends = np.concatenate([ends, edge[None]])
-            tetrahedra[fan], others = (np.where(whole == end, new, whole) for end in edge)
-            tetrahedra = np.concatenate([tetrahedra, others])
+            tetrahedra[fan], second_halves = (np.where(whole == end, new, whole) for end in edge)
+            tetrahedra = np.concatenate([tetrahedra, second_halves])
             parent = np.concatenate([parent, parent[fan]])
             _move_inwards(vertices, tetrahedra, new)
     triangles, _ = boundary_triangles(tetrahedra)
-    whole = triangles.copy()  # the triangles that these are parts of
-    for k in range(len(ends) - 1, -1, -1):  # the last ones may lie between earlier ones
+    whole = triangles.copy()  # the triangles before halving
+    for k in range(len(ends) - 1, -1, -1):  # later edges may end in earlier midpoints
         for corner in range(3):
-            here = whole[:, corner] == len(mesh.vertices) + k
-            there = (whole == ends[k, 0]).any(axis=1)
-            whole[here, corner] = np.where(there, ends[k, 1], ends[k, 0])[here]
+            at_midpoint = whole[:, corner] == len(mesh.vertices) + k
+            at_first_end = (whole == ends[k, 0]).any(axis=1)
+            whole[at_midpoint, corner] = np.where(at_first_end, ends[k, 1], ends[k, 0])[at_midpoint]
     note = (
         f"mesh: {len(bad)} of {len(edges)} edges of its boundary had more than two triangles "
         f"(first: {first_places(bad, mesh.vertices[bad])}): the tetrahedra that met in them alone "
@@ -207,7 +207,7 @@ def repaired_edges(anatomy: Anatomy) -> Anatomy:
 
 
 def _fans(tetrahedra: Integers, corners: Integers) -> list[Integers]:
-    """Groups of the tetrahedra that have a vertex, or an edge (2,), linked by their faces."""
+    """Face-connected groups of the tetrahedra that have a vertex, or an edge (2,)."""
     around = np.flatnonzero(np.isin(tetrahedra, corners).sum(axis=1) == np.size(corners))
     group = components_of(_neighbours(tetrahedra[around]), len(around))
     return [around[group == k] for k in np.unique(group)]

@@ -43,8 +43,8 @@ def mesh_surface(
     """Fill a closed labelled surface, as `prepared_surface` gives it, with tetrahedra.
 
     Mmg remeshes the surface and keeps the borders between labels, Netgen fills it, and Mmg brings
-    the inside to the edge length (mm), whose mean is kept within 5 %, while the surface stays. The
-    same surface gives the same mesh.
+    the inside to the edge length (mm), whose mean is kept within 5 %, while the surface stays.
+    Equal surfaces give equal meshes.
     """
     check_edge_length(wall_thickness(surface), edge_length, surface.name)
     check_memory(surface, edge_length)
@@ -54,7 +54,7 @@ def mesh_surface(
 def filled(
     surface: LabelledSurface, edge_length: float, progress: StageProgress = no_progress
 ) -> LabelledMesh:
-    """Do what `mesh_surface` does, also with fewer than two elements across a wall."""
+    """Mesh as `mesh_surface` does, even with fewer than two elements across a wall."""
     progress(0, 3)
     remeshed = remeshed_surface(surface, edge_length)
     progress(1, 3)
@@ -95,7 +95,7 @@ def _remeshed_inside(
     tetrahedra: Integers,
     **options: float,
 ) -> LabelledMesh:
-    """Mesh the inside of a surface again by Mmg; its vertices are the first of the tetrahedra's."""
+    """Remesh the inside of a surface by Mmg; its vertices are the first of the tetrahedra's."""
     positions, refined, triangles, labels = remeshed_tetrahedra(
         vertices, tetrahedra, surface.triangles, surface.labels, **options
     )
@@ -106,13 +106,15 @@ def _remeshed_inside(
 
 
 def remeshed_anatomy(anatomy: Anatomy) -> Anatomy:
-    """Mesh the inside of labelled tetrahedra again, with edges as long as they were.
+    """Mesh the inside of labelled tetrahedra again, with edges of the old lengths.
 
-    The boundary, endocardia and labels stay; the rest is `carried_over`.
+    The boundary, endocardia and labels stay; fibres, sheets and regions are `carried_over`.
     """
     mesh = anatomy.mesh
     new = _remeshed_inside(mesh, mesh.vertices, mesh.tetrahedra, optim=1)
-    before, after = (quality(each.vertices, each.tetrahedra).angles.min() for each in (mesh, new))
+    before, after = (
+        quality(labelled.vertices, labelled.tetrahedra).angles.min() for labelled in (mesh, new)
+    )
     note = (
         f"mesh: its inside was meshed again and its surface kept: {len(mesh.tetrahedra)} "
         f"tetrahedra before, {len(new.tetrahedra)} after; smallest dihedral angle {before:.1f} "
@@ -124,10 +126,10 @@ def remeshed_anatomy(anatomy: Anatomy) -> Anatomy:
 
 
 def carried_over(anatomy: Anatomy, new: LabelledMesh) -> Anatomy:
-    """An anatomy on other tetrahedra: fibres, sheets and regions are those of the nearest ones.
+    """Carry an anatomy over to other tetrahedra, with properties of the nearest old ones.
 
-    Fibres and sheets are axes without a sign: the new one is the principal axis of the mean of f fᵀ
-    over the four nearest tetrahedra, weighted by the inverse of their distance.
+    Regions are those of the nearest. Fibres and sheets are axes without a sign: the new axis is the
+    principal axis of the mean of f fᵀ over the four nearest, weighted by the inverse distance.
     """
     regions = anatomy.mesh.regions
     near, weights = nearest_tetrahedra(anatomy.mesh, new)
@@ -142,8 +144,8 @@ def carried_over(anatomy: Anatomy, new: LabelledMesh) -> Anatomy:
 
 
 def nearest_tetrahedra(mesh: LabelledMesh, new: LabelledMesh) -> tuple[Integers, Floats]:
-    """The four tetrahedra (n, 4) of a mesh next to each of a new one, and their weights."""
-    centres = [each.vertices[each.tetrahedra].mean(axis=1) for each in (mesh, new)]
+    """Four tetrahedra (n, 4) of a mesh nearest to each one of a new mesh, and their weights."""
+    centres = [labelled.vertices[labelled.tetrahedra].mean(axis=1) for labelled in (mesh, new)]
     distance, near = cKDTree(centres[0]).query(centres[1], k=4)
     return near, 1 / (distance + 1e-9)  # an unchanged tetrahedron outweighs all others
 
@@ -151,7 +153,7 @@ def nearest_tetrahedra(mesh: LabelledMesh, new: LabelledMesh) -> tuple[Integers,
 def mean_axes(directions: Floats, weights: Floats) -> Floats:
     """Mean axes (n, 3) of unit vectors (n, k, 3) with weights (n, k), whose signs do not count.
 
-    Each has the sign of the first direction.
+    A mean axis has the sign of the first direction.
     """
     axes = principal_axes(np.sqrt(weights)[..., None] * directions)
     sign = np.sign(np.einsum("ni,ni->n", axes, directions[:, 0]))
@@ -159,13 +161,14 @@ def mean_axes(directions: Floats, weights: Floats) -> Floats:
 
 
 def remeshed_surface(surface: LabelledSurface, edge_length: float) -> LabelledSurface:
-    """Triangles with this mean edge length, and the borders between labels where they were.
+    """Remesh triangles to a mean edge length; the borders between labels stay.
 
     A first pass removes the noise of a surface from marching cubes. It keeps sharp edges, without
     which the narrow end of the right cavity would be folded; the second keeps the borders between
     labels alone (angle=0), as edges would keep badly shaped triangles. Mmg's mean length differs
-    from the size that it is given, so the size is corrected iteratively. Mmg stays far nearer to
-    the surface than it may: on a heart the volume changes by 0.02 %, walls by 0.06 mm at 2 mm.
+    from the size that it is given, so the size is corrected iteratively. Mmg stays much
+    closer to the surface than it must: on a heart the volume changes by 0.02 %, walls by 0.06 mm at
+    2 mm.
     """
     smooth = _remeshed(
         without_short_edges(surface, 0.3 * edge_length),
@@ -201,9 +204,9 @@ def _remeshed(surface: LabelledSurface, **options: float) -> LabelledSurface:
 
 
 def without_short_edges(surface: LabelledSurface, shortest: float) -> LabelledSurface:
-    """Bring the two ends of every shorter edge (mm) together, where the surface stays one.
+    """Merge the two ends of every shorter edge (mm) where the surface stays a manifold.
 
-    That is where the ends have no common neighbour but the corners of the edge's two triangles (the
+    It does where the ends have no common neighbour but the corners of the edge's two triangles (the
     link condition; Dey et al. 1999, Publ Inst Math 66:23-45). Mmg alone does not do as well where
     edges are as long as walls are thick: at 8 of 12 mm helix angles at the endocardium are off by
     up to 4.6 instead of 1.1 degrees.
@@ -225,7 +228,7 @@ def without_short_edges(surface: LabelledSurface, shortest: float) -> LabelledSu
 
 
 def _merge_targets(triangles: Integers, edges: Integers) -> Integers:
-    """The vertex that each becomes part of, for as many edges as do not touch one another."""
+    """Vertex that each vertex is merged into, for as many edges as do not touch one another."""
     near: dict[int, set[int]] = {int(vertex): set() for vertex in np.unique(edges)}
     for corners in triangles[np.isin(triangles, edges).any(axis=1)].tolist():
         for vertex in corners:
@@ -242,7 +245,7 @@ def _merge_targets(triangles: Integers, edges: Integers) -> Integers:
 
 
 def subdivided(surface: LabelledSurface, edge_length: float) -> tuple[LabelledSurface, str]:
-    """Make a coarse surface smooth and finer: Loop subdivision, corrected for its shrinking.
+    """Refine and smooth a coarse surface: Loop subdivision, corrected for its shrinking.
 
     Loop's surface (1987, thesis, University of Utah) does not pass through the vertices that it
     comes from: thin walls would shrink. So each vertex is first moved by its distance from that
@@ -251,15 +254,15 @@ def subdivided(surface: LabelledSurface, edge_length: float) -> tuple[LabelledSu
     the finer surface is moved along its normals, by hundredths of a mm, to restore the volume. The
     mean edge is then at most two edge lengths. The second result is a note for the user.
     """
-    given = closed_surface(surface)
-    before = mean_edge_length(given.vertices, given.triangles)
+    coarse = closed_surface(surface)
+    before = mean_edge_length(coarse.vertices, coarse.triangles)
     levels = int(np.ceil(np.log2(before / (2.0 * edge_length))))
-    # two levels show where a vertex comes to lie, to a few percent
-    limit = igl.loop(given.vertices, given.triangles, 2)[0][: len(given.vertices)]
-    volume = closed_volume(given.vertices, given.triangles)
+    # two levels approximate where a vertex ends, to a few percent
+    limit = igl.loop(coarse.vertices, coarse.triangles, 2)[0][: len(coarse.vertices)]
+    volume = closed_volume(coarse.vertices, coarse.triangles)
     for share in (1.0, 0.5, 0.0):
-        moved = given.vertices + share * (given.vertices - np.asarray(limit, dtype=float))
-        finer, parts = igl.loop(moved, given.triangles, levels)
+        moved = coarse.vertices + share * (coarse.vertices - np.asarray(limit, dtype=float))
+        finer, parts = igl.loop(moved, coarse.triangles, levels)
         triangles = np.asarray(parts, dtype=np.int64)
         vertices = np.asarray(finer, dtype=float)
         for _ in range(3):  # Newton steps along the normals; each leaves a thousandth of the error
@@ -268,11 +271,11 @@ def subdivided(surface: LabelledSurface, edge_length: float) -> tuple[LabelledSu
             vertices = vertices + missing / triangle_areas(vertices, triangles).sum() * normals
         if not len(self_intersections(vertices, triangles)):
             break
-    labels = np.repeat(given.labels, 4**levels)  # four follow one another for each
+    labels = np.repeat(coarse.labels, 4**levels)  # four consecutive triangles for each
     note = (
         f"surface: its triangles of {before:.3g} mm are coarse for edges of {edge_length:g} mm; "
         f"subdivided {levels} times (Loop) to a smooth one of "
         f"{mean_edge_length(vertices, triangles):.3g} mm; volume {volume / 1e3:.1f} ml before, "
         f"{closed_volume(vertices, triangles) / 1e3:.1f} ml after"
     )
-    return replace(given, vertices=vertices, triangles=triangles, labels=labels), note
+    return replace(coarse, vertices=vertices, triangles=triangles, labels=labels), note

@@ -1,4 +1,4 @@
-"""Pieces of tissue that touch without common vertices, made one."""
+"""Joining pieces of tissue that touch without common vertices."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from fascicle.mesh.formats.mesh_file import TETRAHEDRON, MeshFile
 from fascicle.mesh.measures import closed_volume, signed_volumes
 from fascicle.mesh.topology import merged_vertices, pieces_of, without_unused_vertices
 
-LARGEST_GAP = 2.0  # mm between pieces, which is filled
+LARGEST_GAP = 2.0  # mm, between pieces, that is filled
 WIDEST_CHANNEL = 12.0  # mm, less than half of a mitral annulus
 
 
 def count_pieces(mesh: MeshFile) -> int:
-    """How many pieces the tetrahedra of a file fall into that have no common vertices."""
+    """Number of pieces of a file's tetrahedra that have no common vertices."""
     tetrahedra = mesh.cells[TETRAHEDRON]
     return len(np.unique(pieces_of(tetrahedra, len(mesh.points))[tetrahedra[:, 0]]))
 
 
 def with_common_vertices(mesh: MeshFile) -> tuple[MeshFile, tuple[str, ...]]:
-    """Merge vertices in the same places if that joins all pieces of a file; a note if so."""
+    """Merge coincident vertices if that joins all pieces of a file; with a note if so."""
     if (count := count_pieces(mesh)) == 1:
         return mesh, ()
     extent = float(np.ptp(mesh.points, axis=0).max())
@@ -41,20 +41,20 @@ def with_common_vertices(mesh: MeshFile) -> tuple[MeshFile, tuple[str, ...]]:
 
 
 def joined_pieces(mesh: LabelledMesh) -> LabelledSurface:
-    """The closed surface of pieces that overlap or are at most `LARGEST_GAP` apart.
+    """Closed surface around pieces that overlap or are at most `LARGEST_GAP` apart.
 
-    There is tissue where the winding number of a piece's surface is above a half. First each piece
+    Tissue is where the winding number of a piece's surface is above a half. First each piece
     is closed morphologically by the smallest ball of at most `WIDEST_CHANNEL` that leaves no
     channel through it, such as the open apex of prolate spheroidal coordinates or elements that
-    were left out; then the gaps between the pieces are.
+    were left out; then the gaps between the pieces are closed.
     """
     piece = pieces_of(mesh.tetrahedra, len(mesh.vertices))[mesh.triangles[:, 0]]
     box = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     apart: list[Floats] = []
     filled: list[Floats] = []
     for number in np.unique(piece):
-        own = without_unused_vertices(mesh.vertices, mesh.triangles[piece == number])
-        sampled = SampledDistance.of(*own, box, WIDEST_CHANNEL / 2)
+        surface = without_unused_vertices(mesh.vertices, mesh.triangles[piece == number])
+        sampled = SampledDistance.of(*surface, box, WIDEST_CHANNEL / 2)
         closed = _without_channels(sampled, np.arange(WIDEST_CHANNEL / 2 + 1))
         apart.append(sampled.values)
         filled.append(sampled.values if closed is None else closed.values)
@@ -87,7 +87,7 @@ def joined_pieces(mesh: LabelledMesh) -> LabelledSurface:
 
 
 def _without_channels(tissue: SampledDistance, radii: Floats) -> SampledDistance | None:
-    """Tissue closed by the first ball (mm) that makes its surface a sphere's; None if none does."""
+    """Tissue closed by the first ball (mm) that leaves a spherical topology; None if none does."""
     for radius in radii:
         closed = tissue.closed(float(radius)) if radius else tissue
         if igl.euler_characteristic(closed.surface()[1]) == 2:

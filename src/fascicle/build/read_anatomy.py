@@ -1,4 +1,4 @@
-"""The files that a heart is built from, read as one labelled mesh."""
+"""Reading the files that a heart is built from as one labelled mesh."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ from fascicle.mesh.formats.read import MESH_FORMATS, read_mesh
 from fascicle.mesh.measures import closed_volume, mean_edge_length
 from fascicle.mesh.topology import boundary_triangles, without_unused_vertices
 
-OF_TETRAHEDRA = ("remesh", "regions", "region_array", "fibres")  # options for these alone
+OF_TETRAHEDRA = ("remesh", "regions", "region_array", "fibres")  # options for tetrahedra alone
 
 
 @dataclass(frozen=True)
 class Source:
-    """The files that a heart is built from."""
+    """Files that a heart is built from, and how to read them."""
 
     file: Path | None  # closed surface, segmentation or tetrahedral mesh; None if there are parts
     # surfaces of ``lv``, ``rv``, ``epicardium`` and perhaps ``base``
@@ -115,14 +115,14 @@ def read_anatomy(source: Source, edge_length: float, progress: Progress | None =
 def _meshed(
     surface: LabelledSurface,
     notes: tuple[str, ...],
-    given: LabelledSurface | Volumes,
+    reference: LabelledSurface | Volumes,
     edge_length: float,
     progress: Progress | None,
 ) -> Anatomy:
-    """Mesh a surface, and compare the volumes with those that were given."""
+    """Mesh a surface, and compare the volumes with those of the reference."""
     prepared = prepared_surface(surface)
     mesh = mesh_surface(prepared, edge_length, stage_progress(progress, "meshing"))
-    before = given if isinstance(given, Volumes) else volumes(closed_surface(given))
+    before = reference if isinstance(reference, Volumes) else volumes(closed_surface(reference))
     note, warnings = compared(volumes(mesh), before, surface.name)
     return Anatomy(mesh, notes=(*notes, *prepared.notes, note), warnings=warnings)
 
@@ -130,9 +130,9 @@ def _meshed(
 def _fine_enough(
     surface: LabelledSurface, edge_length: float
 ) -> tuple[LabelledSurface, tuple[str, ...]]:
-    """The surface, subdivided if its mean edge is above three edge lengths, and a note if so.
+    """Subdivide a surface if its mean edge is above three edge lengths; with a note if so.
 
-    Remeshing keeps to its flat triangles, so the mesh would have their edges and creases.
+    Remeshing follows flat triangles, so the mesh would have the edges and creases of coarse ones.
     """
     if mean_edge_length(surface.vertices, surface.triangles) <= 3.0 * edge_length:
         return surface, ()
@@ -157,15 +157,15 @@ def _from_surface(
 def _classified_surface(
     closed: LabelledSurface, edge_length: float, progress: Progress | None
 ) -> Anatomy:
-    """Tetrahedra within a closed surface whose labels are found from its shape."""
+    """Mesh a closed surface whose labels are found from its shape."""
     volume = closed_volume(closed.vertices, closed.triangles) / 1e3
     repairs = closed.notes
     closed, notes = _fine_enough(closed, edge_length)
     report = stage_progress(progress, "surface")
-    found = classify_surface(closed.vertices, closed.triangles, closed.name, report)
-    cut = cut_along_borders(found, edge_length)
-    given = volumes(cut)._replace(myocardium=volume)
-    return replace(_meshed(cut, (*repairs, *notes), given, edge_length, progress), guessed=True)
+    classified = classify_surface(closed.vertices, closed.triangles, closed.name, report)
+    cut = cut_along_borders(classified, edge_length)
+    reference = volumes(cut)._replace(myocardium=volume)
+    return replace(_meshed(cut, (*repairs, *notes), reference, edge_length, progress), guessed=True)
 
 
 def _from_segmentation(
@@ -174,14 +174,14 @@ def _from_segmentation(
     source.check_unused("a segmentation", "label_array", "labels_file", *OF_TETRAHEDRA)
     segmentation = read_segmentation(file)
     if source.labels is None:
-        there = ", ".join(map(str, np.unique(segmentation.labels)))
+        numbers = ", ".join(map(str, np.unique(segmentation.labels)))
         raise InputError(
-            f"{segmentation.name}: the meaning of its labels ({there}) depends on the program that "
-            "wrote them; give it, as --labels lv=1,rv=2,myocardium=3,scar=4"
+            f"{segmentation.name}: the meaning of its labels ({numbers}) depends on the program "
+            "that wrote them; give it, as --labels lv=1,rv=2,myocardium=3,scar=4"
         )
-    known = [part.name for part in fields(SegmentationLabels)]
-    if unknown := [name for name in source.labels if name not in known]:
-        raise InputError(f"--labels: unknown '{unknown[0]}'; the parts are {', '.join(known)}")
+    part_names = [part.name for part in fields(SegmentationLabels)]
+    if unknown := [name for name in source.labels if name not in part_names]:
+        raise InputError(f"--labels: unknown '{unknown[0]}'; the parts are {', '.join(part_names)}")
     labels, notes = SegmentationLabels(**source.labels), []
     if segmentation.space:
         notes.append(
@@ -189,13 +189,13 @@ def _from_segmentation(
             f"{segmentation.space.lower()} aligns the torso with them"
         )
     report = stage_progress(progress, "surface")
-    surface, given = surface_from_segmentation(segmentation, labels, report, notes, edge_length)
-    anatomy = _meshed(surface, tuple(notes), given, edge_length, progress)
+    surface, reference = surface_from_segmentation(segmentation, labels, report, notes, edge_length)
+    anatomy = _meshed(surface, tuple(notes), reference, edge_length, progress)
     mirrored = mirror_warning(anatomy.mesh, segmentation.space)
     anatomy = replace(anatomy, warnings=(*anatomy.warnings, *mirrored))
     if labels.scar is None:
         return anatomy
-    scar = "region_1_conductivity"  # the quantity that says how it conducts
+    scar = "region_1_conductivity"  # the quantity of its conductivity
     note = f"scar: region 1; it does not conduct ({scar} = 0 in heart.toml)"
     mesh = anatomy.mesh
     centres = mesh.vertices[mesh.tetrahedra].mean(axis=1)
@@ -235,7 +235,7 @@ def _from_tetrahedra(
 def _from_pieces(
     source: Source, mesh: MeshFile, edge_length: float, progress: Progress | None
 ) -> Anatomy:
-    """Pieces that touch without common vertices, meshed as one."""
+    """Mesh pieces that touch without common vertices as one."""
     source.check_unused("pieces that are joined", "labels", "label_array", "remesh")
     vertices, tetrahedra = without_unused_vertices(mesh.points, mesh.cells[TETRAHEDRON])
     check_units(str(mesh.path), vertices)
@@ -252,7 +252,7 @@ def _from_pieces(
 def _classified(
     read: Anatomy, source: Source, whole: MeshFile, progress: Progress | None
 ) -> Anatomy:
-    """An anatomy whose labels are found from its regions, or else from its shape."""
+    """Find the labels of an anatomy from its regions, or else from its shape."""
     mesh = read.mesh
     if source.regions is not None and mesh.regions is not None:
         labels = labels_of_ventricles(mesh, np.isin(mesh.regions, source.regions["lv"]))
@@ -260,13 +260,13 @@ def _classified(
             return replace(read, mesh=replace(mesh, labels=labels), guessed=True)
     report = stage_progress(progress, "surface")
     try:
-        found = classify_surface(mesh.vertices, mesh.triangles, mesh.name, report)
+        classified = classify_surface(mesh.vertices, mesh.triangles, mesh.name, report)
     except InputError as error:
-        there = regions_in(whole)
-        if source.regions is not None or not there:
+        region_list = regions_in(whole)
+        if source.regions is not None or not region_list:
             raise
         raise InputError(
-            f"{error}; {there}; if this is a whole heart, say which are the ventricles, as "
+            f"{error}; {region_list}; if this is a whole heart, say which are the ventricles, as "
             "--regions lv=...,rv=...,septum=..."
         ) from None
-    return replace(read, mesh=replace(mesh, labels=found.labels), guessed=True)
+    return replace(read, mesh=replace(mesh, labels=classified.labels), guessed=True)

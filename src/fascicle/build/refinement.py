@@ -1,4 +1,4 @@
-"""A finer mesh of a heart: every tetrahedron in eight (regular, or red, refinement)."""
+"""Refining a heart's mesh: every tetrahedron in eight (regular, or red, refinement)."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ CHILDREN = 8  # of each tetrahedron
 
 
 def refined(heart: Heart, progress: Progress | None = None) -> Heart:
-    """The same heart on a mesh with eight times the tetrahedra, of half the edge length.
+    """Put a heart on a mesh with eight times the tetrahedra, of half the edge length.
 
-    Fibres, sheets and regions are those of the tetrahedron that each lies in. Endocardia,
-    electrodes, seeds and the patient's values stay. Lead fields are interpolated linearly, so that
-    their gradients stay, too; the torso, whose mesh no longer fits, is left out.
+    Fibres, sheets and regions are those of the parent tetrahedron. Endocardia, electrodes, seeds
+    and the patient's values stay. Lead fields are interpolated linearly, so that their gradients
+    stay, too; the torso, whose mesh no longer fits, is left out.
     """
     # measured on the packaged heart: 7.1 times the vertices, and 1.0 GB to prepare its 107,000
     needed, free = 1e4 * 7 * len(heart.vertices), available_memory()
@@ -57,7 +57,7 @@ def refined(heart: Heart, progress: Progress | None = None) -> Heart:
 
 
 class Refinement(NamedTuple):
-    """Tetrahedra in eight (8 m, 4), numbered together, those of the first parent first.
+    """Mesh of tetrahedra cut in eight (8 m, 4), the children of the first parent first.
 
     The vertices (n + e, 3) are the old ones, then the midpoints of the edges (e, 2).
     """
@@ -67,16 +67,16 @@ class Refinement(NamedTuple):
     edges: Integers
 
     def at_vertices(self, values: Floats) -> Floats:
-        """Values at the old vertices (..., n), linear in each parent, at all of them."""
+        """Interpolate values (..., n) at the old vertices linearly within each parent."""
         return np.concatenate([values, values[..., self.edges].mean(axis=-1)], axis=-1)
 
 
 def in_eight(vertices: Floats, tetrahedra: Integers) -> Refinement:
     """Cut each tetrahedron of a mesh (mm) into eight at the midpoints of its edges.
 
-    Its corners are cut off, and the octahedron that remains is cut along its shortest diagonal,
-    which makes the least flat children (Zhang, Houston J. Math. 21, 1995, 541-556). All have an
-    eighth of its volume. Faces are cut the same from both sides.
+    The corners are cut off, and the octahedron that remains is cut along its shortest diagonal,
+    which makes the least flat children (Zhang, Houston J. Math. 21, 1995, 541-556). Each child has
+    an eighth of the volume. A face is cut alike in both tetrahedra that share it.
     """
     # corners of the children: 0 to 3 those of the parent, 4 to 9 the midpoints of its edges
     at_corners = ((0, 4, 5, 6), (4, 1, 7, 8), (5, 7, 2, 9), (6, 8, 9, 3))

@@ -1,4 +1,4 @@
-"""Label maps of the heart: which voxel is blood of which ventricle, muscle or scar."""
+"""Label maps of the heart, whose voxels are blood of a ventricle, muscle or scar."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from fascicle.mesh.checks import place
 
 @dataclass(frozen=True)
 class Segmentation:
-    """A label map (i, j, k), where 0 is background, and where it lies.
+    """Label map (i, j, k), in which 0 is background, with its position.
 
     The affine (4, 4) maps indices of voxel centres to mm in the file's coordinates. The space is
-    empty if these are not the patient's axes. The name is used in messages.
+    empty if the axes are not the patient's. The name is used in messages.
     """
 
     labels: NDArray[np.integer[Any]]
@@ -48,7 +48,7 @@ class Segmentation:
     @property
     def spacing(self) -> Floats:
         """Distance of neighbouring voxel centres along each index (mm)."""
-        with np.errstate(over="ignore", invalid="ignore"):  # it may not be finite, in a file
+        with np.errstate(over="ignore", invalid="ignore"):  # a file's affine may not be finite
             return np.asarray(np.linalg.norm(self.affine[:3, :3], axis=0))
 
     @property
@@ -83,15 +83,15 @@ class SegmentationLabels:
     def parts(self) -> list[tuple[str, tuple[int, ...]]]:
         """Name and numbers of each part."""
         names = ("LV blood", "RV blood", "myocardium", "scar")
-        given = zip(names, (self.lv, self.rv, self.myocardium, self.scar), strict=True)
-        return [(n, p if isinstance(p, tuple) else (p,)) for n, p in given if p is not None]
+        parts = zip(names, (self.lv, self.rv, self.myocardium, self.scar), strict=True)
+        return [(n, p if isinstance(p, tuple) else (p,)) for n, p in parts if p is not None]
 
 
 @dataclass(frozen=True)
 class Masks:
-    """Blood of each ventricle, and muscle with scar, as masks on a grid that just holds them.
+    """Masks of each ventricle's blood, and of muscle with scar, on a grid that just holds them.
 
-    No voxel at the edge is in any of them; the affine is from indices into them to mm.
+    No voxel at the edge is in any of them; the affine maps voxel indices to mm.
     """
 
     lv: Booleans
@@ -110,11 +110,11 @@ class Masks:
 
 
 class Faces(NamedTuple):
-    """Faces between a voxel of a ventricle's blood and one of something else.
+    """Faces between voxels of a ventricle's blood and voxels that are not.
 
-    Centres (n, 3) of the voxels of blood and of the faces, vectors with the face's area as length
-    that leave the blood (n, 3), and whether nothing is on the other side: neither tissue nor the
-    other ventricle's blood (n,).
+    Centres (n, 3) (mm) of the voxels of blood and of the faces; normals (n, 3) out of the blood,
+    with the face's area (mm²) as length; and whether the face is free (n,), with neither tissue nor
+    the other ventricle's blood on the other side.
     """
 
     voxels: Floats
@@ -124,9 +124,9 @@ class Faces(NamedTuple):
 
 
 def blood_faces(masks: Masks, blood: Booleans, other: Booleans) -> Faces:
-    """Faces of one ventricle's blood, given that of the other."""
+    """Faces of one ventricle's blood; `other` is the blood of the other ventricle."""
     axes = masks.affine[:3, :3]
-    found = []
+    groups = []
     for k in range(3):
         across = np.cross(axes[:, (k + 1) % 3], axes[:, (k + 2) % 3])
         across *= np.sign(across @ axes[:, k])
@@ -137,8 +137,8 @@ def blood_faces(masks: Masks, blood: Booleans, other: Booleans) -> Faces:
             voxels = index @ axes.T + masks.affine[:3, 3]
             centres = (index + neighbour) / 2 @ axes.T + masks.affine[:3, 3]
             areas = np.tile(step * across, (len(index), 1))
-            found.append((voxels, centres, areas, ~(masks.tissue | other)[tuple(neighbour.T)]))
-    return Faces(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+            groups.append((voxels, centres, areas, ~(masks.tissue | other)[tuple(neighbour.T)]))
+    return Faces(*(np.concatenate(parts) for parts in zip(*groups, strict=True)))
 
 
 def regions_at(segmentation: Segmentation, labels: SegmentationLabels, points: Floats) -> Integers:
@@ -161,7 +161,7 @@ def regions_at(segmentation: Segmentation, labels: SegmentationLabels, points: F
 
 
 def masks_of(segmentation: Segmentation, labels: SegmentationLabels, notes: list[str]) -> Masks:
-    """Masks of the parts, each in one piece, with small components given to what surrounds them.
+    """Masks of the parts, in one piece each; small components join the parts around them.
 
     A line is added to the notes for every part that had small components.
     """
@@ -192,7 +192,7 @@ def _check_not_exchanged(masks: Masks) -> None:
 
 
 def _cropped(parts: NDArray[np.int8], affine: Floats) -> tuple[NDArray[np.int8], Floats]:
-    """Leave one voxel of background around everything."""
+    """Crop a map to the parts and one voxel of background around them."""
     box = find_objects((parts > 0).astype(np.int8))[0]
     affine = affine.copy()
     affine[:3, 3] += affine[:3, :3] @ [around.start - 1 for around in box]
@@ -200,17 +200,17 @@ def _cropped(parts: NDArray[np.int8], affine: Floats) -> tuple[NDArray[np.int8],
 
 
 def _parts(segmentation: Segmentation, labels: SegmentationLabels) -> dict[str, Booleans]:
-    """The mask of each part, by its name; every one of them has voxels."""
+    """Masks of the parts, by name; an error if a part has no voxels."""
     masks = {}
     for name, numbers in labels.parts():
         masks[name] = np.isin(segmentation.labels, numbers)
         if not masks[name].any():
             counted = zip(*np.unique(segmentation.labels, return_counts=True), strict=True)
-            there = [f"{value} ({count} voxels)" for value, count in counted]
-            more = f" and {len(there) - 12} more" if len(there) > 12 else ""
+            listed = [f"{value} ({count} voxels)" for value, count in counted]
+            more = f" and {len(listed) - 12} more" if len(listed) > 12 else ""
             raise InputError(
                 f"{segmentation.name}: {name} (label {', '.join(map(str, numbers))}) has 0 voxels; "
-                f"the map has labels {', '.join(there[:12])}{more}; give the label "
+                f"the map has labels {', '.join(listed[:12])}{more}; give the label "
                 "of every part (--labels; scar alone may be left out)"
             )
     return masks
@@ -240,7 +240,7 @@ def _remove_small_components(
     segmentation: Segmentation,
     notes: list[str],
 ) -> None:
-    """Give components below 1 % of a part to what surrounds most of each, in place."""
+    """Give components below 1 % of a part to the part around most of them, in place."""
     touching = np.ones((3, 3, 3), dtype=bool)
     pieces, n = label(parts == kind, structure=touching)
     if n == 1:
@@ -256,7 +256,7 @@ def _remove_small_components(
     for piece, box in enumerate(find_objects(pieces)):
         if piece == largest:
             continue
-        around = tuple(slice(max(one.start - 1, 0), one.stop + 1) for one in box)
+        around = tuple(slice(max(interval.start - 1, 0), interval.stop + 1) for interval in box)
         here = pieces[around] == piece + 1
         border = binary_dilation(here, touching) & ~here
         parts[around][here] = np.bincount(parts[around][border]).argmax()

@@ -40,14 +40,14 @@ def read_segmentation(path: Path | str) -> Segmentation:
 
 @contextmanager
 def _refusing_damage(path: Path) -> Iterator[None]:
-    """Say in one line what a reader found wrong, and nothing else that it has to say."""
+    """Turn any error of a reader into one line, and silence its warnings."""
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
             yield
     except (InputError, MemoryError):
         raise
-    except Exception as error:  # noqa: BLE001 - nibabel and nrrd raise what they like
+    except Exception as error:  # noqa: BLE001 - nibabel and nrrd raise errors of any type
         raise InputError(
             f"{path}: damaged, truncated or mislabelled ({one_line(error)}); export or copy it "
             "again"
@@ -55,7 +55,7 @@ def _refusing_damage(path: Path) -> Iterator[None]:
 
 
 def _read_nifti(path: Path) -> tuple[NDArray[np.integer[Any]], Floats, str, str]:
-    """Labels, affine, name and space; the header counts, not what nibabel makes of it."""
+    """Labels, affine, name and space; checks the file's own header, which nibabel may mend."""
     import nibabel
     from nibabel.openers import ImageOpener
 
@@ -108,7 +108,7 @@ def _read_nrrd(path: Path) -> tuple[NDArray[np.integer[Any]], Floats, str, str]:
 
 
 def _nrrd_affine(path: Path, header: dict[str, Any]) -> tuple[Floats, str]:
-    """Voxel index to mm, in the file's own space, and what that is called."""
+    """Affine from voxel indices to mm in the file's own space, and the name of that space."""
     spaces = {
         "right-anterior-superior": "RAS", "ras": "RAS", "left-posterior-superior": "LPS",
         "lps": "LPS", "3d-right-handed": "",
@@ -140,15 +140,15 @@ def _nrrd_affine(path: Path, header: dict[str, Any]) -> tuple[Floats, str]:
         )
     factors = {"mm": 1.0, "millimeter": 1.0, "millimeters": 1.0, "": 1.0, "m": 1e3, "cm": 10.0,
                "um": 1e-3, "μm": 1e-3, "µm": 1e-3}  # fmt: skip
-    given = header.get("space units", header.get("units", []))
-    units = {str(unit).strip().lower() for unit in given}
+    unit_names = header.get("space units", header.get("units", []))
+    units = {str(unit).strip().lower() for unit in unit_names}
     if len(units) > 1 or not units <= factors.keys():
         raise InputError(f"{path}: space units {sorted(units)} are not of length; write it in mm")
     return _scaled(affine, factors[units.pop()] if units else 1.0), spaces[space]
 
 
 def _scaled(affine: Floats, millimetres: float) -> Floats:
-    """The affine in mm; what becomes infinite is refused as a size of voxels."""
+    """Affine in mm; `Segmentation` refuses one that becomes infinite."""
     with np.errstate(over="ignore"):
         return np.vstack([affine[:3] * millimetres, affine[3:]])
 
@@ -172,7 +172,7 @@ def _whole_numbers(path: Path, values: NDArray[Any]) -> NDArray[np.integer[Any]]
         return values.astype(values.dtype.newbyteorder("="))
     with np.errstate(invalid="ignore"):
         labels = values.astype(np.int32)
-    broken = labels != values  # so is what is not finite, or too large
+    broken = labels != values  # includes values that are not finite, or too large
     if broken.any():
         raise InputError(
             f"{path}: {int(broken.sum())} of {values.size} voxels are not whole numbers (first: "

@@ -38,8 +38,8 @@ EDGE = 1.0  # mm, of the cubes that the surface is cut from
 # 92 Suppl 1:i2–i13, 2006).
 RV_WALL = (3.0, 5.0)  # mm
 THICKEST = 15.0  # mm; short-axis slices are 6 to 10 mm thick, with gaps of up to 4 mm
-# A cavity with handles is opened with the first ball, which takes away threads of blood, then
-# closed with larger and larger ones, which fills gaps around papillary muscles, until none is left.
+# A cavity with handles is opened with the first ball, which removes threads of blood, then closed
+# with larger and larger balls, which fills gaps around papillary muscles, until no handle is left.
 BALLS = (1.5, 2.0, 4.0, 6.0)  # mm, radius
 
 
@@ -69,12 +69,12 @@ def surface_from_segmentation(
     is negative, and its surface is found by marching cubes (Lorensen and Cline, SIGGRAPH Comput
     Graph 21:163–169, 1987). Triangles end on the plane, so the borders of the base are sharp.
     Where less than 80 % of the RV's blood has tissue around it, as in maps of the LV myocardium
-    alone, a wall is added, of 3 mm or as thick as two elements of the mesh to come (edge length in
+    alone, a wall is added, of 3 mm or as thick as two elements of the later mesh (edge length in
     mm) need, up to 5 mm. Each decision adds a line to the notes.
 
     The surface is closed, in the segmentation's frame (mm), with edges near 1 mm: the base is an
-    annulus with two holes, the endocardia and the epicardium are disks. The volumes are those of
-    the label map, which it should have, and the wall that was added.
+    annulus with two holes, the endocardia and the epicardium are disks. The volumes are those
+    of the label map and the added wall, which the surface should have.
     """
     notes = notes if notes is not None else []
     if (thickest := float(segmentation.spacing.max())) > THICKEST:
@@ -84,7 +84,9 @@ def surface_from_segmentation(
         )
     masks = masks_of(segmentation, labels, notes)
     counted = masks.lv, masks.rv, masks.tissue
-    given = Volumes(*(float(part.sum()) * segmentation.voxel_volume / 1e3 for part in counted))
+    map_volumes = Volumes(
+        *(float(part.sum()) * segmentation.voxel_volume / 1e3 for part in counted)
+    )
     masks = _coarsened(masks)
     progress(1, 6)
     plane = find_base_plane(masks)
@@ -103,8 +105,8 @@ def surface_from_segmentation(
     below = (grid.shape[2] - layers) * grid.edge
     voxel = abs(np.linalg.det(masks.affine[:3, :3])) / 1e3
     above = [
-        f"{voxel * int((plane.height(masks.positions(mask)) > -below).sum()):.1f} ml of {what}"
-        for mask, what in ((masks.lv, "LV blood"), (masks.rv, "RV blood"))
+        f"{voxel * int((plane.height(masks.positions(mask)) > -below).sum()):.1f} ml of {part}"
+        for mask, part in ((masks.lv, "LV blood"), (masks.rv, "RV blood"))
     ]
     notes.append(
         f"{masks.name}: cut at {plane.how}, {below:g} mm below it; {' and '.join(above)} lie above"
@@ -113,7 +115,7 @@ def surface_from_segmentation(
     levels = _Levels(*(part[:, :, :layers] for part in levels))
     surface = _closed_surface(levels, grid, masks.name, notes)
     progress(6, 6)
-    return surface, given._replace(myocardium=given.myocardium + added)
+    return surface, map_volumes._replace(myocardium=map_volumes.myocardium + added)
 
 
 def _check_apex(masks: Masks, plane: BasePlane) -> None:
@@ -131,13 +133,13 @@ def _check_apex(masks: Masks, plane: BasePlane) -> None:
 def _coarsened(masks: Masks) -> Masks:
     """Take every other (third, …) voxel of maps that are finer than the surface can be."""
     spacing = np.linalg.norm(masks.affine[:3, :3], axis=0)
-    every = np.maximum(np.floor(EDGE / spacing * (1 + 1e-6)), 1).astype(np.int64)
-    if (every == 1).all():
+    stride = np.maximum(np.floor(EDGE / spacing * (1 + 1e-6)), 1).astype(np.int64)
+    if (stride == 1).all():
         return masks
-    take = tuple(slice(n // 2, None, n) for n in every)
+    take = tuple(slice(n // 2, None, n) for n in stride)
     affine = masks.affine.copy()
-    affine[:3, 3] += affine[:3, :3] @ (every // 2)
-    affine[:3, :3] *= every
+    affine[:3, 3] += affine[:3, :3] @ (stride // 2)
+    affine[:3, :3] *= stride
     lv, rv, tissue = (np.pad(mask[take], 1) for mask in (masks.lv, masks.rv, masks.tissue))
     affine[:3, 3] -= affine[:3, :3].sum(axis=1)
     return Masks(lv, rv, tissue, affine, masks.name)
@@ -156,7 +158,7 @@ def _with_rv_wall(
     bare, whole = float(size[faces.free].sum()), float(size.sum())
     if whole == 0 or bare < 0.2 * whole:
         return outer, 0.0
-    # a little more than `check_edge_length` demands, within what the wall may have
+    # a little more than `check_edge_length` demands, within the range of RV walls
     thickness = float(np.clip(1.05 * np.sqrt(2) * edge_length, *RV_WALL))
     # between thick slices the interpolated distance is too small where contours move far
     wall, near = rv - thickness, (rv > 0) & (rv < 2 * thickness)
@@ -176,8 +178,8 @@ def _with_rv_wall(
 
 
 def _walled(lv: Floats, rv: Floats, gaps: Floats) -> _Levels:
-    """Close holes in the septum and in the outer walls."""
-    thinnest = 1.5 * EDGE  # thinner walls look like holes to cubes of this edge
+    """Close holes in the septum and in the free walls."""
+    thinnest = 1.5 * EDGE  # thinner walls have holes on a grid of this edge
     rv = np.maximum(rv, thinnest - lv)
     return _Levels(np.minimum(gaps, np.minimum(lv, rv) - thinnest), lv, rv, gaps)
 
@@ -200,9 +202,9 @@ def _base_layer(levels: _Levels, name: str) -> int:
 
 
 def _wrong_with_section(levels: _Levels, k: int, areas: list[Integers]) -> str:
-    """Why a layer cannot be the base; empty if it can.
+    """Reason that a layer cannot be the base; empty if it can.
 
-    Each cavity must be as open there, and in as complete a wall, as `OPEN` and `BARE` say.
+    A cavity must be open there (`OPEN`), in a nearly complete wall (`BARE`).
     """
     outer = levels.outer[:, :, k] < 0
     if label(outer)[1] != 1:
@@ -223,18 +225,18 @@ def _wrong_with_section(levels: _Levels, k: int, areas: list[Integers]) -> str:
 
 
 def _closed_surface(levels: _Levels, grid: Grid, name: str, notes: list[str]) -> LabelledSurface:
-    """Extract the surface; mend the cavities where they are not disks."""
+    """Extract the surface; mend the cavities until the endocardia are disks."""
     attempts = dict.fromkeys(ENDOCARDIA, 0)
     while True:
         lv, rv = map(_mended, (levels.lv, levels.rv), attempts.values())
-        tried = _walled(lv, rv, levels.gaps) if any(attempts.values()) else levels
-        surface = _extract(tried, grid, name)
+        mended = _walled(lv, rv, levels.gaps) if any(attempts.values()) else levels
+        surface = _extract(mended, grid, name)
         if (wrong := _wrong_topology(surface)) is None:
             break
-        part, found = wrong
+        part, fault = wrong
         if attempts.get(part, len(BALLS)) == len(BALLS):
             raise InputError(
-                f"{name}: {found}; fill holes in the walls and take papillary muscles and "
+                f"{name}: {fault}; fill holes in the walls and take papillary muscles and "
                 "trabeculae that cross the cavities out of the myocardium"
             )
         attempts[part] += 1
@@ -257,9 +259,9 @@ def _mended(cavity: Floats, attempt: int) -> Floats:
 
 
 def _extract(levels: _Levels, grid: Grid, name: str) -> LabelledSurface:
-    """Marching cubes on the tissue's function, with a layer far outside put on top."""
+    """Extract the tissue's surface by marching cubes, with an empty layer put on top."""
     tissue = np.maximum(np.maximum(levels.outer, -levels.lv), -levels.rv)
-    snap = 0.05 * grid.edge  # no node closer to the surface, which keeps slivers away
+    snap = 0.05 * grid.edge  # least distance of a node from the surface, which avoids slivers
     near = np.abs(tissue) < snap
     tissue[near] = np.where(tissue[near] < 0, -snap, snap)
     top = tissue.shape[2] - 1
@@ -278,7 +280,7 @@ def _extract(levels: _Levels, grid: Grid, name: str) -> LabelledSurface:
 
 
 def _largest_piece(triangles: Integers, name: str) -> Integers:
-    """The largest piece, outside which at most 1 % of all triangles may lie."""
+    """Largest piece of a surface; an error if it has less than 99 % of the triangles."""
     _, pieces = igl.facet_components(triangles)
     if (sizes := np.bincount(pieces)).max() < 0.99 * len(triangles):
         listed = ", ".join(str(size) for size in np.sort(sizes)[::-1])
@@ -290,12 +292,16 @@ def _largest_piece(triangles: Integers, name: str) -> Integers:
 
 
 def _wrong_topology(surface: LabelledSurface) -> tuple[Label, str] | None:
-    """First part of a surface that is not like that of two ventricles, and what is wrong."""
+    """First part of a surface whose topology is not that of two ventricles, and its fault."""
     for part in (*ENDOCARDIA, Label.EPICARDIUM, Label.BASE):
         n_loops = 3 if part == Label.BASE else 1
-        own = surface.having(part)
-        loops = len(boundary_loops(own))
-        euler = np.unique(own).size - len(unique_edges(own)[0]) + len(own)
+        part_triangles = surface.having(part)
+        loops = len(boundary_loops(part_triangles))
+        euler = (
+            np.unique(part_triangles).size
+            - len(unique_edges(part_triangles)[0])
+            + len(part_triangles)
+        )
         # a sphere with n holes has Euler characteristic 2 − n, and each handle takes away 2
         if loops != n_loops or euler != 2 - n_loops:
             handles = (2 - loops - euler) // 2

@@ -1,4 +1,4 @@
-"""What a surface of the ventricles must be: left and right as labelled, walls thick."""
+"""Checks on surfaces of the ventricles: volumes, wall thickness, left and right."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ def volumes(tissue: LabelledSurface | LabelledMesh) -> Volumes:
 
 
 def compared(built: Volumes, given: Volumes, file: str) -> tuple[str, tuple[str, ...]]:
-    """A line on the volumes built and those of their file, and a warning for each that differs."""
+    """Line that compares the built volumes with those given, and warnings where they differ."""
     rows, warnings = [], []
-    for what, now, before in zip(
+    for part, now, before in zip(
         ("LV cavity", "RV cavity", "myocardium"), built, given, strict=True
     ):
         change = now / before - 1 if before > 0 else np.inf
-        rows.append(f"{what} {now:.1f} ml (input {before:.1f}, {change:+.1%})")
+        rows.append(f"{part} {now:.1f} ml (input {before:.1f}, {change:+.1%})")
         if abs(change) > LARGEST_CHANGE:
             warnings.append(
-                f"{file}: {what} {now:.1f} ml, {before:.1f} ml in the file ({change:+.1%}, more "
+                f"{file}: {part} {now:.1f} ml, {before:.1f} ml in the file ({change:+.1%}, more "
                 f"than {LARGEST_CHANGE:.0%}); give a shorter edge length, or correct the file "
                 "where it was cut or filled (see the lines above)"
             )
@@ -68,7 +68,7 @@ def median_thickness(wall: Floats) -> float:
 
 
 def wall_thickness(tissue: LabelledSurface | LabelledMesh) -> Walls:
-    """How thick the walls are at each vertex of the endocardia.
+    """Thickness of the walls at each vertex of the endocardia (mm).
 
     The thickness at a vertex is its distance to the other side: the epicardium for the free walls,
     the right endocardium for the septum. A vertex of the left endocardium belongs to the septum
@@ -97,7 +97,7 @@ def check_edge_length(walls: Walls, edge_length: float, name: str) -> None:
     """
     names = ("left ventricle's free wall", "septum", "right ventricle's free wall")
     thickness, thinnest = min(
-        (median_thickness(wall), what) for what, wall in zip(names, walls, strict=True) if wall.size
+        (median_thickness(wall), name) for name, wall in zip(names, walls, strict=True) if wall.size
     )
     largest = thickness / (2 * np.sqrt(0.5))
     if edge_length > largest:
@@ -112,18 +112,18 @@ def leftness(one: Surface, other: Surface, epicardium: Surface) -> float:
     """Evidence that the first of two endocardia, rather than the second, is the left one.
 
     The left cavity is nearly convex and round, and its wall is thick; the right one is a crescent
-    about the septum with a thin free wall. The sum of the logarithms of the ratios of these three
-    features, first over second: positive where the first is the left one.
+    about the septum with a thin free wall. The evidence is the sum of the logarithms of the ratios
+    of these three features, first over second: positive where the first is the left one.
     """
     first, second = (_features(endocardium, epicardium) for endocardium in (one, other))
     return float(np.log(first / second).sum())
 
 
 def check_sides(tissue: LabelledSurface | LabelledMesh) -> None:
-    """Refuse endocardia that seem to have each other's label.
+    """Refuse endocardia whose labels seem to be swapped.
 
-    The one labelled LV then has the thinner free wall (median) and fills less of its convex hull:
-    neither a right ventricle with a thick wall nor a round one is refused for that alone.
+    The cavity labelled LV then has the thinner free wall (median) and fills less of its convex
+    hull: neither a right ventricle with a thick wall nor a round one is refused for that alone.
     """
     epicardium, lv, rv = map(tissue.part, (Label.EPICARDIUM, *ENDOCARDIA))
     walls = wall_thickness(tissue)
@@ -138,12 +138,12 @@ def check_sides(tissue: LabelledSurface | LabelledMesh) -> None:
 
 
 def mirror_warning(mesh: LabelledMesh, space: str) -> tuple[str, ...]:
-    """A warning if the heart lies in the patient as it would in a mirror.
+    """Warning, if any, that the heart seems to be mirrored.
 
     Its apex then points to the right, its right ventricle lies to the left, and their cross product
-    points up instead of down. That shows only in the patient's coordinates (the space ``"RAS"`` or
-    ``"LPS"``) and where the long axis is as oblique as in a chest: a map along the axes of its
-    image shows nothing.
+    points up instead of down. This can be seen only in the patient's coordinates (the space
+    ``"RAS"`` or ``"LPS"``) and if the long axis is as oblique as in a chest: a map along the axes
+    of its image shows nothing.
     """
     if space not in ("RAS", "LPS"):
         return ()
@@ -164,9 +164,11 @@ def mirror_warning(mesh: LabelledMesh, space: str) -> tuple[str, ...]:
 def _features(endocardium: Surface, epicardium: Surface) -> Floats:
     """Share of its convex hull that a cavity fills; 36πV²/A³ (1 for a ball); free wall (mm)."""
     vertices, triangles = endocardium
-    own = np.ascontiguousarray(vertices[np.unique(triangles)])
+    points = np.ascontiguousarray(vertices[np.unique(triangles)])
     volume, cap = closed_by_fan(vertices, triangles)
     area = float(triangle_areas(vertices, triangles).sum()) + cap
     # the 40th percentile of the distances to the epicardium lies in the free wall
-    wall = np.sqrt(np.percentile(igl.point_mesh_squared_distance(own, *epicardium)[0], 40.0))
-    return np.array([abs(volume) / ConvexHull(own).volume, 36 * np.pi * volume**2 / area**3, wall])
+    wall = np.sqrt(np.percentile(igl.point_mesh_squared_distance(points, *epicardium)[0], 40.0))
+    return np.array(
+        [abs(volume) / ConvexHull(points).volume, 36 * np.pi * volume**2 / area**3, wall]
+    )

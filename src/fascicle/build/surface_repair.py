@@ -1,4 +1,4 @@
-"""Closed labelled surfaces: defects are repaired, or refused with their position."""
+"""Repair of closed labelled surfaces; other defects are refused with their position."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from fascicle.mesh.topology import (
     without_unused_vertices,
 )
 
-MERGED = 1e-6  # of the largest extent; vertices closer than this are one
+MERGED = 1e-6  # of the largest extent; vertices closer than this are merged
 LARGEST_HOLE = 20.0  # mm, length of its boundary; 6 mm across, so no valve or vessel is closed over
 LARGEST_CRUMB = 10.0  # mm, largest extent of a piece or a void that is left out or filled
 
@@ -36,16 +36,16 @@ LARGEST_CRUMB = 10.0  # mm, largest extent of a piece or a void that is left out
 def prepared_surface(surface: LabelledSurface) -> LabelledSurface:
     """Make a labelled surface closed, in one piece, without self-intersections, facing outwards.
 
-    Repeated vertices and triangles, triangles without an area, vertices and edges in which the
+    Repeated vertices and triangles, triangles of zero area, vertices and edges in which the
     surface touches itself, pieces of at most 10 mm, holes with a boundary of at most 20 mm,
     triangles facing the wrong way and small components of labels are repaired. A surface
     that intersects itself is replaced by that of its interior. Other defects are refused.
     """
     if missing := missing_parts(surface.labels):
-        there = ", ".join(str(number) for number in np.unique(surface.labels))
+        numbers = ", ".join(str(number) for number in np.unique(surface.labels))
         raise InputError(
             f"{surface.name}: no triangle is labelled {' or '.join(missing)} (labels there: "
-            f"{there}); label base 1, epicardium 2, LV 3, RV 4 (all are needed), or say which "
+            f"{numbers}); label base 1, epicardium 2, LV 3, RV 4 (all are needed), or say which "
             "number is what (--labels)"
         )
     closed = closed_surface(surface)
@@ -75,12 +75,12 @@ def closed_surface(surface: LabelledSurface) -> LabelledSurface:
 def _separated(surface: LabelledSurface) -> LabelledSurface:
     """Double vertices and edges in which the surface touches itself, and move the copies apart.
 
-    Each copy goes a tenth of the way to the mean of its neighbours. Where that would open the
-    surface, as along a sheet that ends on it, nothing changes.
+    Each copy moves a tenth of the way to the mean of its neighbours. Nothing changes if that would
+    open the surface, as along a sheet that ends on it.
     """
     oriented, _ = igl.bfs_orient(surface.triangles)
-    triangles, origin = (np.asarray(each) for each in igl.split_nonmanifold(oriented))
-    before, after = (unique_edges(each)[1] for each in (surface.triangles, triangles))
+    triangles, origin = (np.asarray(array) for array in igl.split_nonmanifold(oriented))
+    before, after = (unique_edges(cells)[1] for cells in (surface.triangles, triangles))
     copied = np.bincount(origin, minlength=len(surface.vertices)) > 1
     if not copied.any() or (after == 1).sum() > (before == 1).sum():
         return surface
@@ -97,9 +97,9 @@ def _separated(surface: LabelledSurface) -> LabelledSurface:
 
 
 def small_pieces(piece: Integers, corners: Floats) -> Integers:
-    """Numbers of the pieces of at most `LARGEST_CRUMB`, without the piece of the most cells.
+    """Numbers of the pieces of at most `LARGEST_CRUMB`, except the piece with the most cells.
 
-    `piece` (m,) is that of each cell, `corners` (m, k, 3) are its positions (mm).
+    `piece` (m,) is the piece of each cell, `corners` (m, k, 3) are its positions (mm).
     """
     sizes = np.bincount(piece)
     high = np.full((len(sizes), 3), -np.inf)
@@ -128,13 +128,13 @@ def _without_crumbs(surface: LabelledSurface) -> LabelledSurface:
 
 
 def compacted(surface: LabelledSurface) -> LabelledSurface:
-    """Leave out vertices that no triangle has."""
+    """Leave out vertices that no triangle uses."""
     vertices, triangles = without_unused_vertices(surface.vertices, surface.triangles)
     return replace(surface, vertices=vertices, triangles=triangles)
 
 
 def _with_holes_filled(surface: LabelledSurface) -> LabelledSurface:
-    """Close small holes by a fan of triangles, which take the label of most around them."""
+    """Close small holes by a fan of triangles, with the label of most triangles around."""
     check_edges(surface.name, surface.vertices, surface.triangles)
     vertices, labels = surface.vertices, surface.labels
     triangles = oriented_piece(surface.name, vertices, surface.triangles, OPEN_PIECE)
@@ -167,7 +167,7 @@ def oriented_outwards(surface: LabelledSurface) -> LabelledSurface:
 
 
 class SampledDistance(NamedTuple):
-    """Distance (mm) to the surface of tissue, negative inside, at the nodes of a grid.
+    """Signed distance (mm) to the surface of tissue, negative inside, at the nodes of a grid.
 
     The first node is at `origin`, and neighbours are `edge` (mm) apart.
     """
@@ -182,8 +182,8 @@ class SampledDistance(NamedTuple):
     ) -> SampledDistance:
         """Sample triangles that face outwards, with nodes 1/150 of the diagonal of a box apart.
 
-        They may intersect: inside is where they go round a point (Barill et al. 2018). The box is
-        its two opposite corners (mm); two nodes and a margin (mm) lie around it.
+        Triangles may intersect: inside is where their winding number is above a half (Barill et al.
+        2018). The box is two opposite corners (mm); two nodes and a margin (mm) lie around it.
         """
         low, high = box
         edge = float(np.linalg.norm(high - low)) / 150
@@ -209,7 +209,7 @@ class SampledDistance(NamedTuple):
 
     def surface(self) -> tuple[Floats, Integers]:
         """Vertices (n, 3) (mm) and triangles (m, 3) of the largest surface around the tissue."""
-        # no node closer to the surface than a twentieth of an edge, which keeps slivers away
+        # a node is at least a twentieth of an edge from the surface, which avoids slivers
         away = np.maximum(np.abs(self.values), self.edge / 20)
         index, triangles = marching_cubes(np.where(self.values < 0, -away, away))
         _, pieces = igl.facet_components(triangles)
@@ -219,10 +219,10 @@ class SampledDistance(NamedTuple):
 
 
 def _without_cuts(surface: LabelledSurface, cuts: Integers) -> LabelledSurface:
-    """The surface of the interior of one that intersects itself, with the nearest labels.
+    """Replace a surface that intersects itself by that of its interior, with the nearest labels.
 
-    Marching cubes on the signed distance, whose sign is that of the winding number (Barill et al.
-    2018, ACM Trans Graph 37:43), at nodes 1/150 of the diagonal apart.
+    It is extracted by marching cubes from the signed distance, whose sign is that of the winding
+    number (Barill et al. 2018, ACM Trans Graph 37:43), at nodes 1/150 of the diagonal apart.
     """
     box = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     vertices, triangles = SampledDistance.of(surface.vertices, surface.triangles, box).surface()

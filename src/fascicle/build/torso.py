@@ -1,4 +1,4 @@
-"""What surrounds a heart: its torso, electrodes and lead fields."""
+"""Torso, electrodes and lead fields around a heart."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from fascicle.torso.trunk import SHAPE, TrunkSize, outside_trunk
 
 @dataclass(frozen=True)
 class TorsoOptions:
-    """What surrounds the heart."""
+    """Choice of torso and electrodes around a heart."""
 
     torso: str = "idealised"  # or "none" (unbounded conductor), or the file of a closed skin
     lungs: tuple[Path, ...] = ()  # files of closed surfaces, with a custom skin
@@ -66,7 +66,7 @@ class TorsoOptions:
         skin = () if self.torso in ("idealised", "none") else (Path(self.torso),)
         if self.lungs and not skin:
             raise InputError(f"--lung goes with a custom torso, not with '{self.torso}'")
-        # refused now rather than after minutes of work
+        # fails now rather than after minutes of work
         for path in (*skin, *self.lungs):
             if not path.is_file():
                 raise InputError(f"{path}: no such file (torso); check the path")
@@ -75,14 +75,14 @@ class TorsoOptions:
 
     @cached_property
     def positions(self) -> tuple[Floats, Electrodes] | None:
-        """Electrodes of the file (mm), the nine (9, 3) and others, if there is one."""
+        """Electrodes (mm), the nine (9, 3) and others, of the electrode file, if there is one."""
         return None if self.electrodes is None else read_electrodes(self.electrodes)
 
 
 def in_torso(
     heart: Heart, mesh: LabelledMesh, options: TorsoOptions, progress: Progress | None = None
 ) -> tuple[Heart, tuple[str, ...]]:
-    """Place a heart in a torso with electrodes and lead fields; electrodes it has are replaced.
+    """Place a heart in a torso with electrodes and lead fields; its own electrodes are replaced.
 
     The mesh is the heart's, with a labelled boundary. Notes describe how the torso was fitted.
     """
@@ -116,13 +116,13 @@ def in_torso(
 def add_electrodes(
     heart: Heart | Path | str, leads: Sequence[str], progress: Progress | None = None
 ) -> Heart:
-    """Add the electrodes of leads besides the twelve to a heart, at their standard places.
+    """Add to a heart, at their standard sites, the electrodes of leads besides the twelve.
 
-    The heart, its folder, or ``"default"``, is returned with lead fields for all electrodes. One
-    without its torso, as the packaged one, is put into the idealised torso again. Electrodes that
-    are there stay where they are. Leads are some of `fascicle.core.leads.ADDITIONAL_LEADS`: ``X``,
-    ``Y``, ``Z``, ``V7`` to ``V9``, ``V2R`` to ``V6R``. An error if a lead has no standard place, or
-    the heart lies in an unbounded conductor.
+    The heart, its folder, or ``"default"``, is returned with lead fields for all electrodes. A
+    heart without its torso, such as the packaged one, is put into the idealised torso again. Its
+    old electrodes stay where they are. Leads are some of `fascicle.core.leads.ADDITIONAL_LEADS`:
+    ``X``, ``Y``, ``Z``, ``V7`` to ``V9``, ``V2R`` to ``V6R``. An error if a lead has no standard
+    place, or the heart lies in an unbounded conductor.
     """
     heart = as_heart(heart)
     check_items(leads, str, "leads", f"some of {', '.join(ADDITIONAL_LEADS)}")
@@ -138,27 +138,29 @@ def add_electrodes(
             f"{heart.name}: it lies in an unbounded conductor, without a skin for electrodes; give "
             "their positions in its electrodes.csv, or build it again with a torso"
         )
-    wanted = [name for name in dict.fromkeys(leads) if name not in FRANK]
-    wanted += FRANK_ELECTRODES if set(leads) & set(FRANK) else ()
-    wanted = [name for name in wanted if name not in heart.additional_electrodes]
+    names = [name for name in dict.fromkeys(leads) if name not in FRANK]
+    names += FRANK_ELECTRODES if set(leads) & set(FRANK) else ()
+    names = [name for name in names if name not in heart.additional_electrodes]
     torso = torso_of(heart, stage_progress(progress, "torso"))
     tetrahedra = np.concatenate([heart.tetrahedra, torso.tetrahedra])
     skin = Surface(torso.vertices, outer_boundary(torso.vertices, tetrahedra))
     size = TrunkSize()
     axes = axes_of_electrodes(heart.electrodes, leaving(outside_trunk(size), size))
-    electrodes = dict(heart.additional_electrodes) | additional_sites(heart, axes, skin, wanted)
+    electrodes = dict(heart.additional_electrodes) | additional_sites(heart, axes, skin, names)
     more = replace(heart, torso=torso, additional_electrodes=electrodes, folder=None)
     conduction, report = Conduction.of(heart), stage_progress(progress, "lead fields")
     fields = resolve_lead_fields(more, conduction, report)
     if fields is not None and heart.lead_fields and is_up_to_date(heart, conduction):
-        # so that the leads that there are stay the same: a torso that was meshed again differs
-        there = heart.lead_fields.values
-        fields = replace(fields, values=np.concatenate([there, fields.values[len(there) :]]))
+        # existing leads must stay the same, and a torso that was meshed again differs a little
+        old_values = heart.lead_fields.values
+        fields = replace(
+            fields, values=np.concatenate([old_values, fields.values[len(old_values) :]])
+        )
     return replace(more, lead_fields=fields)
 
 
 def _notes_on_fit(heart: Heart, fitted: FittedTrunk, pose: Pose) -> list[str]:
-    """Notes on how the trunk was fitted to the electrodes, as a whole and for each."""
+    """Notes on how the trunk was fitted to the electrodes, in general and by electrode."""
     size = fitted.size
     lv, rv = (Surface(e.vertices, e.triangles) for e in heart.endocardia)
     left, back, up = -fitted.frame.rotation.T @ heart_axes(lv, rv)[:, 2]  # of the apex

@@ -1,4 +1,4 @@
-"""The ventricles within the mesh of a whole heart, by the numbers of its regions."""
+"""Extracting the ventricles from the mesh of a whole heart, by the numbers of its regions."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ Regions = Mapping[str, tuple[int, ...]]  # the numbers of each of `VENTRICLES`
 def region_arrays(mesh: MeshFile) -> dict[str, Integers]:
     """Arrays of the tetrahedra that can be regions: whole numbers, more than one and not too many.
 
-    Those with the usual names come first, then those of more numbers.
+    Arrays with the usual names come first, then those with more distinct numbers.
     """
-    found = {}
-    for name, given in mesh.cell_data.get(TETRAHEDRON, {}).items():
-        values = np.asarray(given)
+    candidates = {}
+    for name, array in mesh.cell_data.get(TETRAHEDRON, {}).items():
+        values = np.asarray(array)
         if values.ndim == 1 and (np.isfinite(values) & (values == np.round(values))).all():
             count = len(np.unique(values))
-            if 1 < count <= 200:  # one of more numbers is of elements, not of regions
+            if 1 < count <= 200:  # more numbers would be of elements, not of regions
                 rank = name.lower() not in REGION_NAMES, -count
-                found[name] = rank, values.astype(np.int64)
-    ordered = sorted(found.items(), key=lambda item: item[1][0])
+                candidates[name] = rank, values.astype(np.int64)
+    ordered = sorted(candidates.items(), key=lambda item: item[1][0])
     return {name: values for name, (_, values) in ordered}
 
 
 def regions_in(mesh: MeshFile) -> str:
-    """The region numbers in a mesh and how large each region is, in words; empty if it has none."""
+    """Region numbers in a mesh and sizes of the regions, in words; empty if it has none."""
     if not (arrays := region_arrays(mesh)):
         return ""
     name, values = next(iter(arrays.items()))
@@ -54,8 +54,8 @@ def regions_in(mesh: MeshFile) -> str:
     ]
     if len(listed) > 12:
         listed = [*listed[:12], f"and {len(listed) - 12} more"]
-    others = f"; other arrays: {', '.join(list(arrays)[1:])}" if len(arrays) > 1 else ""
-    return f"its array '{name}' has the regions {', '.join(listed)}{others}"
+    other_arrays = f"; other arrays: {', '.join(list(arrays)[1:])}" if len(arrays) > 1 else ""
+    return f"its array '{name}' has the regions {', '.join(listed)}{other_arrays}"
 
 
 def ventricles(
@@ -63,21 +63,21 @@ def ventricles(
 ) -> tuple[MeshFile, Integers]:
     """Take the ventricles out of a mesh, by the numbers of their regions in an array.
 
-    By default that is the array that has these numbers. The result is their tetrahedra, with the
-    numbers in the array ``region``, and those triangles of the file that are on their boundary; and
+    By default it is the array that has these numbers. Returns the mesh of the ventricles, with the
+    numbers in the array ``region`` and those triangles of the file that are on its boundary; and
     the triangles (k, 3), as points of the file, that lay between ventricles and other tissue.
     """
     unknown = [name for name in regions if name not in VENTRICLES]
     if unknown or not {"lv", "rv"} <= set(regions):
-        what = f"unknown '{unknown[0]}'" if unknown else "lv or rv missing"
+        fault = f"unknown '{unknown[0]}'" if unknown else "lv or rv missing"
         raise InputError(
-            f"--regions: {what}; give lv, rv and perhaps septum, as lv=1,rv=2,septum=7"
+            f"--regions: {fault}; give lv, rv and perhaps septum, as lv=1,rv=2,septum=7"
         )
-    wanted = np.concatenate([np.array(numbers) for numbers in regions.values()])
-    if len(np.unique(wanted)) < len(wanted):
+    region_numbers = np.concatenate([np.array(numbers) for numbers in regions.values()])
+    if len(np.unique(region_numbers)) < len(region_numbers):
         raise InputError("--regions: a number is given twice; give each once")
-    values = _regions_with(mesh, wanted, array)
-    tetrahedra, chosen = mesh.cells[TETRAHEDRON], np.isin(values, wanted)
+    values = _regions_with(mesh, region_numbers, array)
+    tetrahedra, chosen = mesh.cells[TETRAHEDRON], np.isin(values, region_numbers)
     boundary, _ = boundary_triangles(tetrahedra[chosen])
     outer, _ = boundary_triangles(tetrahedra)
     kept = mesh.keeping(TETRAHEDRON, chosen)
@@ -88,23 +88,23 @@ def ventricles(
     return kept, boundary[places_in(boundary, outer) < 0]
 
 
-def _regions_with(mesh: MeshFile, wanted: Integers, array: str | None) -> Integers:
-    """Values of the array of regions that has these numbers."""
+def _regions_with(mesh: MeshFile, region_numbers: Integers, array: str | None) -> Integers:
+    """Values of the array of regions that has all these numbers."""
     arrays = region_arrays(mesh)
-    there = regions_in(mesh) or "its tetrahedra have no array of region numbers"
+    region_list = regions_in(mesh) or "its tetrahedra have no array of region numbers"
     if array is not None:
         arrays = {name: values for name, values in arrays.items() if name == array}
-    if not (fitting := {name: v for name, v in arrays.items() if np.isin(wanted, v).all()}):
-        numbers = ", ".join(map(str, wanted))
+    if not (fitting := {name: v for name, v in arrays.items() if np.isin(region_numbers, v).all()}):
+        numbers = ", ".join(map(str, region_numbers))
         raise InputError(
             f"{mesh.path}: no array{f' {array!r}' if array else ''} of the tetrahedra has all of "
-            f"the regions {numbers}; {there}; give numbers that are there (--regions, "
+            f"the regions {numbers}; {region_list}; give numbers that are there (--regions, "
             "--region-array)"
         )
     name, values = next(iter(fitting.items()))
     for other, theirs in fitting.items():
         if name.lower() not in REGION_NAMES and not np.array_equal(
-            np.isin(values, wanted), np.isin(theirs, wanted)
+            np.isin(values, region_numbers), np.isin(theirs, region_numbers)
         ):
             raise InputError(
                 f"{mesh.path}: the arrays '{name}' and '{other}' both have these regions, of "

@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from typing import Any
 
-# Gives a module of a layer above, for the methods by which objects draw and write themselves: no
-# import may lead there. `fascicle/__init__.py`, which stands above all layers and runs before any
-# other module, sets it. The module is loaded when the method is called.
+# Returns a module of a layer above, for the methods by which objects draw and write themselves:
+# imports may not lead upwards. `fascicle/__init__.py`, which stands above all layers and runs
+# before any other module, sets it. The module is loaded when the method is called.
 above: Callable[[str], Any] = NotImplemented
 
 
 def html_card(self: object) -> str:
-    """Be the ``_repr_html_`` of a class, by which notebooks show an object."""
+    """Serve as the ``_repr_html_`` of a class, by which notebooks show an object."""
     return str(above("reporting.card").card(self))

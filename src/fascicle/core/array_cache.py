@@ -20,13 +20,13 @@ from fascicle.core.files import atomic_path
 
 @dataclass(frozen=True)
 class ArrayCache:
-    """NPZ files in a folder, named by their kind and a hash of a key and of this version."""
+    """NPZ files in a folder, named by their kind and a hash of a key and the package version."""
 
     folder: Path
     kind: str
 
     def file(self, key: str) -> Path:
-        """The file of what depends on `key`, a text."""
+        """Path of the arrays that depend on `key`, a text."""
         name = hashlib.sha256(f"{version('fascicle')} {key}".encode()).hexdigest()[:32]
         return self.folder / f"{self.kind}-{name}.npz"
 
@@ -42,13 +42,13 @@ class ArrayCache:
             return None
 
     def write(self, key: str, arrays: Mapping[str, Any], *, compress: bool = False) -> None:
-        """Write arrays, whole or not at all; OutputError where that cannot be done."""
+        """Write arrays, whole or not at all; OutputError if that fails."""
         save = np.savez_compressed if compress else np.savez
         with atomic_path(self.file(key)) as temporary:
             save(temporary, allow_pickle=False, **arrays)
 
     def keep(self, key: str, arrays: Mapping[str, Any], most: int | None = None) -> None:
-        """Write arrays where that can be done; of more than `most` files the oldest go."""
+        """Write arrays if possible; of more than `most` files the oldest are deleted."""
         # a full disk, a folder of somebody else, or another process that tidies up
         with suppress(OSError, InputError):
             self.write(key, arrays)

@@ -27,10 +27,10 @@ def _within(name: str) -> BeforeValidator:
 
 
 def _whole(value: Any, info: ValidationInfo) -> int:
-    found = within("label", value, f"'{info.field_name}'")
-    if found != int(found):
+    number = within("label", value, f"'{info.field_name}'")
+    if number != int(number):
         raise InputError(f"'{info.field_name}' is {shown(value)}; give a whole number")
-    return int(found)
+    return int(number)
 
 
 def _text(value: Any, info: ValidationInfo) -> str:
@@ -60,7 +60,7 @@ Point = Annotated[tuple[float, float, float], RANGES["coordinate"], BeforeValida
 class Table:
     """Base of the tables: ``class Stimulus(Table, table="stimulus")`` declares ``[[stimulus]]``.
 
-    That is a table that a file has any number of times; with `once` it is ``[his]``.
+    A file may hold any number of these; with `once` it holds one, ``[his]``.
     """
 
     table: ClassVar[str]
@@ -77,35 +77,35 @@ class Table:
             keys = cls.key_names()
             if len(values) > len(keys):
                 raise TypeError(f"{cls.__name__} takes {len(keys)} values, {len(values)} given")
-            given = dict(**dict(zip(keys, values, strict=False)), **named)
+            arguments = dict(**dict(zip(keys, values, strict=False)), **named)
             try:
-                checked(self, **given)
+                checked(self, **arguments)
             except ValidationError as error:
-                raise ValueRefusedError(f"{table}: {_complaint(error, given)}") from None
+                raise ValueRefusedError(f"{table}: {_complaint(error, arguments)}") from None
 
         setattr(cls, "__init__", init)  # noqa: B010  mypy forbids the assignment
 
     @classmethod
     def header(cls) -> str:
-        """What one begins with in a file: ``[his]``, or ``[[stimulus]]``."""
+        """First line of a table in a file: ``[his]``, or ``[[stimulus]]``."""
         return f"[{cls.table}]" if cls.once else f"[[{cls.table}]]"
 
     @classmethod
     def key_names(cls) -> list[str]:
-        """Names of its keys as declared; fields that are not compared are not keys of the file."""
+        """Keys of the table as declared; fields that are not compared are not keys of the file."""
         return [field.name for field in fields(cls) if field.compare]  # type: ignore[arg-type]
 
     @classmethod
     def of(cls, values: Any, number: int | None = None) -> Self:
-        """Make one of a table of a file, the `number`-th of its kind."""
+        """Make an instance from a table of a file, the `number`-th of its kind."""
         if not isinstance(values, Mapping):
-            found = f"'{cls.table}' is {shown(values)}"
-            raise InputError(f"{found}; it must be a table: {cls.header()}")
+            problem = f"'{cls.table}' is {shown(values)}"
+            raise InputError(f"{problem}; it must be a table: {cls.header()}")
         which = f"{cls.table} {number}" if number is not None else cls.table
         for key in values:
             if key not in cls.key_names():
-                known = ", ".join(cls.key_names())
-                raise ValueRefusedError(f"{which}: unknown key '{key}'; known: {known}")
+                names = ", ".join(cls.key_names())
+                raise ValueRefusedError(f"{which}: unknown key '{key}'; known: {names}")
         try:
             return cls(**values)
         except InputError as error:
@@ -113,7 +113,7 @@ class Table:
 
     @classmethod
     def reference(cls) -> str:
-        """A Markdown table of its keys: what they mean, their ranges and defaults."""
+        """Markdown table of the keys: their meanings, ranges and defaults."""
         summary = (cls.__doc__ or "").partition("\n")[0]
         rows = [f"`{cls.header()}`: {summary}", "", "| key | meaning | values | default |"]
         rows.append("|---|---|---|---|")
@@ -122,27 +122,27 @@ class Table:
             if not field.compare:
                 continue
             default = {MISSING: "must be given", None: ""}.get(field.default, field.default)
-            said = [*_annotations(hints[field.name])]
-            meaning = " ".join(one for one in said if isinstance(one, str))
-            values = ", ".join(str(one) for one in said if isinstance(one, Range))
+            annotations = [*_annotations(hints[field.name])]
+            meaning = " ".join(part for part in annotations if isinstance(part, str))
+            values = ", ".join(str(part) for part in annotations if isinstance(part, Range))
             rows.append(f"| `{field.name}` | {meaning} | {values} | {default} |")
         return "\n".join(rows)
 
 
 def _annotations(hint: Any) -> Iterator[Any]:
-    """What is annotated to a type and to the types that it is made of."""
+    """Annotations of a type and of the types that it is made of."""
     parts = getattr(hint, "__metadata__", ())
     yield from parts
     for inner in [hint.__origin__] if parts else get_args(hint):
         yield from _annotations(inner)
 
 
-def _complaint(error: ValidationError, given: Mapping[str, Any]) -> str:
-    """What is wrong first."""
+def _complaint(error: ValidationError, values: Mapping[str, Any]) -> str:
+    """First problem that pydantic found, in words."""
     first = error.errors(include_url=False)[0]
     key = str(first["loc"][0]) if first["loc"] else ""
     if first["type"] == "missing":
         return f"'{key}' is missing"
     if "error" in first.get("ctx", {}):
         return str(first["ctx"]["error"])
-    return f"'{key}' is {shown(given.get(key))}: {first['msg'].lower()}"
+    return f"'{key}' is {shown(values.get(key))}: {first['msg'].lower()}"

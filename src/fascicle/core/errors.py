@@ -1,4 +1,4 @@
-"""The errors that a user is meant to see, by family, and how texts of files stand in them."""
+"""Errors that users are meant to see, by family, and the quoting of file contents in them."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ class InputError(ValueError):
     """Something the user gave cannot be used.
 
     The message is one line that names the file, the thing, the value found and what to do. The
-    command line prints it and exits with status 2. Anything else that is raised is a bug. What is
-    not printable in it, such as a line break in the name of a file, is written out; what is too
-    long, since it quotes a damaged file, is cut.
+    command line prints it and exits with status 2. Anything else that is raised is a bug.
+    Characters that are not printable, such as a line break in the name of a file, are escaped; a
+    message that is too long, since it quotes a damaged file, is cut.
 
     Options of the command line (``--digits-per-mv 1000``) are written as arguments of Python
     (``digits_per_mv=1000``) unless `names_options`, which the command line sets.
@@ -32,7 +32,7 @@ class InputError(ValueError):
         return message if InputError.names_options else as_arguments(message)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """How a process hands it over: whatever arguments a subclass takes."""
+        """Pickle the error for another process, whatever arguments a subclass takes."""
         new = copyreg.__newobj__  # type: ignore[attr-defined]
         return new, (type(self), *self.args), vars(self)
 
@@ -42,16 +42,16 @@ class FileError(InputError):
 
 
 class OutputError(InputError):
-    """What is to be written has no place there, or something would be lost."""
+    """An output cannot be written to the place given, or something would be lost."""
 
 
 class ValueRefusedError(InputError):
-    """A number, a name or an object is not one that is possible there."""
+    """A number, a name or an object is not possible where it was given."""
 
 
 @contextmanager
 def given_in(where: object) -> Iterator[None]:
-    """Begin the message of a refusal in the block with where the thing was given, as a file."""
+    """Prefix the message of an InputError from the block with its place, such as a file."""
     try:
         yield
     except InputError as error:
@@ -60,14 +60,14 @@ def given_in(where: object) -> Iterator[None]:
 
 
 def as_arguments(message: str) -> str:
-    """A message with arguments of Python for options of the command line, but not of a command."""
-    others = {"class": "beat_class", "exclude-beat": "exclude", "shared-gain": "shared_gain=True"}
+    """Message with Python arguments for command-line options, but not in quoted commands."""
+    special = {"class": "beat_class", "exclude-beat": "exclude", "shared-gain": "shared_gain=True"}
 
     def argument(match: re.Match[str]) -> str:
         option, value = match["option"], match["value"]
         if option is None:
             return match[0]
-        name = others.get(option, option.replace("-", "_"))
+        name = special.get(option, option.replace("-", "_"))
         if value is None:
             return name if "=" in name else f"{name}="
         if name in ("leads", "invert", "swap"):
@@ -80,11 +80,11 @@ def as_arguments(message: str) -> str:
 
 
 def printable(text: str) -> str:
-    """Return a text of a file with line breaks and the like written out, fit for a message."""
+    """Return a text of a file with line breaks and the like escaped, fit for a message."""
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def one_line(error: object) -> str:
-    """What a library says of an error, in one short line."""
+    """Message of a library's error, in one short line."""
     text = " ".join(str(error).split())[:160] or type(error).__name__
     return printable(text)

@@ -42,8 +42,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
     """Give a temporary path, with the same suffix, that takes the place of `path` on success.
 
     The temporary file lies in the same folder, so the rename is atomic; on any error, and on
-    Ctrl-C, it is removed and what stood at `path` stays. OutputError is that nothing can be written
-    there, or the disk is full.
+    Ctrl-C, it is removed and an earlier file at `path` stays. Raises OutputError if nothing can be
+    written there, or the disk is full.
     """
     check_writable(path)
     with _replaced(path, is_folder=False) as temporary:
@@ -71,9 +71,9 @@ def atomic_folder(folder: Path, disposable: Collection[str] = ()) -> Iterator[Pa
     """Give a temporary folder that takes the place of `folder` on success.
 
     A folder that stands there already is replaced only once the new one is complete, and only if
-    the new one has every file that the old one has, but those that are `disposable`: what others
-    put there is not lost. OutputError is that it would be, that `folder` is a file, or that the
-    disk is full.
+    the new one has every file that the old one has, but those that are `disposable`, so that
+    files that others put there are not lost. Raises OutputError if they would be, if `folder` is a
+    file, or if the disk is full.
     """
     check_folder(folder)
     folder = folder.resolve()  # a link stays a link
@@ -91,7 +91,7 @@ def atomic_folder(folder: Path, disposable: Collection[str] = ()) -> Iterator[Pa
 def _replaced(path: Path, is_folder: bool) -> Iterator[Path]:
     """Give a temporary file or folder next to `path`, removed afterwards if it is still there.
 
-    That the disk is full is said of `path`, also where a file in its temporary folder met it.
+    DiskFullError names `path`, also where a file in its temporary folder did not fit.
     """
     prefix = f".{path.stem.lstrip('.')}."
     try:
@@ -129,7 +129,7 @@ def remove_unfinished() -> None:
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse a folder that cannot be written, before the work that its content takes."""
+    """Refuse a folder that cannot be written, before its content is computed."""
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{folder}: is a file; give the path of a folder (--out)")
     if folder.resolve() in (Path.cwd(), *Path.cwd().parents):
@@ -152,7 +152,7 @@ def check_writable(path: Path, option: str = "--out") -> None:
 
 
 def check_nothing_lost(folder: Path, new: Collection[str]) -> None:
-    """Refuse to replace a folder that holds what the new one (these relative paths) does not."""
+    """Refuse to replace a folder with files that are not among `new`, relative paths."""
     for path in sorted(folder.rglob("*")):
         relative = path.relative_to(folder)
         if DISPOSABLE not in relative.parts and str(relative) not in new:
@@ -163,7 +163,7 @@ def check_nothing_lost(folder: Path, new: Collection[str]) -> None:
 
 
 def as_path(value: object, what: str, needed: str = "a path") -> Path:
-    """A path as it was given, if it can be one; `what` and `needed` are for the message."""
+    """Check a value that must be a path; `what` and `needed` are for the message."""
     if not isinstance(value, str | os.PathLike) or "\0" in str(value):
         raise FileError(f"{what} is {shown(value)}; give {needed}")
     path = Path(value)
@@ -177,8 +177,8 @@ def as_path(value: object, what: str, needed: str = "a path") -> Path:
 def check_file(path: Path, formats: Iterable[str], purpose: str) -> None:
     """Refuse a path that is not a file, or whose suffix is none of `formats`, such as ``".csv"``.
 
-    Those of Python pickles, which run code when they are opened, are never among them. `purpose`
-    is what the file holds, for the message.
+    Suffixes of Python pickles, which run code when opened, are never among them. `purpose` says in
+    the message what the file is for.
     """
     if not os.path.isfile(path):
         reason = "is a folder, not a file" if os.path.isdir(path) else "no such file"
@@ -194,7 +194,7 @@ def check_file(path: Path, formats: Iterable[str], purpose: str) -> None:
 def outside_allowed() -> Iterator[None]:
     """Let files name files outside their own folder while the block runs.
 
-    Hearts, scenarios and images that come from others are then trusted: whatever they name is read.
+    Hearts, scenarios and images from others are then trusted: any file that they name is read.
 
     Examples
     --------
@@ -215,10 +215,10 @@ def is_outside_allowed() -> bool:
 
 
 def named_by(file: Path, name: str) -> Path:
-    """Path of a file that another file names, from that one's folder.
+    """Path of a file that another file names, relative to the folder of the latter.
 
-    One outside that folder, also by a link, is refused unless that is allowed (`outside_allowed`):
-    a file from somebody else must not choose what is read here.
+    A path outside that folder, also by a link, is refused unless allowed (`outside_allowed`): a
+    file from somebody else must not choose what is read here.
     """
     if "\0" in name:
         raise FileError(f"{file}: names '{printable(name)}', which is no file; correct the name")
@@ -232,21 +232,21 @@ def named_by(file: Path, name: str) -> Path:
 
 
 def read_toml(path: Path, remedy: str) -> dict[str, Any]:
-    """Read a TOML file; `remedy` ends the message where it is none."""
+    """Read a TOML file; `remedy` ends the message if it is not valid."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))  # Notepad writes a mark
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))  # Notepad writes a BOM
     except (ValueError, RecursionError) as error:  # of TOML, of UTF-8, of a number too long
         raise FileError(f"{path}: not valid TOML ({error}); {remedy}") from None
 
 
 def packaged_heart(name: Path | str) -> Path | None:
-    """The folder of a packaged heart of this name; None where a file or folder has it."""
+    """Folder of the packaged heart of this name; None if a local file or folder has the name."""
     if str(name) not in PACKAGED or Path(name).exists():
         return None
     return Path(str(files("fascicle"))) / "data" / "hearts" / str(name)
 
 
 def user_cache() -> Path:
-    """Folder for what belongs to no heart and no study; it may be deleted at any time."""
+    """Folder of the cache outside hearts and studies; it may be deleted at any time."""
     chosen = os.environ.get(CACHE_VARIABLE)
     return Path(chosen) if chosen else Path(platformdirs.user_cache_dir("fascicle"))

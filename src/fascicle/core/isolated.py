@@ -31,7 +31,7 @@ from typing import Any
 from fascicle.core.errors import InputError
 
 SECONDS = 3.0  # of computing for any file; one microsecond more for each of its bytes
-LARGE = 64 * 2**20  # bytes; a file that leaves a child with more memory than is worth keeping
+LARGE = 64 * 2**20  # bytes; a child that has read a larger file holds much memory, and is ended
 
 
 def available_memory() -> float:
@@ -48,7 +48,7 @@ def available_memory() -> float:
 
 @dataclass(frozen=True)
 class Limits:
-    """What reading a file may take: memory (bytes of address space) and computing time (s)."""
+    """Memory (bytes of address space) and computing time (s) that reading a file may take."""
 
     memory: float
     seconds: float
@@ -62,7 +62,7 @@ class Limits:
         return cls(memory, SECONDS + 1e-6 * size, size)
 
     def too_much_memory(self, path: Path) -> InputError:
-        """The refusal of a file that takes more."""
+        """Error of a file that takes more memory."""
         return InputError(
             f"{path}: takes more than {self.memory / 2**30:.1f} GB of memory, the limit for a file "
             f"of {self.size / 2**20:.3g} MB (1.5 GB and 64 times its size, or what is free); it is "
@@ -75,8 +75,8 @@ def read_isolated(
 ) -> Any:
     """Return ``reader(path, **options)``, called in a child process.
 
-    The size of the file and its companions decides the limits. InputError is what the reader
-    raised, or that it crashed or went beyond the limits.
+    The size of the file and its companions decides the limits. Raises the reader's InputError, or
+    an InputError if the reader crashed or went beyond the limits.
     """
     limits = Limits.of(path, *companions)
     with _Child.lock:
@@ -88,7 +88,7 @@ def read_isolated(
             value, error, exhausted = child.ask((reader, path, options, limits, os.getcwd()))
         except EOFError:
             raise _why_ended(child, path, limits, time.monotonic() - start > patience) from None
-        except BaseException:  # such as Ctrl-C: what it says now answers nothing
+        except BaseException:  # such as Ctrl-C: a late answer would be taken for the next one
             child.end()
             raise
         finally:
@@ -138,7 +138,7 @@ class _Child:
 
     @classmethod
     def current(cls) -> _Child:
-        """The child that waits for a request, if need be a new one."""
+        """Child that waits for a request, started if there is none."""
         if cls.kept is not None and cls.kept.process.poll() is not None:
             cls.kept.end()
         cls.kept = cls.kept or cls()
@@ -147,17 +147,17 @@ class _Child:
     def ask(self, request: Any) -> Any:
         """Answer to a request; EOFError if the child ends instead."""
         self.printed.truncate(0)
-        with contextlib.suppress(BrokenPipeError):  # no answer will tell
+        with contextlib.suppress(BrokenPipeError):  # found out below, when no answer comes
             pickle.dump(request, self.process.stdin)  # type: ignore[arg-type]
             self.process.stdin.flush()  # type: ignore[union-attr]
         try:
-            # by pickle: the child may do what this process may, so it could do harm without it
+            # by pickle: the child has the rights of this process, so it could do harm without it
             return pickle.load(self.process.stdout)  # type: ignore[arg-type] # noqa: S301
         except pickle.UnpicklingError:  # it ended in the middle
             raise EOFError from None
 
     def end(self, patience: float = 0.0) -> tuple[int, bytes]:
-        """End it, after so many seconds; its exit status, and what it has printed."""
+        """End the process after at most `patience` s; return its exit status and output."""
         _Child.kept = None
         with contextlib.suppress(BrokenPipeError, subprocess.TimeoutExpired):
             self.process.communicate(timeout=patience)
@@ -176,7 +176,7 @@ def end_child() -> None:
 
 
 def _after_fork() -> None:
-    """Leave the child to the process that it is a child of."""
+    """Leave the reading child to the process that started it."""
     _Child.kept, _Child.lock = None, threading.Lock()
 
 
@@ -218,7 +218,7 @@ def _serve() -> None:
 def _answer(
     reader: Callable[..., Any], path: Path, options: dict[str, Any], limits: Limits
 ) -> tuple[Any, Exception | None, bool]:
-    """What a reader returns or else the error to raise, and whether it was for want of memory."""
+    """Value that a reader returns or the error to raise, and whether memory was exhausted."""
     try:
         return reader(path, **options), None, False
     except InputError as error:

@@ -42,7 +42,7 @@ def additional_leads(electrodes: Sequence[str]) -> dict[str, Mapping[str, float]
 def lead_matrix(additional: Sequence[str] = ()) -> Floats:
     """Matrix (12 + k, 9 + a) that turns potentials of electrodes into leads.
 
-    In the order of `ELECTRODES`, then of the `additional` ones; and of `LEADS`, then of
+    Columns follow `ELECTRODES`, then the `additional` ones; rows follow `LEADS`, then
     `additional_leads`. Every row sums to zero: no lead sees a common potential.
     """
     ra, la, ll, *chest = np.eye(len(ELECTRODES))
@@ -60,7 +60,7 @@ def limb_leads_from(recorded: Collection[str]) -> Floats | None:
     """Matrix (6, 6) that computes the limb leads from two that were recorded.
 
     Two potential differences determine all six, by Einthoven's and Goldberger's laws. The first two
-    in the order of `LIMB_LEADS` count; columns of the others are zero. None where there are fewer.
+    in the order of `LIMB_LEADS` count; columns of the others are zero. None with fewer than two.
     """
     columns = [k for k, lead in enumerate(LIMB_LEADS) if lead in recorded][:2]
     if len(columns) < 2:

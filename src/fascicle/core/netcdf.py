@@ -23,8 +23,8 @@ DAMAGED: tuple[type[Exception], ...] = (
 def load_netcdf(path: Path, group: str = "/") -> xr.Dataset:
     """Load one group of a file, in a child process: HDF5 may crash or never end.
 
-    Variables are as they are stored: what fills gaps is not replaced, times are not decoded.
-    InputError is that the file cannot be read, or has no such group.
+    Variables are as stored: fill values are not replaced, times are not decoded. Raises InputError
+    if the file cannot be read, or has no such group.
     """
     import xarray as xr
 
@@ -42,12 +42,12 @@ def read_group(path: Path, group: str) -> dict[str, Any]:
 
     try:
         with h5netcdf.File(path, "r", decode_vlen_strings=True) as file:
-            found = file if group == "/" else file[group]
+            h5_group = file if group == "/" else file[group]
             variables = [
                 (name, variable.dimensions, _plain(variable[...]), _attributes(variable))
-                for name, variable in found.variables.items()
+                for name, variable in h5_group.variables.items()
             ]
-            return {"variables": variables, "attributes": _attributes(found)}
+            return {"variables": variables, "attributes": _attributes(h5_group)}
     except (*DAMAGED, h5netcdf.CompatibilityError) as error:
         raise InputError(f"{path}: not a readable netCDF file ({one_line(error)})") from None
 
@@ -57,7 +57,7 @@ def _attributes(item: Any) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """A value without objects: texts are arrays of texts."""
+    """Value without Python objects: texts become arrays of fixed width."""
     if isinstance(value, np.ndarray) and value.dtype.hasobject:
         return value.astype(str)
     return value

@@ -1,4 +1,4 @@
-"""What is learnt, with its priors; files of parameters; an example."""
+"""Free parameters with their priors; parameter files; an example."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from fascicle.core.quantities import (
     quantity,
 )
 
-FREE = "free"  # said of a quantity that is learnt with its usual prior
+FREE = "free"  # instead of a value, for a quantity learnt with its usual prior
 Prior = Literal["uniform", "normal", "log-uniform", "log-normal"]
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter that is learnt: its unit, its range and its prior within that range.
+    """Parameter that is learnt: its unit, its range and its prior within that range.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Parameter:
         Its range, in its unit.
     prior : str
         ``"uniform"``; ``"normal"`` with `median` and `sd`; ``"log-uniform"``; ``"log-normal"`` with
-        `median`, and `sd` that of the natural logarithm. All are cut off at the ends of the range.
+        `median`, and `sd` that of the natural logarithm. All are truncated to the range.
     median, sd : float, optional
         In its unit; of a normal prior.
     order : (int, int), optional
@@ -76,7 +76,7 @@ class Parameter:
 
     @property
     def _beta(self) -> tuple[int, int]:
-        """Parameters of the beta distribution of an order statistic of uniform shares."""
+        """Parameters of the beta distribution of an order statistic of uniform draws."""
         assert self.order is not None
         k, n = self.order
         return k, n + 1 - k
@@ -90,13 +90,13 @@ class Parameter:
         return self.prior.endswith("normal")
 
     def from_unit(self, share: Floats) -> Floats:
-        """Quantiles: values (its unit) below which the prior has these shares, from 0 to 1."""
+        """Quantiles of the prior (its unit) at cumulative probabilities `share`, from 0 to 1."""
         from scipy.special import betaincinv
 
         return self._quantile(share if self.order is None else betaincinv(*self._beta, share))
 
     def _quantile(self, share: Floats) -> Floats:
-        """Quantiles of the prior without its place among others."""
+        """Quantiles of the prior, its `order` disregarded."""
         from scipy.special import ndtr, ndtri
 
         low, high = self._scaled(np.array([self.lower, self.upper]))
@@ -109,7 +109,7 @@ class Parameter:
         return np.asarray(np.exp(scaled) if self._logarithmic else scaled)
 
     def to_unit(self, value: Floats) -> Floats:
-        """Shares of the prior below values in its unit: the inverse of `from_unit`."""
+        """Cumulative probabilities of the prior at values (its unit): inverse of `from_unit`."""
         from scipy.special import betainc
 
         share = self._share(value)
@@ -136,7 +136,7 @@ class Parameter:
         return np.asarray(np.log(value) if self._logarithmic else value)
 
     def _centre_and_sd(self) -> tuple[float, float]:
-        """Of a normal prior, or of the logarithm where the prior is logarithmic."""
+        """Centre and standard deviation of a normal prior; of the logarithm if it is log-normal."""
         assert self.median is not None
         assert self.sd is not None
         return float(self._scaled(np.array(self.median))), self.sd
@@ -144,7 +144,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class MixedParameter(Parameter):
-    """A parameter whose prior is one of several, each as probable as its weight says.
+    """Parameter whose prior is a weighted mixture of several.
 
     Attributes
     ----------
@@ -168,9 +168,9 @@ class MixedParameter(Parameter):
 class ParameterSpace:
     """An ordered set of free parameters; points in it are dictionaries or unit-cube vectors.
 
-    The unit cube holds the shares of the priors: a point drawn uniformly there is one drawn from
-    the prior. Of n parameters in order, the largest is the largest of n, and each other one the
-    largest of those below the next.
+    Coordinates in the unit cube are cumulative probabilities: a point drawn uniformly there is a
+    draw from the prior. Of n parameters in order, the largest is that of n draws, and every other
+    one is the largest of the draws below the next.
     """
 
     parameters: tuple[Parameter, ...]
@@ -208,7 +208,7 @@ class ParameterSpace:
 
     @cached_property
     def _in_order(self) -> list[list[int]]:
-        """Places of parameters that are in order, of each ventricle the smallest first."""
+        """Positions of the ordered parameters, a list for each ventricle, the smallest first."""
         places: dict[str, list[int]] = {}
         for place, parameter in enumerate(self.parameters):
             if parameter.order is not None:
@@ -217,9 +217,9 @@ class ParameterSpace:
 
 
 def ordered_fascicles(space: ParameterSpace) -> ParameterSpace:
-    """The same, with the angles of the fascicles of a ventricle in order, where their priors agree.
+    """Space with the fascicle angles of each ventricle in order, where their priors agree.
 
-    To exchange the fascicles of a ventricle hardly changes the ECG, so each network has copies.
+    Exchanging the fascicles of a ventricle hardly changes the ECG, so each network has copies.
     """
     named = {parameter.name: parameter for parameter in space.parameters}
     for side in SIDES:
@@ -235,31 +235,31 @@ def ordered_fascicles(space: ParameterSpace) -> ParameterSpace:
 
 
 def free(name: str, **prior: Any) -> Parameter:
-    """A quantity as a parameter to be learnt, with its declared range and prior.
+    """Make a parameter of a quantity, with its declared range and prior.
 
-    `prior` is what is otherwise of it: `lower`, `upper`, `prior`, `median`, `sd`; the prior is then
-    uniform unless they say another one.
+    `prior` overrides these: `lower`, `upper`, `prior`, `median`, `sd`; without `prior` among them
+    the prior is then uniform.
     """
-    known = quantity(name)
-    if known.is_integer:
+    declared = quantity(name)
+    if declared.is_integer:
         raise ValueRefusedError(f"parameter '{name}' counts something; it can be fixed, not learnt")
-    if not prior and known.default_prior is not None:
-        kind, sd = known.default_prior
-        prior = {"prior": kind, "median": known.default, "sd": sd}
-    lower, upper = known.prior_range
+    if not prior and declared.default_prior is not None:
+        kind, sd = declared.default_prior
+        prior = {"prior": kind, "median": declared.default, "sd": sd}
+    lower, upper = declared.prior_range
     fields = {"lower": lower, "upper": upper} | prior
     for end in ("lower", "upper"):
-        check(known, fields[end])
-    return Parameter(name, known.unit, **fields)
+        check(declared, fields[end])
+    return Parameter(name, declared.unit, **fields)
 
 
 def network_space(lv: int = 2, rv: int = 2) -> ParameterSpace:
     """The paper's parameters (table 1), for a number of fascicles on each side."""
     counts = {"lv": lv, "rv": rv}
     names = [f"{side}_initial_length" for side in SIDES]
-    for what in (0, 1):  # lengths of both sides, then angles
+    for half in (0, 1):  # lengths of both sides, then angles
         for side, count in counts.items():
-            names += fascicle_names(side, count)[what * count : (what + 1) * count]
+            names += fascicle_names(side, count)[half * count : (half + 1) * count]
     return ParameterSpace(tuple(free(name) for name in [*names, "root_time", "cv"]))
 
 
@@ -291,10 +291,10 @@ def human_space(lv: int = 3, rv: int = 2) -> ParameterSpace:
     left = [LEFT_FASCICLES[n] for n in (("anterior", "posterior") if lv == 2 else LEFT_FASCICLES)]
     sides = ("lv", left if lv > 1 else [], lv), ("rv", [*RIGHT_FASCICLES] if rv > 1 else [], rv)
     ranges = {n: r for n, r in HUMAN_RANGES.items() if n.endswith("initial_length")}
-    for number, whats in enumerate((("length", "length"), ("direction", "angle"))):
-        for (side, named, count), what in zip(sides, whats, strict=True):
-            every = [*named, *[ANY_FASCICLE] * count][:count]
-            ranges |= {f"{side}_fascicle_{what}_{k}": r[number] for k, r in enumerate(every, 1)}
+    for number, kinds in enumerate((("length", "length"), ("direction", "angle"))):
+        for (side, named, count), kind in zip(sides, kinds, strict=True):
+            of_side = [*named, *[ANY_FASCICLE] * count][:count]
+            ranges |= {f"{side}_fascicle_{kind}_{k}": r[number] for k, r in enumerate(of_side, 1)}
     ranges |= HUMAN_RANGES
     return ParameterSpace(
         tuple(free(name, lower=lower, upper=upper) for name, (lower, upper) in ranges.items())

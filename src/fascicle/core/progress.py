@@ -24,8 +24,8 @@ class Progress(Protocol):
     """Progress callback of a run with several stages, which `stage_name` lists.
 
     Besides these there are "sampling" of a posterior, whose total is a maximum, and "prior
-    simulations". "draws" are within "rejection"; "workers" is while a cluster has none or does not
-    answer.
+    simulations". "draws" belong to "rejection"; "workers" is reported while a cluster has no
+    workers or does not answer.
     """
 
     def __call__(self, stage: str, done: int, total: int, message: str) -> None:
@@ -64,7 +64,7 @@ def shown_progress(wanted: Progress | Lines | None) -> Iterator[Progress | None]
 
 
 def progress_of(wanted: Progress | Lines | None) -> Progress | None:
-    """The progress callback of what lives on: see `shown_progress`."""
+    """Progress callback for an object that outlives the call; see `shown_progress`."""
     if isinstance(wanted, str) and wanted == "lines":
         return ProgressLines(lambda line: write_with_time(line, sys.stderr))
     check_progress(wanted)
@@ -78,7 +78,7 @@ def write_with_time(line: str, stream: TextIO) -> None:
 
 
 def stage_name(stage: str) -> str:
-    """What a stage is called where people read it."""
+    """Name of a stage for users."""
     names = {
         "compilation": "compiling (first run)",
         "template": "cables",
@@ -97,17 +97,17 @@ def stage_name(stage: str) -> str:
 
 
 class ProgressLines:
-    """Lines that `say` how far a stage is: at first, then every so many seconds, at its end."""
+    """Lines on the progress of a stage: after `first` s, then every `every` s, at its end."""
 
     def __init__(self, say: Callable[[str], None], first: float = 2.0, every: float = 10.0) -> None:
         self._say, self._first, self._every = say, first, every
         self._bars: Bars | None = None
         self._tasks: dict[str, Task] = {}
-        self._said: dict[str, float] = {}  # when (s) a stage was last spoken of
+        self._said: dict[str, float] = {}  # when (s) a stage was last reported
         self._over, self._lock = threading.Event(), threading.Lock()
 
     def _make_bars(self) -> Bars:
-        """The stages, with their pace; shown where there is a terminal, not by this class."""
+        """Progress bars, which measure the pace of stages; hidden here, shown by a subclass."""
         import rich.progress
 
         return rich.progress.Progress(disable=True, speed_estimate_period=60.0)
@@ -135,14 +135,14 @@ class ProgressLines:
             self._say(_line(task))
 
     def end(self, clear: bool = False) -> None:
-        """Say nothing more; with `clear`, bars that were shown go."""
+        """Stop reporting; with `clear`, bars that were shown are removed."""
         self._over.set()
         if self._bars is not None:
             self._bars.live.transient = clear
             self._bars.stop()
 
     def _speak(self) -> None:
-        """Say now and then how far the stages are that have not ended."""
+        """Report the stages that have not ended, now and then."""
         while not self._over.wait(self._first / 4):
             for stage, task in [*self._tasks.items()]:
                 now = time.monotonic()
@@ -161,13 +161,13 @@ def _line(task: Task) -> str:
 
 
 def time_left(task: Task) -> str:
-    """How long a stage still takes, by its recent pace; empty while there is none."""
+    """Remaining time of a stage, by its recent pace; empty while that is unknown."""
     elapsed = task.elapsed or 0.0
     done = task.completed - task.fields["first"]
     if task.finished or not done or task.total is None or elapsed < 2.0:
         return ""
     left = task.time_remaining
-    if left is None:  # its steps are further apart than the time over which rich takes the pace
+    if left is None:  # the steps are further apart than the period of rich's pace
         left = elapsed * (task.total - task.completed) / done
     most = "at most " if task.description == "sampling" else ""  # its total is a maximum
     return f"{most}{duration(left)} left"

@@ -18,7 +18,7 @@ from fascicle.core.errors import ValueRefusedError
 from fascicle.core.ranges import Range, check_kind, did_you_mean, shown
 
 SIDES = ("lv", "rv")
-# What `conduction` counts; what each blocks is in `fascicle.forward.blocks`
+# States that `conduction` numbers; `fascicle.forward.blocks` has what each of them blocks
 CONDUCTION = (
     "normal",
     "left bundle branch block",
@@ -33,7 +33,7 @@ CONDUCTION = (
 
 
 class Changes(StrEnum):
-    """What must be computed again when a quantity changes, from the most to the least."""
+    """Part to be computed again when a quantity changes, from the most to the least."""
 
     STUDY = "which parameters there are"
     TREES = "trees"
@@ -46,26 +46,26 @@ class Changes(StrEnum):
 
 @dataclass(frozen=True)
 class Quantity:
-    """One quantity of the model.
+    """Quantity of the model.
 
     Attributes
     ----------
     name, unit : str
         Name in parameters, files and options; unit of all its values, 1 where it has none.
     default : float, optional
-        Its value where nothing else is said; None where it must be said, or follows from others.
+        Value where none is given; None where one must be given, or follows from others.
     valid_range : (float, float)
         Least and largest value that is not a mistake.
     prior_range : (float, float)
-        Range of its prior where it is learnt and nothing else is said.
+        Range of its prior where it is learnt and no other is given.
     meaning : str
-        What it is, in a line.
+        Description in one line.
     changes : Changes
-        What depends on it.
+        Part to be computed again when it changes.
     is_integer : bool
         Whether it counts something; such quantities can be fixed only.
     default_prior : (str, float), optional
-        Prior where it is learnt and nothing else is said, if it is not uniform: "normal" or
+        Prior where it is learnt and no other is given, if it is not uniform: "normal" or
         "log-normal" about the default, and its standard deviation (of the logarithm).
     also : float, optional
         One more valid value, such as infinity.
@@ -75,7 +75,7 @@ class Quantity:
     aliases : tuple of str
         Other names, as `fascicle.core.ranges.plain_name` gives them, for which it is suggested.
     choices : tuple of str
-        What its values 0, 1, ... stand for; they may be given in these words.
+        Names of its values 0, 1, ..., which may be given instead.
     """
 
     name: str
@@ -94,7 +94,7 @@ class Quantity:
 
     @property
     def valid(self) -> Range:
-        """Its valid values."""
+        """Range of the valid values."""
         unit = "" if self.unit == "1" else self.unit
         return Range(unit, *self.valid_range, self.meaning, self.also)
 
@@ -140,7 +140,7 @@ def _of_trees() -> Iterator[Quantity]:
 
 
 def _of_conduction() -> Iterator[Quantity]:
-    """Speeds and delays, and the size of the ECG."""
+    """Conduction velocities and delays, and the size of the ECG."""
     times, tissue = Changes.TIMES, Changes.TISSUE
     meaning = "t_RV - t_LV of the roots; negative, the left one fires later"
     yield Quantity(
@@ -201,7 +201,7 @@ def _of_conduction() -> Iterator[Quantity]:
 
 
 def _of_torso() -> Iterator[Quantity]:
-    """What differs from the heart folder's torso; docs/quantities.md says where priors are from."""
+    """Changes of the heart folder's torso; docs/quantities.md says where priors are from."""
     torso, angle = Changes.LEAD_FIELDS, math.radians(20.0)
 
     def moved(name: str, reach: float, sd: float, meaning: str, unit: str = "mm") -> Quantity:
@@ -218,7 +218,7 @@ def _of_torso() -> Iterator[Quantity]:
         yield moved(f"v{k}_left", 25.0, 10.0, f"V{k} moved along the skin to the left")
         yield moved(f"v{k}_up", 25.0, 10.0, f"V{k} moved along the skin upwards")
     yield moved("chest_electrodes_up", 40.0, 15.0, "V1 to V6 together moved along the skin upwards")
-    for name, what in (
+    for name, tissue in (
         ("lung", "the lungs"),
         ("blood", "the blood"),
         ("myocardium", "the myocardium, as source and conductor; speeds stay"),
@@ -226,7 +226,7 @@ def _of_torso() -> Iterator[Quantity]:
     ):
         yield Quantity(
             f"{name}_conductivity", "1", 1.0, (0.5, 2.0), (0.5, 2.0),
-            f"factor on the conductivity of {what}", torso, default_prior=("log-normal", 0.25),
+            f"factor on the conductivity of {tissue}", torso, default_prior=("log-normal", 0.25),
         )  # fmt: skip
     yield Quantity(
         "chest_size", "1", 1.0, (0.85, 1.15), (0.85, 1.15),
@@ -252,9 +252,9 @@ def declare(known: Quantity) -> None:
     """Add a quantity to the model: parameters, options and settings files may then name it.
 
     `Quantity.apply` says what it does to the conduction of the tissue; `Quantity.changes` must be
-    ``Changes.TIMES`` where that is `alpha` alone, else ``Changes.TISSUE``. What a
-    `fascicle.GrowthTerm` takes has ``Changes.TREES`` and is declared by that. ValueRefusedError is
-    that there is another one of this name, or that it does nothing.
+    ``Changes.TIMES`` where that is `alpha` alone, else ``Changes.TISSUE``. Parameters
+    of a `fascicle.GrowthTerm` have ``Changes.TREES`` and are declared by that. Raises
+    ValueRefusedError if another quantity has this name, or if it changes nothing.
     """
     if QUANTITIES.get(known.name, known) != known or known.name in GROUPS:
         raise ValueRefusedError(f"parameter '{known.name}' is taken; choose another name")
@@ -275,7 +275,7 @@ def default_of(name: str) -> float:
 
 
 def quantity(name: str) -> Quantity:
-    """Look a quantity up; ``region_N_conductivity`` is there for every label N."""
+    """Look a quantity up; ``region_N_conductivity`` exists for every label N."""
     if name in QUANTITIES:
         return QUANTITIES[name]
     if not region_labels([str(name)]):
@@ -289,7 +289,7 @@ def quantity(name: str) -> Quantity:
 
 
 def stand_ins(name: str) -> set[str]:
-    """Quantities that say the same as one of this name, without it."""
+    """Other quantities that determine the same thing as the one of this name."""
     angle = {name, name.replace("lv_fascicle_angle", "lv_fascicle_direction")}
     direction = {name, name.replace("lv_fascicle_direction", "lv_fascicle_angle")}
     pairs = ({*SPEED}, {*DELAY}, angle, direction)
@@ -297,20 +297,20 @@ def stand_ins(name: str) -> set[str]:
 
 
 def overridden(values: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:
-    """Values with changes, which also take the place of what says the same."""
+    """Values with changes, which also replace their `stand_ins`."""
     replaced = {other for name in changes for other in stand_ins(name)}
     return {n: value for n, value in values.items() if n not in replaced} | dict(changes)
 
 
 def check_not_twice(names: Collection[str]) -> None:
-    """Refuse quantities that say one thing twice: the speed of the myocardium, for one."""
+    """Refuse two quantities that determine the same thing, such as the myocardium's speed."""
     for name in names:
         for other in sorted(stand_ins(name) & {*names}):
             raise ValueRefusedError(f"parameters '{name}' and '{other}' say the same; give one")
 
 
 def region_labels(values: Iterable[str]) -> dict[int, str]:
-    """Labels of the regions that quantities of these names are about, with the names."""
+    """Labels of the regions in names like ``region_N_conductivity``, with these names."""
     matches = ((re.fullmatch(r"region_(\d{1,9})_conductivity", name), name) for name in values)
     return {int(match[1]): name for match, name in matches if match is not None}
 
@@ -318,7 +318,7 @@ def region_labels(values: Iterable[str]) -> dict[int, str]:
 def fascicle_names(side: str, count: int) -> list[str]:
     """Names of the lengths, then of the angles, of so many fascicles of a side."""
     return [
-        f"{side}_fascicle_{what}_{k}" for what in ("length", "angle") for k in range(1, count + 1)
+        f"{side}_fascicle_{kind}_{k}" for kind in ("length", "angle") for k in range(1, count + 1)
     ]
 
 
@@ -330,8 +330,8 @@ def fascicles(side: str, names: Iterable[str]) -> int:
     pattern = rf"{side}_fascicle_(?:length|angle|direction)_(\d+)"
     numbers = {name: int(m[1]) for name in names if (m := re.fullmatch(pattern, name))}
     count = max(numbers.values(), default=0)
-    there = {name.replace("direction", "angle") for name in numbers}
-    missing = sorted({*fascicle_names(side, max(count, 1))} - there)
+    present = {name.replace("direction", "angle") for name in numbers}
+    missing = sorted({*fascicle_names(side, max(count, 1))} - present)
     if missing:
         raise ValueRefusedError(f"missing parameters {', '.join(missing)}; add them")
     return count
@@ -344,17 +344,17 @@ def checked(values: Mapping[str, Any]) -> dict[str, float]:
 
 
 def check(known: Quantity, value: Any) -> float:
-    """One number as a float, if it is possible for this quantity; see `checked`."""
+    """Number as a float, if it is possible for this quantity; see `checked`."""
     if known.choices and isinstance(value, str):
         if value not in known.choices:
             hint = did_you_mean(value, known.choices, [])
             hint = hint or "'fascicle parameters' lists the names"
             raise ValueRefusedError(f"parameter '{known.name}' is {shown(value)}; {hint}")
         value = known.choices.index(value)
-    found = known.valid.check(value, f"parameter '{known.name}'")
-    if known.is_integer and found != int(found):
-        raise ValueRefusedError(f"parameter '{known.name}' is {shown(found)}; give a whole number")
-    return found
+    number = known.valid.check(value, f"parameter '{known.name}'")
+    if known.is_integer and number != int(number):
+        raise ValueRefusedError(f"parameter '{known.name}' is {shown(number)}; give a whole number")
+    return number
 
 
 def torso_values(values: Mapping[str, float]) -> dict[str, float]:
@@ -367,16 +367,16 @@ def parameter_name(name: str) -> str:
     """Name of a quantity of the model for readers, such as ``LV fascicle 1 length``."""
     match = re.fullmatch(r"(lv|rv)_(initial|fascicle)_(length|angle|direction)(?:_(\d+))?", name)
     if match is not None:
-        side, stretch, what, number = match.groups()
+        side, stretch, kind, number = match.groups()
         part = "bundle" if stretch == "initial" else f"fascicle\N{NO-BREAK SPACE}{number}"
-        return f"{side.upper()} {part} {what}"
-    known = {
+        return f"{side.upper()} {part} {kind}"
+    titles = {
         "cv": "Purkinje conduction velocity",
         "root_time": "RV–LV activation delay",
         "alpha": "conduction velocity constant α",
         "fibre_speed": "conduction velocity along fibres",
     }
-    return known.get(name, in_words(name))
+    return titles.get(name, in_words(name))
 
 
 def in_words(name: str) -> str:

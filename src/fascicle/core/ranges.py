@@ -1,7 +1,7 @@
-"""Checks of what enters: possible numbers, and the kinds of objects; how values are written.
+"""Checks of input: possible numbers, and the kinds of objects; text of values in messages.
 
-The quantities of the model have their ranges in `fascicle.core.quantities`. What lies outside is a
-slip of units or of a key, and would make a simulation of hours, or one of nothing.
+The quantities of the model have their ranges in `fascicle.core.quantities`. A value outside is
+a slip of units or of a key, and would make a simulation take hours, or simulate nothing.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Range:
         return self.low <= value <= self.high or value == self.also
 
     def __str__(self) -> str:
-        """Such as ``0.01 to 100 mm, or 0``."""
+        """Text of the range, such as ``0.01 to 100 mm, or 0``."""
         other = f", or {self.also:g}" if self.also is not None else ""
         return f"{digits(self.low)} to {digits(self.high)}{self._suffix}{other}"
 
@@ -47,14 +47,14 @@ class Range:
         return f" {self.unit}" if self.unit else ""
 
     def check(self, value: Any, what: str) -> float:
-        """A number as a float; refused if it is none or impossible. `what` it is, for messages."""
-        found = number(value, what)
-        if found not in self:
-            raise ValueRefusedError(f"{what} is {digits(found)}{self._suffix}; give {self}")
-        return found
+        """Check a number and give it as a float; `what` names it in the message."""
+        as_float = number(value, what)
+        if as_float not in self:
+            raise ValueRefusedError(f"{what} is {digits(as_float)}{self._suffix}; give {self}")
+        return as_float
 
 
-# What is given with hearts, recordings and scenarios
+# Numbers that are given with hearts, recordings and scenarios
 RANGES = {
     "time": Range("ms", -10_000.0, 10_000.0, "when a stimulus or the root of a tree fires"),
     "firing time": Range(
@@ -83,7 +83,7 @@ RANGES = {
 
 
 def number(value: Any, what: str) -> float:
-    """A number of Python or NumPy as a float; `what` it is, for the message."""
+    """Number of Python or NumPy as a float; `what` names it in the message."""
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
         raise ValueRefusedError(f"{what} is {shown(value)}; give a number")
     try:
@@ -112,13 +112,13 @@ def plain_name(name: str) -> str:
 def did_you_mean(
     name: str, known: Iterable[str], aliases: Iterable[tuple[str, str]] = ()
 ) -> str | None:
-    """Question whether a known name was meant; None where none is alike.
+    """Question whether a known name was meant; None if none is similar.
 
     `aliases` are pairs of another name, as `plain_name` gives it, and the known one.
     """
     meant: dict[str, list[str]] = {}
-    for other, one in (*((plain_name(one), one) for one in known), *aliases):
-        meant.setdefault(other, []).append(one)
+    for key, candidate in (*((plain_name(candidate), candidate) for candidate in known), *aliases):
+        meant.setdefault(key, []).append(candidate)
     plain = plain_name(name)
     near = [plain] if plain in meant else difflib.get_close_matches(plain, meant, 1, cutoff=0.75)
     return f"did you mean {' or '.join(map(repr, meant[near[0]]))}?" if near else None
@@ -132,7 +132,7 @@ def check_kind(value: object, kind: type | tuple[type, ...], what: str, needed: 
 
 def check_items(values: object, kind: type | tuple[type, ...], what: str, needed: str) -> None:
     """Refuse a value that is not a list or tuple of such objects; see `check_kind`."""
-    if not isinstance(values, list | tuple) or not all(isinstance(one, kind) for one in values):
+    if not isinstance(values, list | tuple) or not all(isinstance(v, kind) for v in values):
         raise ValueRefusedError(f"{what}: {shown(values)} was given; give a list of {needed}")
 
 
@@ -165,7 +165,7 @@ def digits(value: float) -> str:
 
 
 def shown(value: object) -> str:
-    """What was given, in 40 characters for a message."""
+    """Value in about 40 characters, for a message."""
     if isinstance(value, float):
         return digits(value)
     if isinstance(value, int) and abs(value) >= 10**7:  # Python refuses to write the longest
@@ -179,7 +179,7 @@ def shown(value: object) -> str:
 
 
 def short_repr(self: Any) -> str:
-    """Be the ``__repr__`` of a dataclass: the fields it has on one line, arrays by their shape."""
+    """Serve as the ``__repr__`` of a dataclass: its fields in one line, arrays by their shape."""
     fields = (
         f"{field.name}={_short(getattr(self, field.name))}"
         for field in dataclasses.fields(self)

@@ -1,4 +1,4 @@
-"""Something large in a file, that the workers of other processes read once."""
+"""Large objects in files, which worker processes read once."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ class SharedFile(NamedTuple):
 
 
 def write_shared(path: Path, content: object) -> SharedFile:
-    """Write it for processes that see this file."""
+    """Pickle an object for processes that can read this file."""
     pickled = pickle.dumps(content)
     path.write_bytes(pickled)
     return SharedFile(path, hashlib.sha256(pickled).hexdigest())
 
 
 def _read(file: SharedFile) -> Any:
-    """Read it; FileError is that it was changed: to unpickle it could then run another's code."""
+    """Unpickle a file; FileError if it was changed, as it could then run somebody else's code."""
     pickled = file.path.read_bytes()
-    found = hashlib.sha256(pickled).hexdigest()
-    if found != file.digest:
+    digest = hashlib.sha256(pickled).hexdigest()
+    if digest != file.digest:
         raise FileError(
             f"{file.path}: has been changed since it was written for the workers (SHA-256 "
-            f"{found[:12]}, not {file.digest[:12]}); see who else writes to the temporary folder"
+            f"{digest[:12]}, not {file.digest[:12]}); see who else writes to the temporary folder"
         )
-    return pickle.loads(pickled)  # noqa: S301 - of `write_shared`
+    return pickle.loads(pickled)  # noqa: S301 - by `write_shared`
 
 
-# What this process has read last is remembered: a model, and the recordings it is compared with, of
-# two studies. Threads of a worker begin together, and one heart is enough for all.
+# The last four objects are kept: a model, and the recordings it is compared with, of two studies.
+# Threads of a worker start together, and one heart is enough for all.
 read_shared = made_once(_read, 4)

@@ -1,4 +1,4 @@
-"""Cores, threads of the linear algebra, and what several threads need once."""
+"""Cores, threads of the linear algebra, and results shared between threads."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ one_thread = _BLAS.wrap(limits=1)
 
 
 def keep_one_thread() -> None:
-    """Keep BLAS and LAPACK to one thread from now on: for a process that is a worker of others."""
+    """Keep BLAS and LAPACK to one thread from now on, in a worker process."""
     _BLAS.limit(limits=1)
 
 
@@ -50,9 +50,9 @@ def in_chunks(work: Callable[[slice], None], count: int, size: int) -> None:
 
 
 def made_once(make: Callable[[Any], Any], most: int) -> Callable[[Any], Any]:
-    """`make`, with its results for the last `most` arguments kept, each made by one thread.
+    """Cache `make` for the last `most` arguments; every result is computed by one thread.
 
-    Threads that want the same one wait for it; another one is made meanwhile.
+    Threads that need the same result wait for it; other results are computed meanwhile.
     """
     one_at_a_time = Lock()
 

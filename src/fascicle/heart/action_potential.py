@@ -19,14 +19,14 @@ REMEDY = "give a CSV file with the header time_ms,potential_mV and two numbers i
 
 @dataclass(frozen=True, eq=False)
 class TabulatedPotential:
-    """A template U, linear between the samples of a table; an `ActionPotential`.
+    """Action potential U, linear between the samples of a table; an `ActionPotential`.
 
     Attributes
     ----------
     times : (n,) array
-        Of the samples (ms since activation), increasing.
+        Times of the samples (ms since activation), increasing.
     potentials : (n,) array
-        Transmembrane potential at these (mV).
+        Transmembrane potentials of the samples (mV).
     """
 
     times: Floats
@@ -45,15 +45,15 @@ class TabulatedPotential:
 def read_action_potential(path: str | PathLike[str]) -> TabulatedPotential:
     """Read the action potential U(t) of the ECG from a table, for `ForwardModel`.
 
-    Between samples U is linear, outside the table constant. The ECG is that of a QRS if the table
-    ends in the plateau: with repolarisation it gets a T wave of all cells alike, opposite to the
+    Between samples U is linear, outside the table constant. The ECG is a QRS complex alone if the
+    table ends in the plateau; repolarisation, the same in all cells, adds a T wave opposite to the
     QRS.
 
     Parameters
     ----------
     path : path
         CSV file with the columns ``time_ms`` (ms since activation, increasing; the upstroke is
-        within 5 ms of 0) and ``potential_mV`` (mV), of 10 samples at least.
+        within 5 ms of 0) and ``potential_mV`` (mV), with at least 10 samples.
 
     Returns
     -------
@@ -63,7 +63,7 @@ def read_action_potential(path: str | PathLike[str]) -> TabulatedPotential:
     Raises
     ------
     InputError
-        If the file is missing or holds something else.
+        If the file is missing or not such a table.
     """
     file = as_path(path, "action potential", "the path of a CSV file")
     check_file(file, (".csv",), "action potential")
@@ -82,7 +82,7 @@ def read_action_potential(path: str | PathLike[str]) -> TabulatedPotential:
 
 
 def write_action_potential(path: Path, table: TabulatedPotential) -> None:
-    """Write a table that `read_action_potential` reads, to the last bit."""
+    """Write a table that `read_action_potential` reads back exactly."""
     rows = zip(table.times.tolist(), table.potentials.tolist(), strict=True)
     text = "\n".join([",".join(COLUMNS), *(f"{time!r},{value!r}" for time, value in rows)])
     path.write_text(f"{text}\n", encoding="utf-8")
@@ -94,15 +94,15 @@ def _numbers(file: Path, row: list[str], number: int) -> list[float]:
     except ValueError:
         values = []
     if len(values) != len(COLUMNS) or not np.isfinite(values).all():
-        found = printable(",".join(row))[:60]
-        raise InputError(f"{file}: row {number} of samples is '{found}'; give two numbers")
+        text = printable(",".join(row))[:60]
+        raise InputError(f"{file}: row {number} of samples is '{text}'; give two numbers")
     return values
 
 
 def _check(file: str, times: Floats, potentials: Floats) -> None:
     if len(times) < 10:
         raise InputError(f"{file}: {len(times)} samples; give 10 or more")
-    # the ECG ends 2000 ms after the last activation at most; more than 200 mV is a table in µV
+    # the ECG ends at most 2000 ms after the last activation; more than 200 mV means µV
     for name, values, limit in zip(COLUMNS, (times, potentials), (2000.0, 200.0), strict=True):
         furthest = values[np.abs(values).argmax()]
         if abs(furthest) > limit:
@@ -120,7 +120,7 @@ def _check(file: str, times: Floats, potentials: Floats) -> None:
         )
     steepest = int((np.diff(potentials) / np.diff(times)).argmax())
     upstroke = float(times[steepest : steepest + 2].mean())
-    if abs(upstroke) > 5.0:  # ms; the ECG would be late by as much
+    if abs(upstroke) > 5.0:  # ms; the ECG would be shifted by as much
         raise InputError(
             f"{file}: the steepest rise is at {upstroke:g} ms; give times since the upstroke "
             f"(within 5 ms of 0)"

@@ -48,10 +48,10 @@ def assemble_heart(
     The mesh has tetrahedra, and perhaps their regions and sheets; fibres are per point or
     tetrahedron, in the same file if None. Triangles of the endocardia, by side, with a cell array
     ``valve`` that is not 0 span a valve opening. Seeds are vertices of the endocardia, or positions
-    on them; None where they are to be found.
+    on them, or None: then the anatomy decides.
 
     Fibres and sheets are those of `fascicle.heart.fibres.rule_based_fibres` if `by_rule`, or if it
-    is None and the given ones are a `fascicle.heart.fibres.placeholder`; the notes then say so.
+    is None and the file's fibres are a `fascicle.heart.fibres.placeholder`; the notes then say so.
     """
     tetrahedra = mesh.require(TETRAHEDRON, "tetrahedra")
     check_units(str(mesh.path), mesh.points)
@@ -108,8 +108,8 @@ def assemble_heart(
 def _endocardium(side: str, surface: MeshFile) -> Integers:
     """Triangles of an endocardium, facing its cavity, with point indices as in the file.
 
-    Seeds refer to these. Points that no triangle uses, which would make the chart singular, are
-    refused.
+    Seeds refer to these indices. Points that no triangle uses, which would make the chart singular,
+    are refused.
     """
     name = f"{surface.path} ({side.upper()} endocardium)"
     triangles = surface.require(TRIANGLE, "triangles")
@@ -131,7 +131,7 @@ def _fibres_per_tetrahedron(mesh: MeshFile, tetrahedra: Integers, source: MeshFi
             values = values[_match_by_position(name, theirs, ours, "tetrahedra")]
         check_fibres(name, values, mesh.points, tetrahedra)
         length = np.linalg.norm(values, axis=1, keepdims=True)
-        # those of unit length stay, so that a heart that was written reads back equal
+        # unit vectors stay as they are, so that a heart that was written reads back equal
         return np.asarray(np.where(np.abs(length - 1) < 1e-12, values, values / length))
     used = np.unique(tetrahedra)
     row = _match_by_position(name, source.points, mesh.points[used], "vertices")
@@ -141,17 +141,17 @@ def _fibres_per_tetrahedron(mesh: MeshFile, tetrahedra: Integers, source: MeshFi
     return average_to_tetrahedra(at_vertex, tetrahedra)
 
 
-def _match_by_position(name: str, given: Floats, wanted: Floats, what: str) -> Integers:
-    """Rows (k,) of the given positions (n, 3) that are those of the wanted ones (k, 3)."""
-    distance, row = cKDTree(given).query(wanted)
-    tolerance = 1e-5 * float(np.ptp(wanted, axis=0).max())  # room for single precision
+def _match_by_position(name: str, sources: Floats, targets: Floats, kind: str) -> Integers:
+    """Rows (k,) of the sources (n, 3) that are at the targets (k, 3); positions in mm."""
+    distance, row = cKDTree(sources).query(targets)
+    tolerance = 1e-5 * float(np.ptp(targets, axis=0).max())  # room for single precision
     refuse(
         name,
         distance > tolerance,
-        f"{what} of the mesh have no fibre within {tolerance:.2g} mm (largest gap "
+        f"{kind} of the mesh have no fibre within {tolerance:.2g} mm (largest gap "
         f"{distance.max():.3g} mm)",
         "give fibres on the same mesh",
-        wanted,
+        targets,
     )
     return np.asarray(row, dtype=np.int64)
 
@@ -184,17 +184,17 @@ def _sheets(mesh: MeshFile) -> Floats | None:
 
 
 def _fibre_array(source: MeshFile) -> tuple[str, Floats, bool]:
-    """Name and values of the array of directions in a file; whether it is one per tetrahedron."""
-    found: dict[str, tuple[Floats, bool]] = {}
+    """Name and values of a file's array of directions, and whether it has one per tetrahedron."""
+    candidates: dict[str, tuple[Floats, bool]] = {}
     of_cells = source.cell_data.get(TETRAHEDRON, {})
-    for arrays, per_cell in ((source.point_data, False), (of_cells, True)):  # of cells: exact
+    for arrays, per_cell in ((source.point_data, False), (of_cells, True)):  # cells last: exact
         for key, values in arrays.items():
             if np.shape(values)[1:] == (3,) and key.lower() not in ("normals", "sheet"):
-                found[key] = np.asarray(values, dtype=float), per_cell
-    keys = [key for key in found if key.lower() in FIBRE_NAMES] or list(found)
+                candidates[key] = np.asarray(values, dtype=float), per_cell
+    keys = [key for key in candidates if key.lower() in FIBRE_NAMES] or list(candidates)
     if len(keys) != 1:
         raise InputError(
             f"{source.path}: need one array of fibre directions (3 components); found "
             f"{', '.join(keys) or 'none'}; keep one, or name it 'fibre'"
         )
-    return keys[0], *found[keys[0]]
+    return keys[0], *candidates[keys[0]]

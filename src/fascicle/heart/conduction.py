@@ -1,4 +1,4 @@
-"""Conductivities of the tissues, and the front speeds that follow from the myocardium's."""
+"""Conductivities of the tissues, and conduction velocities that follow from the myocardium's."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fascicle.core.quantities import checked, default_of, quantity, region_label
 from fascicle.core.ranges import check_items, within
 from fascicle.heart.heart import Heart
 
-# α² G is (cm/ms)²; speeds here are in mm/ms
+# α² G is (cm/ms)²; conduction velocities here are in mm/ms
 MM2_PER_CM2 = 100.0
 CONDUCTIVITIES = (
     "intracellular_l", "intracellular_t", "extracellular_l", "extracellular_t",
@@ -37,15 +37,15 @@ class Region(Table, table="region"):
     source: str | None = field(default=None, repr=False, compare=False)
 
     def elements(self, heart: Heart) -> Booleans:
-        """Which tetrahedra belong to it, shape (m,).
+        """Return whether each tetrahedron belongs to the region, shape (m,).
 
         Raises
         ------
         InputError
-            If it says nothing or two things about where it is, or holds no element.
+            If its place is missing or described twice, or it holds no element.
         """
-        given = [value is not None for value in (self.label, self.centre, self.radius)]
-        if given not in ([True, False, False], [False, True, True]):
+        present = [value is not None for value in (self.label, self.centre, self.radius)]
+        if present not in ([True, False, False], [False, True, True]):
             raise InputError(f"{self.name}: give either a label, or a centre and a radius")
         if self.label is not None:
             if heart.regions is None:
@@ -54,19 +54,19 @@ class Region(Table, table="region"):
                     "array 'region', or give a centre and a radius"
                 )
             inside = heart.regions == self.label
-            known = f"the heart's labels are {', '.join(map(str, np.unique(heart.regions)))}"
+            hint = f"the heart's labels are {', '.join(map(str, np.unique(heart.regions)))}"
         else:
             centroids = heart.vertices[heart.tetrahedra].mean(axis=1)
             distance = np.linalg.norm(centroids - np.asarray(self.centre), axis=1)
             inside = distance <= self.radius
-            known = f"the nearest is {distance.min():.1f} mm from its centre"
+            hint = f"the nearest is {distance.min():.1f} mm from its centre"
         if not inside.any():
-            raise InputError(f"{self.name} holds no element; {known}")
+            raise InputError(f"{self.name} holds no element; {hint}")
         return np.asarray(inside)
 
     @property
     def name(self) -> str:
-        """What to call it in messages."""
+        """Name of the region in messages."""
         origin = f"{self.source}: " if self.source is not None else ""
         return f"{origin}region {f'at {self.centre}' if self.label is None else self.label}"
 
@@ -85,25 +85,26 @@ class Conduction:
         Conductivity of the unbounded volume conductor (mS/cm), for hearts without a torso mesh;
         about that of the torso as a whole, lungs included. A torso mesh has the next three instead.
     body : float
-        Conductivity of what is neither lung nor blood around the heart (mS/cm); 2.39 is that of the
-        homogeneous torso of Klepfer, Johnson and MacLeod (IEEE Trans. Biomed. Eng. 44, 1997,
-        706-719), the mean over its tissues.
+        Conductivity of the tissue around the heart that is neither lung nor blood (mS/cm); 2.39 is
+        that of the homogeneous torso of Klepfer, Johnson and MacLeod (IEEE Trans. Biomed. Eng. 44,
+        1997, 706-719), the mean over its tissues.
     lung, blood : float
         Conductivities (mS/cm); 0.389 and 7.0 are those of inflated lung and of blood at 10 Hz in
         the parametric model of Gabriel, Lau and Gabriel (Phys. Med. Biol. 41, 1996, 2271-2293).
     regions : tuple of Region
-        Where the myocardium conducts differently; where they overlap the last one counts.
+        Parts of the myocardium that conduct differently; where they overlap the last one counts.
     anisotropy_ratio : float, optional
-        Speed along the fibre over that across it, where the conductivities are not to say it.
+        Conduction velocity along the fibre over that across it; by default the conductivities'.
     endocardial_layer : float
         Thickness (mm) of a layer under the endocardia that conducts faster.
     endocardial_speed : float
-        Factor on the speeds in it; conductivities, and so the ECG of a given activation, stay.
+        Factor on the conduction velocities in that layer; conductivities, and so the ECG of a given
+        activation sequence, stay.
 
     Raises
     ------
     InputError
-        If a number is impossible.
+        If a value is out of range.
     """
 
     intracellular_l: float = 3.0
@@ -124,21 +125,21 @@ class Conduction:
         for name in CONDUCTIVITIES:
             within("conductivity", getattr(self, name), f"conductivity '{name}'")
         check_items(self.regions, Region, "regions", "fascicle.Region")
-        given = {name: getattr(self, name) for name in SPEEDS}
+        parameters = {name: getattr(self, name) for name in SPEEDS}
         if self.anisotropy_ratio is None:
-            del given["anisotropy_ratio"]
-        checked(given)
+            del parameters["anisotropy_ratio"]
+        checked(parameters)
 
     @classmethod
     def of(cls, heart: Heart, regions: Sequence[Region] = ()) -> Conduction:
-        """That of a heart's own values, with more regions, which count where they overlap."""
-        own = cls().with_values(heart.values)
-        return replace(own, regions=(*own.regions, *regions))
+        """Conduction by a heart's own values and more regions, which count where they overlap."""
+        conduction = cls().with_values(heart.values)
+        return replace(conduction, regions=(*conduction.regions, *regions))
 
     def with_values(self, values: Mapping[str, float]) -> Conduction:
-        """The same with other values of the `fascicle.core.quantities` that concern it.
+        """Return a copy with other values, those of the `fascicle.core.quantities` that concern it.
 
-        A region of a label that is there already is replaced.
+        A region replaces an earlier one of the same label.
         """
         changes = {name: values[name] for name in SPEEDS if name in values}
         if "fibre_speed" in values:
@@ -153,7 +154,7 @@ class Conduction:
         return changed
 
     def scale(self, heart: Heart) -> Floats:
-        """Factor on all conductivities of each tetrahedron, shape (m,); 0 where none conducts."""
+        """Factor on all conductivities of each tetrahedron, shape (m,); 0 in scar."""
         scale = np.ones(len(heart.tetrahedra))
         for region in self.regions:
             scale[region.elements(heart)] = region.conductivity
@@ -167,20 +168,20 @@ class Conduction:
         if self.endocardial_layer > 0 and self.endocardial_speed != 1:
             distance = np.full(len(heart.vertices), np.inf)
             for e in heart.endocardia:
-                found = igl.point_mesh_squared_distance(heart.vertices, e.vertices, e.triangles)
-                distance = np.minimum(distance, np.sqrt(found[0]))
+                nearest = igl.point_mesh_squared_distance(heart.vertices, e.vertices, e.triangles)
+                distance = np.minimum(distance, np.sqrt(nearest[0]))
             share = share_below(distance[heart.tetrahedra], self.endocardial_layer)
             scale *= 1 + share * (self.endocardial_speed**2 - 1)
         return scale
 
     @property
     def speeds(self) -> tuple[float, float]:
-        """Front speed along and across the fibre (mm/ms)."""
+        """Conduction velocity along and across the fibre (mm/ms)."""
         along, across = np.sqrt(self._squared_speeds())
         return float(along), float(across)
 
     def _squared_speeds(self) -> tuple[float, float]:
-        """D along and across the fibre (mm²/ms²): scalars suffice, G's share their axes."""
+        """D along and across the fibre (mm²/ms²), scalars, as all G have the same axes."""
         intra = np.array([self.intracellular_l, self.intracellular_t])
         extra = np.array([self.extracellular_l, self.extracellular_t])
         along, across = MM2_PER_CM2 * self.alpha**2 * intra * extra / (intra + extra)
@@ -206,11 +207,11 @@ class Conduction:
 def share_below(values: Floats, level: float) -> Floats:
     """Share of the volume in which a function, linear in a tetrahedron, is below a level, (m,).
 
-    That is the distribution function of the quadratic B-spline whose knots are the four values at
+    It is the distribution function of the quadratic B-spline whose knots are the four values at
     the corners (m, 4) (Hermite-Genocchi).
     """
     knots = np.sort(values, axis=1)
-    # equal knots, of which the formula is a limit, are set apart by a millionth of the range
+    # the formula divides by the gaps: equal knots are set apart by a millionth of their size
     apart = 1e-6 * np.maximum(np.abs(knots).max(axis=1, keepdims=True), 1e-12)
     knots = knots + apart * np.arange(4)
     gaps = knots[:, None, :] - knots[:, :, None]

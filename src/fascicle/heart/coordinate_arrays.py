@@ -1,4 +1,4 @@
-"""Ventricular coordinates as arrays of a mesh's points, by the names of those who define them."""
+"""Ventricular coordinates as point arrays of a mesh, Cobiveco's or universal ones."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fascicle.mesh.formats.mesh_file import TETRAHEDRON, MeshFile
 
 NAMES = ("tv", "tm", "rt", "ab")  # as Cobiveco writes them
 UNIVERSAL = ("v", "rho", "phi", "z")
-WALL = 0.1  # a wall counts for a tenth of the way from apex to base
+WALL = 0.1  # thickness of a wall in `places`; the way from apex to base is 1
 
 
 @dataclass(frozen=True)
@@ -34,13 +34,13 @@ class VentricularCoordinates:
 
     @property
     def arrays(self) -> dict[str, Floats]:
-        """The coordinates by `NAMES`."""
+        """Coordinates by `NAMES`."""
         values = (self.ventricle, self.transmural, self.rotational, self.apicobasal)
         return dict(zip(NAMES, values, strict=True))
 
     @property
     def places(self) -> Floats:
-        """Either ventricle as a disk with its apex in the middle, as thick as `WALL`, (n, 3)."""
+        """Positions (n, 3) in a disk for each ventricle, apex in the middle, as thick as `WALL`."""
         turn = 2 * np.pi * self.rotational
         around = self.apicobasal * np.array([np.cos(turn), np.sin(turn)])
         return np.column_stack([*around, WALL * self.transmural])
@@ -49,7 +49,7 @@ class VentricularCoordinates:
 def read_coordinates(mesh: MeshFile) -> VentricularCoordinates | None:
     """Ventricular coordinates of the vertices of a mesh's tetrahedra, if it has the point arrays.
 
-    Those are ``tv``, ``tm``, ``rt`` (or ``rtSin`` and ``rtCos``) and ``ab`` of Cobiveco, or
+    The arrays are ``tv``, ``tm``, ``rt`` (or ``rtSin`` and ``rtCos``) and ``ab`` of Cobiveco, or
     ``v``, ``rho``, ``phi`` and ``z`` of `from_universal`, in upper or lower case; all four. An
     error if one is not a number a point, or out of range.
     """
@@ -62,7 +62,7 @@ def read_coordinates(mesh: MeshFile) -> VentricularCoordinates | None:
     if not set(UNIVERSAL) <= set(arrays):
         return None
     limits = {"v": (-1, 1), "phi": (-np.pi, np.pi)}
-    v, *others = (
+    v, *rho_phi_z = (
         _checked(mesh, arrays, used, name, *limits.get(name, (0, 1))) for name in UNIVERSAL
     )
     if np.ptp(v) == 0:
@@ -70,18 +70,18 @@ def read_coordinates(mesh: MeshFile) -> VentricularCoordinates | None:
             f"{mesh.path}: the point array 'v' of ventricular coordinates is {v[0]:g} everywhere; "
             "give -1 in the left and 1 in the right ventricle, or remove it"
         )
-    return from_universal(v, *others)
+    return from_universal(v, *rho_phi_z)
 
 
 def used_points(mesh: MeshFile) -> Integers:
-    """The points of a file (n,) that are vertices of its tetrahedra."""
+    """Points of a file (n,) that are vertices of its tetrahedra."""
     return np.unique(mesh.cells[TETRAHEDRON])
 
 
 def _checked(
     mesh: MeshFile, arrays: Mapping[str, Floats], used: Integers, name: str, low: float, high: float
 ) -> Floats:
-    """The values of an array at the points used, each in range."""
+    """Values of an array at the used points, clipped to its range; an error if far outside."""
     values, among = np.asarray(arrays[name], dtype=float), "to"
     if values.shape != (len(mesh.points),):
         raise InputError(
@@ -105,12 +105,12 @@ def _checked(
 
 
 def from_universal(v: Floats, rho: Floats, phi: Floats, z: Floats) -> VentricularCoordinates:
-    """The coordinates that correspond to universal ventricular coordinates (n,).
+    """Convert universal ventricular coordinates (n,) to those of Cobiveco.
 
-    These are by Bayer et al. 2018, Med Image Anal 45:83-93: v −1 in the left, 1 in the right
-    ventricle; ρ 0 on the endocardium, 1 on the epicardium; φ from −π to π in the left ventricle, to
-    which the septum belongs, and in the right one from its posterior attachment to the anterior
-    one; z 0 at the apex, 1 at the base. Their apex is the left ventricle's; it is left there.
+    Universal coordinates are those of Bayer et al. 2018, Med Image Anal 45:83-93: v −1 in the left,
+    1 in the right ventricle; ρ 0 on the endocardium, 1 on the epicardium; φ from −π to π in the
+    left ventricle, to which the septum belongs, and in the right one from its posterior attachment
+    to the anterior one; z 0 at the apex, 1 at the base. Their apex, the left ventricle's, is kept.
     """
     right = v > 0
     behind, before = phi[right].min(), phi[right].max()

@@ -1,4 +1,4 @@
-"""Ventricular coordinates: where a point is, in terms that mean the same in every heart.
+"""Ventricular coordinates, which locate a point in terms that mean the same in every heart.
 
 They are the consistent biventricular coordinates (Cobiveco) of Schuler, Pilia, Potyagaylo and Loewe
 2021, Med Image Anal 74:102247, which follow from the labels of base, epicardium and endocardia:
@@ -58,7 +58,7 @@ OFF = 1e-6  # of the way from apex to base
 def ventricular_coordinates(heart: Heart) -> VentricularCoordinates:
     """Ventricular coordinates of a heart's vertices: those it has, or computed (some seconds).
 
-    What is computed is kept in the heart's folder.
+    Computed coordinates are kept in the heart's folder.
 
     Raises
     ------
@@ -80,9 +80,9 @@ def ventricular_coordinates(heart: Heart) -> VentricularCoordinates:
 def with_coordinates(
     heart: Heart, mesh: LabelledMesh, progress: StageProgress = no_progress
 ) -> tuple[Heart, tuple[str, ...]]:
-    """A heart with ventricular coordinates, those it has or computed on its labelled mesh; notes.
+    """Return a heart with coordinates, its own or computed on its labelled mesh, and notes.
 
-    A heart without a septum, such as one with a hole in it, stays without them.
+    A heart without a whole septum, such as one with a hole in it, stays without coordinates.
     """
     if heart.coordinates is not None:
         return heart, ("ventricular coordinates: those of the file; none were computed",)
@@ -93,17 +93,17 @@ def with_coordinates(
 
 
 def transfer_map(values: Floats, heart: Heart, other: Heart) -> Floats:
-    """Values at the vertices of a heart, such as activation times, at those of another one.
+    """Transfer values at the vertices of a heart, such as activation times, to another heart.
 
-    They are interpolated linearly between places of equal ventricular coordinates; beyond the
-    outermost ones, and where a value is not finite, that of the nearest place is taken.
+    Values are interpolated linearly in ventricular coordinates; beyond the outermost vertices, and
+    where a value is not finite, that of the nearest vertex is taken.
 
     Parameters
     ----------
     values : (..., n) array
         Values at the vertices of `heart`.
     heart, other : Heart
-        Where they are, and where they are wanted.
+        The heart that has the values, and the one to transfer them to.
 
     Returns
     -------
@@ -116,29 +116,33 @@ def transfer_map(values: Floats, heart: Heart, other: Heart) -> Floats:
         If there is not one value a vertex, or the coordinates of a heart cannot be found.
     """
     check_kind(values, np.ndarray, "values", "an array of one value a vertex of the heart")
-    for name, given in (("heart", heart), ("other", other)):
-        check_kind(given, Heart, name, "a heart, as fascicle.load_heart gives")
+    for name, argument in (("heart", heart), ("other", other)):
+        check_kind(argument, Heart, name, "a heart, as fascicle.load_heart gives")
     if values.dtype.kind not in "biuf" or values.shape[-1:] != (len(heart.vertices),):
         raise InputError(
             f"values are {values.dtype} of shape {values.shape}; give one number for each of the "
             f"{len(heart.vertices)} vertices of '{heart.name}', in the last axis"
         )
     of, to = ventricular_coordinates(heart), ventricular_coordinates(other)
-    found = np.empty((*values.shape[:-1], len(to.ventricle)))
+    transferred = np.empty((*values.shape[:-1], len(to.ventricle)))
     for side in (LV, RV):
-        here, there = of.ventricle == side, to.ventricle == side
-        known, wanted, own = of.places[here], to.places[there], values[..., here].astype(float)
-        nearest = own[..., cKDTree(known).query(wanted)[1]]
-        # the base goes on outwards, since between its vertices the hull of the places falls short
-        edge = of.apicobasal[here] > 0.99
-        known = np.concatenate([known, known[edge] * (1.1, 1.1, 1)])
-        own = np.moveaxis(np.concatenate([own, own[..., edge]], axis=-1), -1, 0)
-        # to find a place that is a vertex takes a thousand times as long
-        inwards = np.sign(WALL / 2 - wanted[:, 2])
-        wanted = wanted + OFF * np.column_stack([np.ones((len(wanted), 2)), inwards])
-        between = np.moveaxis(LinearNDInterpolator(known, own)(wanted), 0, -1)
-        found[..., there] = np.where(np.isfinite(between), between, nearest)
-    return found
+        in_source, in_target = of.ventricle == side, to.ventricle == side
+        places, targets, samples = (
+            of.places[in_source],
+            to.places[in_target],
+            values[..., in_source].astype(float),
+        )
+        nearest = samples[..., cKDTree(places).query(targets)[1]]
+        # the base is extended outwards, as the hull of its vertices falls short between them
+        edge = of.apicobasal[in_source] > 0.99
+        places = np.concatenate([places, places[edge] * (1.1, 1.1, 1)])
+        samples = np.moveaxis(np.concatenate([samples, samples[..., edge]], axis=-1), -1, 0)
+        # locating a place that is exactly a vertex takes a thousand times as long
+        inwards = np.sign(WALL / 2 - targets[:, 2])
+        targets = targets + OFF * np.column_stack([np.ones((len(targets), 2)), inwards])
+        interpolated = np.moveaxis(LinearNDInterpolator(places, samples)(targets), 0, -1)
+        transferred[..., in_target] = np.where(np.isfinite(interpolated), interpolated, nearest)
+    return transferred
 
 
 def computed_coordinates(
@@ -177,13 +181,14 @@ def computed_coordinates(
     return VentricularCoordinates(ventricle.astype(float), transmural, rotational, apicobasal)
 
 
-def _potential(space: QuadraticSpace, *given: tuple[float, Integers]) -> Floats:
-    """Harmonic function at the vertices (n,) with these values on sets of nodes, the first first.
+def _potential(space: QuadraticSpace, *conditions: tuple[float, Integers]) -> Floats:
+    """Harmonic function at the vertices (n,) with fixed values on sets of nodes.
 
-    Quadratic functions overshoot a little, which is cut off.
+    Where sets overlap the first one counts. Quadratic functions overshoot a little, which is cut
+    off.
     """
     values = np.full(space.size, np.nan)
-    for value, nodes in reversed(given):
+    for value, nodes in reversed(conditions):
         values[nodes] = value
     fixed = np.flatnonzero(np.isfinite(values))
     values = values[fixed]
@@ -207,9 +212,9 @@ def _transmural(
 
 
 def line_shares(mesh: LabelledMesh, potential: Floats) -> Floats:
-    """How far each vertex is along its line of steepest descent of a potential from 0 to 1, (n,).
+    """Position (n,) of each vertex along its line of steepest descent of a potential (n,).
 
-    By length: 0 where the potential (n,) is 0, 1 where it is 1.
+    It is a share of the line's length: 0 where the potential is 0, 1 where it is 1.
     """
     (back, _), (forth, _) = _lengths(mesh, potential, 0.0), _lengths(mesh, -potential, -1.0)
     inside = (potential > 0) & (potential < 1) & (back + forth > 0)
@@ -219,7 +224,7 @@ def line_shares(mesh: LabelledMesh, potential: Floats) -> Floats:
 def _lengths(mesh: LabelledMesh, potential: Floats, level: float) -> tuple[Floats, Floats]:
     """Lengths (mm) of lines of steepest descent down to a level (n,), negative beyond it.
 
-    And the part of each line, as it is interpolated, that ends beyond the level (n,).
+    Also returns the share (n,) of each line, which branches at faces, that ends beyond the level.
 
     A line goes from a vertex through the tetrahedron in which the potential, linear there, falls
     most steeply to the face opposite, and on from the face's corners by their weights.
@@ -238,48 +243,51 @@ def _lengths(mesh: LabelledMesh, potential: Floats, level: float) -> tuple[Float
     slope = np.where(total > 0, fall / np.where(length > 0, length, 1), -np.inf).ravel()
 
     count, corner = len(vertices), tetrahedra.ravel()
-    # rounded, so that of equally steep ones the machine's rounding does not choose
+    # slopes are rounded, so that rounding errors do not choose among equally steep lines
     order = np.lexsort((slope.round(9), corner))
     steepest = order[np.flatnonzero(np.diff(corner[order], append=count))]
     slope, length = slope[steepest], length.ravel()[steepest]
     ends = (potential <= level) | (slope <= 0)
     weights = weights.reshape(-1, 3)[steepest] * ~ends[:, None]
     beyond = np.minimum(potential - level, 0) / np.where(slope > 0, slope, np.inf)
-    known = np.column_stack([np.where(ends, beyond, length), ends & (potential < level)])
+    right_hand_sides = np.column_stack([np.where(ends, beyond, length), ends & (potential < level)])
     rows = np.arange(0, 3 * count + 1, 3)
     onwards = sparse.csr_matrix((weights.ravel(), faces.reshape(-1, 3)[steepest].ravel(), rows))
     onwards.resize(count, count)
-    # nearly triangular in the order of descent
+    # in the order of descent the matrix is nearly triangular
     order = np.argsort(potential)
     matrix = (sparse.identity(count) - onwards).tocsr()[order][:, order].tocsc()
-    found = np.empty((count, 2))
-    found[order] = spsolve(matrix, known[order], permc_spec="NATURAL")
-    return found[:, 0], found[:, 1]
+    solution = np.empty((count, 2))
+    solution[order] = spsolve(matrix, right_hand_sides[order], permc_spec="NATURAL")
+    return solution[:, 0], solution[:, 1]
 
 
 def _parts(
     mesh: LabelledMesh, space: QuadraticSpace, ventricle: Booleans, septal: Booleans
 ) -> Integers:
-    """Part of the tissue that each vertex belongs to (n,); pieces but the largest change sides."""
+    """Part of the tissue that each vertex belongs to (n,).
+
+    Each part keeps its largest piece; its other pieces change sides.
+    """
     part = np.where(septal, SEPTUM, np.where(ventricle, RV, LV))
     joined = space.edges[part[space.edges[:, 0]] == part[space.edges[:, 1]]]
     piece = components_of(joined, len(part))
     size = np.bincount(piece)
     for kind in (LV, RV, SEPTUM):
-        if not (own := part == kind).any():
+        if not (members := part == kind).any():
             raise InputError(f"{mesh.name}: no septum between two ventricles; check the labels")
-        largest = piece[own][np.argmax(size[piece[own]])]
-        septal = np.where(own & (piece != largest), ~septal, septal)
+        largest = piece[members][np.argmax(size[piece[members]])]
+        septal = np.where(members & (piece != largest), ~septal, septal)
     return np.where(septal, SEPTUM, np.where(ventricle, RV, LV))
 
 
 def _sides(mesh: LabelledMesh, part: Integers, inwards: Floats) -> tuple[Booleans, Booleans]:
-    """Which vertices are anterior, and which are on the apex's side of the left cavity, (n,)."""
+    """Whether vertices (n,) are anterior, and whether on the apex's side of the left cavity."""
     vertices, endocardium = mesh.vertices, mesh.having(Label.LV_ENDOCARDIUM)
     normals = triangle_normals(vertices, endocardium)
     areas = np.linalg.norm(normals, axis=1)
     middle = areas @ vertices[endocardium].mean(axis=1) / areas.sum()
-    # the long axis is as orthogonal to the endocardium's normals as can be
+    # the long axis is the direction most nearly orthogonal to the endocardium's normals
     axis = np.linalg.eigh((normals / areas[:, None]).T @ normals)[1][:, 0]
     axis *= np.sign(axis @ (middle - vertices[mesh.having(*BASAL)].mean(axis=(0, 1))))
     septum = mesh.tetrahedra[(part[mesh.tetrahedra] == SEPTUM).all(axis=1)]
@@ -290,5 +298,5 @@ def _sides(mesh: LabelledMesh, part: Integers, inwards: Floats) -> tuple[Boolean
 
 
 def _nodes(space: QuadraticSpace, vertices: Booleans) -> Integers:
-    """Nodes of the edges between some vertices (n,), and these."""
+    """Nodes of some vertices (n,), and of the edges between them."""
     return np.flatnonzero(np.concatenate([vertices, vertices[space.edges].all(axis=1)]))

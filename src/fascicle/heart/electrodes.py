@@ -23,8 +23,8 @@ GROUND = "RL"  # the right leg
 def read_electrodes(path: Path | str) -> tuple[Floats, Electrodes]:
     """Read electrodes (mm): positions (9, 3) of `fascicle.core.leads.ELECTRODES`, then others.
 
-    Any other name is an additional electrode, but `GROUND`, which is in no lead and left out;
-    Frank's are given all seven or none. An error if the file is missing, a pickle or unreadable, or
+    Any other name is an additional electrode, except `GROUND`, which is in no lead and left out;
+    Frank's seven are given all or none. An error if the file is missing, a pickle or unreadable, or
     an electrode is missing, misnamed or not at a finite position.
     """
     path = Path(path)
@@ -34,11 +34,13 @@ def read_electrodes(path: Path | str) -> tuple[Floats, Electrodes]:
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file; give electrodes as CSV or JSON") from None
     rows = _rows_of_json(path, text) if path.suffix.lower() == ".json" else _rows_of_csv(path, text)
-    known = {name.upper(): name for name in (*ELECTRODES, *FRANK_ELECTRODES, *POSTERIOR, *RIGHT)}
+    canonical = {
+        name.upper(): name for name in (*ELECTRODES, *FRANK_ELECTRODES, *POSTERIOR, *RIGHT)
+    }
     of_leads = {name.upper() for name in (*LEADS[:6], *FRANK)} - set(FRANK_ELECTRODES)
     positions: dict[str, list[float]] = {}
     for name, values in rows:
-        electrode = known.get(name.strip().upper(), name.strip())
+        electrode = canonical.get(name.strip().upper(), name.strip())
         if electrode.upper() == GROUND:
             continue
         if electrode.upper() in of_leads or not re.fullmatch(r"[\w.+ -]{1,24}", electrode):
@@ -79,7 +81,7 @@ def _rows_of_csv(path: Path, text: str) -> list[tuple[str, list[object]]]:
 
 def _rows_of_json(path: Path, text: str) -> list[tuple[str, list[object]]]:
     try:
-        content = json.loads(text, object_pairs_hook=tuple)  # pairs, to see what is there twice
+        content = json.loads(text, object_pairs_hook=tuple)  # pairs, so that duplicates are seen
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not valid JSON ({error}); correct it") from None
     if not isinstance(content, tuple) or not all(isinstance(v, list) for _, v in content):
@@ -107,7 +109,7 @@ def _position(path: Path, name: str, values: list[object]) -> list[float]:
 def write_electrodes(
     path: Path, electrodes: Floats, additional: Mapping[str, Floats] | None = None
 ) -> None:
-    """Write positions (9, 3) and of additional ones as CSV or, by the suffix, JSON (mm)."""
+    """Write the nine positions (9, 3) and additional ones (mm) as CSV or, by the suffix, JSON."""
     positions = dict(zip(ELECTRODES, np.asarray(electrodes, dtype=float).tolist(), strict=True))
     positions |= {name: list(map(float, at)) for name, at in (additional or {}).items()}
     if path.suffix.lower() == ".json":

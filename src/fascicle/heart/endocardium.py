@@ -22,7 +22,7 @@ ChosenSeed = int | tuple[float, float, float] | None
 
 @dataclass(frozen=True)
 class Endocardium:
-    """The endocardial surface of one ventricle, ``"lv"`` or ``"rv"``, and where its bundle enters.
+    """Endocardial surface of one ventricle, ``"lv"`` or ``"rv"``, with the entry of its bundle.
 
     Vertices (n, 3) (mm); triangles (m, 3), counter-clockwise seen from inside the cavity; the
     vertex where the bundle starts, and one that it heads for; and perhaps which triangles (m,) span
@@ -89,10 +89,10 @@ def septal_seeds(
 ) -> tuple[int, int]:
     """Root near the base and direction towards the apex: vertices in the middle of the septum.
 
-    The septum is where this endocardium comes near to the vertices `opposite` (k, 3) of the other
-    ventricle's, and its middle is where the plane through the long axis and the middle of these
-    cuts it; where the septum is thinnest, it joins the free walls. The bundle branches appear
-    subendocardially in the upper septum; none starts on a valve.
+    The septum is where this endocardium is near the vertices `opposite` (k, 3) of the other one.
+    Its middle is in the plane through the long axis and the mean of those vertices; distance alone
+    would not do, as the septum is thinnest where it joins the free walls. The bundle branches
+    appear subendocardially in the upper septum; none starts on a valve.
     """
     depth, around, axis = about_long_axis(vertices, triangles, vertices)
     middle = about_long_axis(vertices, triangles, opposite)[1].mean(axis=0)
@@ -107,7 +107,7 @@ def septal_seeds(
     def best(low: float, high: float) -> int:
         beyond = np.maximum(np.maximum(low - depth, depth - high), 0)
         nearest = float(beyond[allowed].min())
-        # a coarse surface may have no vertex in the band: then those next to it, of 5 % of the way
+        # a coarse surface may have no vertex in the band: then those nearest to it, within 5 %
         inside = allowed & (beyond <= (nearest + 0.05 if nearest > 0 else 0))
         return int(np.argmin(np.where(inside, score, np.inf)))
 
@@ -121,17 +121,17 @@ def seeded_endocardia(
 ) -> tuple[Endocardium, Endocardium]:
     """LV and RV endocardium with root and direction as chosen, or as the anatomy suggests.
 
-    Surfaces are, by side, what to call each in an error, and vertices, triangles and valves as in
+    Surfaces are, by side, a name for errors, and vertices, triangles and valves as in
     `septal_seeds`.
     """
     seeded = []
     for side, other in (("lv", "rv"), ("rv", "lv")):
         name, vertices, triangles, valves = surfaces[side]
-        found = septal_seeds(vertices, triangles, surfaces[other][1], valves)
-        given = zip(("root", "direction"), chosen[side], found, strict=True)
+        suggestions = septal_seeds(vertices, triangles, surfaces[other][1], valves)
+        seeds = zip(("root", "direction"), chosen[side], suggestions, strict=True)
         root, direction = (
-            suggested if seed is None else _vertex(f"{name}: {side.upper()} {what}", seed, vertices)
-            for what, seed, suggested in given
+            suggested if seed is None else _vertex(f"{name}: {side.upper()} {role}", seed, vertices)
+            for role, seed, suggested in seeds
         )
         if root == direction:
             raise InputError(
@@ -143,7 +143,7 @@ def seeded_endocardia(
 
 
 def _vertex(name: str, seed: int | tuple[float, float, float], vertices: Floats) -> int:
-    """The vertex that a number or a position (mm) means."""
+    """Vertex by its number, or the one nearest to a position (mm)."""
     if isinstance(seed, int):
         if not 0 <= seed < len(vertices):
             raise InputError(

@@ -5,7 +5,7 @@ that goes linearly with depth. Three harmonic potentials that add up to 1, each 
 (LV endocardium, RV endocardium, epicardium) and 0 on the other two, give depth and the direction
 across the wall; a fourth one gives the direction from apex to base.
 
-Departures from the paper, for the flaws known of it:
+Departures from the paper, which mend its known flaws:
 
 - The direction across the wall is kept and the one towards the base made orthogonal to it, not the
   reverse, so that no fibre leaves the wall (as in Piersanti et al. 2021).
@@ -47,7 +47,7 @@ LV, RV, EPI = range(3)
 
 @dataclass(frozen=True)
 class FibreAngles:
-    """What the rule prescribes (rad).
+    """Angles of fibres and sheets on the surfaces (rad).
 
     A fibre's angle is measured in the wall, from the circumference, counter-clockwise around the
     ventricle seen from the base, towards the base: positive for a right-handed helix about the
@@ -68,7 +68,7 @@ class FibreAngles:
 
 
 class Wall(IntEnum):
-    """Which two surfaces a part of the myocardium lies between."""
+    """Part of the myocardium, by the two surfaces that it lies between."""
 
     LV = 0
     RV = 1
@@ -124,7 +124,7 @@ def rule_based_fibres(
 
 
 def placeholder(directions: Floats) -> str:
-    """Why vectors (m, 3) cannot be measured fibres, in words; empty if they can.
+    """Reason that vectors (m, 3) cannot be measured fibres, in words; empty if they can.
 
     They are placeholders if more than half are zero or nearly all (99 %) lie along one axis, and
     no directions if more than 1 % of their lengths differ from the median by a factor above 2.
@@ -148,7 +148,7 @@ def placeholder(directions: Floats) -> str:
 def is_placeholder(
     what: str, array: str, directions: Floats, notes: list[str], *, kept: bool
 ) -> bool:
-    """Whether directions (m, 3) of an array are a `placeholder`, and not to be kept even so.
+    """Whether directions (m, 3) of an array are a `placeholder` that is not to be kept.
 
     The notes say that a rule takes their place, or that their length was not 1.
     """
@@ -175,15 +175,15 @@ def wall_potentials(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, 
         surface[space.on(mesh.having(SURFACES[k]))] = k
     fixed = np.flatnonzero(surface >= 0)
     solved = [k for k in (LV, RV) if (surface == k).any()]
-    given = np.array([surface[fixed] == k for k in solved], dtype=float)
-    solutions = solve_laplace(space, fixed, given)
+    boundary_values = np.array([surface[fixed] == k for k in solved], dtype=float)
+    solutions = solve_laplace(space, fixed, boundary_values)
     count = len(space.tetrahedra)
     values, gradients = np.zeros((3, count)), np.zeros((3, count, 3))
     for k, solution in zip(solved, solutions, strict=True):
         values[k], gradients[k] = space.at_centroids(solution)
     values[EPI], gradients[EPI] = 1 - values[LV] - values[RV], -gradients[LV] - gradients[RV]
-    # quadratic functions overshoot a little; a surface that exists is never further than one that
-    # does not
+    # quadratic functions overshoot a little; the bound keeps the potential of a surface that exists
+    # above that of a missing one
     present = [*solved, EPI]
     values[present] = np.maximum(values[present], 1e-6)
     return values / values.sum(axis=0), gradients
@@ -192,19 +192,18 @@ def wall_potentials(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, 
 def apex_to_base(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, Floats]:
     """Direction to the base (m, 3), and how far into an outflow tract each tetrahedron lies (m,).
 
-    The direction is the gradient of the potential that is 1 on all that is basal, the arterial
-    openings among it, and 0 at the two ends of the LV's apex (`lv_apex`). Outflow tracts are where
-    the part h of it that is due to the arterial openings exceeds one half; the measure (2h − 1)²
-    rises to 1 at the opening. Doste et al. 2019 use such a potential between the two openings of
-    each ventricle.
+    The direction is the gradient of the potential that is 1 on the base, valve openings included,
+    and 0 at the two ends of the LV's apex (`lv_apex`). Outflow tracts are where the part h of it
+    that is due to the arterial openings exceeds one half; the measure (2h − 1)² rises to 1 at the
+    opening. Doste et al. 2019 use such a potential between the two openings of each ventricle.
     """
     apex = lv_apex(mesh)
     basal = np.setdiff1d(space.on(mesh.having(*BASAL)), apex)
     fixed = np.concatenate([basal, apex])
-    given = [np.arange(len(fixed)) < len(basal)]
+    boundary_values = [np.arange(len(fixed)) < len(basal)]
     if len(arterial := mesh.having(Label.AORTIC, Label.PULMONARY)):
-        given.append(np.isin(fixed, np.setdiff1d(space.on(arterial), apex)))
-    solutions = solve_laplace(space, fixed, np.array(given, dtype=float))
+        boundary_values.append(np.isin(fixed, np.setdiff1d(space.on(arterial), apex)))
+    solutions = solve_laplace(space, fixed, np.array(boundary_values, dtype=float))
     _, baseward = space.at_centroids(solutions[0])
     if not len(arterial):
         return baseward, np.zeros(len(baseward))
@@ -215,8 +214,8 @@ def apex_to_base(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, Flo
 def lv_apex(mesh: LabelledMesh) -> Integers:
     """The vertices at the apex of the LV: the endocardial and the epicardial one, shape (2,).
 
-    Those furthest from the endocardium's opening along the long axis, from its middle to the
-    endocardial vertex furthest from it. On the epicardium only what is nearer to the LV than to
+    Both are furthest along the long axis, from the middle of the endocardium's opening to the
+    endocardial vertex furthest from it. Of the epicardium only the part nearer to the LV than to
     the RV counts: the RV's apex may reach as low.
     """
     endocardium = np.unique(mesh.having(Label.LV_ENDOCARDIUM))
@@ -238,7 +237,7 @@ def by_rule(
     """Fibres and sheets, given `wall_potentials`, `apex_to_base` and the angles on the surfaces."""
     # the gradient of a ventricle's potential points into it, the epicardium's out of both
     across = unit(gradients * np.array([-1.0, -1.0, 1.0])[:, None, None])
-    # row k: what an angle of each surface is in the frame of surface k, as the left and the right
+    # row k: sign of each surface's angle in the frame of surface k, as the left and the right
     # ventricle see the septum from opposite sides
     seen_from = np.array([(1.0, -1.0, 1.0), (-1.0, 1.0, 1.0), (1.0, 1.0, 1.0)])
     frames = [_frame(out, baseward) for out in across]
@@ -258,7 +257,7 @@ def by_rule(
     across_fibre = np.eye(3) - _lines(fibre)
     sheet = np.linalg.eigh(across_fibre @ sheet_tensor @ across_fibre)[1][:, :, -1]
     wall, depth = wall_and_depth(potentials)
-    # row by `Wall`: how out of each surface's ventricle goes with out of the wall's
+    # row by `Wall`: sign of each surface's outward direction in the outward direction of the wall
     sides = np.array([(1.0, 0.0, 1.0), (0.0, 1.0, 1.0), (1.0, -1.0, 0.0)])
     outward = unit(np.einsum("mk,km,kmx->mx", sides[wall], potentials, across))
     around, along = _frame(outward, baseward)
@@ -268,8 +267,8 @@ def by_rule(
 
 
 def wall_and_depth(potentials: Floats) -> tuple[Integers, Floats]:
-    """Which `Wall` each tetrahedron is in, and how deep, as in `Fibres`, for `wall_potentials`."""
-    # the wall that is furthest from the surface of the least potential
+    """`Wall` and depth of each tetrahedron, as in `Fibres`, from `wall_potentials`."""
+    # the wall between the two surfaces of higher potential
     wall = np.array([Wall.RV, Wall.LV, Wall.SEPTUM])[np.argmin(potentials, axis=0)]
     inner = potentials[np.where(wall == Wall.RV, RV, LV), np.arange(len(wall))]
     outer = potentials[np.where(wall == Wall.SEPTUM, RV, EPI), np.arange(len(wall))]
@@ -277,8 +276,8 @@ def wall_and_depth(potentials: Floats) -> tuple[Integers, Floats]:
 
 
 def _on_surfaces(potentials: Floats, outflow: Floats, angles: FibreAngles) -> tuple[Floats, Floats]:
-    """α and β of the surfaces, as each tetrahedron sees them, shape (3, m)."""
-    # The epicardium's passes from the left ventricle's to the right one's along their junction.
+    """α and β of the three surfaces (rad) for each tetrahedron, shape (3, m)."""
+    # epicardial angles pass from the left ventricle's to the right one's along their junction
     right = potentials[RV] / np.maximum(potentials[LV] + potentials[RV], np.finfo(float).tiny)
     everywhere = np.ones_like(right)
     epicardial = angles.lv_epicardium * (1 - right) + angles.rv_epicardium * right
@@ -291,7 +290,7 @@ def _on_surfaces(potentials: Floats, outflow: Floats, angles: FibreAngles) -> tu
 
 
 def _frame(out: Floats, baseward: Floats) -> tuple[Floats, Floats]:
-    """Directions around the ventricle, e_c, and along it, e_l, for the one out of it, e_t."""
+    """Directions around the ventricle, e_c, and along it, e_l, for e_t out of it."""
     along = unit(baseward - _dot(baseward, out)[:, None] * out)
     return np.cross(along, out), along
 

@@ -40,9 +40,9 @@ from fascicle.mesh.formats.vtk import write_grid
 from fascicle.mesh.measures import signed_volumes
 
 MANIFEST = "heart.toml"
-PICTURE = "check.png"  # of what the folder holds; whoever writes the folder may draw it
+PICTURE = "check.png"  # of the heart, where the command that wrote the folder drew one
 LABELS_PICTURE = "labels.png"  # of labels that were found from the shape
-# What a heart is written to, by the manifest's keys
+# Names of the files a heart is written to, by the manifest's keys
 FILES = {
     "mesh": "mesh.vtu",
     "lv_endocardium": "lv_endocardium.vtp",
@@ -51,7 +51,7 @@ FILES = {
     "torso": "torso.vtu",
     "action_potential": "action_potential.csv",
 }
-# What a heart folder holds, and may be written again
+# Files of a heart folder, which may be replaced
 OWN_FILES = {MANIFEST, PICTURE, LABELS_PICTURE, *FILES.values()}
 
 
@@ -63,7 +63,7 @@ class Seeds(BaseModel, extra="forbid"):
 
 
 class LeadFieldKeys(BaseModel, extra="forbid"):
-    """What the lead fields in the mesh were computed from; see `fascicle.torso.lead_fields`."""
+    """Keys of heart and torso of the mesh's lead fields; see `fascicle.torso.lead_fields`."""
 
     heart: str
     torso: str
@@ -111,10 +111,10 @@ def load_heart(path: Path | str) -> Heart:
         If anything about it would make the physics wrong; the message names file and remedy.
     """
     folder = as_path(path, "heart")
-    if (own := packaged_heart(path)) is not None:
-        heart = load_heart(own)
-        cache = user_cache() / "hearts" / str(path)  # a package is not written to
-        with suppress(OSError):  # nor is every home; then nothing is kept
+    if (packaged := packaged_heart(path)) is not None:
+        heart = load_heart(packaged)
+        cache = user_cache() / "hearts" / str(path)  # a package may be read-only
+        with suppress(OSError):  # so may a home; then nothing is kept
             cache.mkdir(parents=True, exist_ok=True)
         return replace(heart, folder=cache)
     manifest, path = _read_manifest(folder), folder / MANIFEST
@@ -159,8 +159,8 @@ def load_heart(path: Path | str) -> Heart:
 def _read_manifest(folder: Path) -> Manifest:
     path = folder / MANIFEST
     if not path.is_file():
-        what = f"not a heart folder (no {MANIFEST})" if folder.exists() else "no such heart folder"
-        raise InputError(f"{folder}: {what}; make one with 'fascicle heart build'")
+        fault = f"not a heart folder (no {MANIFEST})" if folder.exists() else "no such heart folder"
+        raise InputError(f"{folder}: {fault}; make one with 'fascicle heart build'")
     try:
         return Manifest.model_validate(read_toml(path, "import the heart again"))
     except ValidationError as error:
@@ -172,28 +172,28 @@ def _read_manifest(folder: Path) -> Manifest:
 
 
 def _patient_values(path: Path, values: dict[str, Any], heart: Heart) -> dict[str, float]:
-    """The patient's values, of quantities that there are, and of regions that there are."""
+    """Values of the patient; an error if there is no such property of the tissue or region."""
     with given_in(path):
-        found = checked(values)
-        check_not_twice(found)
-        regions = region_labels(found)
+        properties = checked(values)
+        check_not_twice(properties)
+        regions = region_labels(properties)
         for label, name in regions.items():
-            Region(found[name], label).elements(heart)
-        for name in found:
-            # all that `Conduction.with_values` looks at; anything else would count for nothing
+            Region(properties[name], label).elements(heart)
+        for name in properties:
+            # `Conduction.with_values` looks at these only; others would have no effect
             if name not in (*SPEEDS, *SPEED, *regions.values()):
                 raise InputError(f"'{name}' is not a property of the tissue; leave it out")
-        return found
+        return properties
 
 
 def _read_lead_fields(mesh: MeshFile, heart: Heart) -> Floats:
-    """Lead fields (e, n) of the mesh's point arrays, as far as it has those of added electrodes."""
+    """Lead fields (e, n) from the mesh's point arrays; electrodes added later may lack theirs."""
     used = used_points(mesh)
     rows = []
     for k, electrode in enumerate(heart.electrode_names):
         array = mesh.point_data.get(f"lead_field_{electrode}", np.empty(0))
         if k >= len(heart.electrodes) and not array.size:
-            break  # it was added since
+            break  # the electrode was added later
         if array.shape != (len(mesh.points),) or not np.isfinite(array[used]).all():
             raise InputError(
                 f"{mesh.path}: the point array 'lead_field_{electrode}' is missing or not finite; "
@@ -205,17 +205,17 @@ def _read_lead_fields(mesh: MeshFile, heart: Heart) -> Floats:
 
 
 def read_torso(path: Path, heart_vertices: Floats) -> Torso:
-    """Read the torso around a heart's vertices (n, 3) (mm); refuse a damaged or another one."""
+    """Read the torso around a heart's vertices (n, 3) (mm); refuse a damaged or a wrong one."""
     mesh = read_mesh(path, "torso")
     tetrahedra = mesh.require(TETRAHEDRON, "tetrahedra")
     tissues = mesh.cell_data[TETRAHEDRON].get("tissue", np.empty(0))
-    known = " or ".join(f"{tissue.value} ({tissue.name.lower()})" for tissue in TorsoTissue)
+    labels = " or ".join(f"{tissue.value} ({tissue.name.lower()})" for tissue in TorsoTissue)
     count = len(heart_vertices)
     again = "build the heart's torso again"
     other = not np.array_equal(mesh.points[:count], heart_vertices)
     for bad, fault in (
         (tissues.shape != (len(tetrahedra),), "no cell array 'tissue' with a label each"),
-        (not np.isin(tissues, list(TorsoTissue)).all(), f"a tissue that is not {known}"),
+        (not np.isin(tissues, list(TorsoTissue)).all(), f"a tissue that is not {labels}"),
         (other, f"its first {count} points are not the heart's"),
     ):
         if bad:
@@ -229,8 +229,8 @@ def read_torso(path: Path, heart_vertices: Floats) -> Torso:
 def check_heart_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
     """Refuse a folder that a heart cannot be written to, before the work of building it.
 
-    One that holds a file that is not part of a heart, or one of the inputs that it is made of. A
-    heart folder's own files are replaced.
+    The folder must not hold a file that is not part of a heart, nor one of the inputs that the
+    heart is made of. A heart folder's own files are replaced.
     """
     check_folder(folder)
     for path in inputs:
@@ -268,7 +268,7 @@ def write_heart(heart: Heart, folder: Path) -> None:
 def _manifest_text(heart: Heart) -> str:
     content: dict[str, Any] = {
         "format": "fascicle heart 1",
-        # what cannot be UTF-8 (odd bytes in a path) becomes '?'
+        # characters that cannot be UTF-8 (odd bytes in a path) become '?'
         "name": heart.name.encode("utf-8", "replace").decode("utf-8"),
         "units": "mm",
         **FILES,
@@ -307,7 +307,7 @@ def heart_mesh(heart: Heart) -> Any:
     """Points, cells and their kind, point arrays and cell arrays of a heart, for `write_grid`."""
     points: dict[str, NDArray[Any]] = {}
     if heart.lead_fields is not None:
-        # no field of an electrode that was added since
+        # an electrode that was added later has no lead field
         fields = zip(heart.electrode_names, heart.lead_fields.values, strict=False)
         points = {f"lead_field_{electrode}": values for electrode, values in fields}
     if heart.coordinates is not None:

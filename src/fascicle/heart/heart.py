@@ -28,7 +28,7 @@ from fascicle.mesh.topology import boundary_triangles
 
 
 class TorsoTissue(IntEnum):
-    """What a tetrahedron outside the myocardium is."""
+    """Tissue of a tetrahedron outside the myocardium."""
 
     OTHER = 1  # muscle, fat and skin
     LUNG = 2
@@ -81,7 +81,7 @@ class Heart:
     electrodes : (9, 3) array
         Positions (mm), in the order of `fascicle.core.leads.ELECTRODES`.
     name : str
-        What to call the heart in messages and figures.
+        Name of the heart in messages and figures.
     additional_electrodes : mapping of name to (3,) array
         Positions (mm) of electrodes besides the nine; see `fascicle.core.leads.additional_leads`.
     regions : (m,) array, optional
@@ -89,21 +89,22 @@ class Heart:
     sheets : (m, 3) array, optional
         Unit direction in the sheet, across the fibre, of each tetrahedron; for other software.
     torso : Torso, optional
-        What surrounds it; without one the volume conductor is unbounded.
+        Torso around the heart; without one the volume conductor is unbounded.
     lead_fields : LeadFields, optional
-        Those of the electrodes in that torso, if they were computed before.
+        Lead fields of the electrodes in that torso, if they were computed before.
     values : mapping of name to float
         Quantities of `fascicle.core.quantities` that are this patient's, such as ``alpha`` or
         ``region_1_conductivity``; the models of the heart start from them.
     action_potential : TabulatedPotential, optional
-        Of the ECG, in place of the built-in one.
+        Action potential of the ECG, in place of the built-in one.
     coordinates : VentricularCoordinates, optional
-        Those of its vertices; `fascicle.ventricular_coordinates` computes them where they are
-        missing.
+        Ventricular coordinates of the vertices; `fascicle.ventricular_coordinates` computes them
+        where they are missing.
     example : mapping of name to float
-        Parameters of its example network, if it has its own; see `fascicle.example_parameters`.
+        Parameters of the example network, if the heart has its own; see
+        `fascicle.example_parameters`.
     folder : Path, optional
-        Where what is computed from it once is kept: mostly, where it was read from.
+        Folder that keeps what is computed from the heart: mostly the one it was read from.
     """
 
     vertices: Floats
@@ -128,25 +129,25 @@ class Heart:
     _repr_html_ = html_card
 
     def plot(self, view: str = "anterior", ax: Any = None) -> list[Any]:
-        """Draw it by `fascicle.plot.heart`; returns Matplotlib axes."""
+        """Draw the heart by `fascicle.plot.heart`; returns Matplotlib axes."""
         return list(above("plot").heart(self, view, ax))
 
     def to_pyvista(self) -> Any:
-        """`pyvista.UnstructuredGrid` (mm) with every array of it."""
+        """`pyvista.UnstructuredGrid` (mm) with every array of the heart."""
         return pyvista_grid(*above("heart.folder").heart_mesh(self))
 
     def save(self, folder: Path | str) -> None:
-        """Write its folder, whole or not at all; `fascicle.load_heart` reads it."""
+        """Write the heart's folder, whole or not at all; `fascicle.load_heart` reads it."""
         above("heart.folder").write_heart(self, as_path(folder, "folder"))
 
     @property
     def has_torso(self) -> bool:
-        """Whether it lies in a torso, or has the lead fields of one."""
+        """Whether the heart lies in a torso, or has the lead fields of one."""
         return self.torso is not None or self.lead_fields is not None
 
     @property
     def endocardia(self) -> tuple[Endocardium, Endocardium]:
-        """Left, then right."""
+        """Left, then right endocardium."""
         return self.lv, self.rv
 
     @property

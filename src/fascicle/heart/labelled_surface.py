@@ -22,9 +22,9 @@ from fascicle.mesh.topology import boundary_loops
 
 
 class Label(IntEnum):
-    """What a part of the surface is.
+    """Anatomical part of the surface.
 
-    Valve openings are parts of the base: tissue was cut there, and nothing is endocardium. They
+    Valve openings are parts of the base: tissue was cut there, and there is no endocardium. They
     need not be told apart; where the arterial ones are, fibres turn towards them.
     """
 
@@ -50,8 +50,8 @@ NEEDED = (Label.BASE, Label.EPICARDIUM, Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDI
 
 def missing_parts(labels: Integers) -> list[str]:
     """Names of the parts that no triangle is labelled as; a valve opening counts as base."""
-    found = {Label.BASE if label in BASAL else label for label in np.unique(labels)}
-    return [label.words for label in NEEDED if label not in found]
+    present = {Label.BASE if label in BASAL else label for label in np.unique(labels)}
+    return [label.words for label in NEEDED if label not in present]
 
 
 class _Labelled:
@@ -75,8 +75,8 @@ class LabelledSurface(_Labelled):
     """The boundary of the ventricular myocardium.
 
     Vertices (n, 3) (mm); triangles (m, 3), counter-clockwise seen from outside the tissue; a
-    `Label` for each (m,); what to call it in messages, usually the file; and how it was repaired,
-    for the user.
+    `Label` for each (m,); a name for messages, usually the file; and notes for the user on how the
+    surface was repaired.
     """
 
     vertices: Floats
@@ -91,7 +91,7 @@ class LabelledMesh(_Labelled):
     """Tetrahedra of the ventricular myocardium and its labelled boundary, in register.
 
     Vertices (n, 3) (mm); tetrahedra (m, 4), positively oriented; the boundary as in
-    `LabelledSurface`; and perhaps a region's label for each tetrahedron (m,), scar for one.
+    `LabelledSurface`; and perhaps the label of a region, such as scar, for each tetrahedron (m,).
     """
 
     vertices: Floats
@@ -105,8 +105,8 @@ class LabelledMesh(_Labelled):
 def labelled_mesh(heart: Heart) -> LabelledMesh:
     """Labels of base, epicardium and endocardia, for a heart whose endocardia are known.
 
-    The base is what faces away from the apex, at the level of the endocardia's openings. The
-    endocardia need not be in register with the mesh.
+    The base is the boundary that faces away from the apex, at the level of the endocardia's
+    openings. The endocardia need not be in register with the mesh.
     """
     triangles = heart.boundary[0]
     middle = heart.vertices[triangles].mean(axis=1)
@@ -137,7 +137,7 @@ Names = Mapping[str, Label]  # the caller's own names and numbers (as text) of l
 # Arrays of surfaces and meshes that hold labels, in the order in which they are looked for
 LABEL_NAMES = ("label", "labels", "class", "classes", "surface", "surfaces", "boundary", GROUP)
 EXAMPLE = "--labels base=1,epicardium=2,lv=3,rv=4"
-# What the surfaces are called in files for other software
+# Names of the surfaces in files for other software
 SURFACE_NAMES = {
     Label.LV_ENDOCARDIUM: "lv_endo",
     Label.RV_ENDOCARDIUM: "rv_endo",
@@ -155,7 +155,7 @@ DECIDING: dict[Label, tuple[str, ...]] = {
     Label.LV_ENDOCARDIUM: ("lv", "left"),
     Label.RV_ENDOCARDIUM: ("rv", "right"),
 }
-# These, and words that may accompany them
+# Words that decide, and words that may accompany them
 WORDS = {word for words in DECIDING.values() for word in words} | {
     "endo", "endocardium", "endocardial", "ventricle", "ventricular", "ventricles", "heart",
     "surface", "surf", "sur", "face", "faces", "boundary", "wall", "valve", "annulus", "opening",
@@ -169,16 +169,16 @@ def label_of(name: str) -> Label | None:
 
     Letter case, digits and separators do not matter, nor whether words are run together: "LV",
     "lv_endo", "LVendo", "endo-lv" and "Left ventricle" are all the left endocardium. Every word
-    must be a known one, so that "lv_endo_stimulus" is nothing.
+    must be a known one, so that "lv_endo_stimulus" has no label.
     """
     if len(name) > 60:
         return None
     words: set[str] = set()
     for letters in re.findall("[^\\W\\d_]+", name.lower()):
-        found = re.findall(rf"({ANY_WORD})(?=(?:{ANY_WORD})*$)", letters)
-        if "".join(found) != letters:
+        matches = re.findall(rf"({ANY_WORD})(?=(?:{ANY_WORD})*$)", letters)
+        if "".join(matches) != letters:
             return None
-        words.update(found)
+        words.update(matches)
     meant = [label for label, deciding in DECIDING.items() if words.intersection(deciding)]
     if not meant or set(meant) == {Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM}:
         return None
@@ -220,18 +220,19 @@ def whole_numbers(source: str, values: NDArray[Any]) -> Integers:
 
 
 def labels_of(source: str, numbers: Integers, names: Names, groups: Mapping[int, str]) -> Integers:
-    """Label (k,) that each number (k,) in a file means: the caller's, its group's name's, its own.
+    """Label (k,) of each number (k,) in a file: by the caller, by its group's name, or as it is.
 
     `source` is file and array, for an error. The caller's own `names` and numbers come first, and
-    no other number means a label that they name. `groups` are names of physical groups by number.
+    no other number stands for a label that they name. `groups` are names of physical groups by
+    number.
     """
-    free = [label for label in Label if label not in names.values()]  # that mean themselves
+    free = [label for label in Label if label not in names.values()]  # known by their own number
 
     def meaning(number: int) -> Label | None:
         group = groups.get(number)
-        for own in (group, str(number)):
-            if own is not None and own in names:
-                return names[own]
+        for key in (group, str(number)):
+            if key is not None and key in names:
+                return names[key]
         if group is None:
             return Label(number) if number in free else None
         if (label := label_of(group)) is None:
@@ -243,17 +244,17 @@ def labels_of(source: str, numbers: Integers, names: Names, groups: Mapping[int,
         return label
 
     kinds, which, counts = np.unique(numbers, return_inverse=True, return_counts=True)
-    found = [meaning(kind) for kind in kinds.tolist()]
+    labels = [meaning(kind) for kind in kinds.tolist()]
     strange = [
         f"{kind} ({count} times)"
-        for kind, count, label in zip(kinds, counts, found, strict=True)
+        for kind, count, label in zip(kinds, counts, labels, strict=True)
         if label is None
     ]
     if strange:
-        given = [f"{name} {label.name.lower()}" for name, label in names.items()]
-        own = [f"{label.value} {label.name.lower()}" for label in free]
+        by_name = [f"{name} {label.name.lower()}" for name, label in names.items()]
+        by_value = [f"{label.value} {label.name.lower()}" for label in free]
         raise InputError(
-            f"{source}: unknown labels: {', '.join(strange)}; known are {', '.join(given + own)}; "
-            f"say which number is what, as in {EXAMPLE}"
+            f"{source}: unknown labels: {', '.join(strange)}; known are "
+            f"{', '.join(by_name + by_value)}; say which number is what, as in {EXAMPLE}"
         )
-    return np.array(found, dtype=np.int64)[which]
+    return np.array(labels, dtype=np.int64)[which]

@@ -38,7 +38,7 @@ class QuadraticSpace:
 
     @property
     def size(self) -> int:
-        """How many nodes there are."""
+        """Number of nodes."""
         return len(self.vertices) + len(self.edges)
 
     @cached_property
@@ -99,7 +99,8 @@ def solve_laplace(space: QuadraticSpace, fixed: Integers, values: Floats) -> Flo
     """Solve ∇²u = 0 for u (p, size), given at some nodes (k,), no flux through the other boundary.
 
     Conjugate gradients, preconditioned by multigrid: quadratic functions, then linear ones on the
-    same mesh, then algebraic (smoothed aggregation). `values` (p, k) are u there in each problem.
+    same mesh, then algebraic (smoothed aggregation). `values` (p, k) are u at those nodes in each
+    problem.
     """
     free = np.setdiff1d(np.arange(space.size), fixed)
     rows = space.stiffness[free]
@@ -107,9 +108,9 @@ def solve_laplace(space: QuadraticSpace, fixed: Integers, values: Floats) -> Flo
     fine, coarse = _multigrid(space, inner, free)
     prolong, preconditioner = fine.levels[0].P, fine.aspreconditioner()
     solutions = np.empty((len(values), space.size))
-    for solution, given in zip(solutions, values, strict=True):
-        solution[fixed] = given
-        load = -(coupling @ given)
+    for solution, boundary in zip(solutions, values, strict=True):
+        solution[fixed] = boundary
+        load = -(coupling @ boundary)
         linear = coarse.solve(prolong.T @ load, tol=1e-2, accel="cg")
         # fibres are then converged to some 0.05 degrees, in some 20 steps
         solution[free], failed = cg(
@@ -163,5 +164,5 @@ def _basis_gradients(point: Floats) -> Floats:
 
 
 def _keys(edges: Integers, count: int) -> Integers:
-    """One number for each edge (..., 2), in the order of the edges."""
+    """Whole numbers that identify edges (..., 2), in the order of the edges."""
     return np.asarray(edges[..., 0].astype(np.int64) * count + edges[..., 1], dtype=np.int64)

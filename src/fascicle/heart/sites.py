@@ -1,4 +1,4 @@
-"""Where in the ventricles: walls, the 17 segments of the left ventricle, and sites by name.
+"""Places in the ventricles: walls, the 17 segments of the left ventricle, and sites by name.
 
 The segments are those of the American Heart Association (M. D. Cerqueira et al., Circulation 105,
 2002): thirds of the long axis from the mitral opening to the end of the cavity, the basal and the
@@ -56,13 +56,13 @@ ALIASES = {
 
 @dataclass(frozen=True)
 class Places:
-    """Where in the ventricles each tetrahedron (m,) is.
+    """Places of tetrahedra (m,) in the ventricles.
 
-    The segment of the left ventricle is 1 to 17, its half of the septum and the right one's alike,
-    and 0 in the free wall of the right ventricle. Wall and depth are those of
-    `fascicle.heart.fibres.Fibres`. The height along the left ventricle's long axis is 0 at the
-    mitral opening, 1 at the end of the cavity; the angle about that axis (rad) is 0 in the middle
-    of the septum, positive over the anterior wall: seen from the apex, clockwise.
+    The segment of the left ventricle is 1 to 17, in both halves of the septum too, and 0 in the
+    free wall of the right ventricle. Wall and depth are those of `fascicle.heart.fibres.Fibres`.
+    The height along the left ventricle's long axis is 0 at the mitral opening, 1 at the end of the
+    cavity; the angle about that axis (rad) is 0 in the middle of the septum, positive over the
+    anterior wall: seen from the apex, clockwise.
     """
 
     segment: Integers
@@ -73,7 +73,7 @@ class Places:
 
 
 def places(heart: Heart) -> Places:
-    """Find where in the ventricles each tetrahedron of a heart is (seconds, on a fine mesh more).
+    """Find the place of each tetrahedron of a heart (seconds, on a fine mesh more).
 
     An error if a surface of the heart is missing.
     """
@@ -108,10 +108,10 @@ class CoordinateSite(Table, table="stimulus.site", once=True):
     ]
 
     def vertex(self, coordinates: VentricularCoordinates) -> int:
-        """The vertex of a heart that is nearest to it."""
+        """Vertex of a heart that is nearest to the site."""
         right = float(self.ventricle == "rv")
-        given = (right, self.transmural, self.rotational, self.apicobasal)
-        place = VentricularCoordinates(*np.array(given)[:, None]).places
+        place_coordinates = (right, self.transmural, self.rotational, self.apicobasal)
+        place = VentricularCoordinates(*np.array(place_coordinates)[:, None]).places
         away = np.linalg.norm(coordinates.places - place, axis=1)
         return int(np.argmin(np.where(coordinates.ventricle == right, away, np.inf)))
 
@@ -125,7 +125,7 @@ class Sites:
 
     @cached_property
     def places(self) -> Places:
-        """Where in the ventricles each element lies, computed when first asked for."""
+        """Places of the heart's tetrahedra, computed on first use."""
         return places(self.heart)
 
     @cached_property
@@ -143,7 +143,7 @@ class Sites:
     def anterior(self) -> Floats:
         """Direction (3,) from the posterior wall to the anterior one.
 
-        It is across the left ventricle's long axis and the way to the right ventricle.
+        It is orthogonal to the left ventricle's long axis and to the way to the right ventricle.
         """
         base, _ = self._long_axis
         return unit(np.cross(self.heart.rv.vertices.mean(axis=0) - base, self.apical))
@@ -172,7 +172,7 @@ class Sites:
         return self._known[site]
 
     def _find(self, name: str) -> Floats:
-        given, name = name, re.sub(r"[\s_-]+", " ", name.strip().casefold())
+        spelling, name = name, re.sub(r"[\s_-]+", " ", name.strip().casefold())
         segment = re.fullmatch(
             rf"(?:segment (\d+)|({'|'.join(SEGMENTS)})) ({'|'.join(LAYERS)})", name
         )
@@ -183,11 +183,11 @@ class Sites:
             return self._below_left_root(LEFT_SITES[name])
         if name in RIGHT_SITES:
             return self._on_the_right(name)
-        known = [*LEFT_SITES, *RIGHT_SITES, *(f"{segment} {LAYERS[0]}" for segment in SEGMENTS)]
+        names = [*LEFT_SITES, *RIGHT_SITES, *(f"{segment} {LAYERS[0]}" for segment in SEGMENTS)]
         layers = [(plain_name(s), f"{s} {layer}") for s in SEGMENTS for layer in LAYERS]
-        hint = did_you_mean(name, known, [*ALIASES.items(), *layers])
+        hint = did_you_mean(name, names, [*ALIASES.items(), *layers])
         raise InputError(
-            f"there is no site '{given}'; {f'{hint} Sites' if hint else 'sites'} are "
+            f"there is no site '{spelling}'; {f'{hint} Sites' if hint else 'sites'} are "
             f"{', '.join((*LEFT_SITES, *RIGHT_SITES))}, and segments with a layer, such as "
             f"'{SEGMENTS[11]} {LAYERS[1]}' or 'segment 12 {LAYERS[1]}'; or give ventricular "
             "coordinates"
@@ -195,17 +195,17 @@ class Sites:
 
     def _in_segment(self, number: int, layer: str) -> Floats:
         """The element of a layer that is nearest to the middle of that layer in a segment."""
-        heart, found = self.heart, self.places
-        if not len(inside := np.flatnonzero(found.segment == number)):
+        heart, place = self.heart, self.places
+        if not len(inside := np.flatnonzero(place.segment == number)):
             raise InputError(f"{heart.name}: the {SEGMENTS[number - 1]} segment holds no tissue")
-        depth = found.depth[inside] if layer == LAYERS[0] else 1 - found.depth[inside]
+        depth = place.depth[inside] if layer == LAYERS[0] else 1 - place.depth[inside]
         inside = inside[depth <= np.quantile(depth, 0.25)]  # the quarter nearest to the surface
         centres = heart.vertices[heart.tetrahedra[inside]].mean(axis=1)
         middle = np.average(centres, axis=0, weights=heart.volumes[inside])
         return np.asarray(centres[np.argmin(np.linalg.norm(centres - middle, axis=1))])
 
     def _below_left_root(self, distance: float) -> Floats:
-        """Point so far (mm) from the root over the edges to the direction, and on to the apex."""
+        """Point at a distance (mm) from the root, along edges to direction and then apex."""
         endocardium = self.heart.lv
         vertices = endocardium.vertices
         a, b = unique_edges(endocardium.triangles)[0].T

@@ -1,6 +1,6 @@
 """Checks on a heart: everything that would make the physics silently wrong.
 
-Each takes the name by which an error calls what it checks.
+Every function takes a name for its error messages.
 """
 
 from __future__ import annotations
@@ -65,12 +65,12 @@ def check_volumes(name: str, vertices: Floats, tetrahedra: Integers) -> None:
     flat = 1e-9 * float(np.abs(volumes).mean())
     inverted = volumes < -flat
     mend = "swap two vertices of every one" if inverted.all() else "remove them or remesh"
-    for what, remedy, bad in (
+    for fault, remedy, bad in (
         ("have zero volume", mend, np.abs(volumes) <= flat),
         ("are inverted", mend, inverted),
         ("overlap others", "remove what is there twice", overlapping),
     ):
-        refuse(name, bad, f"tetrahedra {what}", remedy, vertices, tetrahedra)
+        refuse(name, bad, f"tetrahedra {fault}", remedy, vertices, tetrahedra)
 
 
 def check_fibres(
@@ -84,17 +84,17 @@ def check_fibres(
     # any length serves, as long as its square is a number
     usable = np.all(np.abs(fibres) < 1e100, axis=1, keepdims=True)
     length = np.linalg.norm(np.where(usable, fibres, 1.0), axis=1)
-    for what, bad in (
+    for fault, bad in (
         ("are not finite, or longer than 1e+100", ~usable[:, 0]),
         ("have zero length", length < 1e-6),
     ):
-        refuse(name, bad, f"fibres {what}", remedy, vertices, cells)
+        refuse(name, bad, f"fibres {fault}", remedy, vertices, cells)
 
 
 def check_endocardium_in_place(
     name: str, surface: Floats, triangles: Integers, vertices: Floats, tetrahedra: Integers
 ) -> None:
-    """Refuse an endocardium off the tissue's tetrahedra, around them, or of another size.
+    """Refuse an endocardium far from the tissue, around it, or much smaller.
 
     Its vertices (k, 3) are in mm, its triangles face the cavity.
     """

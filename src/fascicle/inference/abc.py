@@ -109,7 +109,7 @@ def draw_candidates(
 def _screen(
     prior: InformedPrior, points: Floats, r: Floats, least: float
 ) -> tuple[float, tuple[Floats, ...]]:
-    """Update the least variance; keep points, density and r of what of a chunk can still pass."""
+    """Update the least variance; give the points of a chunk that can still pass, density and r."""
     mean, nearness = prior.loss.mean_many(points)
     limit = prior.loss.variance_limit(nearness)
     count = min(1000, len(points))
@@ -196,7 +196,7 @@ def _left_out(errors: Floats, bandwidth: float) -> float:
 
 @dataclass(frozen=True)
 class Accepted:
-    """Reference θ_min, what is accepted, and the total variation of each from it (n,)."""
+    """Reference θ_min, accepted evaluations, and the total variation of each from it (n,)."""
 
     reference: Evaluation
     evaluations: tuple[Evaluation, ...]

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 Singles = NDArray[np.float32]
 
-BATCH = 256  # examples of a step
-RATE, DECAY = 2e-3, 0.01  # of the steps at most; of the weights, relative to the step
+BATCH = 256  # examples in a step
+RATE, DECAY = 2e-3, 0.01  # largest learning rate; weight decay relative to it
 MOMENTS = (0.9, 0.99)  # Adam's memory of gradients and of their squares
 
 
@@ -43,8 +43,8 @@ class Network(NamedTuple):
     def __call__(self, inputs: Singles) -> Singles:
         """Give the outputs (n, q) of inputs (n, p)."""
         for hidden, *_ in _forward(self.weights, inputs):
-            given = hidden  # at last to the last layer; what came before is not kept
-        return np.asarray(given @ self.weights[-2] + self.weights[-1])
+            last = hidden  # in the end the last layer's input; earlier ones are not kept
+        return np.asarray(last @ self.weights[-2] + self.weights[-1])
 
 
 def weight_arrays(name: str, networks: Sequence[Network]) -> dict[str, Any]:
@@ -58,14 +58,14 @@ def weight_arrays(name: str, networks: Sequence[Network]) -> dict[str, Any]:
 
 def networks_from(name: str, arrays: Mapping[str, Any]) -> tuple[Network, ...]:
     """The inverse of `weight_arrays`."""
-    found: dict[str, list[Singles]] = {}
-    for key in sorted(each for each in arrays if each.startswith(f"{name} ")):
-        found.setdefault(key.rpartition(" ")[0], []).append(arrays[key].astype(np.float32))
-    return tuple(Network(tuple(weights)) for weights in found.values())
+    by_network: dict[str, list[Singles]] = {}
+    for key in sorted(key for key in arrays if key.startswith(f"{name} ")):
+        by_network.setdefault(key.rpartition(" ")[0], []).append(arrays[key].astype(np.float32))
+    return tuple(Network(tuple(weights)) for weights in by_network.values())
 
 
 def _forward(weights: tuple[Singles, ...], inputs: Singles) -> Iterator[tuple[Singles, ...]]:
-    """Input, sum and sigmoid of each hidden layer, and at last what the last layer is given."""
+    """Input, sum and sigmoid of each hidden layer, and finally the input of the last layer."""
     hidden = inputs
     for k in range(0, len(weights) - 2, 2):
         total = hidden @ weights[k] + weights[k + 1]
@@ -76,39 +76,39 @@ def _forward(weights: tuple[Singles, ...], inputs: Singles) -> Iterator[tuple[Si
 
 
 def as_it_is(x: Singles) -> Singles:
-    """Link of outputs whose mean squared error is made small."""
+    """Identity link, of outputs whose mean squared error is minimised."""
     return x
 
 
 def softmax(x: Singles) -> Singles:
-    """Probabilities (n, q) that add up to 1, of what a network gives for each class."""
-    found = np.exp(x - x.max(axis=1, keepdims=True))
-    return np.asarray(found / found.sum(axis=1, keepdims=True))
+    """Class probabilities (n, q), which add up to 1, from the outputs of a network."""
+    exponentials = np.exp(x - x.max(axis=1, keepdims=True))
+    return np.asarray(exponentials / exponentials.sum(axis=1, keepdims=True))
 
 
 def logistic(x: Singles) -> Singles:
     """1 / (1 + exp(-x)) of an array, five times as fast as SciPy's in single precision."""
     half = np.float32(0.5)
-    found: Singles = half * x
-    np.tanh(found, out=found)
-    found *= half
-    found += half
-    return found
+    y: Singles = half * x
+    np.tanh(y, out=y)
+    y *= half
+    y += half
+    return y
 
 
 def _gradients(
     weights: tuple[Singles, ...], kept: list[tuple[Singles, ...]], slope: Singles
 ) -> list[Singles]:
-    """Of the loss in all weights, given its slope (n, q) in the outputs."""
+    """Gradients of the loss in all weights, by its slope (n, q) in the outputs."""
     (hidden,) = kept[-1]
-    found = [slope.sum(axis=0), hidden.T @ slope]
+    gradients = [slope.sum(axis=0), hidden.T @ slope]
     back = slope @ weights[-2].T
     for k in range(len(weights) - 4, -1, -2):
-        given, total, open_ = kept[k // 2]
+        layer_input, total, open_ = kept[k // 2]
         inner = back * (open_ * (1 + total * (1 - open_)))
-        found += [inner.sum(axis=0), given.T @ inner]
+        gradients += [inner.sum(axis=0), layer_input.T @ inner]
         back = back + inner @ weights[k].T if k else inner
-    return found[::-1]
+    return gradients[::-1]
 
 
 def train_together(
@@ -116,9 +116,9 @@ def train_together(
     rng: np.random.Generator,
     progress: Callable[[int], None],
 ) -> list[Network]:
-    """Train networks on two threads; `progress` is called with the steps that are done of all.
+    """Train networks on two threads; `progress` is called with their total of steps done.
 
-    Each of the trainings is `train` with all but its random numbers and `progress`.
+    A training is `train` with all its arguments but `rng` and `progress`.
     """
     done = [0] * len(trainings)
 
@@ -153,16 +153,16 @@ def train(
     width, blocks : int
         Size of the hidden layers, and how many of them are residual.
     steps : int
-        Of `BATCH` examples each.
+        Number of steps, of `BATCH` examples each.
     begin : Network, optional
-        To train on; by default its weights are drawn.
+        Network to train further; by default the weights are drawn at random.
     rate : float
-        Of the steps, at most.
+        Largest learning rate.
     link : callable
-        What makes the outputs of what the network gives: `logistic` and `softmax` make
+        Function from what the network gives to the outputs: `logistic` and `softmax` give the
         probabilities of outputs that are 0 or 1.
     progress : callable
-        Called now and then with the steps that are done.
+        Called now and then with the number of steps done.
     """
     weights: tuple[Singles, ...] = () if begin is None else tuple(w.copy() for w in begin.weights)
     sizes = [inputs.shape[1], *[width] * (blocks + 1), outputs.shape[1]]
@@ -177,8 +177,8 @@ def train(
             order = np.concatenate([order, rng.permutation(len(inputs))])
         batch, order = order[:BATCH], order[BATCH:]
         kept = [*_forward(weights, inputs[batch])]
-        found = kept[-1][0] @ weights[-2] + weights[-1]
-        slope = link(found) - outputs[batch]  # of each link's own loss, in what the network gives
+        raw_outputs = kept[-1][0] @ weights[-2] + weights[-1]
+        slope = link(raw_outputs) - outputs[batch]  # of the link's loss in `raw_outputs`
         now = rate * min(1.0, step / warming) * 0.5 * (1 + np.cos(np.pi * step / steps))
         gradients = _gradients(weights, kept, slope / np.float32(len(batch)))
         for weight, gradient, mean, square in zip(weights, gradients, means, squares, strict=True):

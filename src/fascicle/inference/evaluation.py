@@ -1,4 +1,4 @@
-"""One evaluation of the forward model, as the inference sees it."""
+"""Evaluation of the forward model, as the inference sees it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Evaluation:
     Attributes
     ----------
     point : (d,) array
-        Where, in the unit cube.
+        Point of the unit cube.
     loss : float
         Mismatch with the mean beat (mV²), of several recordings their sum; NaN where the
         parameters give no tree.
@@ -27,7 +27,7 @@ class Evaluation:
     reason : str, optional
         Why the parameters give no tree, for people; None where they give one.
     log_likelihoods : (n_recordings,) array
-        Of each recording's mean beat; empty where they were not asked for.
+        Log-likelihood of each recording's mean beat; empty where they were not computed.
     """
 
     point: Floats

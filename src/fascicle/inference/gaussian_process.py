@@ -66,7 +66,7 @@ def _prior(dimension: int) -> tuple[Floats, Floats]:
 
 
 def _cholesky(covariance: Floats) -> Floats:
-    """Lower Cholesky factor; the diagonal is raised, tenfold each time, until there is one."""
+    """Lower Cholesky factor; the diagonal is raised, tenfold each time, until it exists."""
     jitter = 1e-10 * covariance.diagonal().mean()
     raised = covariance
     while True:
@@ -215,7 +215,7 @@ class ExponentialGP:
 
     @property
     def _least_variance(self) -> float:
-        """What rounding cannot push a variance below."""
+        """Lower bound of predicted variances, against rounding."""
         return 1e-12 * self.hyperparameters.variance
 
     def moments_and_gradients(self, points: Floats) -> tuple[Floats, Floats, Floats, Floats]:

@@ -50,14 +50,14 @@ def latin_hypercube(rng: np.random.Generator, count: int, dimension: int) -> Flo
 
 @dataclass(frozen=True)
 class Surrogates:
-    """What the optimisation knows: observations, and Gaussian processes conditioned on them.
+    """Observations of the optimisation, and Gaussian processes conditioned on them.
 
     Attributes
     ----------
     observations : Observations
         At least one of them feasible.
     learnt_from : int
-        How many of them, the first ones, the hyper-parameters were learnt from.
+        Number of observations, the first ones, from which the hyper-parameters were learnt.
     loss : LossGP
     feasibility : FeasibilityGP
         Not in the paper, whose trees always grow; used to propose points, and for nothing else.
@@ -94,7 +94,7 @@ class Surrogates:
         return self.extended(observations)
 
     def to_json(self) -> str:
-        """Give what the observations do not tell, as text; every float comes back exactly."""
+        """Give the state besides the observations, as text; every float comes back exactly."""
         feasibility = self.feasibility.hyperparameters
         return json.dumps(
             {
@@ -107,18 +107,18 @@ class Surrogates:
 
     @classmethod
     def from_json(cls, text: str, observations: Observations) -> Surrogates:
-        """The same again, bit for bit, from the text of `to_json` and the observations since."""
-        known = json.loads(text)
-        loss = Hyperparameters.from_json(known["loss"])
-        labels = known["feasibility"]
-        first = observations.first(known["learnt_from"])
+        """Restore surrogates, bit for bit, from the text of `to_json` and the observations."""
+        state = json.loads(text)
+        loss = Hyperparameters.from_json(state["loss"])
+        labels = state["feasibility"]
+        first = observations.first(state["learnt_from"])
         learnt = cls(
             first,
-            known["learnt_from"],
+            state["learnt_from"],
             LossGP.condition(first, loss),
             FeasibilityGP.condition(first, Hyperparameters.from_json(labels) if labels else None),
         )
-        return learnt.extended(observations.first(known["observations"]))
+        return learnt.extended(observations.first(state["observations"]))
 
 
 @one_thread
@@ -137,7 +137,7 @@ def step(rng: np.random.Generator, surrogates: Surrogates) -> Floats:
 
 
 def iterations(start: Hyperparameters | None) -> int:
-    """How many L-BFGS-B iterations a fit may take from there."""
+    """Largest number of L-BFGS-B iterations of a fit from this start."""
     return 100 if start is None else 10
 
 
@@ -145,7 +145,7 @@ def iterations(start: Hyperparameters | None) -> int:
 class FeasibleLogImprovement:
     """log EI(x) + log P(x is feasible), after Gardner et al. (ICML 2014).
 
-    `gp` is of the standardised loss; `best` is what it is to improve on.
+    `gp` is of the standardised loss; `best` is the loss to improve on.
     """
 
     gp: ExponentialGP
@@ -176,9 +176,9 @@ def maximise(
 ) -> Floats:
     """Find the best point of the unit cube for an acquisition function, shape (d,).
 
-    Uniform raw points and perturbations of the best points (k, d), where the kernel has a cusp; the
-    best few of each are polished by L-BFGS-B. The result keeps away from known points (n, d), see
-    `first_apart`.
+    Candidates are uniform points, and perturbations of the best points (k, d), where the kernel has
+    a cusp; the best few of each are polished by L-BFGS-B. The result keeps away from known
+    points (n, d), see `first_apart`.
     """
     uniform = rng.random((2000, best_points.shape[1]))
     local = perturbed(rng, best_points, 1000)
@@ -198,11 +198,11 @@ def first_apart(candidates: Floats, known: Floats) -> Floats:
     A nearer one (any coordinate's range is 1) adds nothing.
     """
     distance, _ = cKDTree(known).query(candidates, p=np.inf, distance_upper_bound=1e-4)
-    return np.asarray(candidates[np.isinf(distance).argmax()])  # none is found: infinite
+    return np.asarray(candidates[np.isinf(distance).argmax()])  # infinite: no known point so near
 
 
 def _polished(acquisition: FeasibleLogImprovement, starts: Floats) -> Floats:
-    """Ends (k, d) of searches from `starts` (k, d), all in one, as sum: that costs half as much.
+    """Maxima (k, d) of searches from `starts` (k, d), run as one on the sum, at half the cost.
 
     Where it stops early, its points are judged by their values like the others.
     """

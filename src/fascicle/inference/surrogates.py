@@ -1,4 +1,4 @@
-"""What has been tried, and surrogates of it: of the loss, and of the probability of a tree."""
+"""Observed losses, and surrogates of the loss and of the probability of a tree."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ class Observations:
 
     @property
     def feasible(self) -> Booleans:
-        """Where there is a loss, shape (n,)."""
+        """Mask (n,) of the points that have a loss."""
         return np.isfinite(self.losses)
 
     def __len__(self) -> int:
         return len(self.losses)
 
     def first(self, count: int) -> Observations:
-        """Those that were made first."""
+        """Return the first `count` observations."""
         return Observations(self.points[:count], self.losses[:count])
 
 
@@ -131,7 +131,7 @@ class FeasibilityGP:
 
     @property
     def hyperparameters(self) -> Hyperparameters | None:
-        """Those of the process; None as long as every known point is feasible."""
+        """Hyper-parameters of the process; None as long as every known point is feasible."""
         return self.gp.hyperparameters if self.gp is not None else None
 
     def log_probability(self, points: Floats) -> Floats:

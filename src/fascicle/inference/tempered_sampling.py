@@ -36,7 +36,7 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.threads import one_thread
 
 FORGOTTEN = 0.3  # correlation of a score with its beginning, at most, after the moves of a stage
-ACCEPTED = 0.3  # share of the proposals that the length of a step is adapted to
+ACCEPTED = 0.3  # share of accepted proposals to which the step length is adapted
 
 # Log-likelihoods (m,) of points (m, d) of the unit cube; -inf where there is none.
 LogLikelihoods = Callable[[Floats], Floats]
@@ -44,7 +44,7 @@ LogLikelihoods = Callable[[Floats], Floats]
 
 @dataclass(frozen=True)
 class State:
-    """Where a run stands: at the end, the temperature is 1."""
+    """State of a run; at the end, the temperature is 1."""
 
     temperature: float
     log_evidence: float
@@ -62,9 +62,9 @@ class SamplingRun:
     log_likelihoods : (n,) array
         Of the points.
     log_evidence : float
-        Of the whole prior, the part without a likelihood included.
+        Log-evidence under the whole prior, the part without a likelihood included.
     evaluations : int
-        Of the likelihood.
+        Number of evaluations of the likelihood.
     effective : float
         Independent draws that would give means as exact as those of the points (see `_effective`).
     """
@@ -123,7 +123,7 @@ def temper(
         log_evidence += float(logsumexp(weights) - np.log(particles))
         chosen = _resampled(np.exp(weights - weights.max()), rng)
         now.scores, now.values = now.scores[chosen], now.values[chosen]
-        if remembered < FORGOTTEN:  # what were kin no longer are
+        if remembered < FORGOTTEN:  # kin have become independent
             families = np.arange(particles)
         families = families[chosen]
         remembered = _move(now, of_scores, temperature, rng)
@@ -145,9 +145,9 @@ def _from_prior(
     scores, values = np.empty((0, dimension)), np.empty(0)
     for batch in range(1, 101):
         drawn = rng.standard_normal((particles, dimension))
-        found = of_scores(drawn)
-        possible = np.isfinite(found)
-        scores, values = np.vstack([scores, drawn[possible]]), np.append(values, found[possible])
+        logs = of_scores(drawn)
+        possible = np.isfinite(logs)
+        scores, values = np.vstack([scores, drawn[possible]]), np.append(values, logs[possible])
         if len(values) >= particles:
             share = len(values) / (batch * particles)
             return _Particles(scores[:particles], values[:particles]), float(np.log(share))
@@ -158,7 +158,7 @@ def _from_prior(
 
 
 def _rise(values: Floats, most: float) -> float:
-    """How far the temperature may rise, at most `most`, with half of the particles effective."""
+    """Rise of the temperature, at most `most`, that leaves half of the particles effective."""
 
     def beyond(rise: float) -> float:
         return effective_size(rise * (values - values.max())) - len(values) / 2
@@ -191,8 +191,8 @@ def _effective(points: Floats, families: Integers) -> float:
     apart = points - points.mean(axis=0)
     sums = np.array([np.bincount(families, column) for column in apart.T])
     unbiased = 1 - ((sizes / len(points)) ** 2).sum()  # the mean is taken from the same families
-    each = len(points) ** 2 * unbiased * apart.var(axis=0) / (sums**2).sum(axis=1)
-    return float(min(each.min(), len(points)))
+    by_parameter = len(points) ** 2 * unbiased * apart.var(axis=0) / (sums**2).sum(axis=1)
+    return float(min(by_parameter.min(), len(points)))
 
 
 def _move(
@@ -204,7 +204,7 @@ def _move(
     these together, and the evidence of 45 dimensions is too low by 0.3. Resampling keeps the
     order, so that copies of a particle, and its kin, are in the same half.
 
-    Gives the correlation, the largest of any score, between the beginning and the end.
+    Returns the largest correlation of any score between the beginning and the end.
     """
     forgotten, fewest, ceiling = (0.1, 20, 100) if temperature == 1 else (FORGOTTEN, 5, 25)
     start = now.scores.copy()
@@ -215,7 +215,7 @@ def _move(
     for step in range(ceiling):
         pairs = zip(halves, fits, strict=True)
         proposals = [fit.proposals(now.scores[half], now.length, rng) for half, fit in pairs]
-        proposed, log_ratio = (np.concatenate(each) for each in zip(*proposals, strict=True))
+        proposed, log_ratio = (np.concatenate(parts) for parts in zip(*proposals, strict=True))
         values = of_scores(proposed)
         log_ratio += temperature * (values - now.values)
         log_ratio += 0.5 * ((now.scores**2).sum(axis=1) - (proposed**2).sum(axis=1))
@@ -250,7 +250,7 @@ class _Fit:
     def proposals(
         self, scores: Floats, length: float, rng: np.random.Generator
     ) -> tuple[Floats, Floats]:
-        """Proposals x', and log q(x)/q(x') of the t density q that steps always taken would keep.
+        """Proposals x', and log q(x)/q(x') of the t density q, invariant if all are accepted.
 
         x' = m + √(1 - l²)(x - m) + l√z Lξ with ξ standard normal and z inverse gamma given x: of
         a t, the scale of the normal that x comes from.
@@ -271,40 +271,41 @@ class _Fit:
 
 
 def pooled(batches: Sequence[SamplingRun]) -> SamplingRun:
-    """Independent runs as one, each with the weight of its evidence.
+    """Pool independent runs, each with the weight of its evidence.
 
-    Points are as many as of one of them, equally weighted and of all. With these weights integrals
-    of the posterior that is not normalised are unbiased, however few particles each run has.
+    There are as many points as in one run, equally weighted, from all runs. With these weights
+    integrals of the posterior that is not normalised are unbiased, however few particles each run
+    has.
     """
-    logs = np.array([each.log_evidence for each in batches])
+    logs = np.array([run.log_evidence for run in batches])
     log_sum, count = float(logsumexp(logs)), len(batches[0].points)
     weights = np.exp(logs - log_sum)
-    # so evenly spaced that no point is taken twice
+    # positions so far apart that no point is taken twice
     ends = np.cumsum(np.repeat(weights / count, count))
     chosen = np.searchsorted(ends, (np.arange(count) + 0.5) / count * ends[-1])
-    effective = 1 / float((weights**2 / [each.effective for each in batches]).sum())
+    effective = 1 / float((weights**2 / [run.effective for run in batches]).sum())
     return SamplingRun(
-        np.concatenate([each.points for each in batches])[chosen],
-        np.concatenate([each.log_likelihoods for each in batches])[chosen],
+        np.concatenate([run.points for run in batches])[chosen],
+        np.concatenate([run.log_likelihoods for run in batches])[chosen],
         log_sum - float(np.log(len(batches))),
-        sum(each.evaluations for each in batches),
+        sum(run.evaluations for run in batches),
         effective,
     )
 
 
-EVIDENCE_APART = 1.0  # of the log-evidences; more, and one run has missed a mode
+EVIDENCE_APART = 1.0  # between log-evidences; above that, one run has missed a mode
 MEANS_APART = 0.5  # standard deviations between the means of a parameter
 
 
 @dataclass(frozen=True)
 class RunAgreement:
-    """Differences of two runs; those of the means (d,) in standard deviations of both together."""
+    """Differences of two runs; of the means (d,) in standard deviations of both together."""
 
     log_evidence: float
     means: Floats
 
     def within(self, share: float = 1.0) -> bool:
-        """Whether the runs agree, as closely as a whole asks of which they are such a share."""
+        """Whether the differences, scaled by `share`, are small enough for the runs to agree."""
         means = bool((share * self.means <= MEANS_APART).all())
         return share * self.log_evidence <= EVIDENCE_APART and means
 

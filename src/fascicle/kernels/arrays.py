@@ -1,7 +1,7 @@
 """The arrays that the sweep and its preparation work on, bundled by what they describe.
 
-Indices that only the sweep reads are unsigned: Numba would look at every access whether a signed
-one is negative and counts from the end.
+Indices that only the sweep reads are unsigned: with a signed one Numba would test at every access
+whether it is negative and counts from the end.
 """
 
 from __future__ import annotations
@@ -109,8 +109,8 @@ class TravelTimeTable(NamedTuple):
     Attributes
     ----------
     row, opposite : (b,) arrays
-        Row of each boundary triangle, -1 for those that have none, and the corner of its
-        tetrahedron that it does not have.
+        Row of each boundary triangle, -1 without one, and the corner of its tetrahedron that is
+        opposite to it.
     start, vertex : (r + 1,) and (p,) arrays
         The vertices in each row.
     square : (p, 6) array
@@ -168,7 +168,7 @@ class RayTravelTimes(NamedTuple):
 
 
 class LocatedSites(NamedTuple):
-    """Where sites lie in the mesh.
+    """Positions of sites in the mesh.
 
     Attributes
     ----------
@@ -185,7 +185,7 @@ class LocatedSites(NamedTuple):
 
 
 class Sites(NamedTuple):
-    """Where trees (and stimuli) meet the myocardium.
+    """Sites where trees (and stimuli) meet the myocardium.
 
     Attributes
     ----------
@@ -212,7 +212,7 @@ class Sites(NamedTuple):
     to_sites: RayTravelTimes
 
 
-# What the sweep knows of a node, of the mesh or of a tree
+# State in the sweep of a node, of the mesh or of a tree
 STATE = np.dtype(
     [
         ("time", np.float64),  # when the front arrives (ms)
@@ -239,8 +239,8 @@ class Queue(NamedTuple):
     now: NDArray[np.int64]
 
 
-# What is known of a vertex's neighbour when elements are chosen: how much later than the vertex it
-# is (ms, rounded up), and 1 if it lends its time to faces, as those do that do not wait to be taken
+# A vertex's neighbour when elements are chosen: how much later than the vertex it is (ms, rounded
+# up), and 1 if it lends its time to faces, as neighbours do that do not wait to be taken
 NEAR = np.dtype([("later", np.float32), ("lends", np.uint32)])
 
 
@@ -252,15 +252,15 @@ class Surroundings(NamedTuple):
     batch, now : (b,) arrays
         The vertices, and their times (ms).
     time, near : (b·k,) array, and (b·k,) array of NEAR
-        Of up to k neighbours of each: when the front comes to them (ms), as far as is known, and
-        what is chosen by.
+        Of up to k neighbours of each: their arrival times (ms) so far, and what elements are
+        chosen by.
     chosen : (e,) array
         The elements that may lower a corner, packed.
     face : (f,) array
         The faces by which a corner may be lowered: `CORNERS`·place of the element in `chosen` +
         which of its corners the face is opposite to.
     faces : array
-        Blocks of a few faces side by side, each number of all of them in a row.
+        Blocks of a few faces side by side, each quantity of all of them in a row.
     """
 
     batch: NDArray[np.int64]
@@ -273,16 +273,16 @@ class Surroundings(NamedTuple):
 
 
 class Front(NamedTuple):
-    """What the sweep finds out, and its room to work in.
+    """State of the sweep: its results and its work arrays.
 
     Attributes
     ----------
     nodes : (n + k,) array of STATE
-        What is known of each mesh vertex and, after these, of each tree node.
+        State of each mesh vertex and, after these, of each tree node.
     entered_by : (j,) array
         The site whose front entered a tree at each site, or -1.
     queue, around : Queue, Surroundings
-        The nodes that wait to be taken; anything.
+        The nodes that wait to be taken; work arrays with any content.
     """
 
     nodes: NDArray[np.void]

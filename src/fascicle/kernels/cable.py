@@ -63,7 +63,7 @@ def _factor(pivot, lambda_):
 
 @kernel()
 def _diffuse(state, pivot, right, lambda_):
-    """One step of Crank and Nicolson with the compact Laplacian, of fourth order in space.
+    """Crank-Nicolson step with the compact Laplacian, of fourth order in space.
 
     (1 + δ²/12 − λδ²/2) V⁺ = (1 + δ²/12 + λδ²/2) V with λ = D·step/dx² (Douglas, 1956).
     """
@@ -88,12 +88,12 @@ def cable_of(advance: Callable[..., None], keep: bool = False) -> Any:
     """Compile a cable of cells that `CellModel.advance` advances.
 
     `keep` says whether it is kept on disk, where Numba would not see that `advance` has changed.
-    What is returned, ``run(state, constants, stimulus, lambda_, dt, steps, probes)``, advances the
+    The compiled ``run(state, constants, stimulus, lambda_, dt, steps, probes)`` advances the
     cells, an array with a row each, in place: half a step of diffusion, a step of every cell, half
     a step of diffusion (Strang, 1968). A single one does not diffuse. `stimulus` is a current, the
-    number of steps that it lasts, and the number of cells, from the end of the cable on, that it
-    goes into; `lambda_` is D·(dt/2)/dx²; `probes` are the cells whose potentials (mV) it gives
-    after each step, of shape (steps, p).
+    number of steps that it lasts, and the number of cells, from the first one on, that it goes
+    into; `lambda_` is D·(dt/2)/dx²; `probes` are the cells whose potentials (mV) after each
+    step are returned, shape (steps, p).
     """
     if not keep:
         register_jitable(advance)

@@ -11,7 +11,7 @@ from fascicle.kernels.star import PAIRS, SETTLED, fetch_star, through_stars
 
 @kernel()
 def solve_trees(time, forest):
-    """Lower the times of tree nodes to what the trees alone make of them, in place.
+    """Lower the times of tree nodes, in place, to their arrivals through the trees alone.
 
     c|∇τ·t| = 1 along each segment (the paper's equation `eikotree`): up the tree, then down.
     As in the sweep, what is earlier by rounding alone is left.
@@ -32,10 +32,10 @@ def solve_trees(time, forest):
 
 @kernel(inline="always")
 def _to_tree_node(other, arrival, by, vertices, forest, front, size):
-    """Within a tree: a front that site `by` let in comes to node `other`; returns the size."""
-    it = front.nodes[vertices + other]
-    if arrival < it.time - SETTLED:
-        it.time, it.origin = arrival, by
+    """Lower tree node `other` by a front that entered at site `by`; returns the queue's size."""
+    state = front.nodes[vertices + other]
+    if arrival < state.time - SETTLED:
+        state.time, state.origin = arrival, by
         if forest.site[other] >= 0:
             front.entered_by[forest.site[other]] = -1
         size = lower(vertices + other, front.nodes, front.queue, size)
@@ -44,9 +44,9 @@ def _to_tree_node(other, arrival, by, vertices, forest, front, size):
 
 @kernel(inline="always")
 def _fire(site, now, sites, front, size):
-    """From a site along the rays to what is around it; returns the queue's size.
+    """Propagate from a site along its rays; returns the queue's size.
 
-    The paper's coupling, τ(xⱼ) = √(D⁻¹(xⱼ − p)·(xⱼ − p)) + τ(p), for all xⱼ that rays come to, not
+    The paper's coupling, τ(xⱼ) = √(D⁻¹(xⱼ − p)·(xⱼ − p)) + τ(p), for all xⱼ that rays reach, not
     only for the corners of the element around p.
     """
     nodes = front.nodes
@@ -85,7 +85,7 @@ def _arrival_inside(site, t, sites, mesh, nodes):
 
 @kernel(inline="always")
 def _into_trees(node, sites, mesh, front, size):
-    """From a vertex to the sites in the elements around it; returns the queue's size."""
+    """Propagate from a vertex to the sites in its elements; returns the queue's size."""
     nodes = front.nodes
     for k in range(sites.reader_start[node], sites.reader_start[node + 1]):
         site = sites.reader[k]
@@ -106,7 +106,7 @@ def _into_trees(node, sites, mesh, front, size):
 
 @kernel(inline="always")
 def _from_tree_node(node, vertices, forest, sites, front, size):
-    """From a tree node along its segments, and as a site; returns the queue's size."""
+    """Propagate from a tree node along its segments and, if a site, its rays; returns the size."""
     now, by, node = front.nodes[node].time, front.nodes[node].origin, node - vertices
     parent, site = forest.parent[node], forest.site[node]
     if parent >= 0:
@@ -149,15 +149,15 @@ def sweep(front, sources, mesh, forest, sites):
         size = lower(source, front.nodes, front.queue, size)
     batch, nodes = front.around.batch, front.nodes
     while size > 0:
-        taken = 0
-        while taken < len(batch) and size > 0:
+        count = 0
+        while count < len(batch) and size > 0:
             node, size = take(nodes, front.queue), size - 1
             if node < vertices:
-                batch[taken], nodes[node].bucket = node, IN_BATCH
-                taken += 1
+                batch[count], nodes[node].bucket = node, IN_BATCH
+                count += 1
                 fetch_star(node, mesh)
             else:
                 size = _from_tree_node(node, vertices, forest, sites, front, size)
-        size = through_stars(taken, mesh, front, size)
-        for k in range(taken):
+        size = through_stars(count, mesh, front, size)
+        for k in range(count):
             size = _into_trees(batch[k], sites, mesh, front, size)

@@ -131,7 +131,7 @@ def deposit(time, corners, weights, origin, width, bins):
 def respond(histogram, kernel, stride, samples):
     """Convolution of a (bins, 8) histogram with a kernel (k,), taken every `stride` bins.
 
-    Sample n of the (8, samples) that it gives is Σⱼ kernel[j]·histogram[n·stride + k − 1 − j].
+    Sample n of the result (8, samples) is Σⱼ kernel[j]·histogram[n·stride + k − 1 − j].
     """
     response = np.zeros((CHANNELS, samples))
     total = np.zeros(CHANNELS)
@@ -149,8 +149,8 @@ def respond(histogram, kernel, stride, samples):
 def reweight(weights, factors, axial, along, back, out):
     """Weights (m, 3, 8) of the ECG integral with other sources, written to `out`.
 
-    Of each element all by a factor (m,), after w + axial·b(aᵀw) with a of `back` and b of `along`,
-    (m, 3) each: that changes what points along the fibre.
+    Those of an element become f·(w + axial·b(aᵀw)) with its f of `factors` (m,), and a of `back`
+    and b of `along`, (m, 3) each: `axial` changes the component along the fibre.
     """
     for e in range(len(weights)):
         for c in range(weights.shape[2]):

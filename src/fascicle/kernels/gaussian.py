@@ -1,4 +1,4 @@
-"""The logarithm of a Gaussian density whose mean holds factors that are integrated."""
+"""Logarithm of a Gaussian density, integrated over factors of the parts of its mean."""
 
 import math
 from functools import partial
@@ -17,8 +17,8 @@ def integrated(models, first_sd, data, weights, constants, logs):
     """Log densities of a recording given many models of it, factors of their parts integrated.
 
     The recording is m₀ + Σ zᵢcᵢ + ε with zᵢ ~ N(0, 1), where c₀ = `first_sd` m₀ and cᵢ = mᵢ are the
-    columns of X, and ε has a diagonal covariance W⁻¹, one of several. The factors add X Xᵀ to it:
-    in them it is I + XᵀWX, which is eliminated column by column, with what m₀ leaves of the data
+    columns of X, and ε has a diagonal covariance W⁻¹, one of several. The factors add X Xᵀ to it.
+    Their precision I + XᵀWX is eliminated column by column, with the residual of the data from m₀
     as a last row.
 
     Parameters
@@ -34,13 +34,13 @@ def integrated(models, first_sd, data, weights, constants, logs):
     logs : (z, m) array
         To be filled.
     """
-    count, length, every = models.shape
+    count, length, model_count = models.shape
     scales = len(weights)
-    rows = np.zeros((count + 1, BLOCK), models.dtype)  # columns of X, and what is left of the data
+    rows = np.zeros((count + 1, BLOCK), models.dtype)  # columns of X, and the residual
     sums = np.empty(((count + 1) * (count + 2) // 2, scales, BLOCK), models.dtype)
     work, determinant = np.empty((2, BLOCK), models.dtype), np.empty(BLOCK)
-    for begin in range(0, every, BLOCK):
-        size = min(BLOCK, every - begin)
+    for begin in range(0, model_count, BLOCK):
+        size = min(BLOCK, model_count - begin)
         sums[:] = 0
         for i in range(length):
             for j in range(size):
@@ -61,10 +61,10 @@ def integrated(models, first_sd, data, weights, constants, logs):
 def _add_products(rows, weights, work, sums):
     """Add weighted products of each pair of rows (r, BLOCK), the upper triangle row by row."""
     place = 0
-    for one in range(len(rows)):
-        for other in range(one, len(rows)):
+    for row in range(len(rows)):
+        for other in range(row, len(rows)):
             for j in range(BLOCK):
-                work[j] = rows[one, j] * rows[other, j]
+                work[j] = rows[row, j] * rows[other, j]
             for scale in range(len(weights)):
                 weight = weights[scale]
                 for j in range(BLOCK):
@@ -81,8 +81,8 @@ def _eliminate(sums, count, work, determinant):
     pivot, ratio = work
     determinant[:] = 1.0
     start = 0
-    for one in range(count):
-        width = count + 1 - one
+    for column in range(count):
+        width = count + 1 - column
         for j in range(BLOCK):
             pivot[j] = 1 + sums[start, j]
             determinant[j] *= pivot[j]

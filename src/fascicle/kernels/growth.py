@@ -151,7 +151,7 @@ def _nearest(point, kin, nearest, nodes, head, metric):
     and of its sister's those numbered `unseen` and above. Only a nearer node replaces `nearest`.
     """
     u, v, triangle = point
-    start, own, sister, unseen = kin
+    start, branch, sister, unseen = kin
     best, best_square = nearest
     g11, g12, g22 = metric[triangle, 0], metric[triangle, 1], metric[triangle, 2]
     # the box around the ellipse of that distance, which the disk bounds
@@ -162,7 +162,9 @@ def _nearest(point, kin, nearest, nodes, head, metric):
             k = head[i, j]
             while k >= 0:
                 node = nodes[k]
-                is_kin = k == start or node.branch == own or (node.branch == sister and k >= unseen)
+                is_kin = (
+                    k == start or node.branch == branch or (node.branch == sister and k >= unseen)
+                )
                 square = _square(metric, triangle, u - node.u, v - node.v)
                 if square < best_square and not is_kin:
                     best, best_square = k, square
@@ -218,14 +220,14 @@ def _lay(start, heading, length, step, branch, tree, chart):
 
 @kernel(inline="always")
 def _turned(heading, angle):
-    """Give `heading` turned counter-clockwise."""
+    """Turn `heading` counter-clockwise."""
     c, s = math.cos(angle), math.sin(angle)
     return c * heading[0] - s * heading[1], s * heading[0] + c * heading[1]
 
 
 @kernel()
 def _nearest_to_branch(point, kin, beside, nodes, head, metric):
-    """The node from which d_CP in equation 1 of the paper counts, and its squared distance (mm²).
+    """The node to which d_CP in equation 1 of the paper is measured; its squared distance (mm²).
 
     The nearest of all but the branch, its start, and what the sister that ends in `beside` laid in
     this round: the sister that moves second must not see more of the first than the first sees of
@@ -288,11 +290,11 @@ def _grow_generation(term, tips, heading, label, rules, values, tree, chart):
             if not alive[k]:
                 continue
             # sisters are 0 and 1, 2 and 3, ...: their numbers differ in the last bit
-            start, own, sister = tips[k // 2], label + k, label + (k ^ 1)
+            start, branch, sister = tips[k // 2], label + k, label + (k ^ 1)
             u, v, t = nodes[end[k]].u, nodes[end[k]].v, nodes[end[k]].triangle
             a, b = toward[k, 0], toward[k, 1]
             if segment > 0:
-                kin = start, own, sister, round_start
+                kin = start, branch, sister, round_start
                 best, square = _nearest_to_branch((u, v, t), kin, end[k ^ 1], nodes, head, metric)
                 scale = math.sqrt(_square(metric, t, a, b))
                 a, b = a / scale, b / scale
@@ -307,12 +309,12 @@ def _grow_generation(term, tips, heading, label, rules, values, tree, chart):
                 alive[k] = False
                 continue
             # no node of the sister stops a branch: they begin nearer to each other than that
-            kin = start, own, sister, 0
+            kin = start, branch, sister, 0
             _, square = _nearest((u, v, t), kin, (-1, too_near), nodes, head, metric)
             if square < too_near:
                 alive[k] = False
                 continue
-            tree = _append(tree, (u, v, t), end[k], step, own)
+            tree = _append(tree, (u, v, t), end[k], step, branch)
             end[k] = tree.size - 1
             toward[k, 0], toward[k, 1] = a, b
     return tree, end[alive], toward[alive]
@@ -321,11 +323,11 @@ def _grow_generation(term, tips, heading, label, rules, values, tree, chart):
 def make_grow(term: Callable[..., tuple[float, float]], cache: bool) -> Any:
     """Compile growth with a term, called as `repulsion` is, in the direction of every segment.
 
-    `cache` says whether it is kept on disk, where Numba would not see that a term has changed. What
-    is returned is called as ``grow(seed, bundle_length, fascicle_lengths, fascicle_angles, rules,
-    values, chart)``, with (f,) arrays of the fascicles' lengths (mm) and angles to the bundle
-    (rad), and the (k,) values of the term's parameters. It gives a status: GROWN, TOO_LARGE, or
-    which stretch left the endocardium, 0 the bundle, k fascicle k; how much of that could not be
+    `cache` says whether it is kept on disk, where Numba would not see that a term has changed. The
+    function returned is called as ``grow(seed, bundle_length, fascicle_lengths, fascicle_angles,
+    rules, values, chart)``, with (f,) arrays of the fascicles' lengths (mm) and angles to the
+    bundle (rad), and the (k,) values of the term's parameters. It gives a status: GROWN, TOO_LARGE,
+    or which stretch left the endocardium, 0 the bundle, k fascicle k; how much of that could not be
     laid (mm); and the nodes, an array of NODE in which parents come before their children, the last
     being where a stretch that left the endocardium met the base.
     """

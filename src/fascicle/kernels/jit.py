@@ -1,4 +1,4 @@
-"""How the hot kernels are compiled, and what they say in LLVM's own terms."""
+"""Compilation of the hot kernels, and operations that they take from LLVM directly."""
 
 from functools import partial
 
@@ -25,7 +25,7 @@ CHANNEL_VECTOR = ir.VectorType(DOUBLE, CHANNELS)
 
 @intrinsic
 def prefetch(typing_context, array, byte):
-    """Fetch the cache line in which byte `byte` of a contiguous array lies; a hint, no more."""
+    """Fetch the cache line in which byte `byte` of a contiguous array lies; only a hint."""
 
     def generate(context, builder, signature, arguments):
         data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
@@ -62,17 +62,17 @@ def add_to_rows(typing_context, array, rows, factors, source, first, shares):
 
         def items(which):
             kind = signature.args[which]
-            found = cgutils.unpack_tuple(builder, arguments[which], kind.count)
-            return [context.cast(builder, item, kind.dtype, wanted[which]) for item in found]
+            parts = cgutils.unpack_tuple(builder, arguments[which], kind.count)
+            return [context.cast(builder, item, kind.dtype, cast_types[which]) for item in parts]
 
         def in_all(value):
-            """Give a number in every channel."""
+            """Repeat a number in every channel."""
             vector = ir.Constant(CHANNEL_VECTOR, ir.Undefined)
             for channel in range(CHANNELS):
                 vector = builder.insert_element(vector, value, ir.Constant(INDEX, channel))
             return vector
 
-        wanted = {1: types.int64, 2: types.float64, 5: types.float64}
+        cast_types = {1: types.int64, 2: types.float64, 5: types.float64}
         total = ir.Constant(CHANNEL_VECTOR, None)
         for i, share in enumerate(items(5)):
             number = builder.add(arguments[4], ir.Constant(INDEX, i))

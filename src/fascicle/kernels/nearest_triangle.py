@@ -46,7 +46,7 @@ def _dot(p, q):
 def nearest_of(points, rows, candidates, vertices, surface, found, triangles, squares):
     """Find the nearest points of a surface, where it is known which triangles can have them.
 
-    False, and what is written is of no use, if a point lies outside its row's ball.
+    Returns False, with invalid output, if a point lies outside its row's ball.
 
     Parameters
     ----------

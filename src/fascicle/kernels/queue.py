@@ -11,7 +11,7 @@ from fascicle.kernels.jit import kernel
 
 PER_MS = 20.0  # buckets; an element's delay is longer than one, but on the finest meshes
 RING = 4096  # buckets in a lap, a power of 2: nearly all times that wait lie within 200 ms
-LAST = 2_000_000_000.0  # bucket that holds all later times, too; and the first likewise
+LAST = 2_000_000_000.0  # bucket of all later times, too; −LAST likewise of earlier ones
 
 # Bucket of a node that is not in the queue: nothing is to be done with it, or its turn in a batch
 # of taken ones is to come
@@ -36,16 +36,16 @@ def lower(node, nodes, queue, size):
     `nodes` is an array of STATE, and the `Queue` is one of `fascicle.kernels.arrays`. Returns the
     queue's size.
     """
-    it = nodes[node]
-    bucket = int(min(max(it.time * PER_MS, -LAST), LAST))
-    known = it.bucket
-    if known == bucket:
+    state = nodes[node]
+    bucket = int(min(max(state.time * PER_MS, -LAST), LAST))
+    previous = state.bucket
+    if previous == bucket:
         return size
-    if known > IN_BATCH:
+    if previous > IN_BATCH:
         _unlink(node, nodes, queue)
         size -= 1
     first = queue.head[bucket & (RING - 1)]
-    it.before, it.after, it.bucket = -1, first, bucket
+    state.before, state.after, state.bucket = -1, first, bucket
     if first >= 0:
         nodes[first].before = node
     queue.head[bucket & (RING - 1)] = node

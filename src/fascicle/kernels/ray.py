@@ -39,7 +39,7 @@ def gradient(cells, t, corner):
 
 @kernel(inline="always", error_model="numpy")
 def _crossing(t, face, point, direction, cells):
-    """Where the line p + s·d leaves through a face of tetrahedron t: s, or inf."""
+    """Parameter s at which the line p + s·d leaves tetrahedron t through a face, or inf."""
     ax, ay, az = gradient(cells, t, face)
     rate = ax * direction[0] + ay * direction[1] + az * direction[2]
     s = -(ax * point[0] + ay * point[1] + az * point[2] + cells[t, AT_ORIGIN + face]) / rate
@@ -48,9 +48,9 @@ def _crossing(t, face, point, direction, cells):
 
 @kernel(inline="always", error_model="numpy")
 def _exit(t, point, direction, cells):
-    """Where the line leaves tetrahedron t: s, and through which face.
+    """Parameter s at which the line leaves tetrahedron t, and the face through which.
 
-    Without branches: which face it is, no processor could guess.
+    Without branches, as no processor could predict which face it is.
     """
     s0 = _crossing(t, 0, point, direction, cells)
     s1 = _crossing(t, 1, point, direction, cells)

@@ -102,7 +102,7 @@ def _from_table(row, coordinates, site, table, mesh, rays, used):
 
 @kernel(inline="always")
 def _weight(i, a, b, c):
-    """What point i of the six counts for the point (a, b, c)."""
+    """Weight of the i-th of the six points in the interpolation at the point (a, b, c)."""
     return (
         BASIS[0, i] * a * a + BASIS[1, i] * b * b + BASIS[2, i] * c * c
         + BASIS[3, i] * a * b + BASIS[4, i] * a * c + BASIS[5, i] * b * c
@@ -111,7 +111,7 @@ def _weight(i, a, b, c):
 
 @kernel()
 def _traced(site, t, reach, longest, mesh, rays, used):
-    """Append every vertex that a ray comes to; returns how many there are now."""
+    """Append every vertex that a ray reaches; returns how many there are now."""
     medium = mesh.cells, mesh.neighbours, mesh.slowness
     x, y, z = site
     for v in range(len(mesh.vertices)):
@@ -166,14 +166,14 @@ def rays_to_vertices(sites, rows, opposite, mesh, table, reach, longest, rays):
 def _time_inside(site, sites, mesh, time_to):
     """Travel time (ms) to a site, from those to the corners of its tetrahedron; or inf.
 
-    Exact in a uniform medium: the interpolation of the squares, less what the site is nearer to
-    the corners than they to each other. Never less than by any corner.
+    Exact in a uniform medium: the interpolated squares, less the weighted squared travel times
+    between the corners. Never less than the triangle inequality allows at any corner.
     """
     t, barycentric = sites.elements[site], sites.barycentric
-    square, least, known = 0.0, 0.0, True
+    square, least, all_reached = 0.0, 0.0, True
     for c in range(CORNERS):
         time = time_to[mesh.corners[t, c]]
-        known = known and time < np.inf
+        all_reached = all_reached and time < np.inf
         square += barycentric[site, c] * time * time
         least = max(least, time - math.sqrt(sites.to_corner[site, c]))
     pair = SQUARES
@@ -181,12 +181,12 @@ def _time_inside(site, sites, mesh, time_to):
         for d in range(c + 1, CORNERS):
             square -= barycentric[site, c] * barycentric[site, d] * mesh.solver[t, pair]
             pair += 1
-    return max(math.sqrt(max(square, 0.0)), least) if known else np.inf
+    return max(math.sqrt(max(square, 0.0)), least) if all_reached else np.inf
 
 
 @allocating_kernel()
 def _longer(rays):
-    """The same rays, with room for twice as many."""
+    """Copy of rays with room for twice as many."""
     used = len(rays.target)
     target, time = np.empty(2 * used, np.int32), np.empty(2 * used)
     target[:used], time[:used] = rays.target, rays.time
@@ -204,7 +204,7 @@ def rays_to_sites(sites, order, first, mesh, to_vertices, time_to, rays):
     to_vertices : RayTravelTimes
         To the vertices around each site.
     time_to : (n,) array
-        inf, and inf again afterwards.
+        Scratch array: inf, and inf again afterwards.
     rays : RayTravelTimes
         Room for the result, which is in longer arrays where that does not suffice.
     """
@@ -222,15 +222,15 @@ def rays_to_sites(sites, order, first, mesh, to_vertices, time_to, rays):
             other = order[f]
             if not time_to[first[f]] < np.inf or other == s:
                 continue
-            there = _time_inside(other, sites, mesh, time_to)
+            to_other = _time_inside(other, sites, mesh, time_to)
             # as in `_from_table`
             gx, gy, gz = _row(sites.positions, other)
             gx, gy, gz = gx - x, gy - y, gz - z
-            there = max(there, mesh.slowness * math.sqrt(gx * gx + gy * gy + gz * gz))
-            if there < np.inf:
+            to_other = max(to_other, mesh.slowness * math.sqrt(gx * gx + gy * gy + gz * gz))
+            if to_other < np.inf:
                 if used == len(rays.target):
                     rays = _longer(rays)
-                rays.target[used], rays.time[used] = other, there
+                rays.target[used], rays.time[used] = other, to_other
                 used += 1
         for k in range(len(target)):
             time_to[np.uint32(target[k])] = np.inf

@@ -1,9 +1,9 @@
-"""From vertices through the edges and the elements around them, their stars.
+"""Propagation from vertices through the edges and elements around them, their stars.
 
 The sweep spends its time here, so the processor must not wait: neither for memory, which is asked
 for before its turn, nor to learn which way a branch goes. A batch of vertices is worked on at a
 time, in steps: elements that may lower a corner are picked out first, then those of their faces
-that may; what is known of the faces is laid side by side in blocks of `LANES`, and each block is
+that may; the data of the faces are laid side by side in blocks of `LANES`, and each block is
 worked on at once.
 """
 
@@ -22,7 +22,7 @@ STEEP = 1.0 + 1e-12
 
 BATCH = 8  # vertices worked on at a time, at most; a power of 2
 
-# Cache lines asked for: as many as most vertices' lists take. A loop as long as a list is dearer.
+# Cache lines prefetched: as many as most vertices' lists take. A loop as long as a list is dearer.
 LINK_LINES, STAR_LINES = 4, 8
 LINK_BYTES, STAR_BYTES = LINK.itemsize, STAR.itemsize
 
@@ -79,7 +79,7 @@ def number_neighbours(star_start, corners, link_start, link, others):
 
 @kernel(inline="always")
 def fetch_star(node, mesh):
-    """Ask for the lists of a vertex's neighbours and elements."""
+    """Prefetch the lists of a vertex's neighbours and elements."""
     first = mesh.link_start[node] * LINK_BYTES
     for line in range(LINK_LINES):
         prefetch(mesh.link, first + line * CACHE_LINE)
@@ -90,10 +90,10 @@ def fetch_star(node, mesh):
 
 @kernel(inline="always")
 def _through_edges(node, at, mesh, front, size):
-    """Lower the neighbours through edges, note what is known of them from `at` on; give the size.
+    """Lower the neighbours through edges, note their times from `at` on; return the queue's size.
 
-    Corners that wait in the queue lend their times to no face: when the last corner of a face is
-    taken, it passes on what comes through all of it.
+    Corners that wait in the queue lend their times to no face: the last corner of a face to be
+    taken passes on the front that comes through all of it.
     """
     nodes, around = front.nodes, front.around
     now, first = nodes[node].time, mesh.link_start[node]
@@ -113,7 +113,7 @@ def _through_edges(node, at, mesh, front, size):
 
 @kernel(inline="always")
 def _choose(node, slot, at, count, mesh, front):
-    """List the elements in which a vertex may lower a corner, after `count` others; count them.
+    """List the elements in which a vertex may lower a corner, after `count` others; count all.
 
     `slot` is the vertex's place in the batch, and its neighbours stand from `at` on.
     """
@@ -138,13 +138,13 @@ def _choose(node, slot, at, count, mesh, front):
 
 @kernel(inline="always")
 def _unpacked(element, mesh):
-    """The row of the star that a chosen element is, and its vertex's place in the batch."""
+    """Row of the star of a chosen element, and its vertex's place in the batch."""
     return mesh.star[element >> ITEM_BITS], (element >> SLOT_BITS) & SLOT_MASK
 
 
 @kernel(inline="always")
 def _steep(p, s, da, db, dc):
-    """Whether times in an element rise steeper than in a front.
+    """Whether times in an element rise more steeply than in a front.
 
     `p` are its products, and the corners beside s are later than that by da, db and dc.
     """
@@ -158,7 +158,7 @@ def _steep(p, s, da, db, dc):
 
 @kernel(inline="always")
 def _faces(count, room, mesh, front):
-    """List the faces of chosen elements that may lower a corner; give how many there are.
+    """List the faces of chosen elements that may lower a corner; return their number.
 
     There is room for `room` neighbours of each vertex. Where times rise no steeper than a front
     does, nothing in the element can be earlier.
@@ -172,16 +172,16 @@ def _faces(count, room, mesh, front):
         now = around.now[slot]
         da, db = around.time[at + row.a] - now, around.time[at + row.b] - now
         steep = _steep(mesh.solver[t], s, da, db, around.time[at + row.c] - now)
-        wanted = np.uint32(element & CORNERS_MASK) * np.uint32(steep)
+        to_lower = np.uint32(element & CORNERS_MASK) * np.uint32(steep)
         for k in range(CORNERS - 1):
             around.face[n] = i * np.uint32(CORNERS) + np.uint32(k)
-            n += np.uint64((wanted >> np.uint32(k)) & np.uint32(1))
+            n += np.uint64((to_lower >> np.uint32(k)) & np.uint32(1))
     return np.int64(n)
 
 
 @kernel(inline="always")
 def _lay_out_faces(n, room, mesh, around):
-    """Lay what the delays through the faces depend on side by side."""
+    """Lay the inputs of the delays through the faces side by side."""
     f = around.faces
     for i in range(n):
         k, element = around.face[i] & PLACE_MASK, around.chosen[around.face[i] >> PLACE_BITS]
@@ -192,10 +192,10 @@ def _lay_out_faces(n, room, mesh, around):
         for m in range(SHAPE):
             f[lane + m * LANES] = mesh.solver[t, COLUMNS[s, k, m]]
         now = around.now[slot]
-        one = at + (row.b if k == 0 else row.a)
-        other = at + (row.b if k == 2 else row.c)
-        f[lane + TJ] = around.time[one] - now if around.near[one].lends else np.inf
-        f[lane + TK] = around.time[other] - now if around.near[other].lends else np.inf
+        at_j = at + (row.b if k == 0 else row.a)
+        at_k = at + (row.b if k == 2 else row.c)
+        f[lane + TJ] = around.time[at_j] - now if around.near[at_j].lends else np.inf
+        f[lane + TK] = around.time[at_k] - now if around.near[at_k].lends else np.inf
 
 
 @kernel(error_model="numpy")
@@ -215,7 +215,7 @@ def _delays(f):
 
 @kernel(inline="always")
 def _take(n, mesh, front, size):
-    """Lower corners to what the first n faces offer; returns the queue's size."""
+    """Lower corners to their arrivals through the first n faces; returns the queue's size."""
     nodes, around = front.nodes, front.around
     for i in range(n):
         k, element = around.face[i] & PLACE_MASK, around.chosen[around.face[i] >> PLACE_BITS]
@@ -241,9 +241,9 @@ def _take(n, mesh, front, size):
 
 @kernel(inline="always")
 def through_stars(taken, mesh, front, size):
-    """From the `taken` vertices of `front.around.batch` along their edges and through elements.
+    """Propagate from the first `taken` vertices of `front.around.batch` through edges and elements.
 
-    `size` is how many nodes are in the queue, before and, as returned, after.
+    `size` is the number of nodes in the queue; the number afterwards is returned.
     """
     around, nodes = front.around, front.nodes
     room, chosen = np.uint64(len(around.time) // len(around.batch)), np.uint64(0)

@@ -3,8 +3,8 @@
 Equations and constants: ten Tusscher and Panfilov, Am J Physiol Heart Circ Physiol 291 (2006)
 H1088-H1100, and, for what that paper took over, ten Tusscher, Noble, Noble and Panfilov, 286 (2004)
 H1573-H1589. The time constant of f2 is that of the authors' program, from which the CellML versions
-differ. Units: mV, ms, mM, pA/pF, nS/pF, nL. Currents are per capacitance, so dV/dt = −I. The
-calciums are bound to their buffers in equilibrium.
+differ. Units: mV, ms, mM, pA/pF, nS/pF, nL. Currents are per capacitance, so dV/dt = −I. Calcium
+is in equilibrium with its buffers.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""What holds for any mesh: topology, volumes, quality, intersections, meshing."""
+"""Meshes of any kind: topology, volumes, quality, intersections, meshing."""

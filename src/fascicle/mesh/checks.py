@@ -1,4 +1,4 @@
-"""Faults of meshes, told with their first places: shared edges, several pieces or openings."""
+"""Checks of meshes for shared edges, several pieces or openings; messages give first places."""
 
 from __future__ import annotations
 
@@ -55,11 +55,11 @@ def check_edges(name: str, vertices: Floats, triangles: Integers, closed: str = 
     """
     edges, count = unique_edges(triangles)
     remedy = "remove what meets there, such as sheets inside the tissue, or remesh"
-    for bad, fault, what in (
+    for bad, fault, advice in (
         (count > 2, "edges have more than two triangles", remedy),
         ((count < 2) & bool(closed), "edges are open", closed),
     ):
-        refuse(name, bad, fault, what, vertices, edges, edges)
+        refuse(name, bad, fault, advice, vertices, edges, edges)
 
 
 def oriented_piece(
@@ -89,7 +89,7 @@ def oriented_piece(
 def open_loops(name: str, vertices: Floats, triangles: Integers, needed: int = 1) -> list[Integers]:
     """Boundary loops of an oriented surface: one at the base, or three of a base itself.
 
-    Another number is refused, and loops that touch themselves are.
+    Any other number of loops is refused, and so are loops that touch themselves.
     """
     if not (loops := sorted(boundary_loops(triangles), key=len, reverse=True)):
         raise InputError(f"{name}: the surface is closed; cut it open at the base")

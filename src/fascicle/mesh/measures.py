@@ -91,7 +91,7 @@ def closed_by_fan(vertices: Floats, triangles: Integers) -> tuple[float, float]:
 
 
 def winding_number(vertices: Floats, triangles: Integers, points: Floats) -> Floats:
-    """How often a surface, closed by a fan over each opening, goes round points (k, 3).
+    """Absolute winding number about points (k, 3) of a surface closed by fans over its openings.
 
     About 1 within and 0 outside, whichever way the triangles are turned.
     """

@@ -39,7 +39,7 @@ class Interface(NamedTuple):
 def tetrahedralise(
     interfaces: Sequence[Interface], what: str, remedy: str, **parameters: float
 ) -> tuple[Floats, Integers, Integers]:
-    """Fill the domains between closed surfaces by Netgen, which changes none of these.
+    """Fill the domains between closed surfaces, left as they are, by Netgen.
 
     Schöberl 1997, Comput Vis Sci 1:41-52. The surfaces touch neither themselves nor one another.
     An error calls the space between them `what`. Netgen's parameters are ``maxh``, the longest edge
@@ -65,16 +65,16 @@ def tetrahedralise(
         except netgen.NgException as error:
             printed.write(f"failed with error: {error}\n".encode())
         printed.seek(0)
-        said = printed.read().decode(errors="replace")
-        failure = re.search(r"failed with error: (?:Stop meshing since )?(.+)", said)
+        log = printed.read().decode(errors="replace")
+        failure = re.search(r"failed with error: (?:Stop meshing since )?(.+)", log)
     elements = mesh.Elements3D().NumPy()
     corners = elements["nodes"] if len(elements) else np.empty((0, 4))
     tetrahedra = corners[:, [0, 2, 1, 3]].astype(np.int64) - 1  # Netgen orients otherwise
     vertices = np.array(mesh.Coordinates(), dtype=float, order="C")
     missing = 1 - float(signed_volumes(vertices, tetrahedra).sum()) / sum(
-        closed_volume(each.vertices, each.triangles)
-        * (int(each.inner != NOTHING) - int(each.outer != NOTHING))
-        for each in interfaces
+        closed_volume(interface.vertices, interface.triangles)
+        * (int(interface.inner != NOTHING) - int(interface.outer != NOTHING))
+        for interface in interfaces
     )
     if abs(missing) > 1e-6:  # more than rounding: it leaves out what it cannot fill
         why = f" ({failure[1].strip()})" if failure else ""

@@ -1,4 +1,4 @@
-"""Which vertices, edges, triangles and tetrahedra belong together."""
+"""Connections between vertices, edges, triangles and tetrahedra."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def fan(loop: Integers, centre: int) -> Integers:
 
 
 def boundary_triangles(tetrahedra: NDArray[np.integer]) -> tuple[Integers, Integers]:
-    """Triangles (b, 3) that belong to one tetrahedron only, and which one (b,).
+    """Triangles (b, 3) that belong to one tetrahedron only, and that tetrahedron (b,).
 
     Seen from outside they run counter-clockwise, if the tetrahedra are positively oriented.
     """
@@ -51,9 +51,10 @@ def boundary_triangles(tetrahedra: NDArray[np.integer]) -> tuple[Integers, Integ
 
 
 def faces_in_order(tetrahedra: Integers) -> tuple[Integers, Booleans]:
-    """Faces of tetrahedra (m, 4), equal ones in a row, and which equal the one after, (4m - 1,).
+    """Faces of tetrahedra (m, 4), equal ones adjacent, and a mask of those equal to the next.
 
-    A face's number is 4 times its tetrahedron's and the corner opposite.
+    A face's number is 4 times its tetrahedron's, plus the corner opposite. Shapes are (4m,) and
+    (4m - 1,).
     """
     faces = np.sort(tetrahedra[:, TETRAHEDRON_FACES].reshape(-1, 3), axis=1)
     order = np.lexsort(faces.T)
@@ -82,7 +83,7 @@ def components_of(pairs: Integers, count: int) -> Integers:
 
 
 def pieces_of(tetrahedra: Integers, count: int) -> Integers:
-    """Piece (count,) of each of `count` vertices: those of one are linked by tetrahedra (m, 4)."""
+    """Piece (count,) of each of `count` vertices, linked by tetrahedra (m, 4)."""
     return components_of(tetrahedra[:, [(0, 1), (0, 2), (0, 3)]].reshape(-1, 2), count)
 
 
@@ -98,7 +99,7 @@ def merged_vertices(vertices: Floats, tolerance: float) -> Integers:
 
 
 def whole_triangles(triangles: Integers) -> Booleans:
-    """Which triangles (m, 3) have three different corners and repeat no earlier one, shape (m,)."""
+    """Mask (m,) of triangles (m, 3) with three different corners that repeat no earlier one."""
     corners = np.sort(triangles, axis=1)
     _, first = np.unique(corners, axis=0, return_index=True)
     whole = np.zeros(len(triangles), dtype=bool)
@@ -107,7 +108,7 @@ def whole_triangles(triangles: Integers) -> Booleans:
 
 
 def places_in(triangles: Integers, others: Integers) -> Integers:
-    """Which of the others (n, 3) each triangle (m, 3) is, in any order of corners; -1 for none."""
+    """Row of each triangle (m, 3) in `others` (n, 3), in any order of corners; -1 if absent."""
     rows = np.sort(np.concatenate([others, triangles]), axis=1)
     _, number = np.unique(rows, axis=0, return_inverse=True)
     place = np.full(number.max() + 1, -1)

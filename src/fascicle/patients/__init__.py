@@ -1,1 +1,1 @@
-"""Many patients: a table with a heart and a recording each, their studies, and one page of all."""
+"""Cohorts: a table of patients with heart and recording, their studies, and an overview page."""

@@ -1,4 +1,4 @@
-"""Fit every patient of a table, here or on the workers of a Dask cluster; overview page."""
+"""Fits of all patients of a table, here or on workers of a Dask cluster, with an overview page."""
 
 from __future__ import annotations
 
@@ -49,15 +49,15 @@ def cohort(
         ``"i/n"``: only rows i, i + n, i + 2n and so on, for array jobs, which may run at the same
         time.
     cluster : Cluster, optional
-        Its workers fit one patient each (`fascicle.Cluster`); without, patients are fitted here,
-        one after the other.
+        Cluster whose workers fit one patient each (`fascicle.Cluster`); without, patients are
+        fitted here, one after the other.
     progress : Progress, optional
         Called with the number of finished patients, and with the stages of a fit made here.
 
     Returns
     -------
     list of Outcome
-        One for each chosen row, as they finish: `patient`, `status`, `reason`, `verdict`,
+        Outcome of each chosen row, as they finish: `patient`, `status`, `reason`, `verdict`,
         `converged`, `explained`, `parameters` and more.
 
     Raises
@@ -69,7 +69,7 @@ def cohort(
     --------
     >>> import fascicle
     >>> outcomes = fascicle.cohort("patients.csv", "COHORT")  # doctest: +SKIP
-    >>> [each.patient for each in outcomes if not each.trustworthy]  # doctest: +SKIP
+    >>> [outcome.patient for outcome in outcomes if not outcome.trustworthy]  # doctest: +SKIP
     """
     check_pool(cluster)
     with shown_progress(progress) as callback:
@@ -156,7 +156,8 @@ def write_overview(folder: Path, table: Path, patients: Sequence[Patient]) -> No
             for patient, outcome in zip(patients, outcomes, strict=True)
         ]
         text = io.StringIO()
-        columns = dict.fromkeys(name for row in rows for name in row)  # empty where one has none
+        # cells are empty where an outcome lacks a column
+        columns = dict.fromkeys(name for row in rows for name in row)
         writer = csv.DictWriter(text, [*columns], lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
@@ -182,7 +183,7 @@ def _page(table: Path, outcomes: Sequence[Outcome]) -> str:
         all=all(outcome.trustworthy for outcome in outcomes),
         answer=answer(outcomes),
         outcomes=outcomes,
-        names=list(dict.fromkeys(name for each in fitted for name in each.parameters)),
+        names=list(dict.fromkeys(name for outcome in fitted for name in outcome.parameters)),
         fitted=fitted,
     )
 
@@ -191,12 +192,12 @@ def answer(outcomes: Sequence[Outcome]) -> str:
     """Summary of all outcomes in one line."""
 
     def counted(numbers: Mapping[str, int]) -> list[str]:
-        return [f"{number} {what}" for what, number in numbers.items() if number]
+        return [f"{number} {label}" for label, number in numbers.items() if number]
 
-    status = Counter(each.status for each in outcomes)
-    posteriors = [each for each in outcomes if each.converged is not None]
-    converged = [each for each in posteriors if each.converged]
-    explained_too = sum(each.trustworthy for each in converged)
+    status = Counter(outcome.status for outcome in outcomes)
+    posteriors = [outcome for outcome in outcomes if outcome.converged is not None]
+    converged = [outcome for outcome in posteriors if outcome.converged]
+    explained_too = sum(outcome.trustworthy for outcome in converged)
     results = counted(
         {
             "converged and explained": explained_too,
@@ -204,6 +205,6 @@ def answer(outcomes: Sequence[Outcome]) -> str:
             "converged but not explained": len(converged) - explained_too,
         }
     )
-    others = counted({"failed": status[Status.FAILED], "not done yet": status[Status.NOT_DONE]})
+    remaining = counted({"failed": status[Status.FAILED], "not done yet": status[Status.NOT_DONE]})
     fitted = f"{status[Status.FITTED]} of {len(outcomes)} patients fitted"
-    return "; ".join([": ".join(filter(None, [fitted, ", ".join(results)])), *others])
+    return "; ".join([": ".join(filter(None, [fitted, ", ".join(results)])), *remaining])

@@ -45,7 +45,7 @@ class Outcome(BaseModel):
     recorded QRS that the mean of the networks explains, over all leads, and
     `explained_by_the_best` the share that each of the best networks explains. `states` says how
     probable each conduction state is, if one can be named; `parameters` is empty if the fit has not
-    converged; `error_file` holds the traceback of a bug.
+    converged; `error_file` is the file with the traceback of a bug.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -69,7 +69,7 @@ class Outcome(BaseModel):
 
     @property
     def trustworthy(self) -> bool:
-        """Whether it is a posterior that has converged and explains its recording."""
+        """Whether the patient has a posterior that converged and explains the recording."""
         return bool(self.converged and self.explained)
 
     @classmethod
@@ -96,12 +96,16 @@ class Outcome(BaseModel):
         )
 
     def row(self) -> dict[str, Any]:
-        """Row of the results table, with three columns for each parameter, one for each state."""
+        """Row of the results table: three columns for each parameter and one for each state."""
         row = self.model_dump(exclude={"error_file", "parameters", "states", "warnings"})
         row["warnings"] = "; ".join(self.warnings)
         row |= {f"P({name})": probability for name, probability in self.states.items()}
-        for name, each in self.parameters.items():
-            row |= {name: each.median, f"{name}_5": each.lower, f"{name}_95": each.upper}
+        for name, estimate in self.parameters.items():
+            row |= {
+                name: estimate.median,
+                f"{name}_5": estimate.lower,
+                f"{name}_95": estimate.upper,
+            }
         return row
 
 
@@ -112,12 +116,14 @@ def _estimates(fitted: FittedStudy) -> dict[str, Estimate]:
     if isinstance(population, Posterior):
         if not population.converged:
             return {}
-        determined = {each.name: each.constrained for each in fitted.statements.parameters}
+        determined = {
+            parameter.name: parameter.constrained for parameter in fitted.statements.parameters
+        }
     estimates = {}
-    for known in space.parameters:
-        lower, median, upper = np.percentile(population.values[known.name], [5, 50, 95])
-        estimates[known.name] = Estimate(
-            unit=known.unit, median=median, lower=lower, upper=upper,
-            determined=determined.get(known.name),
+    for parameter in space.parameters:
+        lower, median, upper = np.percentile(population.values[parameter.name], [5, 50, 95])
+        estimates[parameter.name] = Estimate(
+            unit=parameter.unit, median=median, lower=lower, upper=upper,
+            determined=determined.get(parameter.name),
         )  # fmt: skip
     return estimates

@@ -46,7 +46,7 @@ class Patient:
     recording: Path  # target (.nc), or in any format of `fascicle.read_recording`
     scenario: Path | None = None  # in which it was recorded, if that was not the intrinsic beat
     settings_file: Path | None = None  # TOML file of settings and parameters
-    settings: Mapping[str, Any] = field(default_factory=dict)  # override those of the file
+    settings: Mapping[str, Any] = field(default_factory=dict)  # these override those of the file
 
     @property
     def study(self) -> Path:
@@ -86,14 +86,14 @@ class Patient:
         """Store an unexpected error, with its traceback."""
         path = self.folder / "error.txt"
         write_text(path, "".join(traceback.format_exception(error)))
-        what = f"{type(error).__name__}: {one_line(error)}"
-        return self.failed(f"bug: {what} (traceback in {path})", path)
+        summary = f"{type(error).__name__}: {one_line(error)}"
+        return self.failed(f"bug: {summary} (traceback in {path})", path)
 
     def given(self) -> tuple[FitSettings, Mapping[str, Any]]:
         """Settings, and the parameters to learn; the row overrides its settings file."""
-        given = read_settings(self.settings_file) if self.settings_file is not None else {}
-        parameters = given.pop(PARAMETERS, {})
-        return checked_settings(given | {**self.settings}), parameters
+        settings = read_settings(self.settings_file) if self.settings_file is not None else {}
+        parameters = settings.pop(PARAMETERS, {})
+        return checked_settings(settings | {**self.settings}), parameters
 
     def check(self) -> Outcome | None:
         """Outcome of a patient whose files are missing or settings invalid; else None."""
@@ -115,7 +115,8 @@ class Patient:
 def fit_patient(patient: Patient, pool: Pool, progress: Progress | None = None) -> Outcome:
     """Fit a patient and write the report, or the reason of the failure.
 
-    A finished study of the same row is not changed. HeldError is that another process fits it.
+    A finished study of the same row is not changed. HeldError means that another process is fitting
+    the patient.
     """
     with study_lock(patient.folder):
         began = time.monotonic()
@@ -128,11 +129,11 @@ def fit_patient(patient: Patient, pool: Pool, progress: Progress | None = None) 
             fitted = fit_inputs(inputs, patient.study, progress, pool)
             report(fitted, out=patient.report, progress=progress)
             return patient.ended(Outcome.of(patient.name, fitted, time.monotonic() - began))
-        except HeldError:  # the study itself, by 'fascicle fit'
+        except HeldError:  # 'fascicle fit' is fitting the study
             raise
         except InputError as error:
             return patient.failed(str(error))
-        except Exception as error:  # noqa: BLE001 - a bug in one must not stop the others; it is shown
+        except Exception as error:  # noqa: BLE001 - a patient's bug must not stop the others; it is shown
             return patient.bug(error)
 
 
@@ -185,13 +186,13 @@ def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
         raise FileError(
             f"{path}: is not a table in text ({one_line(error)}); save it as CSV (UTF-8)"
         ) from None
-    known = (*NEEDED, "scenario", "settings", *FitSettings.model_fields)
-    wrong = [name for name in columns if name not in known or columns.count(name) > 1]
+    allowed = (*NEEDED, "scenario", "settings", *FitSettings.model_fields)
+    wrong = [name for name in columns if name not in allowed or columns.count(name) > 1]
     wrong += [name for name in NEEDED if name not in columns]
     if wrong:
         raise FileError(
             f"{path}, line 1: column {shown(wrong[0])} is unknown, missing or there twice; name "
-            f"each column there, such as {','.join(NEEDED)}; known are {', '.join(known)}"
+            f"each column there, such as {','.join(NEEDED)}; known are {', '.join(allowed)}"
         )
     for number, cells in lines:
         if None in cells or None in cells.values():  # one too many, or too few
@@ -199,28 +200,28 @@ def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
                 f"{path}, line {number}: has other columns than the {len(columns)} of the first "
                 "line; put a text that holds the separator between double quotes"
             )
-    given = [(k, {n: c.strip() for n, c in cells.items() if c.strip()}) for k, cells in lines]
-    return [(number, cells) for number, cells in given if cells]
+    rows = [(k, {n: c.strip() for n, c in cells.items() if c.strip()}) for k, cells in lines]
+    return [(number, cells) for number, cells in rows if cells]
 
 
-def _patient(folder: Path, given: Mapping[str, str], cohort: Path) -> Patient:
+def _patient(folder: Path, cells: Mapping[str, str], cohort: Path) -> Patient:
     for name in NEEDED:
-        if name not in given:
+        if name not in cells:
             raise FileError(f"no {name} is given; fill the cell")
     # valid as a folder name on every system, and unescaped in a link
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", given["patient"]):
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", cells["patient"]):
         raise FileError(
-            f"{shown(given['patient'])} cannot be the name of a folder; use letters from a to z, "
+            f"{shown(cells['patient'])} cannot be the name of a folder; use letters from a to z, "
             "digits, '-', '_' and '.', the first a letter or a digit"
         )
-    files = [name for name in ("heart", "recording", "scenario", "settings") if name in given]
-    paths = {name: folder / as_path(given[name], name) for name in files}
-    fields = {name: cell for name, cell in given.items() if name in FitSettings.model_fields}
+    files = [name for name in ("heart", "recording", "scenario", "settings") if name in cells]
+    paths = {name: folder / as_path(cells[name], name) for name in files}
+    fields = {name: cell for name, cell in cells.items() if name in FitSettings.model_fields}
     settings = FitSettings(**fields)
     return Patient(
-        given["patient"],
+        cells["patient"],
         cohort,
-        given["heart"] if given["heart"] in PACKAGED else paths["heart"],
+        cells["heart"] if cells["heart"] in PACKAGED else paths["heart"],
         paths["recording"],
         paths.get("scenario"),
         paths.get("settings"),
@@ -229,11 +230,11 @@ def _patient(folder: Path, given: Mapping[str, str], cohort: Path) -> Patient:
 
 
 def part_of(patients: Sequence[Patient], only: str | None) -> list[Patient]:
-    """Patients i, i + n, i + 2n, ... of ``"i/n"``, counted from 1; all of them without."""
+    """Patients i, i + n, i + 2n, ... of ``"i/n"``, counted from 1; all patients without `only`."""
     if only is None:
         return list(patients)
-    found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", only) if isinstance(only, str) else None
-    first, step = (int(found[1]), int(found[2])) if found else (0, 0)
+    match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", only) if isinstance(only, str) else None
+    first, step = (int(match[1]), int(match[2])) if match else (0, 0)
     if not 1 <= first <= step:
         raise ValueRefusedError(
             f"--only is {shown(only)}; give i/n with i from 1 to n, such as 1/20"

@@ -40,7 +40,7 @@ def fit_on_workers(
 
     If a worker is lost, another one resumes its patient from the stored evaluations. A patient
     whose workers are lost, or whom another process is fitting, is tried `attempts` times, with a
-    `pause` (s) before every attempt but the first. InputError is that a worker does not see the
+    `pause` (s) before every attempt but the first. InputError means that a worker does not see the
     folder of the cohort, or that the scheduler is lost.
     """
     waiting = deque((patient, 1) for patient in patients)  # with the number of the attempt
@@ -49,19 +49,19 @@ def fit_on_workers(
         patient.folder.parent.mkdir(parents=True, exist_ok=True)
     try:
         while waiting or running:
-            there = cluster.threads()
-            for address in there.keys() - {address for _, _, address in running.values()}:
+            available = cluster.threads()
+            for address in available.keys() - {address for _, _, address in running.values()}:
                 if waiting:
                     patient, attempt = waiting.popleft()
                     job = patient, pause if attempt > 1 else 0.0, is_outside_allowed()
                     future = cluster.client.submit(_fit_here, *job, workers=[address], pure=False)
                     running[future] = patient, attempt, address
-            report(f"{len(running)} at work" if there else "waiting for workers")
+            report(f"{len(running)} at work" if available else "waiting for workers")
             until = time.monotonic() + 1.0
             while time.monotonic() < until and not any(future.done() for future in running):
                 time.sleep(0.05)
             for future, (patient, attempt, address) in list(running.items()):
-                if future.status == "pending" and address in there:
+                if future.status == "pending" and address in available:
                     continue
                 del running[future]
                 outcome = _ended(future, patient)
@@ -91,7 +91,7 @@ def _ended(future: Any, patient: Patient) -> Outcome:
         pass
     except InputError:  # about the cluster or the folder; a patient's own become outcomes
         raise
-    except Exception as error:  # noqa: BLE001 - a bug in one must not stop the others; it is shown
+    except Exception as error:  # noqa: BLE001 - a patient's bug must not stop the others; it is shown
         return patient.bug(error)
     return Outcome(patient=patient.name, status=Status.NOT_DONE)
 
@@ -128,8 +128,8 @@ def _stopped(worker: Worker) -> Progress:
 
     def check(stage: str, done: int, total: int, message: str) -> None:
         task = worker.state.tasks.get(key)
-        wanted = task is not None and task.state == "executing"
-        if not wanted or worker.status in (WorkerStatus.closing, WorkerStatus.closed):
+        executing = task is not None and task.state == "executing"
+        if not executing or worker.status in (WorkerStatus.closing, WorkerStatus.closed):
             raise KeyboardInterrupt
 
     return check

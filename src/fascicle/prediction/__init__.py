@@ -1,1 +1,1 @@
-"""Scenarios over a population: what pacing would do."""
+"""Prediction of scenarios, such as pacing, over a population of networks."""

@@ -1,4 +1,4 @@
-"""Prediction cache of a study, so that no command simulates the same twice."""
+"""Prediction cache of a study, so that no command repeats a simulation."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from fascicle.prediction.predicted import Predicted, PredictedBeat
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 from fascicle.study.fitted import FittedStudy
 
-FIELDS = ("leads", "filtered", "activation", "captured")  # of a beat, that are arrays
+FIELDS = ("leads", "filtered", "activation", "captured")  # of a beat, those that are arrays
 
 Arrays = Mapping[str, NDArray[Any]]
 Trees = Sequence[tuple[PurkinjeTree, ...]]  # of each network
@@ -37,7 +37,7 @@ class PredictionCache:
 
     @cached_property
     def _cache(self) -> ArrayCache:
-        """Of a study's configuration, networks and gains."""
+        """Cache of this study's configuration, networks and gains."""
         fitted = self.fitted
         digest = hashlib.sha256(fitted.study.config.model_dump_json().encode())
         gains = fitted.gains if fitted.gains is not None else np.empty(0)
@@ -53,30 +53,30 @@ class PredictionCache:
             if not scenario.trees
         }
         trees = self._trees() if any(files.values()) else []
-        found = {}
+        predictions = {}
         for name, arrays in files.items():
             with suppress(KeyError, ValueError):  # an array is missing, or of another size
                 if arrays is not None:
-                    found[name] = _predicted(scenarios[name], arrays, trees)
-        return found
+                    predictions[name] = _predicted(scenarios[name], arrays, trees)
+        return predictions
 
     def write(self, predicted: Mapping[str, Predicted]) -> None:
         """Cache predictions if the folder is writable, except those with custom networks."""
         folder = self._cache.folder
         if not os.access(folder if folder.exists() else folder.parent, os.W_OK):
-            return  # a study that may only be read is simulated again each time
+            return  # predictions of a read-only study are simulated each time
         for file in folder.glob("*.npz"):
-            if not file.name.startswith(self._cache.kind):  # of the study before it went on
+            if not file.name.startswith(self._cache.kind):  # of the study before it was continued
                 file.unlink()
-        for found in predicted.values():
-            if not found.scenario.trees:
-                self._cache.write(scenario_text(found.scenario), _arrays(found))
+        for prediction in predicted.values():
+            if not prediction.scenario.trees:
+                self._cache.write(scenario_text(prediction.scenario), _arrays(prediction))
 
     def _trees(self) -> Trees:
         """Grow the intrinsic Purkinje networks again, which takes a few ms each."""
         population, simulator = self.fitted.population, self.fitted.simulator
-        every = [population.parameters(k) for k in range(len(population))]
-        parameters = [{**simulator.fixed, **each} for each in every]
+        learnt = [population.parameters(k) for k in range(len(population))]
+        parameters = [{**simulator.fixed, **values} for values in learnt]
         return list(simulator.pool.map(_grown, parameters, simulator.model))
 
 
@@ -87,20 +87,20 @@ def _grown(parameters: Mapping[str, float], model: ForwardModel) -> tuple[Purkin
     return trees
 
 
-def _arrays(found: Predicted) -> Arrays:
-    """Arrays to store: the indices, and those of each network by its number."""
-    arrays = {"indices": np.array([found.indices[name] for name in INDICES])}
-    for k, beat in enumerate(found.beats):
+def _arrays(predicted: Predicted) -> Arrays:
+    """Arrays to store: the indices, and the arrays of each network by its number."""
+    arrays = {"indices": np.array([predicted.indices[name] for name in INDICES])}
+    for k, beat in enumerate(predicted.beats):
         arrays |= {f"{name} {k}": getattr(beat, name) for name in FIELDS}
         arrays |= {f"times {k} {tree}": times for tree, (_, times) in enumerate(beat.trees)}
     return arrays
 
 
 def _predicted(scenario: Scenario, arrays: Arrays, trees: Trees) -> Predicted:
-    """Inverse of `_arrays`."""
+    """Prediction of a scenario from stored arrays, the inverse of `_arrays`."""
     beats = []
-    for k, own in enumerate(trees):
+    for k, network in enumerate(trees):
         leads, filtered, activation, captured = (arrays[f"{name} {k}"] for name in FIELDS)
-        times = tuple((tree, arrays[f"times {k} {number}"]) for number, tree in enumerate(own))
+        times = tuple((tree, arrays[f"times {k} {number}"]) for number, tree in enumerate(network))
         beats.append(PredictedBeat(leads, filtered, activation, times, captured))
     return Predicted(scenario, beats, dict(zip(INDICES, arrays["indices"], strict=True)))

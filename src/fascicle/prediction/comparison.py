@@ -117,20 +117,20 @@ class Comparison:
         measurement's reliability: scenario, index and share, the most useful first, of those of
         `MEASURABLE` that are among the scenarios, by name, in the same networks.
         """
-        found = []
+        measurements = []
         for (scenario, index), error in MEASURABLE.items():
             if scenario in predicted and self.effective >= FEWEST:
                 values = predicted[scenario].indices[index]
                 seen = float(np.var(values) / (np.var(values) + error**2))
-                found.append((scenario, index, seen * self._explained_by(values)))
-        return sorted(found, key=lambda item: -item[2])
+                measurements.append((scenario, index, seen * self._explained_by(values)))
+        return sorted(measurements, key=lambda item: -item[2])
 
     def _explained_by(self, values: Floats) -> float:
         """Squared rank correlation with the reduction, adjusted for chance correlation."""
         ranks = np.array([rankdata(values), rankdata(self.reductions)])
         constant = (np.ptp(ranks, axis=1) == 0).any()  # correlates with nothing
-        left = 1 - (0.0 if constant else float(np.corrcoef(ranks)[0, 1])) ** 2
-        return max(0.0, 1 - left * (self.effective - 1) / (self.effective - 2))
+        unexplained = 1 - (0.0 if constant else float(np.corrcoef(ranks)[0, 1])) ** 2
+        return max(0.0, 1 - unexplained * (self.effective - 1) / (self.effective - 2))
 
 
 def compare(first: Predicted, second: Predicted, index: str) -> Comparison:
@@ -151,21 +151,21 @@ def compare(first: Predicted, second: Predicted, index: str) -> Comparison:
     for scenario in (first, second):
         check_kind(scenario, Predicted, "scenario", "one of what fascicle.predict returned")
     check_index(index)
-    one, other = first.indices[index], second.indices[index]
-    if len(one) != len(other) or not _of_the_same_networks(first, second):
-        counts = f"{len(one)} networks cannot be compared with {len(other)}"
-        counts += " others" * (len(one) == len(other))
+    first_values, second_values = first.indices[index], second.indices[index]
+    if len(first_values) != len(second_values) or not _of_the_same_networks(first, second):
+        counts = f"{len(first_values)} networks cannot be compared with {len(second_values)}"
+        counts += " others" * (len(first_values) == len(second_values))
         raise InputError(f"{counts}; predict both scenarios with the same ones")
     if index in SIGNED:
-        one, other = np.abs(one), np.abs(other)
-    effective = min(len(one), first.effective, second.effective)
-    return Comparison(index, INDICES[index], other - one, effective)
+        first_values, second_values = np.abs(first_values), np.abs(second_values)
+    effective = min(len(first_values), first.effective, second.effective)
+    return Comparison(index, INDICES[index], second_values - first_values, effective)
 
 
 def _of_the_same_networks(first: Predicted, second: Predicted) -> bool:
     """Whether the intrinsic Purkinje networks, which no scenario changes, are the same."""
     return all(
-        np.array_equal(one.nodes, other.nodes)
+        np.array_equal(tree.nodes, other.nodes)
         for a, b in zip(first.beats, second.beats, strict=True)
-        for (one, _), (other, _) in zip(a.trees[:2], b.trees[:2], strict=True)
+        for (tree, _), (other, _) in zip(a.trees[:2], b.trees[:2], strict=True)
     )

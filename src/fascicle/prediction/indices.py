@@ -39,7 +39,7 @@ KORS = np.array(
 
 @dataclass(frozen=True)
 class Territories:
-    """Volumes (mm³) of a heart's m elements, and where these lie."""
+    """Volumes (mm³) of a heart's m elements, and their places in the ventricles."""
 
     tetrahedra: Integers
     volumes: Floats
@@ -85,9 +85,9 @@ def indices(
 def index_table(simulation: Simulation, heart: Heart, stimulus: float | None) -> pd.DataFrame:
     """Indices of a simulation on its heart, as `Simulation.index_table` says."""
     check_kind(heart, Heart, "heart", "the heart that was simulated")
-    found = indices(simulation, Territories.of(heart, places(heart)), stimulus)
+    values = indices(simulation, Territories.of(heart, places(heart)), stimulus)
     name = above("reporting.names").index_name
-    rows = [(key, value, INDICES[key], name(key)) for key, value in found.items()]
+    rows = [(key, value, INDICES[key], name(key)) for key, value in values.items()]
     return pd.DataFrame(rows, columns=["index", "value", "unit", "name"]).set_index("index")
 
 

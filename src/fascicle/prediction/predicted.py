@@ -42,7 +42,7 @@ class PredictedBeat:
     @classmethod
     def of(cls, simulation: Simulation, leads: Floats, filtered: Floats) -> PredictedBeat:
         """Store a simulation; `leads` and `filtered` as above."""
-        times = (each.astype(np.float32) for each in simulation.coupled.trees)
+        times = (node_times.astype(np.float32) for node_times in simulation.coupled.trees)
         trees = tuple(zip(simulation.trees, times, strict=True))
         activation = simulation.activation.astype(np.float32)
         return cls(leads, filtered, activation, trees, simulation.captured)
@@ -50,16 +50,16 @@ class PredictedBeat:
 
 @dataclass(frozen=True)
 class Predicted:
-    """One scenario in n networks.
+    """A scenario predicted in n networks.
 
     Attributes
     ----------
     scenario : Scenario
-        What was predicted.
+        Predicted scenario.
     beats : sequence of PredictedBeat
-        Of each network.
+        Beat of each network.
     indices : mapping of name to (n,) array
-        `INDICES` of each.
+        `INDICES` of each network.
     effective : float
         Effective number of independent networks; inf if unknown, which counts as n.
     """
@@ -73,7 +73,7 @@ class Predicted:
     _repr_html_ = html_card
 
     def plot(self) -> list[Any]:
-        """Draw its ECG by `fascicle.plot.prediction`; returns Matplotlib axes."""
+        """Draw the ECG by `fascicle.plot.prediction`; returns Matplotlib axes."""
         return list(above("plot").prediction(self))
 
     def save(self, path: Path | str) -> None:
@@ -96,10 +96,10 @@ class Predicted:
 
     def matches_first(self, other: Predicted) -> bool:
         """Whether the first network has the same ECG, activation and indices in both."""
-        one, another = self.beats[0], other.beats[0]
+        beat, other_beat = self.beats[0], other.beats[0]
         return (
-            np.array_equal(one.leads, another.leads)
-            and np.array_equal(one.activation, another.activation)
+            np.array_equal(beat.leads, other_beat.leads)
+            and np.array_equal(beat.activation, other_beat.activation)
             and all(
                 np.array_equal(self.indices[n][:1], v[:1], equal_nan=True)
                 for n, v in other.indices.items()

@@ -1,4 +1,4 @@
-"""Scenarios over a population: what each of its networks does in each of them."""
+"""Simulations of scenarios in every network of a population."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from fascicle.study.target_comparison import Network, TargetComparison
 INTRINSIC = "intrinsic"  # the scenario that others are compared with
 LEAD_IN, LEAD_OUT = 10, 20  # samples before the QRS onset (`RINGING` at most), after the last's end
 PRIOR_NETWORKS = 60
-MOST_TRIED = 30  # points for each of them, of which the first that belongs to the prior is taken
+MOST_TRIED = 30  # points drawn for each of them; the first that belongs to the prior is used
 
 
 def with_intrinsic_beat(scenarios: Mapping[str, Scenario]) -> dict[str, Scenario]:
@@ -55,16 +55,16 @@ def predict(
 ) -> dict[str, Predicted]:
     """Simulate the intrinsic beat and scenarios in every network of a study.
 
-    The Purkinje networks are as learnt; only what the scenario names differs.
+    The Purkinje networks are as learnt, except for the changes that the scenario names.
 
     Parameters
     ----------
     fitted : FittedStudy or path
         The study, or its folder.
     scenarios : mapping of name to Scenario, or one or several of str or Path
-        What to predict; names of the library (``"his-pacing"``) and files are read.
+        Scenarios to predict; names of the library (``"his-pacing"``) and files are read.
     progress : Progress, "lines" or None
-        Called with how many networks are simulated; by default lines on standard error say so.
+        Called with the number of simulated networks; by default lines on standard error show it.
     networks : sequence of Network, optional
         All networks of the study, if they are simulated already.
 
@@ -81,7 +81,7 @@ def predict(
     with shown_progress(progress) as shown:
         fitted = as_study(fitted, shown)
     check_population(fitted)
-    wanted = with_intrinsic_beat(as_scenarios(scenarios))
+    requested = with_intrinsic_beat(as_scenarios(scenarios))
     if networks is not None:
         check_items(networks, Network, "networks", "those that the study's 'networks()' gives")
         if len(networks) != len(fitted.population):
@@ -90,8 +90,8 @@ def predict(
                 "that its 'networks()' gives"
             )
     kept = PredictionCache(fitted)
-    found = _up_to_date(fitted, kept.read(wanted))
-    missing = {name: scenario for name, scenario in wanted.items() if name not in found}
+    predicted = _up_to_date(fitted, kept.read(requested))
+    missing = {name: scenario for name, scenario in requested.items() if name not in predicted}
     if missing:
         with shown_progress(progress) as shown:
             networks = fitted.networks(shown) if networks is None else networks
@@ -99,9 +99,9 @@ def predict(
                 fitted.simulator, fitted.recordings[0], networks, missing, shown
             )
         kept.write(simulated)
-        found |= simulated
+        predicted |= simulated
     effective = fitted.population.effective_size
-    return {name: replace(found[name], effective=effective) for name in wanted}
+    return {name: replace(predicted[name], effective=effective) for name in requested}
 
 
 def _up_to_date(fitted: FittedStudy, kept: Mapping[str, Predicted]) -> dict[str, Predicted]:
@@ -109,9 +109,13 @@ def _up_to_date(fitted: FittedStudy, kept: Mapping[str, Predicted]) -> dict[str,
     if not kept:
         return {}
     first = fitted.networks(chosen=[0])
-    scenarios = {name: found.scenario for name, found in kept.items()}
+    scenarios = {name: prediction.scenario for name, prediction in kept.items()}
     again = simulate_scenarios(fitted.simulator, fitted.recordings[0], first, scenarios)
-    return {name: found for name, found in kept.items() if found.matches_first(again[name])}
+    return {
+        name: prediction
+        for name, prediction in kept.items()
+        if prediction.matches_first(again[name])
+    }
 
 
 def as_scenarios(
@@ -152,19 +156,21 @@ def simulate_scenarios(
     territories = Territories.of(model.heart, model.sites.places)
     predicted = {}
     for name, scenario in scenarios.items():
-        report, beats, found = stage_progress(progress, name + of), [], []
+        report, beats, index_values = stage_progress(progress, name + of), [], []
         try:
             # the recording's scenario is simulated already
             new = None if scenario == (recording.scenario or Scenario()) else scenario
             each_network = partial(_simulate, territories, scenario, new, response)
             for beat, values in simulator.pool.map(each_network, networks, model):
                 beats.append(beat)
-                found.append(values)
+                index_values.append(values)
                 report(len(beats), len(networks))
         except InputError as error:
             raise InputError(f"{scenario.source or name}: {error}") from None
-        each = {index: np.array([values[index] for values in found]) for index in INDICES}
-        predicted[name] = Predicted(scenario, beats, each)
+        by_index = {
+            index: np.array([values[index] for values in index_values]) for index in INDICES
+        }
+        predicted[name] = Predicted(scenario, beats, by_index)
     return predicted
 
 
@@ -190,24 +196,24 @@ def prior_networks(fitted: FittedStudy, progress: Progress | None = None) -> lis
     """Networks drawn from the prior of a study, and of its conduction states."""
     simulator, config, rng = fitted.simulator, fitted.study.config, np.random.default_rng(0)
     space = ParameterSpace(config.space)
-    each = [
+    simulators = [
         replace(
             simulator,
-            space=own,
+            space=state_space,
             fixed=config.fixed | state.blocks,
-            mapped=state.is_mapped({*own.names, *config.fixed}),
+            mapped=state.is_mapped({*state_space.names, *config.fixed}),
         )
         for state in states_of(config.states)
-        if (own := state.narrowed(space, config.fixed)) is not None
+        if (state_space := state.narrowed(space, config.fixed)) is not None
     ] or [simulator]
-    numbers = rng.choice(len(each), PRIOR_NETWORKS, p=[*config.states.values()] or None)
+    numbers = rng.choice(len(simulators), PRIOR_NETWORKS, p=[*config.states.values()] or None)
     report, networks = stage_progress(progress, "networks of the prior"), []
     for done, number in enumerate(numbers, 1):
         for point in rng.random((MOST_TRIED, simulator.dimension)):
-            (found,) = each[number].simulate([point])
-            if isinstance(found, Simulation) and each[number].keeps(point, found):
-                parameters = each[number].parameters(point)
-                networks.append(Network(parameters, found, found.leads, 1.0, 1.0))
+            (simulation,) = simulators[number].simulate([point])
+            if isinstance(simulation, Simulation) and simulators[number].keeps(point, simulation):
+                parameters = simulators[number].parameters(point)
+                networks.append(Network(parameters, simulation, simulation.leads, 1.0, 1.0))
                 break
         report(done, len(numbers))
     return networks
@@ -216,16 +222,20 @@ def prior_networks(fitted: FittedStudy, progress: Progress | None = None) -> lis
 def qrs_aligned(*predicted: Predicted) -> tuple[Floats, list[Floats]]:
     """ECGs of scenarios as the recorder would show them, aligned at the QRS onset.
 
-    Times (t,) from there (ms), and potentials (n, 12 + k, t), mV, of each scenario, up to the end
-    of the longest QRS.
+    Returns times (t,) from the onset (ms), and potentials (n, 12 + k, t), mV, of each scenario, up
+    to the end of the longest QRS.
     """
-    windows = [[qrs_window(beat.leads) for beat in each.beats] for each in predicted]
-    longest = max(offset - onset for each in windows for onset, offset in each)
+    windows = [[qrs_window(beat.leads) for beat in prediction.beats] for prediction in predicted]
+    longest = max(
+        offset - onset for scenario_windows in windows for onset, offset in scenario_windows
+    )
     length = LEAD_IN + longest + LEAD_OUT
     rows = len(predicted[0].beats[0].leads)
-    ecgs = [np.zeros((len(each.beats), rows, length)) for each in predicted]
-    for of_scenario, each, its in zip(ecgs, predicted, windows, strict=True):
-        for ecg, beat, (onset, _) in zip(of_scenario, each.beats, its, strict=True):
+    ecgs = [np.zeros((len(prediction.beats), rows, length)) for prediction in predicted]
+    for of_scenario, prediction, scenario_windows in zip(ecgs, predicted, windows, strict=True):
+        for ecg, beat, (onset, _) in zip(
+            of_scenario, prediction.beats, scenario_windows, strict=True
+        ):
             begin = RINGING + onset - LEAD_IN
             ecg[:] = np.pad(beat.filtered, ((0, 0), (0, length)))[:, begin : begin + length]
     return np.asarray((np.arange(length) - LEAD_IN) * STEP, dtype=np.float64), ecgs

@@ -24,7 +24,7 @@ RADIUS = "capture radius (mm)"
 
 
 class Sweep(NamedTuple):
-    """A family of scenarios by segment (1 to 17), delay (ms) or radius (mm): what is `varied`."""
+    """Scenarios that differ in what is `varied`: segment (1 to 17), delay (ms) or radius (mm)."""
 
     varied: str
     scenarios: dict[float, Scenario]
@@ -50,7 +50,7 @@ def simulate_sweep(
     """Simulate a family of scenarios in some networks, evenly spread over a study's population.
 
     Scenarios that cannot be simulated, as of a segment without excitable tissue, are skipped.
-    InputError is that the study has no network, or that no scenario can be simulated.
+    InputError means that the study has no network, or that no scenario can be simulated.
     """
     check_population(fitted)
     some = fitted.networks(progress, chosen=evenly_spread(len(fitted.population), networks))
@@ -58,23 +58,23 @@ def simulate_sweep(
     for key, scenario in sweep.scenarios.items():
         name = swept.called(key)
         try:
-            found = simulate_scenarios(
+            simulated = simulate_scenarios(
                 fitted.simulator, fitted.recordings[0], some, {name: scenario}, progress
             )
         except InputError as error:
             swept.impossible[key] = str(error)
         else:
-            swept.predicted[key] = found[name]
+            swept.predicted[key] = simulated[name]
     if not swept.predicted:
         raise InputError(next(iter(swept.impossible.values())))
     return swept
 
 
 def delays(scenario: Scenario, given: str) -> Sweep:
-    """The scenario with a varied delay (ms) of its last stimulus after its first.
+    """Sweep of the delay (ms) of a scenario's last stimulus after its first.
 
-    `given` is ``"first:last:step"`` in ascending order, both ends included; negative: before the
-    first.
+    `given` is ``"first:last:step"`` in ascending order, both ends included; a negative delay is
+    before the first stimulus.
     """
     stimuli = scenario.of(Stimulus)
     if len(stimuli) < 2:
@@ -85,7 +85,7 @@ def delays(scenario: Scenario, given: str) -> Sweep:
 
 
 def segments(scenario: Scenario, layer: str) -> Sweep:
-    """The scenario with its last myocardial stimulus in each segment, in one of `LAYERS`."""
+    """Sweep of a scenario's last myocardial stimulus over all segments, in one of `LAYERS`."""
     if layer not in LAYERS:
         raise InputError(f"there is no layer '{layer}'; choose {' or '.join(LAYERS)}")
     moved = _of_the_myocardium(scenario)[-1:]
@@ -96,7 +96,7 @@ def segments(scenario: Scenario, layer: str) -> Sweep:
 
 
 def radii(scenario: Scenario, given: str) -> Sweep:
-    """The scenario with varied capture radii (mm) of its myocardial stimuli, as in `delays`."""
+    """Sweep of the capture radius (mm) of a scenario's myocardial stimuli, as in `delays`."""
     changed = _of_the_myocardium(scenario)
     return Sweep(RADIUS, {r: _changed(scenario, changed, radius=r) for r in _numbers(given)})
 
@@ -111,22 +111,22 @@ def _of_the_myocardium(scenario: Scenario) -> list[Stimulus]:
 
 
 def _changed(scenario: Scenario, stimuli: Sequence[Stimulus], **changes: Any) -> Scenario:
-    """The scenario with some of its stimuli changed."""
+    """Scenario with some of its stimuli changed."""
     chosen = {id(stimulus) for stimulus in stimuli}
     return scenario.mapped(lambda p: replace(p, **changes) if id(p) in chosen else p)
 
 
 def _called(scenario: Scenario) -> str:
-    """Its name, if it is of the library, or its file."""
+    """Name of a scenario of the library, or the file of another one."""
     return name_in_library(scenario) or scenario.source or "the scenario"
 
 
-def _numbers(given: str) -> list[float]:
+def _numbers(text: str) -> list[float]:
     try:
-        first, last, step = map(float, given.split(":"))
+        first, last, step = map(float, text.split(":"))
         count = int((last - first) / step + 1e-9) + 1
     except (ValueError, ZeroDivisionError, OverflowError):
-        raise InputError(f"'{given}' is no sweep; give first:last:step, as -60:60:10") from None
+        raise InputError(f"'{text}' is no sweep; give first:last:step, as -60:60:10") from None
     if step <= 0 or not 2 <= count <= MOST:
-        raise InputError(f"'{given}' has {count} steps; give 2 to {MOST} that go up, as -60:60:10")
+        raise InputError(f"'{text}' has {count} steps; give 2 to {MOST} that go up, as -60:60:10")
     return [first + k * step for k in range(count)]

@@ -108,7 +108,7 @@ def _circle_by_arc_length(loop: Floats) -> Floats:
 def _mean_value_map(
     vertices: Floats, triangles: Integers, loop: Integers, circle: Floats
 ) -> Floats:
-    """Each inner vertex at the mean-value-weighted average of its neighbours (Floater 2003)."""
+    """Map with inner vertices at mean-value-weighted averages of neighbours (Floater 2003)."""
     n = len(vertices)
     weights = sp.csr_matrix((n, n))
     for k in range(3):
@@ -116,7 +116,7 @@ def _mean_value_map(
         to_j, to_l = vertices[j] - vertices[i], vertices[l] - vertices[i]
         length_j, length_l = np.linalg.norm(to_j, axis=1), np.linalg.norm(to_l, axis=1)
         cosine = np.einsum("ij,ij->i", to_j, to_l) / (length_j * length_l)
-        cosine = cosine.clip(-1.0, 1.0)  # but for rounding
+        cosine = cosine.clip(-1.0, 1.0)  # rounding may exceed the range
         with np.errstate(divide="ignore"):  # of a triangle that is a line; see below
             half_tangent = np.sqrt((1 - cosine) / (1 + cosine))  # tan(α/2)
         for column, length in ((j, length_j), (l, length_l)):

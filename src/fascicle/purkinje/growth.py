@@ -1,4 +1,4 @@
-"""From chart and parameters to a Purkinje tree."""
+"""Growth of a Purkinje tree from a chart and parameters."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ class GrowthTerm:
         the term of the paper, says with what, and what it gives. Numba compiles it; it may call
         that one, and functions under `numba.njit`.
     parameters : tuple of Quantity
-        What it depends on. From then on they can be given to simulations like any other quantity.
+        Parameters of the function; simulations then take them like any other quantity.
     values : tuple of float, optional
-        Of these; their defaults if not given.
+        Values of the parameters; their defaults if not given.
     """
 
     function: Callable[[tuple[float, float, float, float], Triple, Triple, Floats], Pair]
@@ -61,7 +61,7 @@ class GrowthTerm:
         return {p.name: v for p, v in zip(self.parameters, self.values, strict=True)}
 
     def with_values(self, values: Mapping[str, float]) -> GrowthTerm:
-        """The same with other values of the parameters that are among these."""
+        """Return the term with the values of those of its parameters that `values` names."""
         changed = checked({name: values.get(name, v) for name, v in self.numbers.items()})
         return replace(self, values=tuple(changed.values()))
 
@@ -79,7 +79,7 @@ def _grow(term: Callable[..., Pair]) -> Any:
 
 @dataclass(frozen=True)
 class GrowthRules:
-    """What the paper holds fixed while the bundles and fascicles vary.
+    """Rules of growth that the paper holds fixed while the bundles and fascicles vary.
 
     Attributes
     ----------
@@ -116,11 +116,11 @@ class GrowthRules:
     @property
     def numbers(self) -> dict[str, float]:
         """All quantities, those of the term included."""
-        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "term"}
-        return own | self.term.numbers
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "term"}
+        return values | self.term.numbers
 
     def with_values(self, values: Mapping[str, float]) -> GrowthRules:
-        """The same with other values of the quantities in `values` that concern it."""
+        """Return the rules with the values of those of their quantities that `values` names."""
         changes: dict[str, Any] = {
             name: int(values[name]) if quantity(name).is_integer else values[name]
             for name in self.numbers.keys() - self.term.numbers.keys()
@@ -130,7 +130,7 @@ class GrowthRules:
 
 
 class Seed(NamedTuple):
-    """Where a bundle starts in the disk, and its unit heading there."""
+    """Start of a bundle in the disk, and its unit heading there."""
 
     point: Floats
     triangle: int

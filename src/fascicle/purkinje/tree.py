@@ -136,7 +136,7 @@ class InvalidTree:
 
     @property
     def reason(self) -> str:
-        """All of this in words."""
+        """Reason in words, for messages."""
         name = "bundle" if self.branch == 0 else f"fascicle {self.branch}"
         where = ", ".join(f"{x:.1f}" for x in self.position)
         return (

@@ -63,7 +63,7 @@ def tree_lines(tree: PurkinjeTree, activation: Floats | None = None) -> Any:
 
 
 def directions(tree: PurkinjeTree, activation: Floats) -> Integers:
-    """How the segment that ends in each node (n,) is activated, given the nodes' times (ms).
+    """Direction of activation of the segment that ends in each node (n,), by the nodes' times (ms).
 
     1 where its end nearer to the root is activated first (anterograde), -1 where the other one is
     (retrograde), 0 where an end is not activated, and at the root.
@@ -103,10 +103,10 @@ def read_tree(
     were written here, else from their ends. Lines that make one tree by their point numbers are
     taken as they are; else points in one place are made one first.
 
-    The root is the node nearest to the point `near` (3,) (mm): an end, a fork or neither. Where
-    `file_first`, or without that point, the root that the file marks, if it does, counts before
-    that. InputError is that the file is not one connected tree without loops, or that no node is
-    within 2 mm of the point. The `side` is ``"lv"``, ``"rv"`` or another name.
+    The root is the node nearest to the point `near` (3,) (mm): an end, a fork or neither. With
+    `file_first`, or without that point, a root that the file marks takes precedence. Raises
+    InputError if the file is not one connected tree without loops, or if no node is within 2 mm of
+    the point. The `side` is ``"lv"``, ``"rv"`` or another name.
     """
     path = as_path(path, "tree")
     check_text(side, "side")
@@ -134,7 +134,9 @@ def read_tree(
     distances = np.linalg.norm(nodes - (near if marked is None else marked), axis=1)
     root = int(np.argmin(distances))
     if distances[root] > FURTHEST_ROOT:
-        here, there = (", ".join(f"{x:.4f}" for x in point) for point in (near, nodes[root]))
+        root_place, nearest_place = (
+            ", ".join(f"{x:.4f}" for x in point) for point in (near, nodes[root])
+        )
         remedy = "give the place of a node"
         if file_first:
             remedy = (
@@ -142,8 +144,8 @@ def read_tree(
                 "array 'root', 1 there and 0 elsewhere; for openCARP _root.vtx)"
             )
         raise InputError(
-            f"{path}: the node nearest to the root given ({here}) is {distances[root]:.1f} mm away,"
-            f" at ({there}) mm, more than {FURTHEST_ROOT:g} mm; {remedy}"
+            f"{path}: the node nearest to the root given ({root_place}) is {distances[root]:.1f} "
+            f"mm away, at ({nearest_place}) mm, more than {FURTHEST_ROOT:g} mm; {remedy}"
         )
     graph = coo_array((np.ones(len(segments)), segments.T), (len(nodes), len(nodes))).tocsr()
     _, parents = breadth_first_order(graph, root, directed=False)
@@ -169,7 +171,7 @@ def _marked_root(mesh: MeshFile) -> Floats | None:
 
 
 def _why_no_tree(segments: Integers, count: int) -> str:
-    """What keeps segments between `count` nodes from being one tree; empty if nothing does."""
+    """Reason why segments between `count` nodes are not one tree; empty if they are."""
     pieces = components_of(segments, count).max() + 1
     if pieces > 1:
         return f"the lines fall into {pieces} unconnected pieces; give one tree"
@@ -201,7 +203,7 @@ def _read_opencarp_tree(path: Path | str, purpose: str) -> MeshFile:
 
 
 def _merged(points: Floats, segments: Integers, lengths: Floats) -> tuple[Floats, Integers, Floats]:
-    """Points, segments and lengths with points in one place made one.
+    """Points, segments and lengths, with coincident points merged.
 
     Only for lines that do not form a tree as they are: polylines often repeat shared points. Two
     nodes of a tree may well lie in one place and be different nodes.
@@ -217,10 +219,10 @@ def _segments(mesh: MeshFile) -> tuple[Integers, Floats]:
     ends = mesh.points[segments]
     check_array("coordinate", ends, f"{mesh.path}: a coordinate")
     chords = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    given = mesh.cell_data.get(LINE, {}).get("length")
-    if given is None:
+    stored = mesh.cell_data.get(LINE, {}).get("length")
+    if stored is None:
         return segments, chords
-    lengths = np.asarray(given, dtype=float)
+    lengths = np.asarray(stored, dtype=float)
     if lengths.ndim != 1 or mesh.has_polylines:
         return segments, chords  # not one length for each segment
     bad = np.flatnonzero(~np.isfinite(lengths) | (lengths < chords * (1 - 1e-4)))

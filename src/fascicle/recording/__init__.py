@@ -1,1 +1,1 @@
-"""From a recording to a target: beats, their mean and spread, the QRS window."""
+"""Recordings and their targets: beats, their mean and spread, the QRS window."""

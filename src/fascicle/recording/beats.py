@@ -1,4 +1,4 @@
-"""Which beats make the target: cut out, aligned at R and detrended, of one group or several."""
+"""Beats of the target: selected, cut out, aligned at R and detrended, of one group or several."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FEW_ALIKE = 0.7  # share of the beats that should be alike
 
 
 class Unused(Enum):
-    """Why a beat is not one of the target's."""
+    """Reason why a beat is not used in the target."""
 
     CUT_OFF_START = "cut off by the start of the recording"
     CUT_OFF_END = "cut off by the end of the recording"
@@ -37,7 +37,7 @@ class Unused(Enum):
 
 
 class Drift(NamedTuple):
-    """How far (mV) a beat is off the median beat right after the QRS, and in which lead most."""
+    """Largest deviation (mV) of a beat from the median beat right after the QRS, and its lead."""
 
     lead: str
     potential: float
@@ -45,18 +45,18 @@ class Drift(NamedTuple):
 
 @dataclass(frozen=True)
 class Beat:
-    """One heart beat of a recording."""
+    """A heart beat of a recording."""
 
     number: int  # from 1, in the order of time
     time: float  # of its R peak (s from the start of the recording)
     label: str  # its class: A is the one with the most beats, then B and so on
     interval: float  # time since the beat before (ms); NaN for the first
-    unused: Unused | None = None  # why it is not one of the target's beats
-    drift: Drift | None = None  # of its baseline, where that is why
+    unused: Unused | None = None  # reason why the target does not use it
+    drift: Drift | None = None  # of its baseline, where that is the reason
 
     @property
     def used(self) -> bool:
-        """Whether it is one of the target's beats."""
+        """Whether the target uses the beat."""
         return self.unused is None
 
     @property
@@ -66,7 +66,7 @@ class Beat:
 
     @property
     def why_unused(self) -> str:
-        """The reason in words; empty where the beat is used."""
+        """Reason why the beat is not used, in words; empty where it is."""
         if self.unused is Unused.OTHER_CLASS:
             return f"class {self.label}"
         if self.drift is not None:
@@ -94,7 +94,7 @@ class AlignedBeats(NamedTuple):
 
 
 def extent(group: LeadGroup) -> tuple[int, int]:
-    """Samples before and after R that a beat has."""
+    """Number of samples of a beat before and after R."""
     before, after = 250.0, 450.0  # ms
     if len(group.peaks) > 1:
         interval = float(np.nanmedian(group.intervals))
@@ -109,7 +109,8 @@ def extent(group: LeadGroup) -> tuple[int, int]:
 def cut_beats(group: LeadGroup, members: Integers, onset: float | None) -> AlignedBeats:
     """Cut out the beats `members` (n_beats,) of a group, and subtract their isoelectric lines.
 
-    The twelve leads alone decide where these are, or the `onset` (ms from R) that the user gave.
+    The lines are found in the twelve leads alone, or from the `onset` (ms from R) that the user
+    gave.
     """
     before, after = extent(group)
     peaks = group.peaks[members]
@@ -125,8 +126,8 @@ def cut_beats(group: LeadGroup, members: Integers, onset: float | None) -> Align
     first = qrs_window(median, not_before)[0]
     if onset is not None:
         first = min(max(before + round(onset / SAMPLING_STEP), 0), before + after)
-    # The isoelectric level is that of the slowest samples, of 60 to 5 before the QRS: further back
-    # is the P wave; nearer, the first slope of the QRS is smoothed in.
+    # The isoelectric level is read where the beat is slowest, 60 to 5 samples before the QRS:
+    # further back is the P wave; nearer, the first slope of the QRS is smoothed in.
     earliest = max(first - 60, 0)
     velocity = spatial_velocity(median)[earliest : max(first - 5, earliest + KNOT)]
     slowest = np.argmin(np.convolve(velocity, np.full(KNOT, 1 / KNOT), mode="valid"))
@@ -140,8 +141,8 @@ def _detrended_beats(
 ) -> Floats:
     """Beats (n_beats, 12 + k, n), mV, with a straight line removed from each lead.
 
-    It runs through the isoelectric level before the QRS, from the sample `knots` on, and that of
-    the nearest neighbour; where none is near, as for a single beat, the level alone is removed.
+    The line runs through the isoelectric level before the QRS, from the sample `knots` on, and that
+    of the nearest beat; where none is near, as for a single beat, the level alone is removed.
     """
     level = np.stack([signal[:, max(k, 0) : k + KNOT].mean(axis=1) for k in knots])
     slope = np.zeros_like(level)  # mV per sample
@@ -157,15 +158,15 @@ def _detrended_beats(
 
 
 def drifting_beats(group: LeadGroup, members: Integers, onset: float | None) -> dict[int, Drift]:
-    """Find beats of one shape whose baseline drifts: right after the QRS they are off the others.
+    """Find beats of one shape that are off the others right after the QRS: their baseline drifts.
 
-    A drift, as when an electrode settles or is pushed, need not be the straight line that was taken
-    off. They are off by more than 0.1 mV in a lead, and by more than eight robust standard
-    deviations of the beats in that lead, or in the median lead where that is larger. Of two
-    neighbours the one that is further off goes first, since the other's line may run through it.
+    A drift, as when an electrode settles or is pushed, need not be the straight line that was
+    removed. A drifting beat is off by more than 0.1 mV in a lead, and by more than eight robust
+    standard deviations of the beats in that lead, or in the median lead where that is larger. Of
+    two neighbours the one further off is excluded first: the other's line may run through it.
     Parameters as of `cut_beats`.
     """
-    found: dict[int, Drift] = {}
+    drifts: dict[int, Drift] = {}
     while len(members) >= 5:
         aligned = cut_beats(group, members, onset)
         end = qrs_window(np.median(aligned.beats, axis=0), aligned.not_before)[1]
@@ -180,23 +181,23 @@ def drifting_beats(group: LeadGroup, members: Integers, onset: float | None) -> 
         if not drifting.any():
             break
         for k in np.flatnonzero(drifting):
-            found[int(members[k])] = Drift(LEADS[leads[k]], float(off[k, leads[k]]))
+            drifts[int(members[k])] = Drift(LEADS[leads[k]], float(off[k, leads[k]]))
         members = members[~drifting]
-    return found
+    return drifts
 
 
 def combine(groups: Sequence[AlignedBeats]) -> AlignedBeats:
-    """Put beats of lead groups together, the first of each with the first of the others.
+    """Merge the beats of lead groups, the first of each group with the first of the others.
 
-    They are aligned by the leads that the groups share, or else by the root mean square of their
-    mean beats: of synthetic recordings cut up in this way, half were right to within 2 ms, and one
-    in ten was off by more than 12 ms.
+    The beats are aligned by the leads that the groups share, or else by the root mean square of
+    their mean beats. The latter, in synthetic recordings cut up into groups, was right to within 2
+    ms in half of them, and off by more than 12 ms in one of ten.
     """
     first = groups[0]
     if len(groups) == 1:
         return first
-    there = [np.isfinite(group.beats[0, : len(LEADS)]).all(axis=1) for group in groups]
-    shared = [there[0] & other for other in there]
+    complete = [np.isfinite(group.beats[0, : len(LEADS)]).all(axis=1) for group in groups]
+    shared = [complete[0] & other for other in complete]
     r_peaks = [first.before]
     for group, both in zip(groups[1:], shared[1:], strict=True):
         a, b = first.mean[: len(LEADS)], group.mean[: len(LEADS)]
@@ -231,7 +232,7 @@ def _shift(x: Floats, y: Floats, x_peak: int, y_peak: int) -> int:
 def select_beats(
     groups: Sequence[LeadGroup], options: TargetOptions, source: str
 ) -> tuple[list[tuple[Beat, ...]], str]:
-    """Number the beats of all groups and decide which are used; class of the target's beats."""
+    """Number and select the beats of each group; also return the class of the target's beats."""
     firsts = [1, *(1 + n for n in accumulate(len(group.peaks) for group in groups))]
     count = firsts[-1] - 1
     wrong = [k for k in (*(options.beats or ()), *options.exclude) if not 1 <= k <= count]
@@ -241,8 +242,8 @@ def select_beats(
         )
     label = options.beat_class if options.beat_class is not None else "A"
     if options.beats is not None:  # the class of most of them
-        every = [label for group in groups for label in group.labels]
-        labels = [label for k, label in enumerate(every) if k + 1 in options.beats]
+        all_labels = [label for group in groups for label in group.labels]
+        labels = [label for k, label in enumerate(all_labels) if k + 1 in options.beats]
         label = max(sorted(set(labels), key=by_name), key=labels.count)
     _check_classes(source, groups, options, label)
     reasons = [
@@ -262,15 +263,15 @@ def select_beats(
             why[k] = Unused.SURPLUS
     beats = []
     for group, first, why, drift in zip(groups, firsts, reasons, drifts, strict=False):
-        found = zip(group.times, group.labels, group.intervals, why, strict=True)
-        own = [
-            Beat(first + k, float(time), one, float(interval), reason, drift.get(k))
-            for k, (time, one, interval, reason) in enumerate(found)
+        rows = zip(group.times, group.labels, group.intervals, why, strict=True)
+        numbered = [
+            Beat(first + k, float(time), beat_label, float(interval), reason, drift.get(k))
+            for k, (time, beat_label, interval, reason) in enumerate(rows)
         ]
-        for beat in own:
+        for beat in numbered:
             if beat.number in (options.beats or ()) and beat.cut_off:
                 raise InputError(f"{source}: beat {beat.number} is {beat.why_unused}; name others")
-        beats.append(tuple(own))
+        beats.append(tuple(numbered))
     return beats, label
 
 
@@ -282,11 +283,13 @@ def by_name(label: str) -> tuple[int, str]:
 def _reasons(
     group: LeadGroup, options: TargetOptions, label: str, first_number: int
 ) -> list[Unused | None]:
-    """Why each beat of one group is not used; None where it is."""
+    """Reason why each beat of one group is not used; None where it is used."""
     before, after = extent(group)
     n_samples = group.signal.shape[1]
     reasons: list[Unused | None] = []
-    for number, (peak, one) in enumerate(zip(group.peaks, group.labels, strict=True), first_number):
+    for number, (peak, beat_label) in enumerate(
+        zip(group.peaks, group.labels, strict=True), first_number
+    ):
         if peak < before or peak + after >= n_samples:
             reasons.append(Unused.CUT_OFF_START if peak < n_samples / 2 else Unused.CUT_OFF_END)
         elif number in options.exclude:
@@ -294,14 +297,14 @@ def _reasons(
         elif options.beats is not None:
             reasons.append(None if number in options.beats else Unused.NOT_CHOSEN)
         else:
-            reasons.append(None if one == label else Unused.OTHER_CLASS)
+            reasons.append(None if beat_label == label else Unused.OTHER_CLASS)
     return reasons
 
 
 def _check_classes(
     source: str, groups: Sequence[LeadGroup], options: TargetOptions, label: str
 ) -> None:
-    """Refuse a class that is not there, and classes that groups of leads may not share."""
+    """Refuse a class without beats, and beats of several shapes in several lead groups."""
     for group in groups:
         mixed = len(group.of_class(label)) < FEW_ALIKE * len(group.peaks)
         if len(groups) > 1 and mixed and options.beats is None:

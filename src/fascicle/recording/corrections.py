@@ -1,4 +1,4 @@
-"""What a user may set right in a recording: gains, polarity, lead reversal."""
+"""Corrections of a recording that a user may ask for: gains, polarity, lead reversal."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def swap(recording: Recording, first: str, second: str) -> Recording:
             f"{recording.source}: cannot swap {names}; give two of the electrodes RA, LA, LL, or "
             f"two recorded leads ({', '.join(recording.measured_leads)})"
         )
-    gainless = replace(recording, digits_per_millivolt=None)  # theirs were reversed, too
+    gainless = replace(recording, digits_per_millivolt=None)  # the gains were exchanged, too
     return _changed(gainless, signal, kept, "swapped", names)
 
 
@@ -100,10 +100,10 @@ def _order(names: Sequence[str], first: str, second: str) -> list[int]:
 
 
 def _changed(
-    recording: Recording, signal: Floats, kept: Sequence[str], what: str, how: str
+    recording: Recording, signal: Floats, kept: Sequence[str], correction: str, note: str
 ) -> Recording:
     """Recording with a new signal, its computed leads computed again, and a note."""
     signal, derived = derive_limb_leads(signal, kept)
-    before = recording.provenance.get(what)
-    notes = recording.provenance | {what: how if before is None else f"{before}, {how}"}
+    before = recording.provenance.get(correction)
+    notes = recording.provenance | {correction: note if before is None else f"{before}, {note}"}
     return replace(recording, signal=signal, derived=derived, provenance=notes)

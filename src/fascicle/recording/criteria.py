@@ -18,7 +18,7 @@ STRAUSS = "Strauss et al. 2011"  # Strauss, Selvester and Wagner, Am J Cardiol 1
 
 @dataclass(frozen=True)
 class Criterion:
-    """What a conventional criterion says of a beat.
+    """Decision of a conventional criterion on a beat.
 
     Attributes
     ----------
@@ -27,10 +27,10 @@ class Criterion:
     met : bool or None
         None where a lead that decides it is not used.
     why : str
-        What was measured, each with its limit in brackets: all of it where the criterion is met,
-        otherwise what is against it or missing.
+        Measurements, each with its limit in brackets: all of them where the criterion is met,
+        otherwise those that are against it or missing.
     source : str
-        Who published it.
+        Publication that defines it.
     """
 
     name: str
@@ -44,9 +44,10 @@ def conventional_criteria(
 ) -> tuple[Criterion, ...]:
     """Decide the conventional criteria of conduction disturbances in adults.
 
-    Times are from the global onset. What needs more than the QRS of a beat is left out: ST segment
-    and T wave, age, sex (the limits of Strauss et al. for both are decided), congenital heart
-    disease, and incomplete left bundle branch block, which needs a pattern of hypertrophy.
+    Times are from the global QRS onset. Criteria that need more than the QRS of a beat are left
+    out: ST segment and T wave, age, sex (the limits of Strauss et al. for both are decided),
+    congenital heart disease, and incomplete left bundle branch block, which needs a pattern of
+    hypertrophy.
 
     Parameters
     ----------
@@ -62,11 +63,11 @@ def conventional_criteria(
     shapes = [_at_least(len(parts), [part.met for part in parts]) for parts in (right, left)]
     neither = {None: None, True: False, False: True}[_at_least(1, shapes)]
     how = {None: "perhaps ", True: "not ", False: ""}[neither]
-    said = f"shape {how}of a bundle branch block (neither bundle's)"
+    description = f"shape {how}of a bundle branch block (neither bundle's)"
     short, long = qrs("below 120", beat.ms < 120), qrs("at least 120", beat.ms >= 120)
     between = qrs("at least 110, below 120", 110 <= beat.ms < 120)
     men, women = (qrs(f"at least {limit}", beat.ms >= limit) for limit in (140, 130))
-    nonspecific = [qrs("over 110", beat.ms > 110), _Part(neither, said)]
+    nonspecific = [qrs("over 110", beat.ms > 110), _Part(neither, description)]
     return (
         _criterion("complete right bundle branch block", [long, *right]),
         _criterion("incomplete right bundle branch block", [between, *right]),
@@ -87,21 +88,23 @@ def frontal_axis(ecg: Floats) -> float:
 
 
 class _Part(NamedTuple):
-    """One requirement of a criterion: whether it is met, and what was measured."""
+    """A requirement of a criterion: whether it is met, and the measurement with its limit."""
 
     met: bool | None
     why: str
 
 
 def _at_least(number: int, met: Sequence[bool | None]) -> bool | None:
-    """Whether so many are met; None where that rests on those that are not known."""
+    """Whether at least `number` are met; None where that depends on the unknown ones."""
     certain, possible = met.count(True), len(met) - met.count(False)
     return True if certain >= number else None if possible >= number else False
 
 
 def _criterion(name: str, parts: Sequence[_Part], source: str = AHA) -> Criterion:
     met = _at_least(len(parts), [part.met for part in parts])
-    return Criterion(name, met, "; ".join(why for each, why in parts if each is met), source)
+    return Criterion(
+        name, met, "; ".join(why for part_met, why in parts if part_met is met), source
+    )
 
 
 class _Beat:
@@ -115,7 +118,7 @@ class _Beat:
         self.axis = frontal_axis(np.array(limb)) if len(limb) == len(LIMB_LEADS) else None
 
     def qrs(self, limit: str, met: bool) -> _Part:
-        """Global QRS duration."""
+        """Requirement on the global QRS duration."""
         return _Part(met, f"QRS {self.ms} ms ({limit})")
 
     def each(
@@ -126,19 +129,23 @@ class _Beat:
         say: Callable[[Qrs], str] = lambda lead: lead.pattern,
         number: int | None = None,
     ) -> _Part:
-        """What holds in every one of these leads, or in a `number` of them."""
-        found: dict[str, list[str]] = {}
+        """Requirement that the leads meet, all of them or at least a `number`."""
+        leads_by_text: dict[str, list[str]] = {}
         results: list[bool | None] = []
         for name in names.split():
             lead = self.leads.get(name)
             results.append(None if lead is None else met(lead))
-            found.setdefault("not used:" if lead is None else f"{say(lead)} in", []).append(name)
-        said = " and ".join(f"{what} {', '.join(where)}" for what, where in found.items())
+            leads_by_text.setdefault("not used:" if lead is None else f"{say(lead)} in", []).append(
+                name
+            )
+        measured = " and ".join(
+            f"{text} {', '.join(leads)}" for text, leads in leads_by_text.items()
+        )
         enough = _at_least(len(results) if number is None else number, results)
-        return _Part(enough, f"{said} ({limit})")
+        return _Part(enough, f"{measured} ({limit})")
 
     def r_peak(self, names: str, limit: str, met: Callable[[float], bool]) -> _Part:
-        """R-peak time (ms)."""
+        """Requirement on the R-peak time (ms)."""
 
         def say(lead: Qrs) -> str:
             return "no R peak" if np.isnan(lead.r_peak) else f"R peak {lead.r_peak:.0f} ms"
@@ -146,7 +153,7 @@ class _Beat:
         return self.each(names, limit, lambda lead: met(lead.r_peak), say)
 
     def axis_within(self, low: float, high: float) -> _Part:
-        """Frontal axis (degrees)."""
+        """Requirement on the frontal axis (degrees)."""
         if self.axis is None:
             return _Part(None, "axis unknown: a limb lead is not used")
         return _Part(low <= self.axis <= high, f"axis {self.axis:.0f}° ({low} to {high}°)")
@@ -213,7 +220,7 @@ class _Beat:
 
 
 def _has_r_prime(lead: Qrs) -> bool:
-    """Whether it is rsR', rSR', or rsr' with waves that all have small letters; not rSr'."""
+    """Whether a QRS is rsR', rSR', or rsr' with waves that all have small letters; not rSr'."""
     if lead.signs != "+-+":
         return False
     r, s, r_prime = (abs(wave.height) for wave in lead.waves)

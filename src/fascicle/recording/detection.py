@@ -11,24 +11,24 @@ from fascicle.recording.filters import block_means
 
 
 def magnitude(signal: Floats) -> Floats:
-    """Root mean square over the independent leads that are there, (12, n) mV to (n,) mV."""
+    """Root mean square over the independent leads that were recorded, (12, n) mV to (n,) mV."""
     return np.asarray(np.sqrt(np.mean(signal[complete_leads(signal)] ** 2, axis=0)))
 
 
 def complete_leads(signal: Floats) -> list[int]:
-    """Rows to average over: the independent leads, or all when I or II is not there.
+    """Rows to average over: the independent leads, or all when I or II is missing.
 
     Without I or II no two of the other limb leads see the whole frontal plane equally, so a mean
     takes them all; `fascicle.core.leads.independent_rows` never takes more than two. Leads of the
-    signal (12, n) that hold a NaN are not there; ValueError when all do. Rows after the twelfth, of
-    additional leads, decide nothing.
+    signal (12, n) that hold a NaN count as missing; ValueError when all do. Rows after the twelfth,
+    of additional leads, are ignored.
     """
-    there = [row for row in range(len(LEADS)) if bool(np.isfinite(signal[row]).all())]
-    if not there:
+    complete = [row for row in range(len(LEADS)) if bool(np.isfinite(signal[row]).all())]
+    if not complete:
         raise ValueError("no lead is complete; cut the signal to where leads were recorded")
-    if {0, 1} <= set(there) or not set(there) & set(range(len(LIMB_LEADS))):
-        return [row for row in there if row in INDEPENDENT_ROWS]
-    return there
+    if {0, 1} <= set(complete) or not set(complete) & set(range(len(LIMB_LEADS))):
+        return [row for row in complete if row in INDEPENDENT_ROWS]
+    return complete
 
 
 def r_peaks(signal: Floats, sampling_rate: float) -> Integers:
@@ -43,8 +43,8 @@ def r_peaks(signal: Floats, sampling_rate: float) -> Integers:
     decides, and both levels are medians over the whole recording. Each beat then moves to the top
     of the smoothed root mean square of the leads that agree.
 
-    Of a signal (12, n), mV, without pacing spikes, at a rate of at least 250 Hz: the sample of each
-    R peak to within 2 ms, (n_beats,), increasing. Rows with NaN are left out.
+    The signal (12, n), mV, has no pacing spikes and a rate of at least 250 Hz; rows with NaN are
+    left out. Returned is the sample of each R peak, to within 2 ms, (n_beats,), increasing.
     """
     factor = max(round(sampling_rate / 250.0), 1)  # Hz; enough for a band that ends at 15 Hz
     rate = sampling_rate / factor
@@ -106,26 +106,26 @@ def _beats(slope: Floats, leads: Floats, rate: float) -> Integers:
     from scipy.signal import find_peaks
 
     merged = _merged(slope, rate)
-    # A beat at the very end of the recording has its top there. No two follow each other faster.
-    found = find_peaks(np.pad(merged, 1), distance=0.24 * rate)[0] - 1
+    # Padded, since a beat at the very end has its top there. No two beats are nearer to each other.
+    humps = find_peaks(np.pad(merged, 1), distance=0.24 * rate)[0] - 1
     usual = float(_usual_height(merged, rate)) / 2
-    beats = _high(merged, found, usual)
+    beats = _high(merged, humps, usual)
     # T waves among the beats lower the threshold, so it settles again without them.
-    return _high(merged, np.setdiff1d(found, _t_waves(beats, leads, rate)), usual)
+    return _high(merged, np.setdiff1d(humps, _t_waves(beats, leads, rate)), usual)
 
 
-def _high(merged: Floats, found: Integers, usual: float) -> Integers:
-    """Those of the humps that pass the threshold between the levels between beats and of beats."""
-    height = merged[found]
+def _high(merged: Floats, humps: Integers, usual: float) -> Integers:
+    """Humps above a threshold, a fifth of the way from the level between beats to that of beats."""
+    height = merged[humps]
     between = np.median(merged)
     beat = height > usual
     for _ in range(5):  # the threshold settles; slow ectopic beats need it low
         beat = height > between + 0.2 * (np.median(height[beat]) - between)
-    return np.asarray(found[beat])
+    return np.asarray(humps[beat])
 
 
 def _t_waves(beats: Integers, leads: Floats, rate: float) -> Integers:
-    """Those of the found beats (n_beats,), samples, that are the T wave of the beat before.
+    """Beats (samples), of those in `beats` (n_beats,), that are the T wave of the beat before.
 
     A T wave comes soon after a beat and is less steep (Pan and Tompkins); that it is slow for its
     height and followed by no wave keeps early ectopic beats, which have a T wave of their own.
@@ -136,7 +136,7 @@ def _t_waves(beats: Integers, leads: Floats, rate: float) -> Integers:
     steepness = [float(slope[max(beat - reach, 0) : beat + reach + 1].max()) for beat in beats]
     wave = gaussian_filter1d(leads, 0.02 * rate, axis=-1)
     nexts = [*(beats[1:] - 0.1 * rate), leads.shape[1]]
-    found = []
+    t_waves = []
     before = 0
     for k in range(1, len(beats)):
         height = _height(wave, beats[k] - 0.1 * rate, beats[k] + 0.1 * rate)
@@ -146,18 +146,18 @@ def _t_waves(beats: Integers, leads: Floats, rate: float) -> Integers:
             and steepness[k] < 0.7 * steepness[before]
             # height over steepness (s): up to 0.048 of few ectopic beats
             and height > 0.046 * rate * steepness[k]
-            and following[1] - following[0] >= 0.06 * rate  # of less nothing can be said
+            and following[1] - following[0] >= 0.06 * rate  # less is too short to judge
             # a P wave is lower, the T wave of most beats higher
             and _height(wave, *following) < 0.25 * height
         ):
-            found.append(beats[k])
+            t_waves.append(beats[k])
         else:
             before = k
-    return np.array(found, dtype=np.int64)
+    return np.array(t_waves, dtype=np.int64)
 
 
 def _height(wave: Floats, start: float, stop: float) -> float:
-    """Root mean square over the leads of what each spans between two samples (mV)."""
+    """Root mean square over the leads of the peak-to-peak potential between two samples (mV)."""
     spans = np.ptp(wave[:, max(round(start), 0) : round(stop) + 1], axis=1)
     return float(np.sqrt(np.mean(spans**2)))
 

@@ -1,4 +1,4 @@
-"""The recorder's filters: as the file or the user says, or from the spectrum of the beats.
+"""The recorder's filters: as the file or the user states, or from the spectrum of the beats.
 
 A QRS's own spectrum falls slowly, over octaves; that of a recording behind a steep low-pass breaks
 off at its cut-off and falls to the noise of the digits. Two models of the spectrum (dB) about a
@@ -34,8 +34,8 @@ from fascicle.recording.target_options import TargetOptions
 # steeply they fall from there; an analogue stage of second order is usual.
 RECORDER_ORDER = 2.0
 RESOLUTION, BAND = 0.5, 2.0  # Hz; of the spectrum, by padding, and of one value of the fit
-CUTOFFS = (0.7, 1.4)  # range of a fitted cut-off, as shares of the frequency it is looked for about
-KNEE = 0.7  # share of that frequency at which the line is pinned
+CUTOFFS = (0.7, 1.4)  # range of a fitted cut-off, as shares of the centre of its search
+KNEE = 0.7  # share of that centre at which the line is pinned
 
 
 def passed_filters(
@@ -48,12 +48,12 @@ def passed_filters(
             f"{recording.source}: the recorder's low-pass is {named:g} Hz in the file, not "
             f"{stated:g} Hz; leave --recorder-lowpass out, or correct the file"
         )
-    if (known := named if named is not None else stated) is not None:
+    if (cutoff := named if named is not None else stated) is not None:
         origin = FilterOrigin.STATED if named is None else FilterOrigin.FILE
-        filters = [Filter(FilterKind.LOW_PASS, known, origin, RECORDER_ORDER)]
+        filters = [Filter(FilterKind.LOW_PASS, cutoff, origin, RECORDER_ORDER)]
     else:
-        found = estimated_lowpass(recording.signal, recording.sampling_rate, r_peaks)
-        filters = [] if found is None else [found]
+        estimate = estimated_lowpass(recording.signal, recording.sampling_rate, r_peaks)
+        filters = [] if estimate is None else [estimate]
     if (notch := recording.filters.notch) is not None:
         filters.append(Filter(FilterKind.NOTCH, notch, FilterOrigin.FILE, NOTCH_QUALITY))
     return (*filters, *applied_filters(options.lowpass, options.notch))
@@ -65,9 +65,9 @@ def estimated_lowpass(signal: Floats, sampling_rate: float, r_peaks: Integers) -
     Of a signal (n_leads, n), mV, at a rate (Hz), with beats at the samples `r_peaks` (n_beats,). It
     is the Butterworth low-pass that describes the fall best; its order need not be whole.
     """
-    if (found := _beat_spectrum(signal, sampling_rate, r_peaks)) is None:
+    if (spectrum := _beat_spectrum(signal, sampling_rate, r_peaks)) is None:
         return None
-    frequency, level = _levels(*found, sampling_rate)
+    frequency, level = _levels(*spectrum, sampling_rate)
     believed = []
     for centre in (20.0, 30.0, 40.0, 55.0, 75.0, 100.0, 130.0):  # Hz
         near = (frequency > 0.4 * centre) & (frequency < 2.5 * centre)
@@ -79,7 +79,7 @@ def estimated_lowpass(signal: Floats, sampling_rate: float, r_peaks: Integers) -
         fall = its - np.interp(1.4 * here, here, its)
         if fall[1.4 * here <= here[-1]].max(initial=0.0) > 15.0:  # dB
             believed.append(_fit(frequency[near], level[near], centre))
-    # A low-pass that is there is found about more than one centre.
+    # A true low-pass is found about more than one centre.
     fits = combinations(filter(None, believed), 2)
     agreeing = [min(a, b) for a, b in fits if abs(a[1] / b[1] - 1) < 0.05]
     if not agreeing:
@@ -161,39 +161,39 @@ def _fit(frequency: Floats, level: Floats, centre: float) -> tuple[float, float,
     )
     cutoff, order = float(np.exp(best[4])), float(np.exp(best[5]))
     fine = np.geomspace(frequency[0], frequency[-1], 500)
-    own, floor_there = _own_and_floor(best, fine, centre)
-    above = _power_sum(own, best[6]) - floor_there
+    qrs_level, floor_there = _own_and_floor(best, fine, centre)
+    above = _power_sum(qrs_level, best[6]) - floor_there
     depth = float(np.minimum(attenuation(fine / cutoff, order), above).max())
-    own_slope = float(best[1]) / centre * cutoff * np.log(2)  # dB per octave, downward
+    qrs_slope = float(best[1]) / centre * cutoff * np.log(2)  # dB per octave, downward
     misfit = float(np.sqrt(cost / free))
     believed = (
         25.0 <= cutoff <= 130.0  # Hz
         and min(abs(cutoff / (share * centre) - 1) for share in CUTOFFS) >= 0.01  # not at a bound
         and order >= 8.0  # 48 dB per octave
-        and depth >= 20.0  # dB that it takes away before the floor is reached
-        and 20 * np.log10(2) * order >= 2.0 * own_slope
+        and depth >= 20.0  # dB that it removes above the floor
+        and 20 * np.log10(2) * order >= 2.0 * qrs_slope
         and misfit <= 0.8
     )
     return (misfit, cutoff, order) if believed else None
 
 
 def _own_and_floor(p: Floats, frequency: Floats, centre: float) -> tuple[Floats, Floats]:
-    """Straight lines (dB): a QRS's own spectrum, and what lies above every filter."""
+    """Straight lines (dB): the QRS's own spectrum, and the floor, which no filter lowers."""
     relative = frequency / centre - KNEE
     return p[0] - p[1] * relative, p[2] - p[3] * relative
 
 
 def _with_lowpass(p: Floats, frequency: Floats, centre: float) -> Floats:
     """Levels (dB): a line and noise, p[6], both behind the low-pass, above the floor."""
-    own, floor = _own_and_floor(p, frequency, centre)
-    taken = attenuation(frequency / np.exp(p[4]), float(np.exp(p[5])))
-    return _power_sum(_power_sum(own, p[6]) - taken, floor)
+    qrs_level, floor = _own_and_floor(p, frequency, centre)
+    damping = attenuation(frequency / np.exp(p[4]), float(np.exp(p[5])))
+    return _power_sum(_power_sum(qrs_level, p[6]) - damping, floor)
 
 
 def _without_lowpass(p: Floats, frequency: Floats, centre: float) -> Floats:
     """Levels (dB): a parabola, p[4] its curvature (dB per centre squared), above the floor."""
-    own, floor = _own_and_floor(p, frequency, centre)
-    return _power_sum(own - p[4] * (frequency / centre - KNEE) ** 2, floor)
+    qrs_level, floor = _own_and_floor(p, frequency, centre)
+    return _power_sum(qrs_level - p[4] * (frequency / centre - KNEE) ** 2, floor)
 
 
 def _power_sum(level: Floats, other: Floats) -> Floats:

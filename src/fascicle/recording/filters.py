@@ -1,6 +1,6 @@
 """Filters of recorders and users, which simulated ECGs pass too; the sampling rate of targets.
 
-A filter is known by what it does to amplitudes. Its delay does not matter: a simulation is shifted
+A filter is described by its gain alone. Its delay does not matter: a simulation is shifted
 to where it fits best. High-passes are left out, since beats are detrended and shorter than what a
 high-pass below 1 Hz changes.
 """
@@ -24,14 +24,14 @@ DECIBELS = 10 / math.log(10)  # dB in one neper of power
 
 
 class FilterKind(Enum):
-    """What a filter takes away."""
+    """Kind of a filter, by the frequencies that it removes."""
 
     LOW_PASS = "low-pass"
     NOTCH = "notch"
 
 
 class FilterOrigin(Enum):
-    """How it is known that a recording has passed a filter."""
+    """Evidence that a recording has passed a filter."""
 
     FILE = "the recorder's, as the file says"
     STATED = "the recorder's, as the user says"
@@ -41,7 +41,7 @@ class FilterOrigin(Enum):
 
 @dataclass(frozen=True)
 class Filter:
-    """One filter."""
+    """A filter that a recording has passed."""
 
     kind: FilterKind
     frequency: float  # Hz; cut-off of a low-pass, middle of a notch
@@ -82,7 +82,7 @@ class Filter:
         return np.asarray(np.abs(response) ** 2)  # forward and backward
 
     def apply(self, signal: Floats) -> Floats:
-        """Signal (n_leads, n) after this digital filter, without delay; NaN leads stay so."""
+        """Signal (n_leads, n) after this digital filter, without delay; NaN leads stay NaN."""
         from scipy.signal import butter, filtfilt, iirnotch, sosfiltfilt
 
         rate = self.sampling_rate
@@ -92,7 +92,7 @@ class Filter:
         return np.asarray(filtfilt(*iirnotch(self.frequency, self.shape, fs=rate), signal))
 
     def __str__(self) -> str:
-        """Such as ``low-pass 40 Hz (order 2), applied by this program``."""
+        """Description, such as ``low-pass 40 Hz (order 2), applied by this program``."""
         name = "order" if self.kind is FilterKind.LOW_PASS else "quality"
         return (
             f"{self.kind.value} {self.frequency:.3g} Hz ({name} {self.shape:.3g}), "
@@ -103,17 +103,17 @@ class Filter:
 def attenuation(ratio: Floats, order: float) -> Floats:
     """Attenuation (dB) by a Butterworth low-pass at frequencies of `ratio` times its cut-off.
 
-    It is 10 log₁₀(1 + ratio²ⁿ), where the order n need not be whole.
+    The formula is 10 log₁₀(1 + ratio²ⁿ), where the order n need not be whole.
     """
     with np.errstate(divide="ignore"):
         return np.asarray(DECIBELS * np.logaddexp(0.0, 2 * order * np.log(ratio)))
 
 
 def applied_filters(lowpass: float | None, mains: float | None) -> tuple[Filter, ...]:
-    """The digital filters that the user asks for, at the rate of targets.
+    """Digital filters that the user asks for, at the sampling rate of targets.
 
-    Cut-off (Hz) of a low-pass, where it halves amplitudes, and frequency (Hz) of the power-line
-    interference that a notch removes.
+    `lowpass` is the cut-off (Hz) of a low-pass, where it halves amplitudes, and `mains` the
+    frequency (Hz) of the power-line interference that a notch removes.
     """
     filters, by = [], FilterOrigin.APPLIED
     if lowpass is not None:  # of order 2, run forward and backward: 4 in effect
@@ -124,9 +124,9 @@ def applied_filters(lowpass: float | None, mains: float | None) -> tuple[Filter,
 
 
 def resample(signal: Floats, sampling_rate: float) -> Floats:
-    """Signal (n_leads, n) at a rate (Hz), to one sample every `SAMPLING_STEP`.
+    """Resample a signal (n_leads, n) from a rate (Hz) to one sample every `SAMPLING_STEP`.
 
-    By a polyphase filter; leads that are NaN throughout stay so.
+    A polyphase filter does it; leads that are NaN throughout stay NaN.
     """
     from scipy.signal import resample_poly
 

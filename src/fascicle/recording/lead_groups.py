@@ -1,4 +1,4 @@
-"""Leads recorded at the same time, and their beats: where each is, and of which morphology."""
+"""Leads recorded at the same time, and their beats: R peaks and classes of morphology."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class LeadGroup:
 
     @property
     def leads(self) -> str:
-        """Names of its leads, for messages."""
+        """Names of the leads, for messages."""
         names = [LEADS[row] for row in np.flatnonzero(np.isfinite(self.signal).any(axis=1))]
         return "all leads" if len(names) == len(LEADS) else ", ".join(names)
 
@@ -68,22 +68,22 @@ class LeadGroup:
         return float((median**2).sum()) / self.noise if self.noise else math.inf
 
     def of_class(self, label: str) -> Integers:
-        """Which beats have a label, increasing."""
-        return np.flatnonzero([one == label for one in self.labels])
+        """Indices of the beats with a label, increasing."""
+        return np.flatnonzero([beat_label == label for beat_label in self.labels])
 
     def describe(self, label: str) -> str:
-        """What is notable about a class: paced, early, wide; empty if nothing is."""
+        """Notable features of a class: paced, early, wide; empty if it has none."""
         members, words = self.of_class(label), []
         if end_of_spikes(self.signal, self.spikes, self.peaks[members], 2 * HALF_WIDTH):
             words.append("paced")
         if label != "A":
-            own = self.intervals[members]
+            rr = self.intervals[members]
             # premature: sooner than 85 % of the usual interval
-            if np.isfinite(own).any() and np.nanmedian(own) < 0.85 * np.nanmedian(self.intervals):
+            if np.isfinite(rr).any() and np.nanmedian(rr) < 0.85 * np.nanmedian(self.intervals):
                 words.append("early")
-            both = (self.peaks[self.of_class(one)] for one in (label, "A"))
-            own_width, usual_width = (_qrs_width(self.signal, of, self.spikes) for of in both)
-            if own_width > max(120.0, usual_width + 20.0):  # ms
+            both = (self.peaks[self.of_class(name)] for name in (label, "A"))
+            width, usual_width = (_qrs_width(self.signal, of, self.spikes) for of in both)
+            if width > max(120.0, usual_width + 20.0):  # ms
                 words.append("wide")
         return ", ".join(words)
 
@@ -95,13 +95,13 @@ def end_of_spikes(signal: Floats, spikes: Integers, peaks: Integers, before: int
     ms before R. `spikes` (k, 2) are first samples and those after the last. A spike into a QRS that
     has begun, as in pseudofusion, fired none.
     """
-    found = []
+    extents = []
     for peak in peaks:
         near = spikes[(spikes[:, 1] <= peak) & (spikes[:, 0] > peak - 200.0 / SAMPLING_STEP)]
-        found += [near[-1] - peak] if len(near) else []
-    if len(found) <= len(peaks) / 2:
+        extents += [near[-1] - peak] if len(near) else []
+    if len(extents) <= len(peaks) / 2:
         return 0
-    first, end = np.median(found, axis=0).astype(int)
+    first, end = np.median(extents, axis=0).astype(int)
     ahead = np.ptp(np.median(cut(signal, peaks + first, 30, -2), axis=0), axis=1)
     return max(int(end) + before, 0) if np.nanmax(ahead) < 0.2 * _height(signal, peaks) else 0
 
@@ -118,28 +118,28 @@ def lead_groups(recording: Recording, spikes: Integers, options: TargetOptions) 
 def stretches(recording: Recording) -> list[tuple[int, int]]:
     """First sample and the one after the last of each stretch with the same leads, in order."""
     spans = {(first, stop) for first, stop in recording.spans[recording.recorded].tolist()}
-    found: list[tuple[int, int]] = []
-    for first, stop in sorted(sorted(spans), key=lambda one: one[1] - one[0]):  # longest last
-        for k, (begin, end) in enumerate(found):
+    distinct: list[tuple[int, int]] = []
+    for first, stop in sorted(sorted(spans), key=lambda span: span[1] - span[0]):  # longest last
+        for k, (begin, end) in enumerate(distinct):
             if min(end, stop) - max(begin, first) >= 0.9 * (end - begin):
                 if stop - first < (end - begin) / 0.9:
                     # leads of one group, whose ends were digitised unevenly
-                    found[k] = (max(begin, first), min(end, stop))
+                    distinct[k] = (max(begin, first), min(end, stop))
                 break
         else:
-            found.append((first, stop))
-    return sorted(found)
+            distinct.append((first, stop))
+    return sorted(distinct)
 
 
 def _group(
     recording: Recording, spikes: Integers, first: int, stop: int, options: TargetOptions
 ) -> LeadGroup:
     rate = recording.sampling_rate
-    every = np.array([*recording.signal, *recording.additional.values()])
-    every = resample(complete_in(every, first, stop), rate)
-    for one in applied_filters(options.lowpass, options.notch):
-        every = one.apply(every)
-    signal, additional = every[: len(LEADS)], every[len(LEADS) :]
+    leads = np.array([*recording.signal, *recording.additional.values()])
+    leads = resample(complete_in(leads, first, stop), rate)
+    for filter_ in applied_filters(options.lowpass, options.notch):
+        leads = filter_.apply(leads)
+    signal, additional = leads[: len(LEADS)], leads[len(LEADS) :]
     inside = spikes[(spikes[:, 0] >= first) & (spikes[:, 0] < stop)] - first
     inside = np.round(inside * (TARGET_RATE / rate)).astype(np.int64)
     independent = signal[_independent(signal)]
@@ -157,14 +157,14 @@ def _group(
 
 
 def complete_in(signal: Floats, first: int, stop: int) -> Floats:
-    """Leads (k, n) from one sample to another; those that are not there all along are NaN."""
+    """Leads (k, n) from one sample to another; those not recorded all along are NaN."""
     part = signal[:, first:stop].copy()
     part[~np.isfinite(part).all(axis=1)] = np.nan
     return part
 
 
 def _independent(signal: Floats) -> Integers:
-    """Rows of the leads that are there and no combination of one another."""
+    """Rows of the recorded leads that are linearly independent."""
     return independent_rows(np.asarray(np.isfinite(signal).all(axis=1), dtype=np.bool_))
 
 
@@ -197,7 +197,7 @@ def _name_classes(
 
 
 def _distinct_beats(peaks: Integers, moved: Integers) -> Integers:
-    """Which peaks are kept, in order: of those within 120 ms of each other, the least moved."""
+    """Indices of the peaks to keep, in order: the least moved of those within 120 ms."""
     kept: list[int] = []
     for k in np.argsort(peaks, kind="stable"):
         if kept and (peaks[k] - peaks[kept[-1]]) * SAMPLING_STEP < 120.0:
@@ -210,8 +210,8 @@ def _distinct_beats(peaks: Integers, moved: Integers) -> Integers:
 def _to_r_peak(signal: Floats, peaks: Integers, spikes: Integers) -> int:
     """Samples from the common mark of aligned beats to the R peak of their median.
 
-    It is the median over the leads of each one's R wave, its largest upward deflection, or of its
-    largest deflection where it has no R wave.
+    The R peak is the median over the leads of the time of each lead's R wave, its largest upward
+    deflection, or of its largest deflection where it has no R wave.
     """
     median, onset, offset = _median_beat(signal, peaks, spikes)
     qrs = median[np.isfinite(median).all(axis=1), onset : offset + 1]
@@ -243,7 +243,7 @@ def _median_beat(signal: Floats, peaks: Integers, spikes: Integers) -> tuple[Flo
 def cut(signal: Floats, peaks: Integers, before: int, after: int) -> Floats:
     """Windows (n_beats, n_leads, before + after + 1) of a signal (n_leads, n) around its peaks.
 
-    Beyond its ends the signal stays as it is there.
+    Beyond its ends the signal keeps its first or last value.
     """
     within = np.clip(peaks[:, None] + np.arange(-before, after + 1), 0, signal.shape[1] - 1)
     return np.stack([signal[:, samples] for samples in within])
@@ -267,19 +267,19 @@ def cluster_morphology(signal: Floats, peaks: Integers, noise: float) -> tuple[I
     wide = cut(signal, peaks, HALF_WIDTH + LARGEST_SHIFT, HALF_WIDTH + LARGEST_SHIFT)
     classes = np.full(len(peaks), -1, dtype=np.int64)
     shifts = np.zeros(len(peaks), dtype=np.int64)
-    while (left := np.flatnonzero(classes < 0)).size:
-        members, shift = _largest_class(wide[left], noise)
-        classes[left[members]] = classes.max() + 1
-        shifts[left[members]] = shift[members]
+    while (remaining := np.flatnonzero(classes < 0)).size:
+        members, shift = _largest_class(wide[remaining], noise)
+        classes[remaining[members]] = classes.max() + 1
+        shifts[remaining[members]] = shift[members]
         if len(members) == 1:  # no two are alike
-            rest = np.setdiff1d(left, left[members])
+            rest = np.setdiff1d(remaining, remaining[members])
             classes[rest] = classes.max() + 1 + np.arange(len(rest))
             break
     return classes, np.asarray(peaks + shifts)
 
 
 def noise_energy(signal: Floats) -> float:
-    """Energy (mV² samples) of a window as long as those compared, of the quietest tenth."""
+    """Energy (mV² samples) of the noise, 10th percentile over windows as long as those compared."""
     length = 2 * HALF_WIDTH + 1
     starts = np.arange(0, signal.shape[1] - length + 1, HALF_WIDTH // 2)
     if not len(starts):
@@ -318,9 +318,9 @@ def _central(wide: Floats, noise: float) -> Floats:
 def _difference(beats: Floats, template: Floats, expected: float, noise: float) -> Floats:
     """Energy of beats less a template over that of the larger, both without noise."""
     energy = np.maximum((beats**2).sum(axis=(1, 2)), (template**2).sum()) - noise
-    left = ((beats - template) ** 2).sum(axis=(1, 2)) - expected
+    rest = ((beats - template) ** 2).sum(axis=(1, 2)) - expected
     least = 1e-3 * (template**2).sum() + np.finfo(float).tiny
-    return np.asarray(left / np.maximum(energy, least))
+    return np.asarray(rest / np.maximum(energy, least))
 
 
 def _best_shifts(wide: Floats, template: Floats) -> Integers:

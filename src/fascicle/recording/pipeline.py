@@ -1,4 +1,4 @@
-"""From a recording to its target, with everything that was found on the way."""
+"""Analysis of a recording: from the signal to its target, with all findings on the way."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ from fascicle.recording.window import (
 # J. Am. Coll. Cardiol. 53:992, 2009); the 98th percentiles of R and S are up to 3 mV in a lead (P.
 # R. Rijnbeek et al., J. Electrocardiol. 47:914, 2014), and hypertrophy adds to that.
 USUAL_QRS = (0.5, 5.0)
-POSSIBLE_QRS = (0.3, 6.0)  # what is outside may be a wrong gain or unit, and is asked
+POSSIBLE_QRS = (0.3, 6.0)  # outside, gain or unit may be wrong, and the user is asked
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Analysis:
     findings : tuple of CheckResult
         Every check with its figure.
     target : Target
-        What the inference gets.
+        Target of the inference.
     chosen : str
         Label of the class of the target's beats.
     """
@@ -101,8 +101,8 @@ class Analysis:
 
     @property
     def read_with(self) -> tuple[str, ...]:
-        """What the user has said of the file, in words: it was taken as said."""
-        said = {
+        """Statements of the user about the file, in words, that the reading relied on."""
+        texts = {
             "shared_gain": "one gain for all leads, {}, in place of the file's "
             "(amplitudes rest on it)",
             "choice_unit": "unit {}",
@@ -111,7 +111,7 @@ class Analysis:
             "swapped": "exchanged: {}",
         }
         notes = self.recording.provenance
-        return tuple(text.format(notes[key]) for key, text in said.items() if key in notes)
+        return tuple(text.format(notes[key]) for key, text in texts.items() if key in notes)
 
 
 def make_target(
@@ -139,7 +139,7 @@ def make_target(
     Returns
     -------
     Target
-        ``provenance["warnings"]`` is there when something is suspicious; `analyse` says more.
+        ``provenance["warnings"]`` exists where a finding is suspicious; `analyse` returns more.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def make_target(
 def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analysis:
     """Find, sort, choose and detrend the beats of a recording, and find their QRS window.
 
-    What the user has not decided by `choices` is decided here.
+    Decisions that `choices` leaves open are made automatically.
 
     Raises
     ------
@@ -185,15 +185,17 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
         _refuse(findings, recording)
         by_group, label = select_beats(groups, options, source)
         pairs = zip(groups, by_group, strict=True)
-        aligned = combine([_cut(source, group, own, options, label) for group, own in pairs])
-        beats = tuple(beat for own in by_group for beat in own)
+        aligned = combine(
+            [_cut(source, group, group_beats, options, label) for group, group_beats in pairs]
+        )
+        beats = tuple(beat for group_beats in by_group for beat in group_beats)
         target = _target(recording, aligned, beats, options, label, filters)
     except NoQrsError as error:
         raise InputError(
             f"{source}: {error}; leave bad leads out by --leads, or give a cleaner recording"
         ) from error
     findings += check_mean_beat(target.qrs[: len(LEADS)], recording.simultaneous)
-    found = Analysis(
+    analysis = Analysis(
         recording=recording,
         signal=_recorded_signal(recording),
         beats=beats,
@@ -203,10 +205,10 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
         target=target,
         chosen=label,
     )
-    if warnings := _warnings(found, options):
+    if warnings := _warnings(analysis, options):
         notes = target.provenance | {"warnings": "\n".join(warnings)}
-        found = replace(found, target=replace(target, provenance=notes))
-    return found
+        analysis = replace(analysis, target=replace(target, provenance=notes))
+    return analysis
 
 
 def _refuse(findings: Sequence[CheckResult], recording: Recording) -> None:
@@ -239,7 +241,7 @@ def _with_beats_checked(recording: Recording, groups: Sequence[LeadGroup]) -> Re
 
 
 def _check_amplitude(recording: Recording, height: float) -> list[str]:
-    """Refuse beats that span so many mV in the largest lead, or ask, or return a warning."""
+    """Check the height (mV) of beats in the largest lead: refuse it, ask, or return a warning."""
     ranges = (0.05, 20.0), POSSIBLE_QRS, USUAL_QRS
     possible, likely, usual = (low <= height <= high for low, high in ranges)
     notes = recording.provenance  # of a file, with what the user has said of its amplitude
@@ -343,9 +345,9 @@ def _target(
 def _window(
     aligned: AlignedBeats, smoothing: float, options: TargetOptions, source: str
 ) -> tuple[float, float, float, float]:
-    """QRS window (ms from R): what is given, otherwise what is found; then its ends' SD (ms).
+    """QRS window (ms from R), its ends stated by the user or detected, and their SDs (ms).
 
-    A given end has no SD; an end that is found to within more than 40 ms is refused.
+    A stated end has an SD of 0; a detected one with an SD of more than 40 ms is refused.
     """
     first, last = qrs_window(aligned.mean, aligned.not_before, smoothing)
     time = aligned.time
@@ -362,11 +364,11 @@ def _window(
             f"{source}: QRS window {start:g} to {end:g} ms leaves the beat, which spans "
             f"{time[0]:g} to {time[-1]:g} ms from the R peak; give an onset and offset inside"
         )
-    found = window_uncertainty(aligned.beats, aligned.not_before, options.noise, smoothing)
+    uncertainties = window_uncertainty(aligned.beats, aligned.not_before, options.noise, smoothing)
     deviations = []
-    for name, sd in zip(("onset", "offset"), found, strict=True):
-        given = getattr(options, name) is not None
-        deviations.append(0.0 if given else math.hypot(sd, aligned.alignment_sd))
+    for name, sd in zip(("onset", "offset"), uncertainties, strict=True):
+        by_user = getattr(options, name) is not None
+        deviations.append(0.0 if by_user else math.hypot(sd, aligned.alignment_sd))
         if deviations[-1] > 40.0:
             raise InputError(
                 f"{source}: QRS {name} found to within {deviations[-1]:.0f} ms only (at most 40); "
@@ -390,13 +392,13 @@ def _provenance(
         "qrs_offset_from": "detected" if options.offset is None else "given",
     }
     lists = {"derived_leads": recording.derived, "ignored_channels": recording.ignored}
-    notes |= {name: ", ".join(found) for name, found in lists.items() if found}
+    notes |= {name: ", ".join(channels) for name, channels in lists.items() if channels}
     return recording.provenance | notes | options.described()
 
 
-def _warnings(found: Analysis, options: TargetOptions) -> list[str]:
-    recording, target, beats = found.recording, found.target, found.beats
-    warned = [finding for finding in found.findings if finding.severity is Severity.WARNING]
+def _warnings(analysis: Analysis, options: TargetOptions) -> list[str]:
+    recording, target, beats = analysis.recording, analysis.target, analysis.beats
+    warned = [finding for finding in analysis.findings if finding.severity is Severity.WARNING]
     warnings = [finding.message for finding in warned if finding.message]
     if not recording.simultaneous:
         middles = [(first + stop) // 2 for first, stop in stretches(recording)]
@@ -415,7 +417,7 @@ def _warnings(found: Analysis, options: TargetOptions) -> list[str]:
         warnings.append(f"{rate:.0f} beats per minute; is the sampling rate right?")
     if len(target.beats) == 2:
         warnings.append("two beats show little of how beats vary; give a longer recording")
-    alike = sum(beat.label == found.chosen for beat in beats)
+    alike = sum(beat.label == analysis.chosen for beat in beats)
     if options.beats is None and _alternate(beats):
         warnings.append(
             "beats of two classes alternate: every second one is ectopic, or twice as many were "
@@ -423,7 +425,7 @@ def _warnings(found: Analysis, options: TargetOptions) -> list[str]:
         )
     elif options.beats is None and alike < FEW_ALIKE * len(beats):
         warnings.append(
-            f"only {alike} of {len(beats)} beats are of class {found.chosen}; look at the rhythm"
+            f"only {alike} of {len(beats)} beats are of class {analysis.chosen}; look at the rhythm"
         )
     spread = float(np.nanmean(magnitude(target.standard_deviation[:, target.qrs_samples])))
     height = float(magnitude(target.qrs).max())
@@ -438,5 +440,5 @@ def _warnings(found: Analysis, options: TargetOptions) -> list[str]:
 def _alternate(beats: Sequence[Beat]) -> bool:
     """Whether nearly every second of four or more beats is of one class, the others of another."""
     two = {label for label, _ in Counter(beat.label for beat in beats).most_common(2)}
-    changes = [{one.label, following.label} == two for one, following in pairwise(beats)]
+    changes = [{beat.label, following.label} == two for beat, following in pairwise(beats)]
     return len(two) == 2 and len(beats) >= 4 and sum(changes) >= 0.8 * len(changes)

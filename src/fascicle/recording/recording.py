@@ -1,4 +1,4 @@
-"""Twelve leads, and additional ones, checked at construction; and what their file does not say."""
+"""Recordings of twelve leads and additional ones, checked, and errors about missing metadata."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import CHEST_LEADS, LEADS, LIMB_LEADS, limb_leads_from
 from fascicle.core.ranges import RANGES, check_array, number, short_repr
 
-CHECKSUMS_AGREE = "agree"  # provenance "checksums" where the file's own ones are right
+CHECKSUMS_AGREE = "agree"  # provenance "checksums" where those of the file are right
 # ms; longest gap that is interpolated: where a QRS is steepest, it moves the mean of ten beats by
 # 0.02 mV, less than beats vary
 GAP = 10.0
@@ -43,17 +43,17 @@ class Recording:
     sampling_rate : float
         Samples per second (Hz).
     source : str
-        Where it came from, usually the file name; error messages start with it.
+        Origin, usually the file name; error messages start with it.
     provenance : dict
         Text about the file: its format, its hash.
     filters : Filters
-        What the recorder did to the signal.
+        Filters that the recorder applied to the signal.
     digits_per_millivolt : (12,) array, optional
         Gain of each lead as the file states it; NaN where it does not.
     derived : tuple of str
         Limb leads that were computed from two others.
     ignored : tuple of str
-        Channels of the file that are no leads, or were not wanted.
+        Channels of the file that are no leads, or were not selected.
     additional : dict of str to (n,) array
         Potential (mV) of additional leads, by their names, over all of the time or, where the
         twelve were recorded one group after another, NaN outside a stretch.
@@ -101,14 +101,14 @@ class Recording:
 
     @cached_property
     def recorded(self) -> Booleans:
-        """Which of the twelve leads are there, shape (12,)."""
+        """Whether each of the twelve leads was recorded, shape (12,)."""
         return np.asarray(np.isfinite(self.signal).any(axis=1))
 
     @cached_property
     def measured_leads(self) -> tuple[str, ...]:
         """Names of the leads that were recorded, not computed from others."""
-        there = zip(LEADS, self.recorded, strict=True)
-        return tuple(lead for lead, found in there if found and lead not in self.derived)
+        pairs = zip(LEADS, self.recorded, strict=True)
+        return tuple(lead for lead, recorded in pairs if recorded and lead not in self.derived)
 
     @cached_property
     def spans(self) -> Integers:
@@ -167,22 +167,22 @@ def bridge_gaps(signal: Floats, rate: float, leads: Sequence[str]) -> tuple[Floa
     """Interpolate a few lost samples of leads (n_leads, n), and cut off ragged ends.
 
     A cubic spline bridges gaps of at most `GAP` where no more than 1 % of the lead is lost. Where
-    leads begin or end at other times, what they share is kept if it is 90 % of the recording.
-    What was done is said in a line each.
+    leads begin or end at different times, the time that they share is kept if it is 90 % of the
+    recording. Returned are the leads, and a line for each of these changes.
     """
     from scipy.interpolate import CubicSpline
 
     filled, bridged = signal.copy(), []
     for lead, values in zip(leads, filled, strict=True):
-        there = np.flatnonzero(np.isfinite(values))
-        lengths = np.diff(there) - 1
+        recorded = np.flatnonzero(np.isfinite(values))
+        lengths = np.diff(recorded) - 1
         lost = int(lengths.sum())
-        if not 0 < lost <= 0.01 * len(there) or lengths.max() * 1000.0 > GAP * rate:
+        if not 0 < lost <= 0.01 * len(recorded) or lengths.max() * 1000.0 > GAP * rate:
             continue
-        gone = np.setdiff1d(np.arange(there[0], there[-1]), there)
-        values[gone] = CubicSpline(there, values[there])(gone)
+        missing = np.setdiff1d(np.arange(recorded[0], recorded[-1]), recorded)
+        values[missing] = CubicSpline(recorded, values[recorded])(missing)
         count = f"{lost} sample{'s' * (lost > 1)}"
-        bridged.append(f"{count} of lead {lead} (at {gone[0] / rate:.3f} s)")
+        bridged.append(f"{count} of lead {lead} (at {missing[0] / rate:.3f} s)")
     notes = [f"missing samples were interpolated: {', '.join(bridged)}"] if bridged else []
     spans = lead_spans(filled)
     present = spans[:, 1] > 0
@@ -196,18 +196,19 @@ def bridge_gaps(signal: Floats, rate: float, leads: Sequence[str]) -> tuple[Floa
 
 
 def leave_out_pulses(signal: Floats, rate: float) -> tuple[Floats, list[str]]:
-    """Cut calibration pulses off the ends of leads (12, n): all leads are the same, and jump.
+    """Cut calibration pulses, jumps that are the same in all leads, off the ends of leads (12, n).
 
-    The leads of a heart never are, by Einthoven's law, unless all are 0. What was done is said.
+    By Einthoven's law, the leads of a heart are never the same, unless all are 0. Returned are the
+    leads, and a line that says what was cut.
     """
-    there = signal[np.isfinite(signal).any(axis=1)]
-    apart = np.flatnonzero(~(np.ptp(there, axis=0) <= 0.01))  # mV
+    leads = signal[np.isfinite(signal).any(axis=1)]
+    apart = np.flatnonzero(~(np.ptp(leads, axis=0) <= 0.01))  # mV
     n = signal.shape[1]
-    if len(there) < 3 or len(apart) < n / 2:
+    if len(leads) < 3 or len(apart) < n / 2:
         return signal, []
     ends = (0, int(apart[0])), (int(apart[-1]) + 1, n)
     # mV; pulses are of 1 mV
-    cut = [(a, b) for a, b in ends if a < b and np.ptp(there[0, a:b]) >= 0.5]
+    cut = [(a, b) for a, b in ends if a < b and np.ptp(leads[0, a:b]) >= 0.5]
     pulses = [f"{first / rate:.3f} to {stop / rate:.3f} s" for first, stop in cut]
     notes = [f"calibration pulse left out: {', '.join(pulses)}"] if pulses else []
     begin, end = (ends[0][1] if ends[0] in cut else 0), (ends[1][0] if ends[1] in cut else n)
@@ -225,14 +226,14 @@ def lead_spans(signal: Floats) -> Integers:
     finite = np.isfinite(signal)
     first = np.argmax(finite, axis=1)
     stop = finite.shape[1] - np.argmax(finite[:, ::-1], axis=1)
-    there = finite.any(axis=1, keepdims=True)
-    return np.where(there, np.stack([first, stop], axis=1), 0)
+    present = finite.any(axis=1, keepdims=True)
+    return np.where(present, np.stack([first, stop], axis=1), 0)
 
 
 def is_span(values: Floats, least: int) -> bool:
-    """Whether (n,) values are there without gaps, `least` of them or more."""
-    there = np.flatnonzero(np.isfinite(values))
-    return there.size >= max(least, 1) and there[-1] - there[0] + 1 == there.size
+    """Whether the finite ones of (n,) values have no gaps, and are `least` or more."""
+    finite = np.flatnonzero(np.isfinite(values))
+    return finite.size >= max(least, 1) and finite[-1] - finite[0] + 1 == finite.size
 
 
 def in_groups(spans: Integers, rate: float) -> bool:
@@ -254,7 +255,7 @@ def _check_gaps(recording: Recording) -> None:
     for row, gaps, begin, end in zip(present, missing, first, stop, strict=True):
         if gaps.any():
             gap_free, part = [LEADS[k] for k in present[~missing.any(axis=1)]], [0, 0]
-            if not one_by_one:  # the longest run of samples without any
+            if not one_by_one:  # the longest run of samples without gaps
                 ends = np.diff(~missing.any(axis=0), prepend=False, append=False)
                 runs = np.flatnonzero(ends).reshape(-1, 2).tolist()
                 part = max(runs, key=lambda run: run[1] - run[0], default=part)
@@ -271,7 +272,7 @@ def _check_gaps(recording: Recording) -> None:
 
 
 def _without_gaps(recording: Recording, gap_free: Collection[str], part: Sequence[int]) -> str:
-    """What to do about gaps: leads without any, and the longest part (samples) without any."""
+    """Advice about gaps: to use the leads, or the longest part (samples), that have none."""
     leads = [lead for lead in recording.measured_leads if lead in gap_free]
     begin, end = (sample / recording.sampling_rate for sample in part)
     remedies = []
@@ -283,9 +284,9 @@ def _without_gaps(recording: Recording, gap_free: Collection[str], part: Sequenc
 
 
 class MissingMetadataError(InputError):
-    """A file does not say something that is needed: its `name` as a Python argument, and a `guess`.
+    """A file lacks metadata that are needed: their `name` as a Python argument, and a `guess`.
 
-    The guess is None where nothing suggests it.
+    The guess is None where nothing suggests one.
     """
 
     def __init__(
@@ -306,7 +307,7 @@ def missing_unit(message: str, leads: Sequence[Floats]) -> MissingMetadataError:
     possible = {unit: span * mv for unit, mv in units.items() if 0.2 <= span * mv <= 15.0}
     if not possible:
         return MissingMetadataError(message, "unit")
-    unit = min(possible, key=lambda each: abs(math.log(possible[each] / 1.5)))
+    unit = min(possible, key=lambda name: abs(math.log(possible[name] / 1.5)))
     why = f"leads then span {possible[unit]:.2g} mV (median)"
     return MissingMetadataError(message, "unit", unit, why)
 

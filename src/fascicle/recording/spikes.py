@@ -22,37 +22,38 @@ def find_spikes(signal: Floats, sampling_rate: float) -> Integers:
     Suppl:95, 2002).
 
     Candidates of one pattern over the leads are spikes where a pacemaker may have given them: at a
-    fixed rate, or each before the same beat. Hum, muscle and the ends of a recording do neither.
+    fixed rate, or each before the same beat. Power-line interference, muscle activity and the ends
+    of a recording do neither.
 
-    Of a signal (12, n), mV, at a rate of at least 250 Hz, NaN where a lead was not recorded: first
-    sample of each spike and the one after its last, (k, 2), increasing.
+    The signal (12, n), mV, has a rate of at least 250 Hz, and is NaN where a lead was not recorded.
+    Returned are the first sample of each spike and the one after its last, (k, 2), increasing.
     """
     reach = max(math.ceil(0.005 * sampling_rate), 2)  # s; a smeared pulse has ended by then
     n = signal.shape[1]
-    there, prominent = np.zeros((2, n), dtype=np.int64)
+    recorded, prominent = np.zeros((2, n), dtype=np.int64)
     best, prominence, movement = np.zeros((3, n))
     for lead in signal:
         finite = np.flatnonzero(np.isfinite(lead))
         if len(finite) == 0:
             continue
-        # nearer to the ends of a lead nothing is known of what follows
+        # at the ends of a lead, the samples on one side are unknown
         at = slice(int(finite[0]), int(finite[-1]) + 1)
         height = _prominence(lead[at], reach)
         height[: 3 * reach] = height[-3 * reach :] = 0.0
-        there[at] += 1
+        recorded[at] += 1
         surroundings = _around(height**2, reach)
         prominent[at] += height > np.maximum(3.0 * np.sqrt(surroundings), 0.05)  # mV
         best[at] = np.maximum(best[at], height)
         prominence[at] += height**2
         movement[at] += _movement(lead[at], reach) ** 2
-    enough = prominent >= np.maximum(there / 3, 2)  # leads
+    enough = prominent >= np.maximum(recorded / 3, 2)  # leads
     surroundings = _around(prominence, reach)
     spike = (best > 0.1) & (prominence > 2.5**2 * movement)  # mV
     spike &= prominence > 3.0**2 * surroundings
     prominence = np.where(spike, prominence, 0)
     # Next to a spike the other side of its slope is prominent, too, but less.
     tops = find_peaks(np.pad(prominence, 1), distance=2 * reach)[0] - 1
-    without_best = prominence[tops] - best[tops] ** 2  # nothing is left of one lead's artefact
+    without_best = prominence[tops] - best[tops] ** 2  # 0 for an artefact in a single lead
     clear = enough[tops] & (without_best > 5.0**2 * surroundings[tops])
     # Faint spikes have the pattern over the leads of a clear one, of either sign.
     patterns = _pattern(signal, tops, reach)
@@ -60,14 +61,14 @@ def find_spikes(signal: Floats, sampling_rate: float) -> Integers:
     kept = clear | alike.any(axis=1)
     tops, patterns = tops[kept], patterns[:, kept]
     spikes = _extents(signal, tops, reach)
-    # those that are believed where there are one or two
+    # spikes that are accepted even where there are only one or two
     striking = (best[tops] > 0.2) & (prominence[tops] > 10.0**2 * surroundings[tops])  # mV
     without = remove_spikes(signal, spikes)
     return spikes[_given_by_a_pacemaker(without, tops, patterns, striking, reach)]
 
 
 def remove_spikes(signal: Floats, spikes: Integers) -> Floats:
-    """Signal (12, n) with a straight line across each spike (k, 2), in every lead there."""
+    """Signal (12, n) with a straight line across each spike (k, 2), in every recorded lead."""
     without = signal.copy()
     for first, stop in spikes:
         before, after = max(int(first) - 1, 0), min(int(stop), signal.shape[1] - 1)
@@ -82,11 +83,11 @@ def remove_spikes(signal: Floats, spikes: Integers) -> Floats:
 def spike_tail(beat: Floats, end: int) -> Floats:
     r"""Exponential decay, :math:`a_i e^{-t/\tau}`, of electrode and amplifier after a pacing spike.
 
-    One time constant for all leads. It is fitted to as much, 7 to 60 ms, of what follows the spike
-    as it explains to 15 uV and 30 %; a QRS, which grows, is never explained.
+    All leads have one time constant. The decay is fitted to the longest stretch after the spike, 60
+    to 7 ms, that it explains to 15 uV and 30 %; it never explains a QRS, which grows.
 
-    Of a mean beat (12, n), mV every ms, without its spike, which ends at the sample `end`. The tail
-    (12, n), mV, is zero where no exponential fits, and before the spike's end.
+    `beat` is a mean beat (12, n), mV every ms, without its spike, which ends at the sample `end`.
+    The tail (12, n), mV, is zero where no exponential fits, and before the spike's end.
     """
     tail = np.zeros_like(beat)
     level = beat[:, max(end - 30, 0) : max(end - 10, 1)].mean(axis=1, keepdims=True)
@@ -99,30 +100,31 @@ def spike_tail(beat: Floats, end: int) -> Floats:
             size = after @ shape / (shape @ shape)
             residual = after - np.outer(size, shape)
             fits.append((float((residual**2).sum()), size, decay, residual))
-        left, size, decay, residual = min(fits, key=lambda fit: fit[0])
+        misfit, size, decay, residual = min(fits, key=lambda fit: fit[0])
         small = np.abs(uniform_filter1d(residual, 3, axis=1)).max() < 0.015  # mV
-        if small and left < 0.3**2 * (after**2).sum():
+        if small and misfit < 0.3**2 * (after**2).sum():
             tail[:, end:] = np.outer(size, np.exp(-since / decay))
             break
     return tail
 
 
 def _offset(lead: Floats, by: int) -> Floats:
-    """Value `by` samples later; the ends of the recording go on for ever."""
+    """Value `by` samples later; beyond its ends the recording keeps its first or last value."""
     return np.asarray(lead[np.clip(np.arange(len(lead)) + by, 0, len(lead) - 1)])
 
 
 def _prominence(lead: Floats, reach: int) -> Floats:
-    """How far each sample lies beyond both samples `reach` away, on one side of them (mV)."""
+    """Distance (mV) of each sample from the samples `reach` away, where beyond both of them."""
     before, after = lead - _offset(lead, -reach), lead - _offset(lead, reach)
     same_side = before * after > 0
     return np.where(same_side, np.minimum(np.abs(before), np.abs(after)), 0.0)
 
 
 def _movement(lead: Floats, reach: int) -> Floats:
-    """How far the signal moves next to each sample, from `reach` to two or three times that (mV).
+    """Movement (mV) of the signal next to each sample, from `reach` to two or three times that.
 
-    The less of both: the other distance may meet the spike of another chamber. A step counts too.
+    The lesser of both counts, since the other distance may meet the spike of another chamber; a
+    step counts too.
     """
     step = 1 / 8 * np.abs(_offset(lead, reach) - _offset(lead, -reach))
     near, far, farther = (
@@ -134,7 +136,7 @@ def _movement(lead: Floats, reach: int) -> Floats:
 def _around(power: Floats, reach: int) -> Floats:
     """Power (mV²) within 50 ms of each sample, the nearest 10 ms left out.
 
-    Of eight stretches of 10 ms the third highest: one other spike does not count.
+    The third highest of eight stretches of 10 ms, so that one other spike does not count.
     """
     mean = uniform_filter1d(power, 2 * reach, mode="nearest")
     distances = reach * np.array([-9, -7, -5, -3, 3, 5, 7, 9])
@@ -152,20 +154,20 @@ def _pattern(signal: Floats, tops: Integers, reach: int) -> Floats:
 def _given_by_a_pacemaker(
     signal: Floats, tops: Integers, patterns: Floats, striking: Booleans, reach: int
 ) -> Booleans:
-    """Which of the candidates (k,) come at a fixed rate, or before beats that are alike.
+    """Whether each of the candidates (k,) comes at a fixed rate, or before beats that are alike.
 
-    They are judged together with the others of their pattern (12, k), which half of them decide.
-    The signal (12, n) is that without them.
+    Candidates of one pattern (12, k) are judged together: more than half of them decide. The
+    signal (12, n) is without the candidates.
     """
     accepted = np.zeros(len(tops), dtype=bool)
-    left = np.arange(len(tops))
+    remaining = np.arange(len(tops))
     after = _after(signal, tops, reach)
     anywhere = _after(signal, np.linspace(0, signal.shape[1] - 1, 200).astype(np.int64), reach)
     usual = float(np.quantile((anywhere**2).sum(axis=(1, 2)), 0.8))
-    while left.size:
-        same = np.abs(patterns[:, left].T @ patterns[:, left]) > 0.9
-        members = left[same[np.argmax(same.sum(axis=1))]]
-        left = np.setdiff1d(left, members)
+    while remaining.size:
+        same = np.abs(patterns[:, remaining].T @ patterns[:, remaining]) > 0.9
+        members = remaining[same[np.argmax(same.sum(axis=1))]]
+        remaining = np.setdiff1d(remaining, members)
         first = np.diff(tops[members], prepend=-signal.shape[1]) > 20 * reach  # of pairs
         events = members[first]
         regular = _at_fixed_rate(tops[events], reach)
@@ -173,14 +175,14 @@ def _given_by_a_pacemaker(
             for chamber in (slice(0, None, 2), slice(1, None, 2)):
                 regular[chamber] |= _at_fixed_rate(tops[events][chamber], reach)
         paced = regular | _before_beats(after[events], usual, striking[events])
-        # what follows a spike near the end is not known
+        # the potential after a spike near the end is not known
         judged = tops[events] + 62 * reach < signal.shape[1]
         accepted[members] = judged.any() and paced[judged].mean() > 0.5
     return accepted
 
 
 def _at_fixed_rate(tops: Integers, reach: int) -> Booleans:
-    """Which of three or more spikes come at an interval of 0.25 to 2.5 s, or multiples of it."""
+    """Whether each of three or more spikes comes at an interval of 0.25 to 2.5 s, or multiples."""
     intervals = np.diff(tops)
     usual = float(np.median(intervals)) if len(intervals) > 1 else 0.0
     if not 50 * reach <= usual <= 500 * reach:
@@ -191,7 +193,7 @@ def _at_fixed_rate(tops: Integers, reach: int) -> Booleans:
 
 
 def _after(signal: Floats, tops: Integers, reach: int) -> Floats:
-    """Means (k, 12, 15) of 20 ms each, in which hum vanishes, after spikes less that before."""
+    """Means (k, 12, 15) over 20 ms each, a period of 50 Hz mains, after spikes less that before."""
     width = 4 * reach
     starts = tops[:, None] + 2 * reach + width * np.array([-2, *range(15)])  # to 62 reaches
     starts = np.clip(starts, 0, signal.shape[1] - width)
@@ -201,10 +203,10 @@ def _after(signal: Floats, tops: Integers, reach: int) -> Floats:
 
 
 def _before_beats(after: Floats, usual: float, striking: Booleans) -> Booleans:
-    """Which of the potentials (k, 12, m) after spikes are as high as beats, and as others are.
+    """Whether each potential (k, 12, m) after spikes is as high as beats, and like the others.
 
-    As a quarter of the others, since several chambers may be paced with one pattern over the leads.
-    Where only one or two spikes are there, it is enough that they are striking.
+    A quarter of the others must be alike, since several chambers may be paced with one pattern over
+    the leads. Where there are only one or two spikes, it is enough that they are striking.
     """
     after = after.reshape(len(after), -1)
     some = after[:: max(len(after) // 200, 1)]
@@ -225,7 +227,7 @@ def _extents(signal: Floats, tops: Integers, reach: int) -> Integers:
         away = np.abs(piece - piece[:, :1] - share * (piece[:, -1:] - piece[:, :1]))
         inside = np.flatnonzero((away > 0.03).any(axis=0))  # mV
         stop = before + int(inside[-1]) + 1
-        steps = np.abs(np.diff(signal[:, stop - 1 : stop + reach], axis=1))  # of what rings on
+        steps = np.abs(np.diff(signal[:, stop - 1 : stop + reach], axis=1))  # of the ringing
         ringing = np.flatnonzero((steps > 0.02).any(axis=0))  # mV
         stop += int(ringing[-1]) + 1 if ringing.size else 0
         spikes.append((before + int(inside[0]), stop))

@@ -1,4 +1,4 @@
-"""What the inference is asked to explain: beats, their QRS window, how they differ."""
+"""Targets of the inference: aligned beats, their QRS window and their variability."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ class Target:
     heart_rate : float, optional
         Beats per minute; None where a single beat does not tell.
     provenance : dict
-        Text about where this came from: source file, its hash, choices made.
+        Text about the origin of the target: source file, its hash, choices made.
     onset_sd, offset_sd : float
         Standard deviations of the ends of the window (ms); 0 where the user has given them.
     noise : float, optional
         Standard deviation of every sample (mV), stated by the user; needed for a single beat.
     filters : tuple of Filter
-        What the beats have passed, as far as it is known; a simulation must pass the same.
+        Filters that the beats have passed, as far as known; a simulation must pass the same.
     earliest_onset : float, optional
         End of the pacing spike (ms from the R peak), before which no QRS begins; None without one.
     leads : tuple of str
@@ -67,17 +67,17 @@ class Target:
     _repr_html_ = html_card
 
     def plot(self) -> list[Any]:
-        """Draw it by `fascicle.plot.target`; returns Matplotlib axes."""
+        """Draw the target by `fascicle.plot.target`; returns Matplotlib axes."""
         return list(above("plot").target(self))
 
     def save(self, path: Path | str) -> None:
-        """Write it as netCDF-4; `fascicle.read_target` reads it."""
+        """Write the target as netCDF-4; `fascicle.read_target` reads it."""
         above("recording.target_files").write_target(self, as_path(path, "path"))
 
     def in_leads(self, leads: Sequence[str]) -> Target:
-        """The same with rows for these leads, those that it lacks not used; others are left out.
+        """Return the target with these leads as rows; those that it lacks are NaN, not used.
 
-        ``provenance["leads_left_out"]`` names these.
+        ``provenance["leads_left_out"]`` names its other leads.
         """
         if tuple(leads) == self.leads:
             return self
@@ -91,7 +91,7 @@ class Target:
 
     @cached_property
     def used(self) -> Booleans:
-        """Which of the leads are there, shape (12 + k,)."""
+        """Whether each lead is used, shape (12 + k,)."""
         return np.asarray(np.isfinite(self.beats[0]).all(axis=1))
 
     @cached_property
@@ -113,7 +113,7 @@ class Target:
 
     def _gain(self, frequency: Floats) -> Floats:
         hertz = frequency * (1000.0 / SAMPLING_STEP)
-        return np.asarray(np.prod([one.gain(hertz) for one in self.filters], axis=0))
+        return np.asarray(np.prod([filter_.gain(hertz) for filter_ in self.filters], axis=0))
 
     @property
     def qrs_duration(self) -> float:
@@ -144,13 +144,13 @@ class Target:
 
     @property
     def global_qrs_duration(self) -> float:
-        """From the onset of the QRS in the outermost leads to its offset there (ms)."""
+        """Duration of the global QRS, from its onset in the outermost leads to its offset (ms)."""
         onset, offset = self.global_qrs
         return offset - onset
 
     @cached_property
     def conventional_criteria(self) -> tuple[Criterion, ...]:
-        """What the conventional ECG criteria of conduction disturbances say of the mean beat."""
+        """Conventional ECG criteria of conduction disturbances, decided on the mean beat."""
         onset, offset = (round((end - self.time[0]) / SAMPLING_STEP) for end in self.global_qrs)
         return conventional_criteria(self.mean, onset, offset, self.leads)
 
@@ -211,22 +211,22 @@ def residual_covariance(target: Target) -> ResidualCovariance:
 
 
 def _correlation(scores: Floats) -> tuple[Floats, float]:
-    """Shrunk correlation (p, p) of scores (n_beats, p, q), and the weight of none in it."""
-    each = scores @ scores.transpose(0, 2, 1) / scores.shape[2]
-    n, raw = len(each), each.mean(axis=0)
+    """Shrunk correlation (p, p) of scores (n_beats, p, q), and the weight of the shrinkage."""
+    by_beat = scores @ scores.transpose(0, 2, 1) / scores.shape[2]
+    n, raw = len(by_beat), by_beat.mean(axis=0)
     identity = np.eye(len(raw)) * np.trace(raw) / len(raw)
     structure = ((raw - identity) ** 2).sum()
     if n < 3 or not structure > 0:  # about their own mean, two beats differ by the same
         return np.eye(len(raw)), 1.0
     # n(n - 2), not n(n - 1): the residuals are about the mean of the same beats
-    weight = float(min(((each - raw) ** 2).sum() / (n * (n - 2)) / structure, 1.0))
+    weight = float(min(((by_beat - raw) ** 2).sum() / (n * (n - 2)) / structure, 1.0))
     shrunk = (1 - weight) * raw + weight * identity
     root = np.sqrt(np.maximum(np.diag(shrunk), np.finfo(float).tiny))
     return shrunk / np.outer(root, root), weight
 
 
 def repeated(target: Target, rng: np.random.Generator) -> Target:
-    """Target of ten beats, as if its single one, of stated noise, had been recorded often.
+    """Target of ten beats, as if its single beat, of stated noise, had been recorded ten times.
 
     Their mean is the recorded beat.
     """

@@ -1,4 +1,4 @@
-"""Targets as netCDF files that explain themselves."""
+"""Targets as self-describing netCDF files."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def write_target(target: Target, path: str | Path) -> None:
 
 
 def as_target(given: Target | Path | str) -> Target:
-    """A target as it was given, or read from its file."""
+    """Return a target as it is, or read it from its file."""
     if isinstance(given, Target):
         return given
     return read_target(as_path(given, "target", "a target, or its netCDF file"))
@@ -60,8 +60,8 @@ def read_target(path: str | Path) -> Target:
     """
     path = as_path(path, "target")
     if not path.is_file():
-        what = "is a folder" if path.is_dir() else "no such file"
-        raise InputError(f"{path}: {what}; make a target with 'fascicle target'")
+        fault = "is a folder" if path.is_dir() else "no such file"
+        raise InputError(f"{path}: {fault}; make a target with 'fascicle target'")
     try:
         dataset = load_netcdf(path)
     except InputError as error:
@@ -149,13 +149,13 @@ def _attributes(target: Target) -> dict[str, str | float | int]:
     texts = {key: str(text).encode("utf-8", "replace") for key, text in target.provenance.items()}
     filters = [
         {
-            "kind": one.kind.value,
-            "frequency_Hz": one.frequency,
-            _shape_of(one.kind): one.shape,
-            "origin": one.origin.value,
-            "sampling_rate_Hz": one.sampling_rate,
+            "kind": filter_.kind.value,
+            "frequency_Hz": filter_.frequency,
+            _shape_of(filter_.kind): filter_.shape,
+            "origin": filter_.origin.value,
+            "sampling_rate_Hz": filter_.sampling_rate,
         }
-        for one in target.filters
+        for filter_ in target.filters
     ]
     return {
         "Conventions": "CF-1.11",
@@ -191,7 +191,7 @@ def _shape_of(kind: FilterKind) -> str:
 
 
 def _filters_from(text: object) -> tuple[Filter, ...]:
-    """The filters of a list in JSON; ValueError when it is none."""
+    """Filters of a list in JSON; ValueError when the text is no such list."""
     try:
         return tuple(
             Filter(
@@ -208,7 +208,7 @@ def _filters_from(text: object) -> tuple[Filter, ...]:
 
 
 def _problems(dataset: xr.Dataset) -> Iterator[str]:
-    """What is wrong with a file; each problem may rely on those before it being absent."""
+    """Problems of a file; each check may rely on the absence of the problems before it."""
     attributes = dataset.attrs
     if attributes.get("format") != FORMAT:
         yield f"not a target (format is {attributes.get('format')!r})"

@@ -1,4 +1,4 @@
-"""What a user may decide about the target that is made of a recording."""
+"""Decisions of a user about the target that is made of a recording."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fascicle.recording.filters import MAINS
 
 @dataclass(frozen=True)
 class TargetOptions:
-    """Decisions of the user; what is None or empty is decided by the program.
+    """Decisions of the user; those that are None or empty are left to the program.
 
     Attributes
     ----------
@@ -25,7 +25,7 @@ class TargetOptions:
     exclude : tuple of int
         Numbers of beats to leave out.
     noise : float, optional
-        Standard deviation of a single beat (mV), which does not show it itself.
+        Standard deviation of a single beat (mV), which does not show how beats vary.
     lowpass : float, optional
         Cutoff of a zero-phase low-pass (Hz).
     notch : float, optional
@@ -36,7 +36,7 @@ class TargetOptions:
     Raises
     ------
     InputError
-        When a number is impossible whatever the recording.
+        When a number is impossible for any recording.
     """
 
     onset: float | None = None
@@ -50,7 +50,7 @@ class TargetOptions:
     recorder_lowpass: float | None = None
 
     def __post_init__(self) -> None:
-        for kind, value, what in (
+        for kind, value, label in (
             ("QRS end", self.onset, "QRS window: onset, from the R peak,"),
             ("QRS end", self.offset, "QRS window: offset, from the R peak,"),
             ("noise", self.noise, "noise"),
@@ -58,7 +58,7 @@ class TargetOptions:
             ("recorder's low-pass", self.recorder_lowpass, "recorder's low-pass"),
         ):
             if value is not None:
-                within(kind, value, what)
+                within(kind, value, label)
         if self.onset is not None and self.offset is not None:
             check_window(self.onset, self.offset, "--onset and --offset")
         named = self.beats if self.beats is not None else ()
@@ -74,7 +74,7 @@ class TargetOptions:
             raise InputError(f"notch filter at {self.notch:.4g} Hz; power lines have 50 or 60 Hz")
 
     def described(self) -> dict[str, str]:
-        """Text of every decision that was taken, for the provenance."""
+        """Text of every decision that the user made, for the provenance."""
         named = {
             "class": self.beat_class,
             "beats": ", ".join(map(str, self.beats or ())),

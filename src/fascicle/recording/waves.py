@@ -11,8 +11,8 @@ from scipy.spatial import ConvexHull
 
 from fascicle.core.arrays import Floats
 
-# The least wave of IEC 60601-2-51:2003, annex GG.5, which is the least notch here, too: so far off
-# (mV) for so long (ms), and so long from end to end
+# Smallest wave of IEC 60601-2-51:2003, annex GG.5, and smallest notch: its least height (mV), the
+# time (ms) that it must have this height, and its duration from end to end (ms)
 LEAST_HEIGHT, LEAST_TIME, LEAST_DURATION = 0.03, 6, 12
 CAPITAL = 0.5  # mV from which a wave has a capital letter: 5 mm on paper
 
@@ -33,9 +33,9 @@ class Qrs:
 
     @cached_property
     def waves(self) -> list[Wave]:
-        """Q, R, S and so on; one that comes back to the level without crossing it is notched."""
+        """Waves Q, R, S and so on; one that returns to the level without crossing it is notched."""
         side = np.where(np.abs(self.potential) >= LEAST_HEIGHT, np.sign(self.potential), 0.0)
-        found: list[Wave] = []
+        waves: list[Wave] = []
         for sign, run in groupby(range(len(side)), key=side.__getitem__):
             samples = list(run)
             height = float(sign * (sign * self.potential[samples]).max())
@@ -44,11 +44,11 @@ class Qrs:
             if not sign or len(samples) < LEAST_TIME or not returns:
                 continue
             start = samples[0]
-            if found and found[-1].height * sign > 0:
-                before = found.pop()
+            if waves and waves[-1].height * sign > 0:
+                before = waves.pop()
                 start, height = before.start, max(before.height, height, key=abs)
-            found.append(Wave(start, samples[-1], height))
-        return found
+            waves.append(Wave(start, samples[-1], height))
+        return waves
 
     @property
     def signs(self) -> str:
@@ -57,7 +57,7 @@ class Qrs:
 
     @property
     def pattern(self) -> str:
-        """The waves in letters, such as rSR'."""
+        """Waves in letters, such as rSR'."""
         letters: list[str] = []
         for wave in self.waves:
             seen = "".join(letters).lower()
@@ -70,8 +70,8 @@ class Qrs:
     def r_peak(self) -> float:
         """Time (ms) of the R peak; NaN without one.
 
-        That of the last wave above the level, R or R', and of a notched one its last peak that is
-        at least half as high as the wave.
+        The peak is that of the last wave above the level, R or R'; of a notched wave, its last peak
+        that is at least half as high as the wave.
         """
         above = [wave for wave in self.waves if wave.height > 0]
         if not above:
@@ -85,10 +85,10 @@ class Qrs:
     def notches(self, sign: int) -> list[int]:
         """Times (ms) of notches and slurs in the waves above (1) or below (-1) the level.
 
-        But for its feet a smooth wave is concave. A notch or slur is where it runs off the tangent
-        that bridges it, as far and as long as the least wave.
+        But for its feet a smooth wave is concave. A notch or slur is where it departs from the
+        tangent that bridges it, as far and as long as the smallest wave.
         """
-        found = []
+        times = []
         for wave in (wave for wave in self.waves if wave.height * sign > 0):
             curve = sign * self.potential[wave.start : wave.end + 1]
             curve = np.pad(curve, 1, constant_values=-abs(wave.height))
@@ -99,8 +99,8 @@ class Qrs:
                 bridge = np.interp(time, [first, last], curve[[first, last]])
                 inside = (bridge - curve)[first : last + 1]
                 if last - first >= LEAST_DURATION and (inside >= LEAST_HEIGHT).sum() >= LEAST_TIME:
-                    found.append(wave.start - 1 + int(first + np.argmax(inside)))
-        return found
+                    times.append(wave.start - 1 + int(first + np.argmax(inside)))
+        return times
 
     @property
     def is_qr(self) -> bool:

@@ -1,8 +1,8 @@
-"""Where the QRS begins and ends, of all leads together and in the outermost leads, and how surely.
+"""Onset and offset of the QRS, of all leads together and in the outermost leads, and their errors.
 
-The *window*, of the spatial velocity of all leads together, is what losses and likelihoods see. The
-*global window*, of the outermost leads, is longer; thresholds of guidelines (120, 130, 150 ms) rest
-on its duration. `benchmarks/qrs_window.py` measures the errors on simulated ECGs,
+The *window*, of the spatial velocity of all leads together, is used by losses and likelihoods. The
+*global window*, of the outermost leads, is longer; thresholds of guidelines (120, 130, 150 ms) are
+about its duration. `benchmarks/qrs_window.py` measures the errors on simulated ECGs,
 `benchmarks/global_qrs.py` those against manual marks. Signals have a sample every ms.
 """
 
@@ -26,12 +26,12 @@ SMOOTHING = 4.0  # ms; standard deviation of the Gaussian derivative
 # leads disagree that adds to it: 95 % within two standard deviations
 ONSET_ERROR, OFFSET_ERROR, DISAGREEMENT = 5.0, 4.5, 0.4
 CORE_SMOOTHING = 10.0  # ms; leaves 1 % of 50 Hz interference
-STANDS_OUT = 2.2  # speed over that of the quietest stretch nearby from which it is more than noise
-ESCALATION = 1.1  # by which a level rises that is too low for noise
+STANDS_OUT = 2.2  # ratio of a speed above noise to the speed of the quietest stretch nearby
+ESCALATION = 1.1  # factor by which a level rises that is too low for noise
 WINDOWS = 50  # mean beats, changed by noise, in which the window is found again
 MOVING = 0.001  # mV/ms from which the leads are not at rest
 VISIBLE = 0.02  # mV from which the QRS is seen to differ from the PR or ST segment
-NOISE = 3.0  # standard deviations of the noise of a mean beat over which it is seen
+NOISE = 3.0  # limit of visibility, too, in standard deviations of the noise of a mean beat
 # ms by which the window begins earlier and ends later than the QRS is seen in two leads, and by
 # which the global QRS does, which experts mark in the outermost lead
 FIRST_ACTIVATION, EXPERT = (4, 4), (17, 11)
@@ -49,7 +49,7 @@ class QrsWindows(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """How an end of the QRS is looked for."""
+    """Parameters of the search for an end of the QRS."""
 
     # Time that makes a speed of a curvature (ms): at the top of a P wave or of a notch the leads
     # stand still for a moment, but turn.
@@ -79,7 +79,8 @@ class _Velocity:
     def speed(self, turning: float, trend: Floats | float = 0.0) -> Floats:
         """Root mean square over the leads, (n,), of how fast they leave lines of slope `trend`.
 
-        Of four or more leads the fastest is left out at each instant, so that none decides alone.
+        Of four or more leads the fastest is left out at each instant, so that no lead decides
+        alone.
         """
         power = (self.slope - trend) ** 2 + (turning * self.curvature) ** 2
         if len(power) >= 4:
@@ -90,7 +91,7 @@ class _Velocity:
 def spatial_velocity(signal: Floats) -> Floats:
     r"""Speed (mV/ms) of all leads together, :math:`v(t) = \sqrt{\mathrm{mean}_i (dV_i/dt)^2}`.
 
-    Of a signal (12, n), mV, every ms; the mean is over the independent leads that are there,
+    The signal is (12, n), mV, every ms; the mean is over the independent leads that were recorded,
     each smoothed by a Gaussian of `SMOOTHING` ms.
     """
     slope = _derivative(signal[complete_leads(signal)], SMOOTHING, 1)
@@ -101,9 +102,9 @@ def smoothing_against_ringing(filters: Sequence[Filter]) -> float:
     """Smoothing (ms) under which the ringing of steep low-passes does not count as QRS."""
     ringing = [
         # so wide a Gaussian leaves 4 % of the ringing: exp(-2 (0.4 pi)^2)
-        1000.0 * 0.4 / one.frequency
-        for one in filters
-        if one.kind is FilterKind.LOW_PASS and one.shape > 4.0
+        1000.0 * 0.4 / filter_.frequency
+        for filter_ in filters
+        if filter_.kind is FilterKind.LOW_PASS and filter_.shape > 4.0
     ]
     return max([SMOOTHING, *ringing])
 
@@ -111,26 +112,26 @@ def smoothing_against_ringing(filters: Sequence[Filter]) -> float:
 def qrs_windows(signal: Floats, not_before: int = 0, smoothing: float = SMOOTHING) -> QrsWindows:
     r"""First and last sample of the QRS, of the window and of the global QRS.
 
-    The fastest stretches of the beat, and what lies before them far from the isoelectric level, are
-    the core of the QRS. From there outward the leads are followed until they rest for 10 ms, slower
-    than a level or than `STANDS_OUT` times the quietest stretch nearby. How fast they move is the
-    root mean square over the leads, less the fastest, of
+    The fastest stretches of the beat, and the samples before them that are far from the isoelectric
+    level, are the core of the QRS. From there outward the leads are followed until they rest for 10
+    ms, slower than a level or than `STANDS_OUT` times the quietest stretch nearby. Their speed is
+    the root mean square over the leads, less the fastest, of
     :math:`\sqrt{(\dot V - \dot V_0)^2 + (\tau \ddot V)^2}`, with derivatives by a Gaussian,
     :math:`\tau` a time and :math:`\dot V_0` the slope of the PR or ST segment. From rest back
     inward, a lead is in the QRS from where it is `VISIBLE` from the line through the segment.
-    Power-line interference is subtracted. A P wave that runs into the QRS is none of it, nor a T
-    wave that begins at the J point.
+    Power-line interference is subtracted. A P wave that runs into the QRS is no part of it, nor is
+    a T wave that begins at the J point.
 
-    Two must confirm each other: the limb leads, which share electrodes, are one, and each chest
-    lead is one. `FIRST_ACTIVATION` (ms) further out than the second of them are the ends of the
-    window, and `EXPERT` further out is what an expert marks in the outermost of twelve leads.
+    Two marks must confirm each other: one of the limb leads, which share electrodes, and one of
+    each chest lead. The ends of the window are `FIRST_ACTIVATION` (ms) further out than the second
+    mark; `EXPERT` further out an expert would mark the QRS in the outermost of twelve leads.
 
     Parameters
     ----------
     signal : (12, n) array
-        One beat, recorded (mean) or simulated, potential (mV); leads that are not there are NaN.
-        Rows after the twelfth, of additional leads, decide nothing. A simulated QRS may begin and
-        end at the ends of the array, the global QRS outside.
+        One beat, recorded (mean) or simulated, potential (mV); leads not recorded are NaN. Rows
+        after the twelfth, of additional leads, are ignored. A simulated QRS may begin and end at
+        the ends of the array, the global QRS outside.
     not_before : int
         End of a pacing spike; the leads are at rest before it.
     smoothing : float
@@ -139,7 +140,7 @@ def qrs_windows(signal: Floats, not_before: int = 0, smoothing: float = SMOOTHIN
     Raises
     ------
     ValueError
-        When no lead is there, none moves, or one of many alone.
+        When no lead is complete, or none moves, or one of many alone.
 
     References
     ----------
@@ -174,7 +175,7 @@ class _Marks(NamedTuple):
         return int(self.onsets[k] - self.onsets[0]), int(self.offsets[0] - self.offsets[k])
 
     def further_out(self, by: tuple[int, int]) -> tuple[int, int]:
-        """So many ms before the second onset and after the second offset; of one lead, of its."""
+        """Samples `by` ms before the second onset and after the second offset (or the only one)."""
         k = min(1, len(self.onsets) - 1)
         return int(self.onsets[k]) - by[0], int(self.offsets[k]) + by[1]
 
@@ -186,8 +187,8 @@ def _marks(signal: Floats, not_before: int, smoothing: float) -> _Marks:
         begin, end = (max(not_before - before, 0) for before in (30, 12))  # ms
         level = beat[:, begin : max(end, begin + 1)].mean(axis=1, keepdims=True)
         beat[:, :not_before] = level
-    there = np.isfinite(beat).all(axis=1)
-    electrodes = np.maximum(np.flatnonzero(there) - len(LIMB_LEADS) + 1, 0)
+    complete = np.isfinite(beat).all(axis=1)
+    electrodes = np.maximum(np.flatnonzero(complete) - len(LIMB_LEADS) + 1, 0)
     core, velocity, leads, first = _core_and_leads(beat, smoothing, not_before > 0)
     p_end = 0 if not_before else _end_of_p_wave(leads, velocity, first, core)
     if p_end:
@@ -211,7 +212,9 @@ def _marks(signal: Floats, not_before: int, smoothing: float) -> _Marks:
         least = np.maximum(visible, NOISE * np.maximum(noise, np.median(noise)))
         seen = np.abs(away[:, inside : rest + 1]) > least[:, None]
         until = np.where(seen.any(axis=1), seen.shape[1] - 1 - np.argmax(seen[:, ::-1], axis=1), 0)
-        ends.append([inside + until[electrodes == one].max() for one in np.unique(electrodes)])
+        ends.append(
+            [inside + until[electrodes == electrode].max() for electrode in np.unique(electrodes)]
+        )
     smeared = round(1.2 * (smoothing - SMOOTHING))  # by more smoothing, outward
     onsets = np.sort(last - np.array(ends[0])) + smeared
     return _Marks(np.maximum(onsets, not_before), -np.sort(-np.array(ends[1])) - smeared)
@@ -326,11 +329,11 @@ def _highest(speed: Floats) -> float:
 def _core_of(leads: Floats, paced: bool) -> tuple[int, int]:
     """First and last sample of the stretch of a beat (k, n) that is surely QRS.
 
-    It has a fifth of the highest speed, but for gaps of 40 ms; where that is longer than any QRS,
-    because noise or a T wave are fast, the level rises. Then half of a slow paced QRS may be left;
-    the other one is half as fast or faster, which hardly its T wave is.
+    Its speed is a fifth of the highest or more, but for gaps of 40 ms; where that is longer than
+    any QRS, because noise or a T wave are fast, the level rises. Then only half of a slow paced QRS
+    may be left; the other half, unlike most T waves, has half of the highest speed or more.
     """
-    # In the core curvature counts much: tall T waves are steep, but turn slowly.
+    # Curvature has much weight in the core: tall T waves are steep, but turn slowly.
     speed = _Velocity.of(leads, CORE_SMOOTHING).speed(turning=10.0)
     highest = _highest(speed)
     if not highest > 0:
@@ -348,7 +351,7 @@ def _core_of(leads: Floats, paced: bool) -> tuple[int, int]:
     sure = sure[(sure >= first - reach) & (sure <= last + reach)]
     if paced and sure.size and max(last, sure[-1]) - min(first, sure[0]) <= 300:  # ms
         first, last = min(first, int(sure[0])), max(last, int(sure[-1]))
-    # smoothing has moved the ends out, but for those of the array
+    # smoothing has moved the ends outward, unless they are those of the array
     spread = round(CORE_SMOOTHING)
     return (
         min(first + spread, peak) if first else 0,
@@ -357,7 +360,7 @@ def _core_of(leads: Floats, paced: bool) -> tuple[int, int]:
 
 
 def _isoelectric_from(velocity: _Velocity, core: int, search: _Search, level: float) -> int:
-    """First sample after the core from which the leads keep to the line that they are slow on."""
+    """First sample after the core from which the leads follow the straight line of the segment."""
     speed = velocity.speed(search.turning)
     end = core + _slow_after(speed, core, level, search.reach)
     if search.sloping and end - core >= 2:
@@ -401,12 +404,12 @@ def window_uncertainty(
 ) -> tuple[float, float]:
     """Standard deviations (ms) of the ends of the QRS that `qrs_window` finds in the mean beat.
 
-    Of aligned beats (n_beats, 12, n), mV; they hold for the global QRS, too. The window is found
-    again in `WINDOWS` mean beats: of beats drawn with replacement (bootstrap, Efron, Ann. Statist.
-    7:1, 1979) or, where the `noise` (mV) of a beat is stated, as for a single one, with that much
-    noise added. The method's own error, `ONSET_ERROR` and `OFFSET_ERROR`, adds to it, and
-    `DISAGREEMENT` times the time from the first to the fourth lead that is in the QRS. The draws
-    are the same in every call.
+    The beats (n_beats, 12, n), mV, are aligned; the results hold for the global QRS, too. The
+    window is found again in `WINDOWS` mean beats: of beats drawn with replacement (bootstrap,
+    Efron, Ann. Statist. 7:1, 1979) or, where the `noise` (mV) of a beat is stated, as for a single
+    one, with that much noise added. The method's own error, `ONSET_ERROR` and `OFFSET_ERROR`, adds
+    to the spread of these windows, as does `DISAGREEMENT` times the time from the first to the
+    fourth lead that is in the QRS. The draws are the same in every call.
     """
     rng = np.random.default_rng(0)
     n_beats, beats = len(beats), beats[:, : len(LEADS)]

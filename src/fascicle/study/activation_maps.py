@@ -1,4 +1,4 @@
-"""Maps of activation over networks: mean, spread, and where it is late."""
+"""Maps of activation over networks: mean, spread, and probability of late activation."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ LATEST = 0.2  # share of the vertices that count as late
 
 
 def since_first(activation: Floats | Singles) -> Floats:
-    """Activation times (..., n) from the first of each row on (ms); NaN where none arrives."""
+    """Activation times (..., n) (ms) from the first of each row on; NaN where no front arrives."""
     times = np.where(np.isfinite(activation), activation, np.nan).astype(float)
     return np.asarray(times - activation.min(axis=-1, keepdims=True))
 
 
 def nearest_to_median(activations: Floats | Singles) -> int:
-    """Which network (n_networks, n) has the activation map nearest to the median map.
+    """Index of the network whose activation map (n_networks, n) is nearest to the median map.
 
     Times count from the first activation of each network on. The median map is that of the medians
     at each vertex; distance is the root mean square over the vertices that a network reaches.
@@ -30,18 +30,18 @@ def nearest_to_median(activations: Floats | Singles) -> int:
 def activation_maps(activations: Floats | Singles) -> dict[str, Floats]:
     """Activation over networks at each of n vertices, from the first of each network on.
 
-    Mean and standard deviation (ms), and how probable it is that the vertex is among the latest
-    fifth, of activation times (n_networks, n), inf where no front arrives. What no network reaches
-    is NaN; elsewhere those that do reach it count.
+    Mean and standard deviation (ms), and the probability that the vertex is among the latest fifth,
+    of activation times (n_networks, n), which are inf where no front arrives. A vertex that no
+    network reaches is NaN; elsewhere only networks that reach the vertex count.
     """
     times = since_first(activations)
     reached = np.isfinite(times).sum(axis=0)
-    known = np.where(reached > 0, reached, np.nan)
-    mean = np.nansum(times, axis=0) / known
-    spread = np.sqrt(np.nansum((times - mean) ** 2, axis=0) / known)
+    counts = np.where(reached > 0, reached, np.nan)
+    mean = np.nansum(times, axis=0) / counts
+    spread = np.sqrt(np.nansum((times - mean) ** 2, axis=0) / counts)
     late = times >= np.nanquantile(times, 1 - LATEST, axis=1, keepdims=True)
     return {
         "activation_mean": mean,
         "activation_sd": spread,
-        "probability_latest_fifth": late.sum(axis=0) / known,
+        "probability_latest_fifth": late.sum(axis=0) / counts,
     }

@@ -1,4 +1,4 @@
-"""How the networks' ECGs agree with the recorded QRS, lead by lead and over all."""
+"""Agreement of the networks' ECGs with the recorded QRS, lead by lead and over all."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Agreement:
         For each lead: explained power, 1 − Σ(recorded − predicted)² / Σ recorded²; Pearson's
         correlation. NaN where a lead is not used.
     explained_over_all, correlation_over_all : float
-        The same over all leads together.
+        Explained power and correlation over all leads together.
     recorded, predicted : dict of str to float, and to (n,) array
         Window and global QRS duration (ms) and frontal axis (degrees): recorded, and of each
         network. Axes are within half a turn of the recorded one.
@@ -42,19 +42,19 @@ class Agreement:
     predicted: dict[str, Floats]
 
     def percentiles(self, name: str) -> tuple[float, float, float]:
-        """5th percentile, median and 95th over the networks of what `recorded` holds."""
+        """5th percentile, median and 95th percentile of a predicted quantity over the networks."""
         low, middle, high = np.percentile(self.predicted[name], (5, 50, 95))
         return float(low), float(middle), float(high)
 
     def content(self) -> dict[str, Any]:
-        """All of it for a summary; None for leads that are not used."""
+        """Agreement for a summary; None for leads that are not used."""
 
         def by_lead(values: Floats, over_all: float) -> dict[str, float | None]:
-            found = {
+            values_by_lead = {
                 lead: round(float(v), 6) if np.isfinite(v) else None
                 for lead, v in zip(self.leads, values, strict=True)
             }
-            return found | {"all": round(over_all, 6)}
+            return values_by_lead | {"all": round(over_all, 6)}
 
         content: dict[str, Any] = {
             "explained_power": by_lead(self.explained, self.explained_over_all),
@@ -73,37 +73,37 @@ def agreement(target: Target, networks: Sequence[Network]) -> Agreement:
     recorded = np.where(target.used[:, None], target.mean[:, window], np.nan)
     predicted = np.mean([network.predicted[:, window] for network in networks], axis=0)
     used = target.used
-    left = ((recorded - predicted) ** 2).sum(axis=1)
+    residual = ((recorded - predicted) ** 2).sum(axis=1)
     power = (recorded**2).sum(axis=1)
     correlation = np.full(len(used), np.nan)
     pairs = zip(recorded[used], predicted[used], strict=True)
     correlation[used] = [pearson(*pair) for pair in pairs]
     simulations = [network.simulation for network in networks]
-    found = {
-        "qrs_duration_ms": [each.qrs_duration for each in simulations],
-        "global_qrs_duration_ms": [each.global_qrs_duration for each in simulations],
+    simulated_values = {
+        "qrs_duration_ms": [simulation.qrs_duration for simulation in simulations],
+        "global_qrs_duration_ms": [simulation.global_qrs_duration for simulation in simulations],
     }
-    known = {
+    recorded_values = {
         "qrs_duration_ms": target.qrs_duration,
         "global_qrs_duration_ms": target.global_qrs_duration,
     }
     if used[: len(LIMB_LEADS)].all():
-        axis = known["axis_degrees"] = frontal_axis(recorded)
+        axis = recorded_values["axis_degrees"] = frontal_axis(recorded)
         turns = [frontal_axis(network.predicted[:, window]) - axis for network in networks]
-        found["axis_degrees"] = [axis + (turn + 180) % 360 - 180 for turn in turns]
+        simulated_values["axis_degrees"] = [axis + (turn + 180) % 360 - 180 for turn in turns]
     return Agreement(
         target.leads,
-        1 - left / power,
+        1 - residual / power,
         correlation,
-        float(1 - left[used].sum() / power[used].sum()),
+        float(1 - residual[used].sum() / power[used].sum()),
         pearson(recorded[used].ravel(), predicted[used].ravel()),
-        known,
-        {name: np.array(values, dtype=float) for name, values in found.items()},
+        recorded_values,
+        {name: np.array(values, dtype=float) for name, values in simulated_values.items()},
     )
 
 
 def pearson(one: Floats, other: Floats) -> float:
-    """Pearson's correlation of (n,) values; 0 where one does not change."""
+    """Pearson's correlation of values (n,); 0 if either is constant."""
     one, other = one - one.mean(), other - other.mean()
     size = float(np.sqrt((one**2).sum() * (other**2).sum()))
     return float((one * other).sum() / size) if size else 0.0

@@ -23,12 +23,12 @@ from fascicle.study.pool import Remote, run_part
 
 TIMEOUT = 30  # s, until a scheduler has answered
 ANSWERED = 5  # s that a scheduler has to say which workers it has
-RETRIES = 20  # of a job whose workers were lost, which a walltime does to all that wait there
+RETRIES = 20  # of a job whose workers were lost, as happens to waiting jobs at a walltime
 _READING = Lock()
 
 
 class WorkerData(WorkerPlugin):
-    """What every worker is given when it joins, pickled; unpacked when first used."""
+    """Data that every worker receives pickled when it joins, and unpacks at the first use."""
 
     def __init__(self, name: str, content: bytes) -> None:
         self.name, self.content = name, content
@@ -54,15 +54,15 @@ class Cluster(Remote):
     Parameters
     ----------
     address : str
-        Of the scheduler, such as ``"tcp://10.0.0.1:8786"``.
+        Address of the scheduler, such as ``"tcp://10.0.0.1:8786"``.
     progress : Progress, "lines" or None
-        Called, with the stage "workers", while it has none or does not answer; or lines on standard
-        error; or nothing.
+        Progress callback, called with the stage "workers" while the cluster has no workers or does
+        not answer; "lines" writes to standard error; None is silent.
 
     Raises
     ------
     InputError
-        If it is not an address, or no scheduler answers at it.
+        If the address is malformed, or no scheduler answers there.
     """
 
     def __init__(self, address: str, progress: Progress | Lines | None = "lines") -> None:
@@ -88,16 +88,16 @@ class Cluster(Remote):
 
     @property
     def workers(self) -> int:  # type: ignore[override]
-        """Threads of the workers that are there now, 1 at least."""
+        """Number of threads of the present workers, at least 1."""
         return max(1, sum(self.threads().values()))
 
     def threads(self) -> dict[str, int]:
-        """Threads of each worker that is there now, by its address."""
-        there: dict[str, int] = self._ask(self.client.nthreads)
-        return there
+        """Number of threads of each present worker, by its address."""
+        threads: dict[str, int] = self._ask(self.client.nthreads)
+        return threads
 
     def _place(self, content: Any) -> Any:
-        if not self._same_scheduler:  # a restarted one has nothing of what was sent
+        if not self._same_scheduler:  # a restarted scheduler has lost the shared data
             self._connection = self.client.scheduler_comm
             self._sent.clear()
         return super()._place(content)
@@ -118,15 +118,15 @@ class Cluster(Remote):
             wait([self._begin(self.client.cancel, list(futures))], ANSWERED)
 
     def _results(self, futures: Sequence[Any]) -> Sequence[Any]:
-        """Fetch together what jobs have given: one by one each would take some milliseconds."""
+        """Fetch results together, since each would take some milliseconds by itself."""
         first = self._result(futures[0])
         try:
             return [first, *(self._gather(futures[1:]) if len(futures) > 1 else ())]
-        except KilledWorker:  # of one that had ended: what it had given was lost with it
+        except KilledWorker:  # a finished job lost its result with its worker
             return [first, *map(self._result, futures[1:])]
 
     def _result(self, future: Any) -> Any:
-        """Wait for a job; where its workers were lost it is done again, by others."""
+        """Wait for a job; if its workers were lost, other workers run it again."""
         for _ in range(RETRIES):
             try:
                 return self._gather([future])[0]
@@ -138,20 +138,20 @@ class Cluster(Remote):
         results: list[Any] = self._ask(self.client.gather, list(futures), jobs=futures)
         return results
 
-    def _ask(self, method: Callable[..., Any], *given: Any, jobs: Sequence[Any] = ()) -> Any:
-        """Ask the client for something, again where a connection broke, as a lost worker's does.
+    def _ask(self, method: Callable[..., Any], *arguments: Any, jobs: Sequence[Any] = ()) -> Any:
+        """Call a method of the client, again if a connection broke, as when a worker is lost.
 
         A job's own error is raised as it is.
         """
-        for tried in range(RETRIES + 1):
+        for attempt in range(RETRIES + 1):
             try:
-                return self._wait_for(method, *given)
+                return self._wait_for(method, *arguments)
             except OSError as error:
                 if any(job.status == "error" and job.exception() is error for job in jobs):
                     raise
                 self._check_there(error)
                 of_workers = error.errno is not None and not isinstance(error, ConnectionError)
-                if of_workers or tried == RETRIES:
+                if of_workers or attempt == RETRIES:
                     raise InputError(
                         f"{self.address}: its workers fail ({one_line(error)}); see what they say"
                     ) from error
@@ -165,9 +165,9 @@ class Cluster(Remote):
                 raise self._lost() from error  # by the client, when it lost its scheduler
         raise AssertionError("the last try returns or raises")
 
-    def _wait_for(self, method: Callable[..., Any], *given: Any) -> Any:
-        """Wait as long as it takes, since jobs may be long; say meanwhile what is waited for."""
-        answer = self._begin(method, *given)
+    def _wait_for(self, method: Callable[..., Any], *arguments: Any) -> Any:
+        """Wait without a limit, since jobs may be long; report a missing worker or scheduler."""
+        answer = self._begin(method, *arguments)
         try:
             while not wait([answer], 1.0).done:
                 self._say(self._what_is_missing(answer))
@@ -177,24 +177,24 @@ class Cluster(Remote):
         finally:
             answer.cancel()  # if it is interrupted
 
-    def _begin(self, method: Callable[..., Any], *given: Any) -> Future[Any]:
-        """Call a method of the client in its loop, where it waits for nothing."""
+    def _begin(self, method: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Call a method of the client in its event loop, without waiting for the answer."""
         self._check_there()
 
         async def call() -> Any:
-            return await method(*given)
+            return await method(*arguments)
 
         return asyncio.run_coroutine_threadsafe(call(), self.client.loop.asyncio_loop)
 
     def _what_is_missing(self, answer: Future[Any]) -> str:
-        """Say why an answer does not come, in words; empty if it just takes its time."""
+        """Reason, in words, why an answer does not come; empty if it just takes long."""
         threads = self._begin(self.client.nthreads)
         try:
             wait([threads, answer], ANSWERED, FIRST_COMPLETED)
             if answer.done() or threads.result(timeout=0):
                 return ""
             return "has no worker; waiting for one"
-        except OSError as error:  # no answer in time is one
+        except OSError as error:  # includes a timeout
             self._check_there(error)
             return "does not answer; waiting for it"
         finally:
@@ -209,11 +209,11 @@ class Cluster(Remote):
     @property
     def _same_scheduler(self) -> bool:
         """Whether the connection is the one through which shared data were sent."""
-        there: bool = self.client.status == "running"
-        return there and self.client.scheduler_comm is self._connection
+        running: bool = self.client.status == "running"
+        return running and self.client.scheduler_comm is self._connection
 
     def _check_there(self, error: OSError | None = None) -> None:
-        """Say so in one line if the scheduler is lost."""
+        """Raise an error of one line if the scheduler is lost."""
         if self.client.status != "running":
             raise self._lost() from error
 
@@ -225,7 +225,7 @@ class Cluster(Remote):
 
 
 def _read(name: str) -> Any:
-    """What this worker was given; a worker that has just joined gets its jobs sooner than that."""
+    """Read this worker's data, waiting for it, since a new worker may get a job before it."""
     worker = get_worker()
     until = time.monotonic() + TIMEOUT
     while time.monotonic() < until:

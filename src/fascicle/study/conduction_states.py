@@ -1,4 +1,4 @@
-"""The conduction states that a study tells apart, with their priors."""
+"""Conduction states that a study tells apart, with their priors."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from fascicle.forward.blocks import ANTERIOR, BLOCKED, POSTERIOR
 
 Ranges = Mapping[str, tuple[float, float]]
 
-# Ranges (ms) in mapped hearts, and of ventricles whose bundle branch is late; root times that are
-# learnt in place of interventricular delays
+# Ranges (ms) of the interventricular delay in mapped hearts, and where the left or right bundle
+# branch conducts late; and of the root time, which a study may learn in its place
 TOGETHER: Ranges = {"interventricular_delay": (3.0, 12.0), "root_time": (-20.0, 20.0)}
 LEFT_LATE: Ranges = {"interventricular_delay": (-40.0, -5.0), "root_time": (-75.0, -20.0)}
 RIGHT_LATE: Ranges = {"interventricular_delay": (15.0, 40.0), "root_time": (20.0, 50.0)}
@@ -26,16 +26,16 @@ USUAL = {p.name: p for p in HUMAN_SPACE.parameters}
 
 @dataclass(frozen=True)
 class ConductionState:
-    """A state, how probable it is before the ECG is seen, and what its networks are like.
+    """Conduction state, with its prior probability and the ranges of its quantities.
 
     Attributes
     ----------
     name : str
-        One of `CONDUCTION`, which says what is blocked.
+        One of `CONDUCTION`, which settles what is blocked.
     probability : float
-        Prior, in proportion to those of the others.
+        Prior probability, in proportion to those of the other states.
     ranges : mapping of name to (float, float)
-        Of quantities, in place of their usual ones.
+        Ranges of quantities, in place of their usual ones.
     """
 
     name: str
@@ -43,9 +43,10 @@ class ConductionState:
     ranges: Ranges
 
     def is_mapped(self, names: Collection[str]) -> bool:
-        """Whether its networks activate the ventricles in the sequence of mapped human hearts.
+        """Whether its networks must activate the ventricles as mapped human hearts are.
 
-        `names` are of what is learnt or fixed: by root times that sequence is not constrained.
+        `names` are those of learnt and fixed quantities. A root time in place of the
+        interventricular delay does not constrain the activation sequence.
         """
         return self.name == CONDUCTION[0] and "interventricular_delay" in names
 
@@ -56,11 +57,11 @@ class ConductionState:
 
     @property
     def blocks(self) -> dict[str, float]:
-        """The quantity, where it is more than a name for the values of others."""
+        """The quantity `conduction`, if the state blocks a bundle or fascicle; else empty."""
         return {"conduction": self.number} if self.name in BLOCKED else {}
 
     def narrowed(self, space: ParameterSpace, fixed: Mapping[str, float]) -> ParameterSpace | None:
-        """What a study of this state learns; None if what is asked for excludes it."""
+        """Parameter space of a study of this state; None if `space` or `fixed` excludes it."""
         one_fascicle = fascicles("lv", [*space.names, *fixed]) < 2
         if one_fascicle and {ANTERIOR, POSTERIOR} & {*BLOCKED.get(self.name, ())}:
             return None
@@ -72,17 +73,17 @@ class ConductionState:
         for name, (low, high) in self.ranges.items():
             if name not in learnt:
                 continue
-            asked = learnt[name]
-            if asked not in (free(name), USUAL.get(name)):
-                low, high = max(low, asked.lower), min(high, asked.upper)
-            if low >= high or not (asked.median is None or low <= asked.median <= high):
+            parameter = learnt[name]
+            if parameter not in (free(name), USUAL.get(name)):
+                low, high = max(low, parameter.lower), min(high, parameter.upper)
+            if low >= high or not (parameter.median is None or low <= parameter.median <= high):
                 return None
-            learnt[name] = replace(asked, lower=low, upper=high)
+            learnt[name] = replace(parameter, lower=low, upper=high)
         return ParameterSpace(tuple(learnt.values()))
 
 
-# How probable the states are, that are told apart, in adults who are referred for an ECG
-# (docs/diagnosis.md); fascicular blocks belong to the first
+# Prior probabilities of the states that are told apart, in adults who are referred for an ECG
+# (docs/diagnosis.md); fascicular blocks count as normal
 PREVALENCE = {
     "normal": 0.855,
     "left bundle branch block": 0.025,
@@ -105,34 +106,34 @@ STATES = tuple(state for state in KNOWN_STATES if state.name in PREVALENCE)
 
 
 def state_label(name: str) -> str:
-    """What a state is called where fascicular blocks are not told apart from it."""
+    """Name of a state for people, who must know that fascicular blocks are not told apart."""
     return "normal or fascicular block" if name == CONDUCTION[0] else name
 
 
 def states_of(priors: Mapping[str, float]) -> tuple[ConductionState, ...]:
-    """The states of these names, with these priors."""
+    """Conduction states by name, with these prior probabilities."""
     named = {state.name: state for state in KNOWN_STATES}
     return tuple(replace(named[name], probability=prior) for name, prior in priors.items())
 
 
 def asked_states(asked: Any) -> tuple[ConductionState, ...]:
-    """The states that were asked for: one, all, or those with a prior of their own.
+    """Conduction states that the user chose: one, all, or a mapping of states to priors.
 
     Raises
     ------
     InputError
-        If there is no such state, or a prior is none.
+        If there is no such state, or a prior is not a positive number.
     """
     priors = {state.name: state.probability for state in STATES}
     if isinstance(asked, Mapping):
-        given = {name: number(p, f"parameter 'conduction': '{name}'") for name, p in asked.items()}
-        wrong = [name for name, p in given.items() if not (name in priors and 0 < p < math.inf)]
-        if wrong or not given:
+        chosen = {name: number(p, f"parameter 'conduction': '{name}'") for name, p in asked.items()}
+        wrong = [name for name, p in chosen.items() if not (name in priors and 0 < p < math.inf)]
+        if wrong or not chosen:
             raise InputError(
                 f"parameter 'conduction': {wrong or 'nothing'}; give a prior above 0 for each of "
                 f"some of {', '.join(priors)}"
             )
-        return states_of(given)
+        return states_of(chosen)
     if isinstance(asked, str) and asked == FREE:
         return STATES
     value = check(quantity("conduction"), asked)
@@ -142,12 +143,12 @@ def asked_states(asked: Any) -> tuple[ConductionState, ...]:
 def possible_states(
     asked: Any, space: ParameterSpace, known: Mapping[str, float]
 ) -> tuple[ConductionState, ...]:
-    """The states that were asked for and that are possible with what is learnt and known.
+    """Conduction states that the user chose and that the other parameters do not exclude.
 
     Raises
     ------
     InputError
-        If there is no such state, a prior is none, or no state is left.
+        If there is no such state, a prior is not a positive number, or no state is left.
     """
     states = asked_states(asked)
     states = tuple(state for state in states if state.narrowed(space, known) is not None)
@@ -162,15 +163,19 @@ def possible_states(
 def united(
     space: ParameterSpace, fixed: Mapping[str, float], probable: Mapping[str, float]
 ) -> ParameterSpace:
-    """What is learnt in states, each with the prior of all of them, as probable as they are."""
+    """Parameter space of several states, with mixtures of their priors by their probabilities."""
     spaces = [(state.probability, state.narrowed(space, fixed)) for state in states_of(probable)]
     total = sum(weight for weight, _ in spaces)
-    each = [(weight / total, own.parameters) for weight, own in spaces if own is not None]
-    found = []
-    for k, usual in enumerate(space.parameters):
-        parts = tuple((weight, parameters[k]) for weight, parameters in each)
-        if any(part != usual for _, part in parts):
+    weighted = [
+        (weight / total, state_space.parameters)
+        for weight, state_space in spaces
+        if state_space is not None
+    ]
+    mixed = []
+    for k, parameter in enumerate(space.parameters):
+        parts = tuple((weight, parameters[k]) for weight, parameters in weighted)
+        if any(part != parameter for _, part in parts):
             lower, upper = min(p.lower for _, p in parts), max(p.upper for _, p in parts)
-            usual = MixedParameter(usual.name, usual.unit, lower, upper, parts=parts)
-        found.append(usual)
-    return ParameterSpace(tuple(found))
+            parameter = MixedParameter(parameter.name, parameter.unit, lower, upper, parts=parts)
+        mixed.append(parameter)
+    return ParameterSpace(tuple(mixed))

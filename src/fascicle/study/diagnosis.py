@@ -1,8 +1,9 @@
-"""The conduction state of a patient: how probable each is, a study of each that is, their mixture.
+"""Fit that learns the conduction state: a classifier, a study of each probable state, a mixture.
 
-Each state is a model of its own: what it blocks, and its ranges of what is learnt. A classifier of
-the heart's simulated recordings says how probable each is. The most probable ones are fitted as
-studies, which are kept in the folder of the whole.
+Each conduction state is a model of its own, with its blocks and its ranges of the quantities that
+are learnt. A classifier of the heart's simulated recordings gives the probability of each state.
+The most probable states are fitted as studies of their own, in folders within that of the whole
+study, and their posteriors are mixed by these probabilities.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ from fascicle.study.state_fit import (
 )
 from fascicle.study.study import STATES, Study
 
-COVERED = 0.9  # probability of the states that are fitted, together at least
+COVERED = 0.9  # least total probability of the states that are fitted
 
 
 def diagnosed(
@@ -54,7 +55,7 @@ def diagnosed(
     pool: Pool | None = None,
     backend: Backend | None = None,
 ) -> FittedStudy:
-    """Do what is left of a study that learns the conduction state, and write its results."""
+    """Fit a study that learns the conduction state, from where it stopped; write its results."""
     config, heart = inputs.config, inputs.heart
     simulator, recordings = simulated_and_compared(
         config, heart, inputs.rules, inputs.recordings, pool, progress, backend
@@ -62,8 +63,8 @@ def diagnosed(
     with study_lock(folder):
         study = begun(inputs, folder, progress)
         place, count = place_of_simulations(heart, folder), config.prior_simulations
-        of_all = replace(simulator, space=ParameterSpace(config.space))
-        simulations, target = simulations_of_states(of_all, place, count), recordings[0].target
+        all_states = replace(simulator, space=ParameterSpace(config.space))
+        simulations, target = simulations_of_states(all_states, place, count), recordings[0].target
         rows = classified_rows(target)
         classifier = classifier_of(simulations, rows, place, count, simulator.pool, progress)
         probable = probabilities(classifier, simulations, config.states, target)
@@ -73,22 +74,22 @@ def diagnosed(
         emulated: dict[float, list[EmulatedLikelihood]] = {}
         stage = "conduction states"
         for (name, share), draws in zip(shares.items(), counts, strict=True):
-            said = f"{name}, probability {probable[name]:.2f}"
-            stage_progress(progress, stage, said)(len(parts), len(shares))
-            state, its = simulations[name].state, folder / STATES / name.replace(" ", "-")
-            own = _of_state(
+            message = f"{name}, probability {probable[name]:.2f}"
+            stage_progress(progress, stage, message)(len(parts), len(shares))
+            state, state_folder = simulations[name].state, folder / STATES / name.replace(" ", "-")
+            state_inputs = _of_state(
                 state,
                 inputs,
                 prior_simulations=simulations[name].count,
                 share=share,
                 effective=max(RUNS * draws, 20),
             )
-            # before the link, since a folder that holds something and no study is refused
-            Study.create_or_resume(its, own.config)
-            if not (its / HEART).exists():
-                (its / HEART).symlink_to(Path("..", "..", HEART), target_is_directory=True)
+            # before the link to the heart, since a folder that is not empty and no study is refused
+            Study.create_or_resume(state_folder, state_inputs.config)
+            if not (state_folder / HEART).exists():
+                (state_folder / HEART).symlink_to(Path("..", "..", HEART), target_is_directory=True)
             fitted, emulated[state.number] = fit_state(
-                own, its, progress, pool, backend, simulator.model
+                state_inputs, state_folder, progress, pool, backend, simulator.model
             )
             parts.append((_named(state, fitted), draws))
         stage_progress(progress, stage)(len(shares), len(shares))
@@ -101,38 +102,39 @@ def diagnosed(
 
 
 def most_probable(probable: Mapping[str, float]) -> dict[str, float]:
-    """The fewest states that are so probable together as `COVERED`, with their shares of draws."""
+    """Fewest states whose probabilities add up to `COVERED`, with their shares of the draws."""
     ranked = sorted(probable, key=lambda name: -probable[name])
     before = np.cumsum([0.0, *(probable[name] for name in ranked)])
-    kept = [name for name, others in zip(ranked, before, strict=False) if others < COVERED]
+    kept = [name for name, covered in zip(ranked, before, strict=False) if covered < COVERED]
     total = sum(probable[name] for name in kept)
     return {name: probable[name] / total for name in kept}
 
 
 def _of_state(state: ConductionState, inputs: Inputs, **numbers: float) -> Inputs:
-    """What the study of a state is of."""
+    """Inputs of the study of one conduction state."""
     config = inputs.config
     space = state.narrowed(ParameterSpace(config.space), config.fixed)
     assert space is not None
     fixed = config.fixed | state.blocks
     mapped = state.is_mapped({*space.names, *fixed})
-    own = {"space": space.parameters, "fixed": fixed, "states": {}, "mapped": mapped}
-    return replace(inputs, config=config.model_copy(update=own | numbers))
+    changes = {"space": space.parameters, "fixed": fixed, "states": {}, "mapped": mapped}
+    return replace(inputs, config=config.model_copy(update=changes | numbers))
 
 
 def _mixture(
-    given: Sequence[tuple[Posterior, int]], shares: Sequence[float], wanted: int
+    parts_and_draws: Sequence[tuple[Posterior, int]], shares: Sequence[float], effective_wanted: int
 ) -> Posterior:
-    """So many draws of each run of the posteriors of states, which are as probable as shares.
+    """Mix the posteriors of conduction states, whose probabilities are `shares`.
 
-    Runs are apart as they are in the mean of the states.
+    Each posterior comes with the number of draws to take from each of its runs. Differences
+    between the runs are means over the states, weighted by their probabilities.
     """
-    parts = [part for part, _ in given]
-    # run by run, since each is a chain
+    parts = [part for part, _ in parts_and_draws]
+    # run by run, since each run is a chain
     chosen = [
         (part, run * (len(part) // RUNS) + np.array(evenly_spread(len(part) // RUNS, draws), int))
         for run in range(RUNS)
-        for part, draws in given
+        for part, draws in parts_and_draws
     ]
 
     def joined(of: Callable[[Posterior], Floats]) -> Floats:
@@ -142,13 +144,15 @@ def _mixture(
         return np.asarray({**part.averaged, **part.values}.get(name, np.full(len(part), np.nan)))
 
     values = {name: joined(partial(of_part, name)) for name in parts[0].values}
-    others = sorted({name for part in parts for name in part.averaged})
+    averaged_names = sorted({name for part in parts for name in part.averaged})
     best = min(parts, key=lambda part: part.best_loss)
     pairs = [*zip(shares, parts, strict=True)]
     effective = 1 / np.sum([share**2 / part.effective for share, part in pairs], axis=0)
     evidences = np.sum([share * part.log_evidences for share, part in pairs], axis=0)
-    apart = {name: sum(share * part.means_apart[name] for share, part in pairs) for name in values}
-    agree = RunAgreement(float(np.ptp(evidences)), np.array([*apart.values()])).within()
+    means_apart = {
+        name: sum(share * part.means_apart[name] for share, part in pairs) for name in values
+    }
+    agree = RunAgreement(float(np.ptp(evidences)), np.array([*means_apart.values()])).within()
     return Posterior(
         values,
         joined(lambda part: part.losses),
@@ -158,26 +162,26 @@ def _mixture(
         evidences,
         effective,
         np.sum([part.evaluations for part in parts], axis=0),
-        apart,
-        agree and bool((effective * RUNS >= wanted).all()),
-        {name: joined(partial(of_part, name)) for name in others},
+        means_apart,
+        agree and bool((effective * RUNS >= effective_wanted).all()),
+        {name: joined(partial(of_part, name)) for name in averaged_names},
     )
 
 
 def _named(state: ConductionState, fitted: FittedStudy) -> Posterior:
-    """The posterior of a state, whose networks say that they are of it."""
-    found = fitted.population
-    assert isinstance(found, Posterior)
+    """Posterior of a state, with the state's number as the quantity `conduction`."""
+    posterior = fitted.population
+    assert isinstance(posterior, Posterior)
     return replace(
-        found,
-        averaged={**found.averaged, "conduction": np.full(len(found), state.number)},
-        best={**found.best, "conduction": state.number},
+        posterior,
+        averaged={**posterior.averaged, "conduction": np.full(len(posterior), state.number)},
+        best={**posterior.best, "conduction": state.number},
     )
 
 
 def _apportioned(shares: Floats, count: int) -> list[int]:
     """Whole numbers in proportion to shares, which add up to a count (largest remainders)."""
     exact = count * shares
-    whole = np.floor(exact).astype(int)
-    whole[np.argsort(whole - exact)[: count - whole.sum()]] += 1
-    return [int(n) for n in whole]
+    counts = np.floor(exact).astype(int)
+    counts[np.argsort(counts - exact)[: count - counts.sum()]] += 1
+    return [int(n) for n in counts]

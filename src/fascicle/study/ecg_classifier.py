@@ -1,9 +1,9 @@
-"""A classifier of recordings: small networks that learn from simulations which kind an ECG is of.
+"""Classifier of recordings: small neural networks that learn the kind of an ECG from simulations.
 
-Of simulations of each kind, in equal numbers, recordings are made as they may look: in another
-body, with another gain, noise and marks, and with a discrepancy like that of the likelihood. What
-networks give that tell their kinds apart is then how probable each kind is given a recording, if
-each is as probable before; no likelihood is computed, and parameters, body and discrepancy are
+From as many simulations of each kind, recordings are made as they may look: in another torso, with
+another gain, noise and QRS onset, and with a discrepancy like that of the likelihood. Neural
+networks trained to tell the kinds apart then give the posterior probability of each kind under
+equal prior probabilities; no likelihood is computed, and parameters, torso and discrepancy are
 averaged over (S. T. Radev et al., "Amortized Bayesian model comparison with evidential deep
 learning", IEEE Trans. Neural Netw. Learn. Syst. 34, 2023).
 """
@@ -45,13 +45,13 @@ from fascicle.study.prior_simulations import BEFORE, Examples
 from fascicle.study.settings import FitSettings
 
 LENGTH = 300  # samples (ms) of an ECG, of which `BEFORE` are before the first activation
-MODES = round(LENGTH / HALF_PERIOD)  # cosines of each lead, as of the likelihood
+MODES = round(LENGTH / HALF_PERIOD)  # cosines of each lead, as in the likelihood
 CHUNK = 4_000  # recordings that are made at once
-COMPONENTS = 80  # principal ones
+COMPONENTS = 80  # principal components
 NETWORKS, WIDTH, STEPS = 2, 128, 8000
-ONSET_SD = 6.0  # ms; of the first activation about the recorded onset
-NOISE = 0.01  # mV; of each coefficient
-FAMILIAR = 0.98  # share of held-out recordings that are called like simulated ones
+ONSET_SD = 6.0  # ms; SD of the first activation about the recorded QRS onset
+NOISE = 0.01  # mV; SD of each coefficient
+FAMILIAR = 0.98  # share of held-out recordings that count as like the training set
 GAIN_SD = float(FitSettings.model_fields["gain_sd"].default)
 
 
@@ -62,11 +62,12 @@ class Recorder:
     Attributes
     ----------
     bodies : (k, 8, 8) array
-        What another body adds to the independent leads: matrices with standard normal factors.
+        Torso modes: matrices that a torso adds to the independent leads, each times a standard
+        normal factor.
     left : (h, 8, MODES) array
-        What these do not say of simulated ECGs in random bodies, over the norms of the ECGs.
+        Residuals of the torso modes in simulated ECGs in random torsos, over the norms of the ECGs.
     discrepancy : (8 · MODES, 8 · MODES) array
-        Root of its covariance, of unit size.
+        Square root of the discrepancy's covariance, of unit size.
     """
 
     bodies: Floats
@@ -75,26 +76,26 @@ class Recorder:
 
     @classmethod
     def of(cls, examples: Examples) -> Recorder:
-        """What the examples of a heart show of bodies, and of differences between networks."""
+        """Make a recorder from a heart's examples in random torsos, and their differences."""
         count = len(INDEPENDENT_LEADS)
         held_out = examples.held_out[examples.feasible]
         plain = in_cosines(examples.ecgs[held_out, :count])
         in_bodies = in_cosines(examples.in_bodies[:, :count])
         bodies, factors = body_modes(plain, in_bodies, examples.bodies)
-        mixed = np.einsum("hk,kab->hab", factors[examples.bodies], bodies) + np.eye(count)
-        left = (in_bodies - mixed @ plain) / _norms(plain)[:, None, None]
-        one, other = np.array_split(examples.ecgs[:CHUNK, :count].astype(float), 2)
-        pattern = lead_pattern(one[: len(other)] - other)
+        mixing = np.einsum("hk,kab->hab", factors[examples.bodies], bodies) + np.eye(count)
+        residuals = (in_bodies - mixing @ plain) / _norms(plain)[:, None, None]
+        first_half, second_half = np.array_split(examples.ecgs[:CHUNK, :count].astype(float), 2)
+        pattern = lead_pattern(first_half[: len(second_half)] - second_half)
         modes = idct(np.eye(LENGTH)[:, :MODES], axis=0, norm="ortho")
         values, vectors = np.linalg.eigh(separable(pattern, discrepancy_in_time(LENGTH), modes))
-        return cls(bodies, left, vectors * np.sqrt(np.maximum(values, 0)))
+        return cls(bodies, residuals, vectors * np.sqrt(np.maximum(values, 0)))
 
     def recordings(
         self, ecgs: NDArray[Any], rows: Integers, count: int, rng: np.random.Generator
     ) -> tuple[Singles, Integers]:
-        """So many recordings (count, r, MODES) in the leads `rows`, and of which ECG each is.
+        """Make recordings (count, r, MODES) in the leads `rows`, with the index of each one's ECG.
 
-        ECGs (n, 8, LENGTH) are taken as often as one another.
+        ECGs (n, 8, LENGTH) are used equally often.
         """
         leads = in_leads(rows)
         chosen = np.resize(rng.permutation(len(ecgs)), count)
@@ -104,37 +105,41 @@ class Recorder:
     def recorded(
         self, ecgs: NDArray[Any], rng: np.random.Generator, *, in_bodies: bool = False
     ) -> Singles:
-        """Recordings (n, 8, MODES) of ECGs (n, 8, LENGTH), perhaps in bodies already."""
+        """Make recordings (n, 8, MODES) of ECGs (n, 8, LENGTH), which may be in torsos already."""
         count, norms = len(ecgs), _norms(ecgs)
-        found = in_cosines(_shifted(ecgs, rng))
+        recordings = in_cosines(_shifted(ecgs, rng))
         if not in_bodies:
             factors = rng.standard_normal((count, len(self.bodies)))
-            found = (np.tensordot(factors, self.bodies, 1) + np.eye(ecgs.shape[1])) @ found
-            found += norms[:, None, None] * self.left[rng.integers(len(self.left), size=count)]
+            recordings = (
+                np.tensordot(factors, self.bodies, 1) + np.eye(ecgs.shape[1])
+            ) @ recordings
+            recordings += norms[:, None, None] * self.left[rng.integers(len(self.left), size=count)]
         size = rng.choice(SHARES, count) * norms / np.sqrt(ecgs.shape[1] * _durations(ecgs))
         drawn = rng.standard_normal((count, len(self.discrepancy))) @ self.discrepancy.T
-        found += size[:, None, None] * drawn.reshape(found.shape)
-        found *= rng.normal(1, GAIN_SD, count)[:, None, None]
-        return np.asarray(found + NOISE * rng.standard_normal(found.shape), dtype=np.float32)
+        recordings += size[:, None, None] * drawn.reshape(recordings.shape)
+        recordings *= rng.normal(1, GAIN_SD, count)[:, None, None]
+        return np.asarray(
+            recordings + NOISE * rng.standard_normal(recordings.shape), dtype=np.float32
+        )
 
 
 @dataclass(frozen=True)
 class EcgClassifier:
-    """How probable kinds are, given a recording.
+    """Classifier that gives the probability of each kind, given a recording.
 
     Attributes
     ----------
     rows : (r,) array
-        Leads that it looks at, in `fascicle.core.leads.LEADS`.
+        Leads that the classifier uses, as rows of `fascicle.core.leads.LEADS`.
     mean, components, scale : arrays
-        Of its inputs: principal components of the cosines, over their scales.
+        Mean of the cosines, their principal components, and the scales that divide these.
     networks : tuple of Network
-        Whose probabilities are averaged.
+        Neural networks, whose probabilities are averaged.
     right : float
         Share of held-out recordings whose most probable kind is the true one.
     most_outside : float, optional
-        Share of its energy that 98 % of held-out recordings have outside the components, at most;
-        None if it was not kept.
+        Share of energy outside the components that 98 % of held-out recordings do not exceed; None
+        if it was not stored.
     """
 
     rows: Integers
@@ -146,40 +151,40 @@ class EcgClassifier:
     most_outside: float | None = None
 
     def probabilities(self, target: Target) -> Floats:
-        """How probable each kind is given a recording, (c,)."""
+        """Probability (c,) of each kind, given a recording."""
         return np.asarray(self.of_cosines(self.cosines(target))[0])
 
     def cosines(self, target: Target) -> Floats:
-        """A recording as the networks see it, (1, r, MODES)."""
+        """Cosines (1, r, MODES) of a recording."""
         samples = np.zeros((1, len(self.rows), LENGTH))
         recorded = target.qrs[self.rows, : LENGTH - BEFORE]
         samples[0, :, BEFORE : BEFORE + recorded.shape[1]] = recorded
         return in_cosines(samples)
 
     def of_cosines(self, recordings: NDArray[Any]) -> Floats:
-        """How probable each kind is given recordings (n, r, MODES), (n, c)."""
+        """Probabilities (n, c) of kinds, given recordings (n, r, MODES)."""
         inputs = _inputs(recordings, self.mean, self.components, self.scale)
-        each = [softmax(network(inputs)) for network in self.networks]
-        return np.asarray(np.mean(each, axis=0), dtype=float)
+        by_network = [softmax(network(inputs)) for network in self.networks]
+        return np.asarray(np.mean(by_network, axis=0), dtype=float)
 
     def outside(self, recordings: NDArray[Any]) -> Floats:
-        """Share of the energy of recordings (n, r, MODES) outside the components, (n,)."""
+        """Share (n,) of the energy of recordings (n, r, MODES) outside the components."""
         flat = recordings.reshape(len(recordings), -1).astype(float)
         inside = ((flat @ self.components.T) ** 2).sum(axis=1)
         return np.asarray(1 - inside / (flat**2).sum(axis=1))
 
     def arrays(self) -> dict[str, Any]:
-        """All of it for a file; the weights in half precision."""
-        found = {each.name: np.asarray(getattr(self, each.name)) for each in fields(self)[:4]}
-        found["right"] = np.asarray(self.right)
-        found["components"] = found["components"].astype(np.float32)
+        """Arrays of all attributes, for a file; weights of networks in half precision."""
+        arrays = {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)[:4]}
+        arrays["right"] = np.asarray(self.right)
+        arrays["components"] = arrays["components"].astype(np.float32)
         if self.most_outside is not None:
-            found["most_outside"] = np.asarray(self.most_outside)
-        return found | weight_arrays("networks", self.networks)
+            arrays["most_outside"] = np.asarray(self.most_outside)
+        return arrays | weight_arrays("networks", self.networks)
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Any]) -> EcgClassifier:
-        """The inverse of `arrays`."""
+        """Make a classifier from its `arrays`."""
         parts = ("rows", "mean", "components", "scale")
         rows, mean, components, scale = (np.asarray(arrays[name]) for name in parts)
         most_outside = float(arrays["most_outside"]) if "most_outside" in arrays else None
@@ -189,7 +194,7 @@ class EcgClassifier:
 
 @dataclass(frozen=True)
 class Lessons:
-    """Recordings in cosines (n, r, MODES), and how probable each kind is to be of each, (n, c)."""
+    """Training or held-out set: recordings (n, r, MODES), and probabilities of kinds (n, c)."""
 
     recordings: Singles
     kinds: Singles
@@ -205,48 +210,48 @@ def learn(
     steps: int = STEPS,
 ) -> EcgClassifier:
     """Train a classifier of recordings in the leads `rows` (`fascicle.core.leads.LEADS`)."""
-    every = seen.recordings.reshape(len(seen.kinds), -1)
-    mean = every.mean(axis=0, dtype=float)
-    some = every[rng.integers(len(every), size=6000)] - mean
-    components = np.linalg.svd(some, full_matrices=False)[2][:COMPONENTS]
-    # partly made alike: small components matter, and are noisier
-    sds = (some @ components.T).std(axis=0)
+    training = seen.recordings.reshape(len(seen.kinds), -1)
+    mean = training.mean(axis=0, dtype=float)
+    sample = training[rng.integers(len(training), size=6000)] - mean
+    components = np.linalg.svd(sample, full_matrices=False)[2][:COMPONENTS]
+    # scaled by the root of the SD: small components matter, too, but are noisier
+    sds = (sample @ components.T).std(axis=0)
     scale = np.sqrt(sds * sds.max())
-    inputs = _inputs(every, mean, components, scale)
+    inputs = _inputs(training, mean, components, scale)
     of_kinds = partial(train, inputs, seen.kinds, width=WIDTH, steps=steps, link=softmax)
     report = stage_progress(progress, "training")
     total = NETWORKS * steps
     networks = train_together([of_kinds] * NETWORKS, rng, lambda done: report(done, total))
-    found = EcgClassifier(rows, mean, components, scale, tuple(networks), 0.0)
-    guessed = found.of_cosines(held_out.recordings).argmax(axis=1)
-    found = replace(
-        found,
+    classifier = EcgClassifier(rows, mean, components, scale, tuple(networks), 0.0)
+    guessed = classifier.of_cosines(held_out.recordings).argmax(axis=1)
+    classifier = replace(
+        classifier,
         right=float((guessed == held_out.kinds.argmax(axis=1)).mean()),
-        most_outside=float(np.quantile(found.outside(held_out.recordings), FAMILIAR)),
+        most_outside=float(np.quantile(classifier.outside(held_out.recordings), FAMILIAR)),
     )
     if progress is not None:
-        progress("classifier", 1, 1, f"{found.right:.0%} of held-out recordings told right")
-    return found
+        progress("classifier", 1, 1, f"{classifier.right:.0%} of held-out recordings told right")
+    return classifier
 
 
 def most_alike(recordings: NDArray[Any], reference: NDArray[Any]) -> Floats:
-    """Share of the energy of recordings (n, r, MODES) that the best of a reference explains.
+    """Share (n,) of the energy of recordings (n, r, MODES) that the best reference ECG explains.
 
-    Each of the reference (m, r, MODES) is scaled as it suits.
+    Reference ECGs (m, r, MODES) are scaled by the best factor that is not negative.
     """
-    one, other = (each.reshape(len(each), -1).astype(float) for each in (recordings, reference))
-    other = other / np.linalg.norm(other, axis=1, keepdims=True)
-    along = np.maximum(one @ other.T, 0)
-    return np.asarray((along**2).max(axis=1) / (one**2).sum(axis=1))
+    flat, unit = (ecgs.reshape(len(ecgs), -1).astype(float) for ecgs in (recordings, reference))
+    unit = unit / np.linalg.norm(unit, axis=1, keepdims=True)
+    along = np.maximum(flat @ unit.T, 0)
+    return np.asarray((along**2).max(axis=1) / (flat**2).sum(axis=1))
 
 
 def in_leads(rows: Integers) -> Singles:
-    """Matrix (r, 8) that makes the leads `rows` of the independent ones."""
+    """Matrix (r, 8) that makes the leads `rows` from the independent leads."""
     return all_leads(np.eye(len(INDEPENDENT_LEADS)))[rows].astype(np.float32)
 
 
 def classified_rows(target: Target) -> Integers:
-    """Independent leads of a recording, of the standard ones."""
+    """Independent leads of a recording, among the twelve standard leads."""
     return independent_rows(target.used[: len(LEADS)])
 
 
@@ -261,7 +266,7 @@ def _inputs(recordings: NDArray[Any], mean: Floats, components: Floats, scale: F
 
 
 def _shifted(ecgs: NDArray[Any], rng: np.random.Generator) -> NDArray[Any]:
-    """ECGs whose first activation is off, silent before and after."""
+    """ECGs shifted by a random error of the QRS onset, zero before and after."""
     shifts = np.clip(np.rint(rng.normal(0, ONSET_SD, len(ecgs))), -BEFORE, BEFORE).astype(int)
     padded = np.pad(ecgs, ((0, 0), (0, 0), (BEFORE, BEFORE)))
     place = np.arange(LENGTH) + BEFORE - shifts[:, None]
@@ -273,7 +278,7 @@ def _norms(ecgs: NDArray[Any]) -> Floats:
 
 
 def _durations(ecgs: NDArray[Any]) -> Integers:
-    """Samples from the first to the last above a hundredth of the highest, (n,)."""
+    """Samples (n,) from the first to the last one above a hundredth of the largest."""
     high = np.abs(ecgs).max(axis=1)
-    there = high > 0.01 * high.max(axis=1, keepdims=True)
-    return np.asarray(LENGTH - there[:, ::-1].argmax(axis=1) - there.argmax(axis=1))
+    high_enough = high > 0.01 * high.max(axis=1, keepdims=True)
+    return np.asarray(LENGTH - high_enough[:, ::-1].argmax(axis=1) - high_enough.argmax(axis=1))

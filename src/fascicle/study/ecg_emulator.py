@@ -1,15 +1,16 @@
-"""An emulator of a heart's ECG: small networks that learn it from the prior simulations.
+"""Emulator of a heart's ECG: small neural networks that learn it from the prior simulations.
 
-ECGs are aligned at the first activation and described by their principal components. Networks give
-the components from the parameters; another one gives the probability that parameters give a
-network of the heart at all. What held-out ECGs in random bodies have beside the emulated ones is
-all that the emulator does not say: its own error, the fine structure that growth leaves to chance,
-and the body. That is the discrepancy of the likelihood (J. Kaipio and E. Somersalo, "Statistical
-inverse problems: discretization, model reduction and inverse crimes", J. Comput. Appl. Math. 198,
-2007).
+ECGs are aligned at the first activation and described by their principal components. Neural
+networks give the components from the parameters; another one gives the probability that parameters
+give a feasible Purkinje network of the heart. The difference between held-out ECGs in random torsos
+and the emulated ones is the residual of the emulator: its own error, the fine structure that growth
+leaves to chance, and the torso. Its covariance enters the likelihood (J. Kaipio and E. Somersalo,
+"Statistical inverse problems: discretization, model reduction and inverse crimes", J. Comput. Appl.
+Math. 198, 2007).
 
-A heart whose speeds are all c times as high, with root times and delays c times as short, has the
-same ECG on a clock that is c times as fast. Every simulation therefore serves at several speeds.
+Time scaling: a heart whose conduction velocities are all c times as high, with root times and
+delays c times as short, has the same ECG, c times as fast. Every simulation is therefore added to
+the training set at several velocities, too.
 """
 
 from __future__ import annotations
@@ -45,32 +46,34 @@ from fascicle.inference.emulator import (
 from fascicle.study.prior_simulations import BEFORE, BODIES, PART, Examples
 from fascicle.study.space import AveragedOver
 
-NETWORKS = 2  # that are averaged
-COMPONENTS = 60  # principal ones; they leave a thousandth of the variance
-HIGHEST = 0.04  # cycles per ms; the likelihood looks at less
-MODES = 4  # of the body
-FEWEST = 50  # networks to learn from
-COPIES = 4  # of an example at other speeds
-EPOCHS = 12  # times that every example is seen
-EPOCHS_ON = 20  # and one of a posterior
-FOLDS = 4  # of the examples of a posterior: each is held out once
-FASTER = ("alpha", "fibre_speed", "cv")  # c times as high
-SMALL = ("mean", "components", "bodies", "left", "left_by_bodies")  # in single precision
-SOONER = (*DELAY, "anterograde_delay", "retrograde_delay", "his_time")  # c times as short
+NETWORKS = 2  # neural networks, whose outputs are averaged
+COMPONENTS = 60  # principal components; they leave a thousandth of the variance unexplained
+HIGHEST = 0.04  # highest frequency (cycles per ms); the likelihood uses lower ones alone
+MODES = 4  # torso modes
+FEWEST = 50  # least number of Purkinje networks to learn from
+COPIES = 4  # copies of a simulation at other conduction velocities, in the training set
+EPOCHS = 12  # times that every example of the prior is seen
+EPOCHS_ON = 20  # times that every example of a posterior is seen
+FOLDS = 4  # of cross-validation on the examples of a posterior
+FASTER = ("alpha", "fibre_speed", "cv")  # multiplied by c in time scaling
+SMALL = ("mean", "components", "bodies", "left", "left_by_bodies")  # stored in single precision
+SOONER = (*DELAY, "anterograde_delay", "retrograde_delay", "his_time")  # divided by c
 
 
 @dataclass(frozen=True)
 class EcgEmulator:
-    """What networks learnt of a heart's ECG.
+    """Emulator of a heart's ECG by neural networks.
 
     Attributes
     ----------
     names : tuple of str
-        Quantities that it depends on.
+        Quantities that the emulator depends on.
     centre, scale : arrays
-        Of its inputs: the quantities, those of `FASTER` by their logarithms, and the tissue.
+        Mean and standard deviation that standardise the inputs: the quantities, with the
+        logarithms of those of `FASTER`, and the tissue.
     networks, validity : sequence of Network, and Network
-        Components, in `unit`; log odds that there is a network.
+        Neural networks that give the components, in `unit`; and the log odds that the parameters
+        are feasible.
     mean, components : (8 + k, f) and (q, 8 + k, f) arrays
         Mean ECG (mV) and principal components, in cosines.
     unit : float
@@ -78,17 +81,18 @@ class EcgEmulator:
     length : int
         Samples (1 ms) of an ECG, which begins `BEFORE` the first activation.
     bodies : (k, 8 + a, 8 + a) array
-        What another body adds to the independent leads: matrices, each with a factor that is
-        standard normal over random bodies.
+        Torso modes: matrices that a torso adds to the independent leads, each times a factor that
+        is standard normal over random torsos.
     left : (q, q) array
-        What emulator and these do not say of held-out ECGs in random bodies, each over the norm of
-        its emulated ECG: components, whose outer products add up to the mean one.
+        Residual covariance factor: rows, in components, whose outer products add up to the mean
+        outer product of the residuals of held-out ECGs in random torsos. A residual is what
+        emulator and torso modes leave unexplained, over the norm of the emulated ECG.
     left_by_bodies : (q, q) array
-        The same of what `bodies` do not say of simulated ECGs.
+        Residual covariance factor of the torso modes alone, applied to simulated ECGs.
     report : mapping of str to float
-        Of held-out networks: share of the variance that it gives, root mean square error over that
-        of the ECGs, in the plain body, by lead and in random bodies; how often it is right about
-        whether there is a network.
+        Quality for held-out networks: explained share of the variance; root mean square error over
+        that of the ECGs, in the plain torso, by lead, and in random torsos; share of points whose
+        feasibility is predicted rightly.
     """
 
     names: tuple[str, ...]
@@ -107,7 +111,7 @@ class EcgEmulator:
 
     @property
     def said(self) -> str:
-        """How good it is for held-out networks."""
+        """Quality for held-out networks, in a line."""
         report = self.report
         leads = sorted((error, name) for name, error in report.items() if "error_V" in name)
         (least, best), (most, worst) = leads[0], leads[-1]
@@ -118,29 +122,29 @@ class EcgEmulator:
 
     @property
     def expected_error(self) -> float:
-        """Root mean square error that a posterior's networks should have, over that of the ECGs."""
+        """Root mean square error expected of networks of a posterior, over that of the ECGs."""
         return self.report.get("error_of_posterior", self.report["error"])
 
     def scores(self, inputs: Singles) -> Singles:
-        """Components (n, q) in `unit` of inputs (n, p) that `inputs` has made."""
+        """Components (n, q), in `unit`, at standardised inputs (n, p)."""
         return np.asarray(np.mean([network(inputs) for network in self.networks], axis=0))
 
     def log_validity(self, inputs: Singles) -> Floats:
-        """Logarithm of the probability that there is a network, (n,)."""
+        """Log probability (n,) that the parameters of standardised inputs are feasible."""
         odds = self.validity(inputs)[:, 0].astype(float)
         return np.asarray(-np.logaddexp(0.0, -odds))
 
     def inputs(self, values: Mapping[str, Floats], tissues: Floats) -> Singles:
-        """Inputs (n, p) of quantities (n,) by name, and of tissues (n, t) (`tissue_inputs`)."""
+        """Standardised inputs (n, p) of quantities (n,) by name, and tissues (`tissue_inputs`)."""
         raw = _raw(self.names, values, tissues)
         return np.asarray((raw - self.centre) / self.scale, dtype=np.float32)
 
     def cosines(self, scores: NDArray[Any]) -> Floats:
-        """ECGs (n, 8 + k, f) in cosines, of scores (n, q)."""
+        """Cosines (n, 8 + k, f) of the ECGs that have scores (n, q)."""
         return np.asarray(self.mean + np.tensordot(self.unit * scores, self.components, 1))
 
     def root_of(self, errors: Floats, emulated: Floats) -> Floats:
-        """Components (q, q) of errors over the norms of emulated ECGs, as `left` has them."""
+        """Residual covariance factor (q, q) of errors over the norms of emulated ECGs (`left`)."""
         flat = self.components.reshape(len(self.components), -1)
         norms = np.sqrt((emulated**2).sum(axis=(1, 2)))
         rows = errors.reshape(len(errors), -1) @ flat.T / norms[:, None]
@@ -148,7 +152,7 @@ class EcgEmulator:
 
     @cached_property
     def series(self) -> Floats:
-        """Components as leads (q, 12 + k, length), as one unit of scores gives them (mV)."""
+        """Leads (q, 12 + k, length) (mV) that a unit of each score adds to the ECG."""
         return np.asarray(self.unit * _in_time(self.components, self.length))
 
     @cached_property
@@ -158,37 +162,37 @@ class EcgEmulator:
 
     @cached_property
     def bodies_of_all_leads(self) -> Floats:
-        """`bodies` of all leads, (k, 12 + a, 12 + a)."""
-        whole = all_leads(np.eye(self.bodies.shape[1]))
-        rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(whole))]
-        found = np.zeros((len(self.bodies), len(whole), len(whole)))
-        found[:, :, rows] = whole @ self.bodies
-        return found
+        """Torso modes (k, 12 + a, 12 + a) of all leads."""
+        all_from_independent = all_leads(np.eye(self.bodies.shape[1]))
+        rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(all_from_independent))]
+        modes = np.zeros((len(self.bodies), len(all_from_independent), len(all_from_independent)))
+        modes[:, :, rows] = all_from_independent @ self.bodies
+        return modes
 
     @cached_property
     def left_leads(self) -> Floats:
-        """What the emulator does not say, (q, 12 + k, length), of ECGs of unit norm."""
+        """Residual covariance factor (q, 12 + k, length) in all leads, for ECGs of unit norm."""
         return _in_time(np.einsum("hq,qlf->hlf", self.left, self.components), self.length)
 
     def arrays(self) -> dict[str, Any]:
-        """All of it for a file; the weights in half precision."""
-        found: dict[str, Any] = {}
-        for each in fields(self):
-            value = getattr(self, each.name)
-            if each.name in ("networks", "validity"):
-                group = value if each.name == "networks" else (value,)
-                found |= weight_arrays(each.name, group)
-            elif each.name == "report":
-                found |= {f"report {name}": number for name, number in value.items()}
-            elif each.name in SMALL:
-                found[each.name] = value.astype(np.float32)
+        """Arrays of all attributes, for a file; weights of networks in half precision."""
+        arrays: dict[str, Any] = {}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name in ("networks", "validity"):
+                group = value if field.name == "networks" else (value,)
+                arrays |= weight_arrays(field.name, group)
+            elif field.name == "report":
+                arrays |= {f"report {name}": number for name, number in value.items()}
+            elif field.name in SMALL:
+                arrays[field.name] = value.astype(np.float32)
             else:
-                found[each.name] = value
-        return found
+                arrays[field.name] = value
+        return arrays
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Any]) -> EcgEmulator:
-        """The inverse of `arrays`."""
+        """Make an emulator from its `arrays`."""
         parts = {n: np.asarray(arrays[n]) for n in ("centre", "scale")}
         parts |= {name: np.asarray(arrays[name], float) for name in SMALL}
         (validity,) = networks_from("validity", arrays)
@@ -208,9 +212,9 @@ class EcgEmulator:
 
 
 def tissue_inputs(averaged: AveragedOver, plain_ratio: float) -> Floats:
-    """What an emulator is told of each tissue: anisotropy, and how much a layer hastens.
+    """Inputs of an emulator for each tissue: anisotropy, and speed-up by an endocardial layer.
 
-    Shape (n_tissues, 2), or (1, 0) where there is but one.
+    Shape (n_tissues, 2), or (1, 0) for a single tissue.
     """
     if len(averaged.tissues) == 1:
         return np.empty((1, 0))
@@ -228,10 +232,10 @@ def _raw(names: tuple[str, ...], values: Mapping[str, Floats], tissues: Floats) 
 
 
 def _in_time(cosines: Floats, length: int) -> Floats:
-    """Independent leads in cosines (n, 8 + k, f) as all leads in time (n, 12 + k, length)."""
+    """All leads in time (n, 12 + k, length) from independent leads in cosines (n, 8 + k, f)."""
     padded = np.pad(cosines, ((0, 0), (0, 0), (0, length - cosines.shape[2])))
     ecg = idct(padded, axis=2, norm="ortho")
-    return np.asarray([all_leads(each) for each in ecg])
+    return np.asarray([all_leads(independent) for independent in ecg])
 
 
 def all_leads(independent: Floats) -> Floats:
@@ -257,9 +261,9 @@ def learn(
     Parameters
     ----------
     plain_ratio : float
-        Speed along over across the fibre in the plain tissue.
+        Conduction velocity along over across the fibre in the plain tissue.
     same_on_any_clock : bool
-        Whether faster hearts are the same on another clock: not where a scenario has times.
+        Whether time scaling holds; it does not where a scenario has times.
     """
     learnt, rest = np.split(examples.points, [len(space)], axis=1)
     values = space.columns(learnt) | averaged.columns(rest)
@@ -267,13 +271,13 @@ def learn(
     tissues, names = tissue_inputs(averaged, plain_ratio)[averaged.tissue(rest)], tuple(values)
     raw = _raw(names, values, tissues)
     _refuse(examples, names, raw)
-    made, count = examples.feasible, max(2, round(2 * HIGHEST * examples.ecgs.shape[2]))
-    begin = np.flatnonzero(~examples.held_out[made])
+    feasible, count = examples.feasible, max(2, round(2 * HIGHEST * examples.ecgs.shape[2]))
+    trained = np.flatnonzero(~examples.held_out[feasible])
     cosines = cosines_of(examples.ecgs, count)
-    mean = cosines[begin].mean(axis=0)
-    flat = (cosines[begin] - mean).reshape(len(begin), -1)
-    components = np.linalg.svd(flat[:6000], full_matrices=False)[2][:COMPONENTS]
-    unit = float((flat @ components.T).std())
+    mean = cosines[trained].mean(axis=0)
+    deviations = (cosines[trained] - mean).reshape(len(trained), -1)
+    components = np.linalg.svd(deviations[:6000], full_matrices=False)[2][:COMPONENTS]
+    unit = float((deviations @ components.T).std())
     emulator = EcgEmulator(
         names, raw.mean(axis=0), raw.std(axis=0) + 1e-9, (), Network(()), mean,
         components.reshape(-1, *mean.shape), unit, examples.ecgs.shape[2], np.empty(0),
@@ -281,31 +285,37 @@ def learn(
     )  # fmt: skip
 
     def lesson(values: Mapping[str, Floats], ecgs: Floats) -> tuple[Singles, Floats]:
-        apart = (ecgs - mean).reshape(len(ecgs), -1)
-        return emulator.inputs(values, tissues[made][begin]), apart @ components.T / unit
+        centred = (ecgs - mean).reshape(len(ecgs), -1)
+        return emulator.inputs(values, tissues[feasible][trained]), centred @ components.T / unit
 
-    here = {name: value[made][begin] for name, value in values.items()}
+    plain_values = {name: value[feasible][trained] for name, value in values.items()}
     ends = {p.name: (p.lower, p.upper) for p in (*space.parameters, *averaged.space.parameters)}
-    lessons = [lesson(here, cosines[begin])]
-    clocks = "cv" in names and {*DELAY} & {*names} and {*FASTER[:2]} & {*names}
-    for _ in range(COPIES if same_on_any_clock and clocks else 0):
-        others, ecgs = _on_another_clock(here, ends, examples.ecgs[begin], rng)
-        lessons.append(lesson(others, cosines_of(ecgs, count)))
-    seen, wanted = (np.concatenate(each).astype(np.float32) for each in zip(*lessons, strict=True))
-    every, free = emulator.inputs(values, tissues), ~examples.held_out
-    known = examples.kept[free][:, None].astype(np.float32)
-    *networks, validity = _trained(seen, wanted, every[free], known, rng, progress)
+    pairs = [lesson(plain_values, cosines[trained])]
+    scalable = "cv" in names and {*DELAY} & {*names} and {*FASTER[:2]} & {*names}
+    for _ in range(COPIES if same_on_any_clock and scalable else 0):
+        scaled_values, scaled_ecgs = _on_another_clock(
+            plain_values, ends, examples.ecgs[trained], rng
+        )
+        pairs.append(lesson(scaled_values, cosines_of(scaled_ecgs, count)))
+    inputs, outputs = (
+        np.concatenate(arrays).astype(np.float32) for arrays in zip(*pairs, strict=True)
+    )
+    all_inputs, free = emulator.inputs(values, tissues), ~examples.held_out
+    validity_outputs = examples.kept[free][:, None].astype(np.float32)
+    *networks, validity = _trained(
+        inputs, outputs, all_inputs[free], validity_outputs, rng, progress
+    )
     emulator = replace(emulator, networks=tuple(networks), validity=validity)
-    return _with_what_is_left(emulator, examples.of_the_prior, count, every)
+    return _with_what_is_left(emulator, examples.of_the_prior, count, all_inputs)
 
 
 def _refuse(examples: Examples, names: tuple[str, ...], raw: Floats) -> None:
-    """Refuse examples from which nothing can be learnt, or not of every quantity."""
-    made, held_out = examples.feasible, examples.held_out[examples.feasible]
+    """Refuse too few examples, and those in which a learnt quantity does not vary."""
+    feasible, held_out = examples.feasible, examples.held_out[examples.feasible]
     if (~held_out).sum() < FEWEST or not held_out.any():
         raise InputError(
-            f"only {made.sum()} of {len(made)} networks of the prior fit this heart; check the "
-            "heart, narrow the ranges of the lengths, or give more prior_simulations"
+            f"only {feasible.sum()} of {len(feasible)} networks of the prior fit this heart; check "
+            "the heart, narrow the ranges of the lengths, or give more prior_simulations"
         )
     if constant := [name for name, column in zip(names, raw.T, strict=False) if not np.ptp(column)]:
         raise InputError(
@@ -315,17 +325,17 @@ def _refuse(examples: Examples, names: tuple[str, ...], raw: Floats) -> None:
 
 
 def _trained(
-    seen: Singles,
-    wanted: Singles,
-    every: Singles,
-    known: Singles,
+    inputs: Singles,
+    outputs: Singles,
+    all_inputs: Singles,
+    validity_outputs: Singles,
     rng: np.random.Generator,
     progress: Progress | None,
 ) -> list[Network]:
-    """Networks of the components, and last that of whether there is a network."""
-    steps = max(200, EPOCHS * len(seen) // BATCH)
-    of_components = partial(train, seen, wanted, steps=steps)
-    of_validity = partial(train, every, known, width=64, steps=steps, link=logistic)
+    """Train the neural networks of the components, and the last one, of feasibility."""
+    steps = max(200, EPOCHS * len(inputs) // BATCH)
+    of_components = partial(train, inputs, outputs, steps=steps)
+    of_validity = partial(train, all_inputs, validity_outputs, width=64, steps=steps, link=logistic)
     trainings, report = (
         [of_components] * NETWORKS + [of_validity],
         stage_progress(progress, "training"),
@@ -334,7 +344,7 @@ def _trained(
 
 
 def cosines_of(ecgs: NDArray[Any], count: int) -> Floats:
-    """The lowest cosines (..., count) of ECGs (..., length)."""
+    """Lowest cosines (..., count) of ECGs (..., length)."""
     return np.asarray(dct(ecgs, axis=-1, norm="ortho")[..., :count], dtype=float)
 
 
@@ -344,7 +354,7 @@ def _on_another_clock(
     ecgs: NDArray[np.float32],
     rng: np.random.Generator,
 ) -> tuple[dict[str, Floats], NDArray[np.float32]]:
-    """The same hearts, each at other speeds within the ranges, and their ECGs."""
+    """Scale hearts in time by random factors that keep the quantities in range; with their ECGs."""
     slowest, fastest = np.full(len(ecgs), 0.2), np.full(len(ecgs), 5.0)
     for name, value in values.items():
         low, high = ends[name]
@@ -353,41 +363,42 @@ def _on_another_clock(
         elif name in SOONER:
             end = np.where(value > 0, high, low)
             slowest = np.maximum(slowest, np.where(value == 0, 0, value / end))
-    clock = np.exp(rng.uniform(np.log(slowest), np.log(np.maximum(fastest, slowest))))
-    changed = {
-        n: v * clock if n in FASTER else v / clock if n in SOONER else v for n, v in values.items()
+    scaling = np.exp(rng.uniform(np.log(slowest), np.log(np.maximum(fastest, slowest))))
+    scaled = {
+        n: v * scaling if n in FASTER else v / scaling if n in SOONER else v
+        for n, v in values.items()
     }
     length = ecgs.shape[2]
-    place = np.clip(BEFORE + clock[:, None] * (np.arange(length) - BEFORE), 0, length - 1)
+    place = np.clip(BEFORE + scaling[:, None] * (np.arange(length) - BEFORE), 0, length - 1)
     before = np.minimum(place.astype(int), length - 2)
     share = (place - before)[:, None].astype(np.float32)
     early, late = (np.take_along_axis(ecgs, k[:, None], axis=2) for k in (before, before + 1))
-    return changed, early * (1 - share) + late * share
+    return scaled, early * (1 - share) + late * share
 
 
 def _with_what_is_left(
     emulator: EcgEmulator, examples: Examples, count: int, inputs: Singles
 ) -> EcgEmulator:
-    """The same with what held-out ECGs have beside the emulated ones, and a report."""
+    """Add torso modes, residual covariance factors and report, by the held-out ECGs."""
     held_out = examples.held_out
     emulated = emulator.cosines(emulator.scores(inputs[held_out & examples.feasible]))
     in_bodies = cosines_of(examples.in_bodies, count)
     true = cosines_of(examples.ecgs[held_out[examples.feasible]], count)
     bodies, factors = body_modes(true, in_bodies, examples.bodies)
-    mixed = np.einsum("hk,kab->hab", factors[examples.bodies], bodies) + np.eye(true.shape[1])
-    errors_in_bodies = in_bodies - mixed @ emulated
+    mixing = np.einsum("hk,kab->hab", factors[examples.bodies], bodies) + np.eye(true.shape[1])
+    errors_in_bodies = in_bodies - mixing @ emulated
     left, left_by_bodies = (
         emulator.root_of(errors, emulated)
-        for errors in (errors_in_bodies, in_bodies - mixed @ true)
+        for errors in (errors_in_bodies, in_bodies - mixing @ true)
     )
     errors, squares = ((true - emulated) ** 2).sum(), (true**2).sum()
     spread = ((true - true.mean(axis=0)) ** 2).sum()
-    odds, there = emulator.validity(inputs[held_out])[:, 0], examples.feasible[held_out]
+    odds, feasible = emulator.validity(inputs[held_out])[:, 0], examples.feasible[held_out]
     report = {
         "networks": float(len(examples.points)),
         "r_squared": 1 - float(errors / max(spread, 1e-12)),
         "error_in_bodies": float(np.sqrt((errors_in_bodies**2).sum() / squares)),
-        "validity": float(((odds > 0) == there).mean()),
+        "validity": float(((odds > 0) == feasible).mean()),
         **_errors("error", true, emulated),
     }
     return replace(emulator, bodies=bodies, left=left, left_by_bodies=left_by_bodies, report=report)
@@ -402,16 +413,16 @@ def trained_on(
     rng: np.random.Generator,
     latest: int,
 ) -> EcgEmulator:
-    """Train the networks on, where a posterior lies; what is left is then what is left there.
+    """Train the networks on examples of a posterior, where the residuals are computed anew.
 
     Parameters
     ----------
     inputs, ecgs : (n, p) and (n, 8 + k, length) arrays
-        Of networks of the posterior.
-    latest : int
-        The last ones, each of which is held out once.
+        Standardised inputs and ECGs of networks of the posterior.
     usual : (n, p) array
-        Inputs all over the prior, where the outputs are to stay as they are.
+        Standardised inputs all over the prior, where the outputs are to stay as they are.
+    latest : int
+        Number of the last networks, which are used in cross-validation: each is held out once.
     """
     if latest < FOLDS:
         return emulator
@@ -420,63 +431,64 @@ def trained_on(
     scores = (true - emulator.mean).reshape(len(true), -1) @ flat.T / emulator.unit
 
     def on(network: Network, chosen: Booleans, rng: np.random.Generator) -> Network:
-        seen = np.concatenate([inputs[chosen], usual])
-        wanted = np.concatenate([scores[chosen].astype(np.float32), network(usual)])
-        steps = EPOCHS_ON * len(seen) // BATCH
-        return train(seen, wanted, rng, steps=steps, begin=network, rate=RATE / 2)
+        all_inputs = np.concatenate([inputs[chosen], usual])
+        outputs = np.concatenate([scores[chosen].astype(np.float32), network(usual)])
+        steps = EPOCHS_ON * len(all_inputs) // BATCH
+        return train(all_inputs, outputs, rng, steps=steps, begin=network, rate=RATE / 2)
 
     fold = np.arange(len(inputs)) % FOLDS
-    fold[:-latest] = FOLDS  # always seen
-    asked = [(network, fold != k) for k in range(FOLDS + 1) for network in emulator.networks]
+    fold[:-latest] = FOLDS  # never held out
+    trainings = [(network, fold != k) for k in range(FOLDS + 1) for network in emulator.networks]
     with ThreadPoolExecutor(2) as pool:
-        found = list(pool.map(on, *zip(*asked, strict=True), rng.spawn(len(asked))))
+        networks = list(pool.map(on, *zip(*trainings, strict=True), rng.spawn(len(trainings))))
     count, emulated = len(emulator.networks), np.empty_like(true)
     for k in range(FOLDS):
-        others = replace(emulator, networks=tuple(found[k * count : (k + 1) * count]))
-        emulated[fold == k] = others.cosines(others.scores(inputs[fold == k]))
+        without_fold = replace(emulator, networks=tuple(networks[k * count : (k + 1) * count]))
+        emulated[fold == k] = without_fold.cosines(without_fold.scores(inputs[fold == k]))
     true, emulated = true[-latest:], emulated[-latest:]
     local = emulator.root_of(true - emulated, emulated)
     return replace(
         emulator,
-        networks=tuple(found[-count:]),
+        networks=tuple(networks[-count:]),
         left=_root(np.concatenate([local, emulator.left_by_bodies])),
         report={**emulator.report, **_errors("error_of_posterior", true, emulated)},
     )
 
 
 def _errors(name: str, true: Floats, emulated: Floats) -> dict[str, float]:
-    """Root mean square errors over that of the ECGs, of all leads and of each."""
-    errors, squares = ((each**2).sum(axis=(0, 2)) for each in (true - emulated, true))
+    """Root mean square errors over that of the ECGs, of all leads together and by lead."""
+    errors, squares = ((difference**2).sum(axis=(0, 2)) for difference in (true - emulated, true))
     leads = [*INDEPENDENT_LEADS, *map(str, range(len(errors) - len(INDEPENDENT_LEADS)))]
-    found = {name: float(np.sqrt(errors.sum() / squares.sum()))}
-    each = zip(leads, np.sqrt(errors / squares), strict=True)
-    return found | {f"{name}_{lead}": float(error) for lead, error in each}
+    errors_by_lead = {name: float(np.sqrt(errors.sum() / squares.sum()))}
+    lead_errors = zip(leads, np.sqrt(errors / squares), strict=True)
+    return errors_by_lead | {f"{name}_{lead}": float(error) for lead, error in lead_errors}
 
 
 def _root(rows: Floats) -> Floats:
-    """Rows, as many as columns, whose outer products add up to the same."""
+    """Square matrix whose rows' outer products add up to those of the given rows."""
     values, vectors = np.linalg.eigh(rows.T @ rows)
     return np.asarray(np.sqrt(np.maximum(values, 0))[:, None] * vectors.T)
 
 
 def body_modes(plain: Floats, in_bodies: Floats, numbers: Integers) -> tuple[Floats, Floats]:
-    """What bodies add to the leads: matrices (k, 8 + a, 8 + a), and factors (bodies, k) of each.
+    """Torso modes: matrices (k, 8 + a, 8 + a) on the leads, and factors (torsos, k) of each torso.
 
-    Leads that see the same front from slightly elsewhere are nearly sums of one another, at all
-    times the same: of the energy that a body adds that is nine tenths.
+    Leads that see the same activation front from slightly different places are nearly linear
+    combinations of one another, constant in time. These make up nine tenths of the energy that a
+    torso adds.
     """
     rows = plain.shape[1]
-    every = plain.transpose(1, 0, 2).reshape(rows, -1)
-    power = every @ every.T / every.shape[1]
+    all_ecgs = plain.transpose(1, 0, 2).reshape(rows, -1)
+    power = all_ecgs @ all_ecgs.T / all_ecgs.shape[1]
     power += 1e-3 * np.trace(power) / rows * np.eye(rows)
-    root, found = np.linalg.cholesky(power), np.zeros((BODIES, rows, rows))
+    root, differences = np.linalg.cholesky(power), np.zeros((BODIES, rows, rows))
     for number in np.unique(numbers):
-        here = plain[numbers == number].transpose(1, 0, 2).reshape(rows, -1)
-        there = in_bodies[numbers == number].transpose(1, 0, 2).reshape(rows, -1)
-        ridge = here @ here.T + 1e-3 * here.shape[1] * power
-        found[number] = np.linalg.solve(ridge, here @ (there - here).T).T
-    # in leads of unit power that are not correlated, so that the largest modes add the most
-    flat = (found @ root).reshape(BODIES, -1)
+        plain_ecgs = plain[numbers == number].transpose(1, 0, 2).reshape(rows, -1)
+        torso_ecgs = in_bodies[numbers == number].transpose(1, 0, 2).reshape(rows, -1)
+        ridge = plain_ecgs @ plain_ecgs.T + 1e-3 * plain_ecgs.shape[1] * power
+        differences[number] = np.linalg.solve(ridge, plain_ecgs @ (torso_ecgs - plain_ecgs).T).T
+    # in uncorrelated leads of unit power, so that the largest modes add the most energy
+    flat = (differences @ root).reshape(BODIES, -1)
     factors, sizes, modes = np.linalg.svd(flat, full_matrices=False)
     sds = sizes[:MODES] / np.sqrt(BODIES)
     bodies = sds[:, None, None] * modes[:MODES].reshape(-1, rows, rows) @ np.linalg.inv(root)

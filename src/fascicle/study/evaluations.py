@@ -1,4 +1,4 @@
-"""What a study has evaluated and proposed, kept in a database as soon as it is there."""
+"""Evaluations and proposals of a study, stored in a database as soon as they are made."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, one_line
 from fascicle.inference.evaluation import Evaluation, Objective
 
-# Points of a step (m, d), and the surrogates' hyper-parameters behind them, from a random generator
+# Makes the surrogates' hyper-parameters and the points (m, d) of a step, from a random generator
 # and the hyper-parameters of the step before.
 Compute = Callable[[np.random.Generator, str | None], tuple[str | None, Floats]]
 
 
 class Stage(StrEnum):
-    """A stage of a study; its place in this list seeds its random numbers."""
+    """Stage of a study, whose position in this list seeds its random numbers."""
 
     INITIAL = "initial"
     OPTIMISATION = "optimisation"
@@ -37,7 +37,7 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True)
 class Record:
-    """An evaluation as it is stored: when in the study, and how long it took (s)."""
+    """Stored evaluation, with its stage of the study and the time (s) that it took."""
 
     stage: Stage
     evaluation: Evaluation
@@ -45,17 +45,17 @@ class Record:
 
 
 class DamagedStoreError(InputError):
-    """A database cannot be read."""
+    """Raised if a database cannot be read."""
 
 
 class Database:
-    """The SQLite file: evaluations as they were made, and what was proposed at each step."""
+    """SQLite file of the evaluations, in order, and of the proposals of each step."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     def prepare(self) -> Path | None:
-        """Make missing tables; where a damaged file, replaced by a new one, has been moved."""
+        """Make missing tables; return the new path of a damaged file if one was moved aside."""
         try:
             self._make_tables()
             self.records()
@@ -85,13 +85,13 @@ class Database:
                 raise sqlite3.DatabaseError(verdict)
 
     def records(self) -> list[Record]:
-        """All evaluations, in the order in which they were made."""
+        """Evaluations, in the order in which they were made."""
         with self._transaction() as connection:
             rows = connection.execute("SELECT * FROM evaluations ORDER BY rowid").fetchall()
             return [_record(row) for row in rows]
 
     def append(self, records: Sequence[Record]) -> None:
-        """Store evaluations, which are on the disk when this returns."""
+        """Store evaluations; they are on the disk when the function returns."""
         with self._transaction() as connection:
             rows = [_row(record) for record in records]
             connection.executemany("INSERT INTO evaluations VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
@@ -110,30 +110,30 @@ class Database:
             return None if row is None else (row[0], _floats(row[1]))
 
     def propose(self, stage: Stage, step: int, hyperparameters: str | None, points: Floats) -> None:
-        """Store what a step, counted from 0 in its stage, proposes: points (m, d)."""
+        """Store the points (m, d) proposed by a step, counted from 0 in its stage."""
         row = str(stage), step, hyperparameters, _bytes(points)
         with self._transaction() as connection:
             connection.execute("INSERT INTO proposals VALUES (?, ?, ?, ?)", row)
 
     def forget_proposals(self, kept: Sequence[Stage]) -> None:
-        """Drop what was proposed in other stages than these; evaluations stay."""
+        """Delete the proposals of all stages but these; evaluations are kept."""
         marks = ", ".join("?" for _ in kept)
         with self._transaction() as connection:
             connection.execute(f"DELETE FROM proposals WHERE stage NOT IN ({marks})", tuple(kept))
 
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:
-        """Open a connection whose changes are on the disk when the block ends, all or none."""
+        """Open a connection whose changes are all on the disk when the block ends, or none."""
         place = self.path.absolute().as_uri()
         if not (os.access(self.path.parent, os.W_OK) or Path(f"{self.path}-wal").exists()):
-            place += "?immutable=1"  # a folder that can only be read has no room for a log
+            place += "?immutable=1"  # SQLite cannot write a log into a read-only folder
         try:
             with closing(sqlite3.connect(place, uri=True)) as connection:
                 connection.execute("PRAGMA synchronous = FULL")
                 with connection:
                     yield connection
         except (sqlite3.DatabaseError, ValueError, TypeError) as error:
-            # the lowest byte of an error that is not about what is in the file
+            # the lowest byte tells errors of access from those of the file's content
             code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
             if code not in (
                 sqlite3.SQLITE_BUSY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_FULL,
@@ -168,13 +168,13 @@ def _record(row: tuple[Any, ...]) -> Record:
     if loss is None:
         return Record(Stage(stage), Evaluation.infeasible(_floats(point), reason), seconds)
     likelihoods = _floats(log_likelihoods)
-    found = Evaluation(_floats(point), loss, _floats(errors), log_likelihoods=likelihoods)
-    return Record(Stage(stage), found, seconds)
+    evaluation = Evaluation(_floats(point), loss, _floats(errors), log_likelihoods=likelihoods)
+    return Record(Stage(stage), evaluation, seconds)
 
 
 @dataclass
 class Journal:
-    """One pass over a study: what is stored is read, what is missing is made and stored."""
+    """Pass over a study that reads stored proposals and evaluations, and makes missing ones."""
 
     database: Database
     objective: Objective
@@ -183,22 +183,22 @@ class Journal:
     workers: int  # evaluations at a time
     # every stored evaluation, of this pass or an earlier one, by the bytes of its point
     known: dict[bytes, Record] = field(init=False)
-    records: list[Record] = field(default_factory=list, init=False)  # asked for so far, in order
+    records: list[Record] = field(default_factory=list, init=False)  # those used so far, in order
 
     def __post_init__(self) -> None:
         self.known = {_bytes(r.evaluation.point): r for r in self.database.records()}
 
     @property
     def evaluations(self) -> list[Evaluation]:
-        """Those of `records`."""
+        """Evaluations of `records`."""
         return [record.evaluation for record in self.records]
 
     def rng(self, stage: Stage, step: int) -> np.random.Generator:
-        """The only source of randomness of a step."""
+        """Random generator of a step, which uses no other."""
         return np.random.default_rng([self.seed, list(Stage).index(stage), step])
 
     def propose(self, stage: Stage, step: int, compute: Compute) -> Floats:
-        """Give the points of a step, counted from 0 in its stage, made where none are stored."""
+        """Return the points of a step, counted from 0 in its stage; made if they are not stored."""
         stored = self.database.proposal(stage, step)
         if stored is None:
             before = self.database.proposal(stage, step - 1)
@@ -213,33 +213,35 @@ class Journal:
         batch: int | None = None,
         progress: Callable[[int], None] = lambda done: None,
     ) -> list[Evaluation]:
-        """Give the outcomes at `points`, each of shape (d,).
+        """Return the evaluations at `points`, each of shape (d,).
 
-        Those that are not known are evaluated, and stored as soon as the next `batch` of them, or
-        else `workers`, is there. Ctrl-C waits for that. `progress` is called with how many are
-        known whenever some were stored, and at the end.
+        Points that were not evaluated yet are evaluated now, and stored in batches of `batch`, or
+        else `workers`. Ctrl-C waits for a batch to be stored. `progress` is called with the number
+        of evaluated points after each batch, or once if no point was missing.
         """
         keys = [_bytes(point) for point in points]
         missing = {k: p for k, p in zip(keys, points, strict=True) if k not in self.known}
-        left = list(missing.values())
+        points_left = list(missing.values())
         size = batch or self.workers
-        # closed at once when interrupted: what no worker has begun is not begun any more
-        with closing(outcome for outcome in (self.objective(left) if left else ())) as outcomes:
-            for start in range(0, len(left), size):
+        # closed at once when interrupted, so that no worker begins another evaluation
+        with closing(
+            outcome for outcome in (self.objective(points_left) if points_left else ())
+        ) as outcomes:
+            for start in range(0, len(points_left), size):
                 with interrupted_afterwards():
-                    self._store(stage, left[start : start + size], outcomes)
-                progress(len(points) - max(0, len(left) - start - size))
-        if not left:
+                    self._store(stage, points_left[start : start + size], outcomes)
+                progress(len(points) - max(0, len(points_left) - start - size))
+        if not points_left:
             progress(len(points))
-        # a point may have been evaluated in another stage, when there were fewer steps
-        found = [replace(self.known[key], stage=stage) for key in keys]
-        self.records += found
-        return [record.evaluation for record in found]
+        # a point may have been evaluated in another stage of a run with fewer steps
+        records = [replace(self.known[key], stage=stage) for key in keys]
+        self.records += records
+        return [record.evaluation for record in records]
 
     def _store(
         self, stage: Stage, points: Sequence[Floats], outcomes: Iterator[Evaluation]
     ) -> None:
-        """Store the next outcomes, which are those at `points`."""
+        """Take the next outcomes, at `points`, and store them."""
         begin = time.perf_counter()
         evaluations = [replace(next(outcomes), point=point) for point in points]
         seconds = (time.perf_counter() - begin) / len(points)
@@ -251,7 +253,7 @@ class Journal:
 
 
 def _check(evaluation: Evaluation) -> None:
-    """Refuse what the surrogate and the distance cannot use."""
+    """Refuse an evaluation that the surrogate and the distance cannot use."""
     if not evaluation.feasible:
         return
     errors = evaluation.beat_errors
@@ -274,13 +276,13 @@ def _floats(blob: bytes) -> Floats:
 
 @contextmanager
 def interrupted_afterwards() -> Iterator[None]:
-    """Let Ctrl-C end the block only when it is done; a second one does not wait.
+    """Delay Ctrl-C to the end of the block; a second Ctrl-C interrupts at once.
 
-    Nothing is changed where Ctrl-C is ignored, nor in any thread but the main one, which alone
-    hears of it.
+    Nothing is changed if Ctrl-C is ignored, or in a thread other than the main thread, which alone
+    receives signals.
     """
-    here = threading.current_thread() is threading.main_thread()
-    if not here or not callable(signal.getsignal(signal.SIGINT)):
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    if not in_main_thread or not callable(signal.getsignal(signal.SIGINT)):
         yield
         return
     pressed = False
@@ -297,4 +299,4 @@ def interrupted_afterwards() -> Iterator[None]:
     finally:
         signal.signal(signal.SIGINT, before)
     if pressed:
-        signal.raise_signal(signal.SIGINT)  # as whoever listened before wants it
+        signal.raise_signal(signal.SIGINT)  # for the handler set before

@@ -1,4 +1,4 @@
-"""Networks of a study, and what they activate, for other software.
+"""Export of a study's networks, and of the tissue that they activate, to other software.
 
 openCARP's parameters are those of its manual and of https://opencarp.org/parameters (Plank et al.,
 Comput. Methods Programs Biomed. 208, 106223, 2021): lengths in µm, times in ms, conductivities in
@@ -32,10 +32,10 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 Format = Literal["opencarp", "vtu", "csv"]
-STEP = 0.5  # ms; vertices that are stimulated within it share one of openCARP's stimuli
+STEP = 0.5  # ms; vertices that are stimulated within one step share a stimulus of openCARP
 AFTER = 20.0  # ms that openCARP simulates after the last activation
-S_PER_M = 0.1  # of a mS/cm
-MM_PER_S = 1000.0  # of a mm/ms
+S_PER_M = 0.1  # in 1 mS/cm
+MM_PER_S = 1000.0  # in 1 mm/ms
 
 
 def write_networks(
@@ -52,17 +52,17 @@ def write_networks(
         else:
             _write_elements(folder / "elements.csv", heart, tags)
     for name, network in networks.items():
-        (own := folder / name).mkdir()
+        (network_folder := folder / name).mkdir()
         simulation = network.simulation
         if kind == "vtu":
-            write_beat(own, heart, simulation)
+            write_beat(network_folder, heart, simulation)
             continue
-        write_text(own / "sites.csv", sites_table(simulation))
+        write_text(network_folder / "sites.csv", sites_table(simulation))
         tissues = tissue_table(heart, tags, conductions[name])
         if kind == "opencarp":
-            _write_opencarp_network(own, model, simulation, tissues)
+            _write_opencarp_network(network_folder, model, simulation, tissues)
         else:
-            _write_tables(own, heart, simulation, tissues)
+            _write_tables(network_folder, heart, simulation, tissues)
 
 
 def tissue_tags(heart: Heart, conductions: Iterable[Conduction]) -> Integers:
@@ -105,9 +105,9 @@ def tissue_table(heart: Heart, tags: Integers, conduction: Conduction) -> DataFr
 
 
 def fired_vertices(model: ForwardModel, simulation: Simulation) -> tuple[Integers, Floats]:
-    """Vertices through which junctions and stimuli activate the tissue, and when (ms).
+    """Vertices through which junctions and stimuli activate the tissue, and the times (ms).
 
-    They are corners of the element around each junction or stimulus, where its front came first.
+    The vertices are corners of the element around a junction or stimulus whose front arrives first.
     """
     myocardium, coupled = model.myocardium, simulation.coupled
     at_junctions = myocardium.owner[myocardium.on_surface(junctions(simulation)[0]).triangles]
@@ -121,7 +121,7 @@ def fired_vertices(model: ForwardModel, simulation: Simulation) -> tuple[Integer
 def _write_opencarp_network(
     folder: Path, model: ForwardModel, simulation: Simulation, tissues: DataFrame
 ) -> None:
-    """Write what openCARP needs of one network; its time is never negative."""
+    """Write openCARP's input for one network, with times shifted so that none is negative."""
     vertices, times = fired_vertices(model, simulation)
     start = min(0.0, float(times.min()))
     steps, which = np.unique(np.rint((times - start) / STEP), return_inverse=True)

@@ -36,7 +36,7 @@ from fascicle.study.state_fit import HEART, Inputs, fit_state, simulated_and_com
 from fascicle.study.study import Study, StudyConfig, check_same, check_study_folder
 from fascicle.study.target_comparison import evaluate
 
-GivenStudy = FittedStudy | Path | str  # a study, or its folder
+GivenStudy = FittedStudy | Path | str  # a study, or the path of its folder
 
 
 def fit(
@@ -52,45 +52,46 @@ def fit(
     rules: GrowthRules | None = None,
     **settings: Any,
 ) -> FittedStudy:
-    """Learn the Purkinje networks that explain a target, or several of one heart.
+    """Learn the Purkinje networks that explain a target, or several targets of one heart.
 
-    Started again on the same folder it resumes, and gives exactly the result of a run that was
-    never interrupted. The numbers of steps and samples may then be others: what is stored is used
-    again. So may that of workers.
+    Started again on the same folder, a fit resumes and gives exactly the result of a run that was
+    never interrupted. The numbers of steps, samples and workers may be changed in between: stored
+    evaluations are used again.
 
     Parameters
     ----------
     heart : Heart or path
         The heart, its folder, or ``"default"``.
     target : Target or path, or list
-        The target, or its netCDF file. If it was not recorded in an intrinsic beat, a tuple with
-        the scenario, its name in the library, or its file: ``("rv.nc", "rv-apical-pacing")``. A
-        list is of several recordings.
+        The target, or its netCDF file. If the recorded beat is not intrinsic, a tuple of the
+        target and its scenario, given as an object, by its name in the library, or by its file:
+        ``("rv.nc", "rv-apical-pacing")``. A list holds several recordings.
     out : path
         Folder of the study.
     parameters : mapping of name to value, optional
-        Quantities of `fascicle.core.quantities.QUANTITIES` to learn or to fix otherwise than
-        `method` says: a number fixes one, ``"free"`` frees it with its usual prior, a mapping with
-        another one: ``{"prior": "log-normal", "median": 0.07, "sd": 0.2}``; keys are `prior`,
-        `lower`, `upper`, `median`, `sd` (`fascicle.core.parameters.Parameter`).
+        Quantities of `fascicle.core.quantities.QUANTITIES` to learn or to fix in another way than
+        `method` does. A number fixes a quantity, ``"free"`` frees it with its usual prior,
+        and a mapping such as ``{"prior": "log-normal", "median": 0.07, "sd": 0.2}`` frees it with
+        that prior; keys are `prior`, `lower`, `upper`, `median`, `sd`
+        (`fascicle.core.parameters.Parameter`).
     progress : Progress, "lines" or None
-        Called with the stage, and how far it is; by default lines on standard error say so.
+        Progress callback, called with the stage and how far it is; by default lines on standard
+        error.
     pool : Pool, optional
-        Where networks are simulated: on `workers` threads, if nothing else is given;
-        `fascicle.ExecutorPool` takes any executor, `fascicle.Cluster` a Dask scheduler. The result
-        is the same wherever.
+        Where networks are simulated: by default on `workers` threads; `fascicle.ExecutorPool`
+        takes any executor, `fascicle.Cluster` a Dask scheduler. The result does not depend on it.
     backend : Backend, optional
-        What simulates intrinsic beats in place of the pool: a graphics card (`fascicle.GpuBackend`)
-        changes the last digits of the result.
+        Simulates intrinsic beats in place of the pool, as on a graphics card
+        (`fascicle.GpuBackend`), which changes the last digits of the result.
     likelihood : Likelihood, or sequence of them, optional
-        Of a posterior: what the recording says of a network, one for each recording; the page
-        "Extending fascicle" shows how to write one.
+        Your own likelihood of a network given the recording, one for each recording; by the method
+        ``"posterior"`` alone. The page "Extending fascicle" shows how to write one.
     rules : GrowthRules, optional
-        By which trees grow, perhaps with a term of your own; to resume or read the study needs the
-        same.
+        Rules by which trees grow, perhaps with a term of your own. Resuming or reading the study
+        needs the same rules.
     **settings
-        The fields of `fascicle.FitSettings`, where they are described. `method`, `seed`, `workers`,
-        `fewest_junctions`; of the posterior `effective`, `prior_simulations`, `gain_sd`; of the
+        Fields of `fascicle.FitSettings`, which describes them: `method`, `seed`, `workers`,
+        `fewest_junctions`; for a posterior `effective`, `prior_simulations`, `gain_sd`; for the
         paper's method `initial`, `steps`, `refit_every`, `samples`, `leads`, `free_gain`,
         `tolerance`, `draws`, `refit_after`, `rounds`.
 
@@ -127,7 +128,10 @@ def fit(
 
 
 def _priors(states: Sequence[ConductionState]) -> dict[str, float]:
-    """Of the states; they add up to 1, and stay to the last digit where they did."""
+    """Prior probabilities of conduction states, scaled to add up to 1.
+
+    Those that add up to 1 already but for rounding are not changed in the last digit.
+    """
     total = sum(state.probability for state in states)
     total = 1.0 if math.isclose(total, 1.0) else total
     return {state.name: state.probability / total for state in states}
@@ -140,30 +144,34 @@ def fit_inputs(
     pool: Pool | None = None,
     backend: Backend | None = None,
 ) -> FittedStudy:
-    """Do what is left of a study in its folder, and write its results."""
+    """Fit a study in its folder, from where it was interrupted, and write its results."""
     if inputs.config.states:
         return diagnosed(inputs, folder, progress, pool, backend)
     return fit_state(inputs, folder, progress, pool, backend)[0]
 
 
-def _rules(given: GrowthRules | None) -> GrowthRules:
-    check_kind(given, (GrowthRules, NoneType), "rules", "fascicle.GrowthRules")
-    return given or GrowthRules()
+def _rules(rules: GrowthRules | None) -> GrowthRules:
+    check_kind(rules, (GrowthRules, NoneType), "rules", "fascicle.GrowthRules")
+    return rules or GrowthRules()
 
 
 def _given_likelihoods(
-    given: Likelihood | Sequence[Likelihood], recordings: int, method: str
+    likelihood: Likelihood | Sequence[Likelihood], count: int, method: str
 ) -> Sequence[Likelihood]:
-    """One likelihood for each recording."""
-    each: list[Any] = [*given] if isinstance(given, (list, tuple)) else [given]
-    for one in each:
-        check_kind(one, Likelihood, "likelihood", "an object that has the methods of Likelihood")
-    if method == "paper" or len(each) != recordings:
+    """Check and list a user's likelihoods, which must be as many as the recordings."""
+    likelihoods: list[Any] = (
+        [*likelihood] if isinstance(likelihood, (list, tuple)) else [likelihood]
+    )
+    for candidate in likelihoods:
+        check_kind(
+            candidate, Likelihood, "likelihood", "an object that has the methods of Likelihood"
+        )
+    if method == "paper" or len(likelihoods) != count:
         raise InputError(
-            f"{len(each)} likelihood(s) for {recordings} recording(s) by the method '{method}'; "
+            f"{len(likelihoods)} likelihood(s) for {count} recording(s) by the method '{method}'; "
             "give one for each, to the method 'posterior'"
         )
-    return each
+    return likelihoods
 
 
 def read_inputs(
@@ -174,7 +182,7 @@ def read_inputs(
     rules: GrowthRules | None = None,
     likelihoods: Sequence[Likelihood] | None = None,
 ) -> Inputs:
-    """Read what `fit` is given, and settle what is learnt; it says what is what."""
+    """Read the arguments of `fit`, and settle which quantities are learnt and which are fixed."""
     rules = _rules(rules)
     heart = as_heart(heart)
     recordings = given_recordings(target)
@@ -183,14 +191,14 @@ def read_inputs(
             "the method 'paper' fits one recording of an intrinsic beat; give one without a "
             "scenario, or use the method 'posterior'"
         )
-    wanted, alone = {**parameters}, len(recordings) == 1 and recordings[0][1] is None
-    # by default learnt, unless its delays would not be those that are asked for
-    learnt = settings.method == "posterior" and alone and likelihoods is None
-    learnt &= recordings[0][0].earliest_onset is None  # paced beats are of no state
-    asked = wanted.pop("conduction", FREE if learnt and not {*DELAY} & {*wanted} else None)
-    space, fixed = study_space(settings.method, wanted, heart)
-    states = () if asked is None else _states(asked, space, fixed, heart, settings)
-    if len(states) > 1 and not alone:
+    choices, one_intrinsic_beat = {**parameters}, len(recordings) == 1 and recordings[0][1] is None
+    # the conduction state is learnt by default, unless delays are given, which it would change
+    learnt = settings.method == "posterior" and one_intrinsic_beat and likelihoods is None
+    learnt &= recordings[0][0].earliest_onset is None  # a paced beat shows no conduction state
+    conduction = choices.pop("conduction", FREE if learnt and not {*DELAY} & {*choices} else None)
+    space, fixed = study_space(settings.method, choices, heart)
+    states = () if conduction is None else _states(conduction, space, fixed, heart, settings)
+    if len(states) > 1 and not one_intrinsic_beat:
         raise InputError(
             "parameter 'conduction': it is learnt from one recording of an intrinsic beat; give "
             "one without a scenario, or fix the state"
@@ -202,13 +210,19 @@ def read_inputs(
         mapped = state.is_mapped({*space.names, *fixed})
     if settings.free_gain and ("gain" in space.names or "gain" in fixed):
         raise InputError("the gain is a parameter already; leave --free-gain out")
-    of_posterior: dict[str, Any] = {}
+    posterior_settings: dict[str, Any] = {}
     if settings.method == "posterior":
         averaged = AveragedOver.of(space, fixed, heart)
-        more = {"body_modes": MODES, "refining_networks": MOST, "refining_rounds": MOST_ROUNDS}
-        named = {"name": ", ".join(type(one).__qualname__ for one in likelihoods or ())}
-        of_posterior = {
-            "likelihood": constants() | more if likelihoods is None else named,
+        constants_of_emulator = {
+            "body_modes": MODES,
+            "refining_networks": MOST,
+            "refining_rounds": MOST_ROUNDS,
+        }
+        named = {
+            "name": ", ".join(type(likelihood).__qualname__ for likelihood in likelihoods or ())
+        }
+        posterior_settings = {
+            "likelihood": constants() | constants_of_emulator if likelihoods is None else named,
             "averaged": averaged.space.parameters,
             "tissues": averaged.tissues,
         }
@@ -220,36 +234,36 @@ def read_inputs(
         states=_priors(states) if len(states) > 1 else {},
         mapped=mapped,
         **growth_and_conduction(heart, rules),
-        **of_posterior,
+        **posterior_settings,
         **settings.model_dump(),
     )
     return Inputs(heart, recordings, config, rules, likelihoods)
 
 
 def _states(
-    asked: Any,
+    conduction: Any,
     space: ParameterSpace,
     fixed: Mapping[str, float],
     heart: Heart,
     settings: FitSettings,
 ) -> tuple[ConductionState, ...]:
-    """The conduction states that were asked for and that the rest leaves."""
+    """Conduction states that the user chose and that the other parameters do not exclude."""
     if settings.method == "paper":
         raise InputError(
             "parameter 'conduction': the method 'paper' knows no conduction states; leave it "
             "out, or use the method 'posterior'"
         )
-    return possible_states(asked, space, {**heart.values, **fixed})
+    return possible_states(conduction, space, {**heart.values, **fixed})
 
 
 def _hashes(recordings: Sequence[Recorded]) -> dict[str, Any]:
-    """What a configuration says of the recordings."""
+    """Digests of the recordings, by the field of the study's configuration."""
     targets, scenarios = zip(*map(digests, recordings), strict=True)
     return {"target": targets[0], "other_targets": targets[1:], "scenarios": scenarios}
 
 
 def as_study(given: GivenStudy, progress: Progress | Lines | None = None) -> FittedStudy:
-    """A study as it was given, or read from its folder by `load_study`."""
+    """Return a fitted study as it is, or read it from its folder by `load_study`."""
     if isinstance(given, FittedStudy):
         return given
     folder = as_path(given, "study", "a fitted study, or the path of its folder")
@@ -267,19 +281,20 @@ def load_study(
     Parameters
     ----------
     folder : path
-        The study.
+        Folder of the study.
     progress : Progress, "lines" or None
-        Called while a large heart is prepared; by default lines on standard error say so.
+        Progress callback, called while a large heart is prepared; by default lines on standard
+        error.
     pool : Pool, optional
-        Where networks are simulated; by default as when it was fitted, on threads.
+        Where networks are simulated; by default on as many threads as the fit used.
     rules : GrowthRules, optional
-        Those of `fit`, if it was given any.
+        Growth rules that `fit` was given, if any.
 
     Raises
     ------
     InputError
-        If the folder is not a study, the study is not finished, or its forward model is not the
-        present one.
+        If the folder is not a study, the study is not finished, or it was made with another
+        version of the forward model.
     """
     check_pool(pool)
     rules, folder = _rules(rules), as_path(folder, "study")
@@ -306,6 +321,6 @@ def load_study(
             study.config, heart, rules, recordings, pool, shown
         )
     study.check_objective(partial(evaluate, simulator, compared))
-    if isinstance(population, Posterior):  # what the ECG says is beside the prior of these states
+    if isinstance(population, Posterior):  # compared with the prior of its states
         simulator = replace(simulator, space=study.config.space_of(population.states))
     return FittedStudy(study, simulator, compared, population, *read_checks(result))

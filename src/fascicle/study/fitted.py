@@ -45,19 +45,19 @@ class FittedStudy:
     simulator : PointSimulator
         Forward model, and the parameters that are learnt.
     recordings : tuple of TargetComparison
-        What was recorded.
+        Recordings, and the ways in which simulations are compared with them.
     population : Population
         The networks that explain the target, and the best one.
     checks : Checks, optional
-        How a posterior agrees with its recordings.
+        Agreement of a posterior with its recordings.
     gains : (n,) array, optional
         Factor on the ECG of each network of a posterior, drawn given the first recording.
     torsos : (n, 12 + k, 12 + k) array, optional
-        Maps its leads in the plain torso to those in the torso that was drawn with it, besides that
-        factor.
+        Matrix from each network's leads in the plain torso to those in the torso that was drawn
+        with it, without the gain.
     ecgs : tuple of (n, 12 + k, n_time) arrays
-        Of a posterior, ECGs of the networks for each recording: with shift, gain and torso drawn
-        given the recording (mV).
+        ECGs (mV) of a posterior's networks for each recording, with shift, gain and torso drawn
+        given the recording.
     """
 
     study: Study
@@ -77,8 +77,8 @@ class FittedStudy:
         return list(above("plot").ecg(self, recording, caption=caption))
 
     def save(self, folder: Path | str) -> None:
-        """Copy its folder, whole or not at all; `fascicle.load_study` reads it."""
-        if type(self.population) is Population:  # of `with_draws`
+        """Copy the study's folder, whole or not at all; `fascicle.load_study` reads it."""
+        if type(self.population) is Population:  # made by `with_draws`
             raise InputError(f"{self.folder} does not hold draws of your own; save these yourself")
         with atomic_folder(as_path(folder, "folder")) as temporary:
             ignored = shutil.ignore_patterns(LOCK)
@@ -96,17 +96,17 @@ class FittedStudy:
 
     @cached_property
     def statements(self) -> Statements:
-        """Verdict, caution, warnings, and what the ECG says of the parameters."""
+        """Verdict, caution, warnings, and statements on the parameters."""
         return Statements(self)
 
     @property
     def verdict(self) -> str:
-        """What the networks are, and whether to trust them, in one line."""
+        """Summary of the networks, and whether to trust them, in one line."""
         return self.statements.verdict
 
     @property
     def warnings(self) -> list[str]:
-        """What a reader of the results must know first, a line each."""
+        """Warnings that a reader of the results must know first, in a line each."""
         return [warning.text for warning in self.statements.warnings]
 
     @property
@@ -128,13 +128,13 @@ class FittedStudy:
     def explained(self) -> float:
         """Share of the variance of the recorded QRS that the best network explains, 0 to 1.
 
-        Below 0 it is worse than an ECG that is zero everywhere.
+        Below 0, the network is worse than an ECG that is zero everywhere.
         """
         return 1 - self.population.best_loss / self.null_loss
 
     @property
     def emulator_reports(self) -> list[dict[str, float]]:
-        """What a posterior's emulators do not say, of each recording (`EcgEmulator.report`)."""
+        """Quality of a posterior's emulator for each recording (`EcgEmulator.report`)."""
         path = self.folder / "summary.json"
         written = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
         return list(written.get("emulators", ()))
@@ -146,11 +146,11 @@ class FittedStudy:
 
     @cached_property
     def best_network(self) -> Network:
-        """The network with the least mismatch, simulated."""
+        """Network with the least mismatch, simulated for the first recording."""
         return next(networks(self.simulator, self.recordings[0], [self.population.best]))
 
     def best_in(self, recording: int) -> Network:
-        """The same in the scenario of a recording, counted from 0."""
+        """Best network in the scenario of a recording, counted from 0."""
         if recording == 0:
             return self.best_network
         return next(networks(self.simulator, self.recordings[recording], [self.population.best]))
@@ -168,9 +168,9 @@ class FittedStudy:
         progress : Progress, optional
             Called after every network.
         recording : int
-            In whose scenario, counted from 0.
+            Recording whose scenario is simulated, counted from 0.
         chosen : sequence of int, optional
-            Which networks; all.
+            Indices of the networks; by default all.
         """
         if not len(self.population):
             return [self.best_network]
@@ -197,19 +197,19 @@ class FittedStudy:
         return simulated
 
     def with_draws(self, draws: Any) -> FittedStudy:
-        """The same study with networks of your own, as of another sampler, in place of its.
+        """Copy of the study with networks of your own, as from another sampler.
 
         Parameters
         ----------
         draws : mapping, table or InferenceData
-            Every parameter that the study learns, and perhaps other quantities, by name, (n,) each,
-            in their units: a dict, a table of pandas, or ArviZ's InferenceData (`posterior`).
+            Values (n,) of every parameter that the study learns, and perhaps of other quantities,
+            by name, in their units: a dict, a pandas table, or ArviZ's InferenceData (`posterior`).
 
         Returns
         -------
         FittedStudy
-            For `fascicle.predict`, `fascicle.report` and all else that takes a study. There is no
-            verdict on whether it fits.
+            Study for `fascicle.predict`, `fascicle.report` and other functions that take one,
+            without a verdict on the fit.
 
         Raises
         ------
@@ -229,8 +229,8 @@ class FittedStudy:
             checked({name: column[k] for name, column in values.items()}) for k in range(counts[0])
         ]
         recording, losses = self.recordings[0], []
-        found = self.simulator.of_parameters(rows, recording.scenario)
-        for number, outcome in enumerate(found):
+        outcomes = self.simulator.of_parameters(rows, recording.scenario)
+        for number, outcome in enumerate(outcomes):
             if not isinstance(outcome, Simulation):
                 raise InputError(f"draws: number {number} gives no network ({outcome.reason})")
             losses.append(recording.align(outcome.leads).loss)
@@ -247,22 +247,22 @@ class FittedStudy:
     ) -> dict[str, Any]:
         """Write networks and the activation of the heart for other software, whole or not at all.
 
-        Activation is that of the first recording: the intrinsic beat, unless it has a scenario.
+        The activation is that of the first recording: an intrinsic beat, unless it has a scenario.
 
         Parameters
         ----------
         folder : path
-            Folder to write. `summary.json` says what the networks are; each has a folder of its
-            own, named by its number in the population, or ``best`` where none was accepted.
+            Folder to write. `summary.json` describes the networks; each has a folder of its own,
+            named by its number in the population, or ``best`` where none was accepted.
         to : str
             ``"opencarp"``: mesh, fibres, trees, stimuli and parameter files (µm, ms, S/m);
             ``"vtu"``: the heart, trees and junctions for ParaView (mm, ms); ``"csv"``: tables,
             with units in the names of their columns. 'fascicle docs exchange' lists the files.
         networks : int, optional
-            How many, evenly spread over the population. By default one: that with the activation
-            map nearest to the median map (`fascicle.study.activation_maps.nearest_to_median`).
+            Number of networks, evenly spread over the population; by default one, whose activation
+            map is nearest to the median map (`fascicle.study.activation_maps.nearest_to_median`).
         progress : Progress, optional
-            Called after every network that is simulated.
+            Progress callback, called after every network that is simulated.
 
         Returns
         -------
@@ -280,23 +280,25 @@ class FittedStudy:
             check_count(networks, "networks")
         folder = as_path(folder, "folder")
         check_folder(folder)
-        heart, every = self.simulator.model.heart, len(self.population)
-        numbers = evenly_spread(every, every if networks is None else networks)
-        found = self.networks(progress, chosen=numbers)
-        named = {f"{k:03d}": each for k, each in zip(numbers, found, strict=False)}
-        called = "evenly spread over the population"
-        if not every:
-            named, called = {"best": found[0]}, "the best network; none was accepted"
+        heart, population_size = self.simulator.model.heart, len(self.population)
+        numbers = evenly_spread(population_size, population_size if networks is None else networks)
+        simulated = self.networks(progress, chosen=numbers)
+        named = {f"{k:03d}": network for k, network in zip(numbers, simulated, strict=False)}
+        description = "evenly spread over the population"
+        if not population_size:
+            named, description = {"best": simulated[0]}, "the best network; none was accepted"
         elif networks is None:
-            k = nearest_to_median(np.stack([each.simulation.activation for each in found]))
-            named, called = {f"{k:03d}": found[k]}, "nearest to the median activation map"
+            k = nearest_to_median(
+                np.stack([network.simulation.activation for network in simulated])
+            )
+            named, description = {f"{k:03d}": simulated[k]}, "nearest to the median activation map"
         content = {
             "verdict": self.verdict,
             "caution": self.statements.caution_text,
             "heart": heart.name,
             "heart_sha256": heart.digest,
-            "population": every,
-            "chosen": called,
+            "population": population_size,
+            "chosen": description,
             "networks": {name: dict(network.parameters) for name, network in named.items()},
         }
         with atomic_folder(folder) as temporary:

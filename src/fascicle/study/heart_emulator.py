@@ -1,4 +1,4 @@
-"""The emulator of a heart: found, or made of prior simulations, and kept with the heart."""
+"""Emulator of a heart: read from the package or the heart's folder, or made and kept there."""
 
 from __future__ import annotations
 
@@ -37,24 +37,24 @@ def emulator_of(
     progress: Progress | None = None,
     scenario: tuple[Scenario, str] | None = None,
 ) -> EcgEmulator:
-    """Find an emulator for a study, or make one of so many prior simulations.
+    """Find an emulator for a study, or make one from `count` prior simulations.
 
-    Those of the heart's usual priors serve wherever a study learns and fixes what they have seen.
+    Emulators of the heart's usual priors serve any study whose quantities lie within their ranges.
 
     Parameters
     ----------
     folder : Path
-        Of a heart, in which simulations and emulator are kept.
+        Folder of the heart, in which simulations and emulator are kept.
     scenario : (Scenario, str), optional
-        In which the heart was recorded, and its digest.
+        Scenario in which the heart was recorded, and its digest.
     """
     blocks = {n: v for n, v in simulator.fixed.items() if n == "conduction"}
     alike = [state for state in KNOWN_STATES if state.blocks == blocks]
-    # The prior of all delays, None, covers every state; a narrower emulator is the better one.
+    # The prior of all delays, None, covers every state, but a narrower emulator is more exact.
     states = alike if blocks else [*alike, None]
-    every = (usual_prior(simulator.model, folder, scenario, state) for state in states)
-    asked = simulator.space, simulator.averaged, simulator.fixed
-    usual = (prior for prior in every if prior.covers(*asked, simulator.mapped))
+    candidates = (usual_prior(simulator.model, folder, scenario, state) for state in states)
+    study = simulator.space, simulator.averaged, simulator.fixed
+    usual = (prior for prior in candidates if prior.covers(*study, simulator.mapped))
     prior = next(usual, None) or prior_of(simulator, folder, scenario)
     stored = packaged(EMULATOR, prior.content)
     if stored is not None and float(stored["report networks"]) >= count:
@@ -63,7 +63,7 @@ def emulator_of(
 
 
 def packaged(kind: str, key: str) -> Mapping[str, Any] | None:
-    """What comes with the package, of a kind of file; None if nothing does."""
+    """Arrays of a kind of file that come with the package; None if there are none."""
     with resources.as_file(resources.files("fascicle") / "data" / "emulators") as folder:
         return ArrayCache(folder, kind).read(key)
 
@@ -71,9 +71,9 @@ def packaged(kind: str, key: str) -> Mapping[str, Any] | None:
 def learnt_or_made(
     kind: str, key: str, count: int, folder: Path, make: Callable[[], Mapping[str, Any]]
 ) -> Mapping[str, Any]:
-    """Arrays that were learnt from so many networks: of the package, of a heart's folder, or made.
+    """Arrays learnt from `count` networks: from the package, from a heart's folder, or made.
 
-    Those of the package also where fewer are asked for.
+    Arrays of the package are also taken if they were learnt from more networks.
     """
     stored: Mapping[str, Any] | None = packaged(kind, key)
     if stored is not None and int(stored["networks"]) >= count:
@@ -88,19 +88,20 @@ def learnt_or_made(
 def made_emulator(
     prior: PriorSimulations, count: int, pool: Pool, progress: Progress | None = None
 ) -> EcgEmulator:
-    """The emulator that was learnt from so many prior simulations, which are made if need be."""
+    """Emulator learnt from `count` prior simulations; both are made if they are missing."""
     cache, key = ArrayCache(prior.cache.folder, EMULATOR), f"{count} of {prior.content}"
     arrays: Mapping[str, Any] | None = cache.read(key)
     if arrays is None:
         prior.simulate(count, pool, progress)
         ratio = float(np.divide(*prior.model.conduction.speeds))
-        times = {*SOONER} & {*prior.fixed, *prior.model.heart.values}  # which no speed changes
+        fixed_times = {*SOONER} & {*prior.fixed, *prior.model.heart.values}  # which do not scale
         arrays = learn(
             prior.examples(count), prior.space, prior.averaged, ratio, np.random.default_rng(SEED),
-            same_on_any_clock=prior.scenario is None and not times, progress=progress,
+            same_on_any_clock=prior.scenario is None and not fixed_times, progress=progress,
         ).arrays()  # fmt: skip
         cache.write(key, arrays, compress=True)
-    emulator = EcgEmulator.from_arrays(arrays)  # with weights as they are stored
+    # from arrays even if it was just made, so that weights have the stored precision
+    emulator = EcgEmulator.from_arrays(arrays)
     if progress is not None:
         progress("emulator", 1, 1, emulator.said)
     return emulator
@@ -109,9 +110,9 @@ def made_emulator(
 def prior_of(
     simulator: PointSimulator, folder: Path, scenario: tuple[Scenario, str] | None = None
 ) -> PriorSimulations:
-    """Prior simulations of what a simulator varies, kept in the folder of a heart."""
+    """Prior simulations of the quantities that a simulator varies, kept in a heart's folder."""
     cache = ArrayCache(folder / DISPOSABLE, "prior")
-    mapped = simulator.mapped and scenario is None  # of intrinsic beats
+    mapped = simulator.mapped and scenario is None  # intrinsic beats alone
     return PriorSimulations(
         simulator.model, simulator.space, simulator.averaged, simulator.fixed, cache, scenario,
         mapped=mapped,
@@ -124,7 +125,7 @@ def usual_prior(
     scenario: tuple[Scenario, str] | None = None,
     state: ConductionState | None = None,
 ) -> PriorSimulations:
-    """Those of what a study varies if nothing is said, or if nothing but its conduction state."""
+    """Prior simulations of a study with default parameters, or of one conduction state."""
     space, fixed = study_space("posterior", {} if state is None else state.blocks, model.heart)
     mapped = False
     if state is not None:
@@ -138,9 +139,9 @@ def usual_prior(
 def for_simulations(
     heart: Heart | Path | str, count: int | None, name: str, workers: int | None, pool: Pool | None
 ) -> tuple[Heart, Path, int, Pool]:
-    """Check and settle a heart, its folder, how many networks are simulated, and where.
+    """Check and settle a heart, its folder, the number of networks to simulate, and the pool.
 
-    `name` is that of the argument `count`, which is by default as many as a fit wants.
+    `name` names the argument `count` in messages; its default is that of `fascicle.fit`.
     """
     check_pool(pool)
     heart = as_heart(heart)

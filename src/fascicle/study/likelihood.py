@@ -1,4 +1,4 @@
-"""The likelihood of a study's target, with what an emulator of the heart does not say."""
+"""Likelihood of a study's target by an emulator of the heart, with the emulator's residuals."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ from fascicle.study.target_comparison import Network
 def likelihood_of(target: Target, emulator: EcgEmulator, gain_sd: float) -> QrsLikelihood:
     """Make the likelihood of a target; `gain_sd` is the standard deviation of the gain about 1.
 
-    What the emulator does not say is in proportion to the recorded QRS, whatever the gain.
+    The residuals of the emulator are scaled by the recorded QRS, whatever the gain.
     """
     rows, modes = independent_rows(target.used), cosines(target.qrs.shape[1])
     size = np.sqrt((target.qrs[rows] ** 2).sum())
-    left = size * emulator.left_leads[:, rows, BEFORE - MARGIN :][:, :, : len(modes)]
-    seen = (left @ modes[: left.shape[2]]).reshape(len(left), -1)
-    known = beat_noise(target) + seen.T @ seen
-    outside = separable(lead_pattern(left), discrepancy_in_time(len(modes)), modes)
-    return QrsLikelihood(target, known, outside, gain_sd, emulator.bodies_of_all_leads)
+    residuals = size * emulator.left_leads[:, rows, BEFORE - MARGIN :][:, :, : len(modes)]
+    coefficients = (residuals @ modes[: residuals.shape[2]]).reshape(len(residuals), -1)
+    covariance = beat_noise(target) + coefficients.T @ coefficients
+    discrepancy = separable(lead_pattern(residuals), discrepancy_in_time(len(modes)), modes)
+    return QrsLikelihood(target, covariance, discrepancy, gain_sd, emulator.bodies_of_all_leads)
 
 
 @dataclass(frozen=True)
@@ -62,43 +62,53 @@ class EmulatedLikelihood:
         inputs, gain = self.inputs(points)
         scores: Any = self.emulator.scores(inputs)
         if isinstance(self.likelihood, QrsLikelihood):
-            ones = np.ones((len(scores), 1), scores.dtype)
-            factors = gain.astype(scores.dtype)[:, None] * np.concatenate([ones, scores], axis=1)
-            found = self.likelihood.of_sums(self._parts, np.ascontiguousarray(factors.T))
+            intercept = np.ones((len(scores), 1), scores.dtype)
+            factors = gain.astype(scores.dtype)[:, None] * np.concatenate(
+                [intercept, scores], axis=1
+            )
+            log_likelihoods = self.likelihood.of_sums(self._parts, np.ascontiguousarray(factors.T))
         else:
-            found = self._one_by_one(scores, gain)
-        return np.asarray(found + self.emulator.log_validity(inputs))
+            log_likelihoods = self._one_by_one(scores, gain)
+        return np.asarray(log_likelihoods + self.emulator.log_validity(inputs))
 
     def inputs(self, points: Floats) -> tuple[Singles, Floats]:
-        """Inputs (n, p) of the emulator at points, and gains (n,)."""
+        """Standardised inputs (n, p) of the emulator at points (n, d), and gains (n,)."""
         simulator = self.simulator
-        learnt, rest = np.split(points, [len(simulator.space)], axis=1)
+        learnt, averaged = np.split(points, [len(simulator.space)], axis=1)
         values: dict[str, Floats] = {n: np.full(len(points), v) for n, v in simulator.fixed.items()}
-        values |= simulator.space.columns(learnt) | simulator.averaged.columns(rest)
-        inputs = self.emulator.inputs(values, self._tissues[simulator.averaged.tissue(rest)])
+        values |= simulator.space.columns(learnt) | simulator.averaged.columns(averaged)
+        inputs = self.emulator.inputs(values, self._tissues[simulator.averaged.tissue(averaged)])
         return inputs, values.get("gain", np.ones(len(points)))
 
     def energies(self, networks: Sequence[Network]) -> tuple[float, float]:
-        """Energy of what is emulated falsely of networks' ECGs, and that of the ECGs.
+        """Energy of the emulator's errors in networks' ECGs, and energy of the ECGs.
 
-        Of the frequencies that are emulated: of a normal QRS a seventh, root mean square, is above.
+        Only frequencies that the emulator covers count; in a normal QRS higher ones make up a
+        seventh, root mean square.
         """
         emulator, tissues = self.emulator, self.simulator.averaged.tissues
         rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(emulator.mean_leads))]
-        columns = {n: np.array([each.parameters[n] for each in networks]) for n in emulator.names}
+        columns = {
+            n: np.array([network.parameters[n] for network in networks]) for n in emulator.names
+        }
         varied = {name for tissue in tissues for name in tissue}
-        own = [{n: v for n, v in each.parameters.items() if n in varied} for each in networks]
-        places = [tissues.index(tissue) for tissue in own]
+        network_tissues = [
+            {n: v for n, v in network.parameters.items() if n in varied} for network in networks
+        ]
+        places = [tissues.index(tissue) for tissue in network_tissues]
         scores: Any = emulator.scores(emulator.inputs(columns, self._tissues[places]))
-        off = whole = 0.0
+        errors = energy = 0.0
         for network, emulated in zip(networks, emulator.cosines(scores), strict=True):
             signals = Signals.of(network.simulation)
             begin = signals.first_activation - BEFORE
             leads = placed(signals.leads, begin, emulator.length)[rows]
             true = cosines_of(leads, emulated.shape[-1])
             gain = network.parameters.get("gain", 1.0)
-            off, whole = off + ((true - gain * emulated) ** 2).sum(), whole + (true**2).sum()
-        return float(off), float(whole)
+            errors, energy = (
+                errors + ((true - gain * emulated) ** 2).sum(),
+                energy + (true**2).sum(),
+            )
+        return float(errors), float(energy)
 
     @classmethod
     def each(
@@ -108,29 +118,29 @@ class EmulatedLikelihood:
         targets: Sequence[Target],
         gain_sd: float,
     ) -> list[EmulatedLikelihood]:
-        """Those of recordings, by an emulator of each."""
+        """Make the likelihoods of several recordings, each with an emulator of its own."""
         return [
             cls(simulator, emulator, likelihood_of(target, emulator, gain_sd))
             for emulator, target in zip(emulators, targets, strict=True)
         ]
 
     def _one_by_one(self, scores: Floats, gains: Floats) -> Floats:
-        """By a likelihood that takes one simulation at a time."""
-        emulator, most = self.emulator, 10_000  # junctions, of which there are enough
-        found = np.empty(len(scores))
-        for k, (each, gain) in enumerate(zip(scores, gains, strict=True)):
-            leads = emulator.mean_leads + np.tensordot(each, emulator.series, 1)
-            signals = Signals(gain * leads, float(BEFORE), (most, most))
-            found[k] = self.likelihood.log_likelihood(signals)
-        return found
+        """Log-likelihoods (n,) by a user's likelihood, which takes one ECG at a time."""
+        emulator, junctions = self.emulator, 10_000  # so many that no likelihood finds them too few
+        log_likelihoods = np.empty(len(scores))
+        for k, (components, gain) in enumerate(zip(scores, gains, strict=True)):
+            leads = emulator.mean_leads + np.tensordot(components, emulator.series, 1)
+            signals = Signals(gain * leads, float(BEFORE), (junctions, junctions))
+            log_likelihoods[k] = self.likelihood.log_likelihood(signals)
+        return log_likelihoods
 
     @cached_property
     def _parts(self) -> Any:
-        """Mean and components of the emulator as the likelihood sees them."""
+        """Mean and components of the emulator's ECG as whitened coefficients of the likelihood."""
         assert isinstance(self.likelihood, QrsLikelihood)
-        both = [self.emulator.mean_leads, *self.emulator.series]
-        seen = np.array([self.likelihood.whitened(leads, float(BEFORE)) for leads in both])
-        return np.ascontiguousarray(seen.transpose(3, 1, 2, 0), dtype=np.float32)
+        parts = [self.emulator.mean_leads, *self.emulator.series]
+        coefficients = np.array([self.likelihood.whitened(leads, float(BEFORE)) for leads in parts])
+        return np.ascontiguousarray(coefficients.transpose(3, 1, 2, 0), dtype=np.float32)
 
     @cached_property
     def _tissues(self) -> Floats:
@@ -141,16 +151,18 @@ class EmulatedLikelihood:
 def checked(
     checks: Checks, emulated: Sequence[EmulatedLikelihood], networks: Sequence[Network]
 ) -> Checks:
-    """Add to checks how far the emulators are off, and what must be explained.
+    """Add the emulators' errors, and the least explained share of the QRS, to checks.
 
-    `emulated` are of each network.
+    `emulated` holds the likelihood that belongs to each network.
     """
     off = whole = expected = 0.0
-    for each in {id(one): one for one in emulated}.values():
-        its = [n for n, one in zip(networks, emulated, strict=True) if one is each]
-        false, energy = each.energies(its)
+    for likelihood in {id(candidate): candidate for candidate in emulated}.values():
+        own_networks = [
+            n for n, candidate in zip(networks, emulated, strict=True) if candidate is likelihood
+        ]
+        false, energy = likelihood.energies(own_networks)
         off, whole = off + false, whole + energy
-        expected += each.emulator.expected_error**2 * energy
+        expected += likelihood.emulator.expected_error**2 * energy
     in_torso = emulated[0].simulator.model.heart.lead_fields is not None
     return replace(
         checks,

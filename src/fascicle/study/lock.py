@@ -1,4 +1,4 @@
-"""One process a study."""
+"""Lock that lets only one process work on a study."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ from filelock import FileLock, Timeout
 
 from fascicle.core.errors import InputError
 
-LOCK = ".study.lock"  # in the study's folder; the operating system drops it with its process
+LOCK = (
+    ".study.lock"  # in the study's folder; released by the operating system when its process ends
+)
 
 
 class HeldError(InputError):
-    """Another process, or another thread, works on a study."""
+    """Raised if another process, or another thread, works on a study."""
 
 
 @contextmanager
 def study_lock(folder: Path) -> Iterator[None]:
-    """Hold the study in `folder`, made if it is missing, while the block runs, or blocks within."""
+    """Hold the lock of a study's folder, made if it is missing; the lock may be nested."""
     lock = FileLock(folder.resolve() / LOCK, blocking=False, is_singleton=True)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -39,7 +41,7 @@ def study_lock(folder: Path) -> Iterator[None]:
 
 
 def refuse_held(folder: Path) -> None:
-    """Refuse a study that another process works on, before the work that a fit's inputs take."""
+    """Refuse a study that another process works on, before a fit's inputs are read."""
     if (folder / LOCK).exists():
         with study_lock(folder):
             pass

@@ -1,8 +1,8 @@
-"""Where a beat comes from: the origin of an ectopic or paced beat, from its ECG.
+"""Origin of an ectopic or paced beat, from its ECG.
 
-Beats of the prior begin anywhere in the ventricles, as likely in one millilitre as in another; the
-Purkinje network does not fire, and conducts where the front enters it. A classifier of such beats
-says in which patch of the tissue a recorded one may begin.
+Beats of the prior begin anywhere in the ventricles, with equal probability per volume; the Purkinje
+network does not fire, and conducts where the activation front enters it. A classifier of such beats
+gives the probability of each patch of the tissue to hold the origin of a recorded beat.
 """
 
 from __future__ import annotations
@@ -56,19 +56,19 @@ from fascicle.study.prior_simulations import HELD_OUT, PART, SEED, PriorSimulati
 from fascicle.study.space import AveragedOver
 
 CLASSIFIER = "origin"  # kind of file
-# Of each ten beats, which begin at the same place, since to find the rays from one takes long; that
-# which is held out has a place of its own
+# Place of origin of each of ten beats: some share one, since finding the rays from a place takes
+# long; the beat that is held out has a place of its own
 SAME_ORIGIN = [0, 0, 0, 1, 1, 1, 2, 2, 2, 3]
 PATCH = 600.0  # mm³ of tissue
-BLUR = 4.0  # mm; places that are nearer to one another are taken as much the same
+BLUR = 4.0  # mm; SD with which an origin is shared among patches
 STEPS = 4000
-RECORDINGS = 240_000  # to learn from
+RECORDINGS = 240_000  # in the training set
 TRIED = 300  # held-out beats that are located
 REFERENCE = 2000  # simulated beats with which a recording is compared
-REGION = 0.9  # probability of the region
-UNLIKE = 0.02  # share of simulated recordings that are called unlike simulated beats
-PICTURE = "origin.png"  # that the command draws beside the files
-LEAST_NAMED = 0.05  # probability of a part that is named
+REGION = 0.9  # probability of the credible region
+UNLIKE = 0.02  # share of simulated recordings that count as unlike simulated beats
+PICTURE = "origin.png"  # picture that the command draws beside the files
+LEAST_NAMED = 0.05  # least probability of a part that is named
 
 
 @dataclass(frozen=True)
@@ -77,11 +77,11 @@ class EctopicBeats(PriorSimulations):
 
     @cached_property
     def content(self) -> str:
-        """What they depend on."""
+        """Text that identifies all that the simulations depend on."""
         return f"from anywhere; {super().content}"
 
     def origins(self, number: int) -> Integers:
-        """Tetrahedra in which the beats of a part begin, (`PART`,)."""
+        """Tetrahedra (`PART`,) in which the beats of a part begin."""
         volumes = self.model.heart.volumes
         rng = np.random.default_rng([SEED, number, 4])
         size = PART // HELD_OUT, max(SAME_ORIGIN) + 1
@@ -89,7 +89,7 @@ class EctopicBeats(PriorSimulations):
         return np.asarray(drawn[:, SAME_ORIGIN].ravel())
 
     def scenarios(self, number: int) -> Sequence[Scenario | None]:
-        """A stimulus in the middle of each of these; the His bundle does not fire."""
+        """Scenario of each beat of a part: a stimulus at its origin, and no firing His bundle."""
         centres = _centres(self.model.heart)[self.origins(number)].tolist()
         stimuli = [Stimulus(time=0.0, position=(x, y, z)) for x, y, z in centres]
         return [Scenario((His(time=np.inf), stimulus)) for stimulus in stimuli]
@@ -97,19 +97,19 @@ class EctopicBeats(PriorSimulations):
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a recorded beat may begin.
+    """Probability of the places where a recorded beat may begin.
 
     Attributes
     ----------
     heart : Heart
     probabilities : (n_tetrahedra,) array
-        Of each tetrahedron of the heart; they add up to 1.
+        Probability of each tetrahedron of the heart; they add up to 1.
     explained, least_explained : float
-        Share of the recorded QRS that the most similar simulated beat explains, scaled; what 98 %
-        of simulated recordings reach.
+        Share of the recorded QRS that the most similar simulated beat explains, scaled; and the
+        share that 98 % of simulated recordings reach.
     held_out : mapping of str to float
-        Of simulated beats that were held out: "distance", the median from the most probable place
-        to the origin (mm), and "region", the share whose region holds the origin.
+        Accuracy for held-out simulated beats: "distance", the median distance from the most
+        probable place to the origin (mm), and "region", the share whose region holds the origin.
     """
 
     heart: Heart
@@ -122,7 +122,7 @@ class Origin:
 
     @property
     def caution(self) -> str | None:
-        """Why the answer is not to be relied on; None if nothing speaks against it."""
+        """Reason why the origin cannot be relied on; None if there is none."""
         if self.explained >= self.least_explained:
             return None
         return (
@@ -132,7 +132,7 @@ class Origin:
 
     @property
     def verdict(self) -> str:
-        """Where the beat comes from, in one line."""
+        """Most probable origin of the beat, in one line."""
         if self.caution is not None:
             return f"no origin is named: {self.caution}"
         named = [_ranked(self.walls)]
@@ -146,7 +146,7 @@ class Origin:
 
     @cached_property
     def place(self) -> Floats:
-        """Middle of the tetrahedron whose mean distance to the origin is the least (mm), (3,)."""
+        """Centre (3,) (mm) of the tetrahedron with the least expected distance to the origin."""
         return _place(_centres(self.heart), self.probabilities)
 
     @property
@@ -159,7 +159,7 @@ class Origin:
 
     @cached_property
     def levels(self) -> Floats:
-        """Probability of what is more probable than each tetrahedron, per volume, (n,)."""
+        """Credible level (n,): total probability of tetrahedra more probable per volume."""
         return levels(self.probabilities, self.heart.volumes)
 
     @property
@@ -174,8 +174,8 @@ class Origin:
     @property
     def ventricles(self) -> dict[str, float]:
         """Probability of each ventricle; each has the half of the septum that is nearer to it."""
-        found, septum = self._places, self._places.wall == Wall.SEPTUM
-        right = (found.wall == Wall.RV) | (septum & (found.depth > 0.5))
+        anatomy, septum = self._places, self._places.wall == Wall.SEPTUM
+        right = (anatomy.wall == Wall.RV) | (septum & (anatomy.depth > 0.5))
         return self._of({"left ventricle": ~right, "right ventricle": right})
 
     @property
@@ -207,7 +207,7 @@ class Origin:
         return {name: float(self.probabilities[inside].sum()) for name, inside in parts.items()}
 
     def summary(self) -> dict[str, Any]:
-        """All of it but the probabilities of the tetrahedra."""
+        """All results but the probabilities of the tetrahedra."""
         tables = {n: getattr(self, n) for n in ("ventricles", "walls", "layers", "segments")}
         return {
             "verdict": self.verdict,
@@ -246,7 +246,7 @@ def locate(
     progress: Progress | Lines | None = "lines",
     pool: Pool | None = None,
 ) -> Origin:
-    """Say where an ectopic or paced beat comes from, with a probability of every place.
+    """Locate the origin of an ectopic or paced beat, with a probability of every place.
 
     Parameters
     ----------
@@ -255,12 +255,12 @@ def locate(
     target : Target or path
         The beat, of one class: `fascicle.make_target` chooses it.
     prior_simulations : int, optional
-        Beats to learn from, made once for all recordings of a heart and kept in its folder; by
-        default as many as a fit wants.
+        Number of beats to learn from, simulated once for all recordings of a heart and kept in its
+        folder; by default the `prior_simulations` of `fascicle.fit`.
     workers : int, optional
         Simulations at a time; by default one a core.
     progress : Progress, "lines" or None
-        Called with the stage, and how far it is.
+        Progress callback, called with the stage and how far it is.
     pool : Pool, optional
         Where beats are simulated, as in `fascicle.fit`.
 
@@ -287,28 +287,30 @@ def locate(
         if shown is not None:
             compile_kernels(shown)
         beats = ectopic_beats(ForwardModel(heart, progress=shown), folder)
-        found = classifier_of(beats, classified_rows(target), count, pool, shown)
-    return found.origin(heart, target)
+        classifier = classifier_of(beats, classified_rows(target), count, pool, shown)
+    return classifier.origin(heart, target)
 
 
 def ectopic_beats(model: ForwardModel, folder: Path) -> EctopicBeats:
-    """Prior simulations of networks of the paper's ranges, in beats from anywhere.
+    """Prior simulations of networks within the paper's ranges, in beats from anywhere.
 
-    Such a network has no normal sequence of activation: it only conducts where the front enters it.
-    Sources of the ECG are as they are.
+    The network need not give a normal activation sequence: it only conducts where the front enters
+    it. Quantities of the ECG's sources are not varied.
     """
     heart = model.heart
     speed = [] if {*SPEED} & {*heart.values} else [free("alpha")]
     space = ordered_fascicles(ParameterSpace((*network_space().parameters, *speed)))
     averaged = AveragedOver.of(space, {}, heart)
-    others = (p for p in averaged.space.parameters if quantity(p.name).changes != Changes.SOURCES)
-    averaged = replace(averaged, space=ParameterSpace(tuple(others)))
+    not_of_sources = (
+        p for p in averaged.space.parameters if quantity(p.name).changes != Changes.SOURCES
+    )
+    averaged = replace(averaged, space=ParameterSpace(tuple(not_of_sources)))
     return EctopicBeats(model, space, averaged, {}, ArrayCache(folder / DISPOSABLE, "prior"))
 
 
 @dataclass(frozen=True)
 class OriginClassifier:
-    """A classifier of origins, and what tells beats that are like none of them."""
+    """Classifier of origins, with simulated beats to tell recordings that are like none."""
 
     classifier: EcgClassifier
     patches: Floats  # (c, 3) middles (mm)
@@ -317,7 +319,7 @@ class OriginClassifier:
     held_out: Mapping[str, float]
 
     def origin(self, heart: Heart, target: Target) -> Origin:
-        """Where a recorded beat may begin."""
+        """Locate the origin of a recorded beat."""
         recording = self.classifier.cosines(target)
         return Origin(
             heart,
@@ -331,7 +333,7 @@ class OriginClassifier:
 def classifier_of(
     beats: EctopicBeats, rows: Integers, count: int, pool: Pool, progress: Progress | None = None
 ) -> OriginClassifier:
-    """The classifier of a heart's beats from anywhere that looks at leads; made if need be."""
+    """Classifier of a heart's beats from anywhere, by the leads `rows`; made if it is missing."""
 
     def make() -> Mapping[str, Any]:
         beats.simulate(count, pool, progress)
@@ -349,40 +351,44 @@ def classifier_of(
 
 
 def classifier_key(beats: EctopicBeats, rows: Integers) -> str:
-    """What the classifier of beats that looks at leads depends on."""
+    """Text that identifies all that the classifier of beats by the leads `rows` depends on."""
     return f"{rows} of {beats.content}"
 
 
 def _learnt(
     beats: EctopicBeats, rows: Integers, count: int, progress: Progress | None
 ) -> dict[str, Any]:
-    """What `OriginClassifier` is made of, as arrays."""
+    """Train a classifier, and return the arrays of an `OriginClassifier`."""
     heart, rng = beats.model.heart, np.random.default_rng(SEED)
     centres, volumes = _centres(heart), heart.volumes
     examples, leads = beats.examples(count, LENGTH), in_leads(rows)
     origins = np.concatenate([beats.origins(number) for number in range(-(-count // PART))])
-    made, held_out = examples.feasible, examples.held_out
-    seen, tried = origins[made & ~held_out], origins[made & held_out]
+    feasible, held_out = examples.feasible, examples.held_out
+    training_origins, held_out_origins = origins[feasible & ~held_out], origins[feasible & held_out]
     drawn = centres[rng.choice(len(volumes), 10_000, p=volumes / volumes.sum())]
     number = max(2, round(volumes.sum() / PATCH))
     patches = kmeans2(drawn, number, minit="++", rng=rng)[0]
     recorder, independent = Recorder.of(examples), slice(len(INDEPENDENT_LEADS))
-    ecgs = examples.ecgs[~held_out[made], independent]
+    ecgs = examples.ecgs[~held_out[feasible], independent]
     recordings, chosen = recorder.recordings(ecgs, rows, RECORDINGS, rng)
-    bodies = examples.in_bodies[:, independent]
-    others = leads @ recorder.recorded(bodies, rng, in_bodies=True)
+    in_torsos = examples.in_bodies[:, independent]
+    held_out_recordings = leads @ recorder.recorded(in_torsos, rng, in_bodies=True)
     classifier = learn(
-        Lessons(recordings, _near(patches, centres[seen])[chosen]),
-        Lessons(others, _near(patches, centres[tried])),
+        Lessons(recordings, _near(patches, centres[training_origins])[chosen]),
+        Lessons(held_out_recordings, _near(patches, centres[held_out_origins])),
         rows, rng, progress, STEPS,
     )  # fmt: skip
     reference = leads @ in_cosines(ecgs[rng.permutation(len(ecgs))[:REFERENCE]])
-    distance, region = _held_out(heart, patches, classifier.of_cosines(others[:TRIED]), tried)
+    distance, region = _held_out(
+        heart, patches, classifier.of_cosines(held_out_recordings[:TRIED]), held_out_origins
+    )
     return {
         **classifier.arrays(),
         "patches": patches,
         "reference": reference.astype(np.float16),
-        "least_explained": np.array(np.quantile(most_alike(others, reference), UNLIKE)),
+        "least_explained": np.array(
+            np.quantile(most_alike(held_out_recordings, reference), UNLIKE)
+        ),
         "distance": np.array(distance),
         "region": np.array(region),
     }
@@ -392,43 +398,43 @@ def _held_out(
     heart: Heart, patches: Floats, probabilities: Floats, origins: Integers
 ) -> tuple[float, float]:
     """Median distance to the origins (mm), and the share of them that the regions hold."""
-    centres, given = _centres(heart), of_tetrahedra(heart, patches, probabilities)
-    pairs = [*zip(given, origins, strict=False)]
-    away = [np.linalg.norm(_place(centres, p) - centres[origin]) for p, origin in pairs]
+    centres, located = _centres(heart), of_tetrahedra(heart, patches, probabilities)
+    pairs = [*zip(located, origins, strict=False)]
+    distances = [np.linalg.norm(_place(centres, p) - centres[origin]) for p, origin in pairs]
     inside = [levels(p, heart.volumes)[origin] < REGION for p, origin in pairs]
-    return float(np.median(away)), float(np.mean(inside))
+    return float(np.median(distances)), float(np.mean(inside))
 
 
 def _ranked(parts: Mapping[str, float]) -> str:
-    """The parts that are probable, the most probable first."""
+    """Probable parts in words, the most probable first."""
     ranked = sorted(parts, key=lambda name: -parts[name])
     return ", ".join(f"{name} {parts[name]:.2f}" for name in ranked if parts[name] >= LEAST_NAMED)
 
 
 def _near(patches: Floats, points: Floats) -> Singles:
-    """How much points (n, 3) are of patches (c, 3), (n, c): less, the farther away."""
+    """Weights (n, c) of patches (c, 3) at points (n, 3), which decrease with the distance."""
     near = np.exp(-0.5 * (cdist(points, patches) / BLUR) ** 2)
     return np.asarray(near / near.sum(axis=1, keepdims=True), dtype=np.float32)
 
 
 def of_tetrahedra(heart: Heart, patches: Floats, probabilities: Floats) -> Floats:
-    """Probabilities (n, c) of patches as those of the tetrahedra nearest to each, (n, m)."""
+    """Probabilities (n, m) of tetrahedra from those (n, c) of the patches nearest to them."""
     kinds, volumes = cKDTree(patches).query(_centres(heart))[1], heart.volumes
     of_patch = np.maximum(np.bincount(kinds, volumes, len(patches)), 1e-12)
-    found = (probabilities / of_patch)[:, kinds] * volumes
-    return np.asarray(found / found.sum(axis=1, keepdims=True))
+    densities = (probabilities / of_patch)[:, kinds] * volumes
+    return np.asarray(densities / densities.sum(axis=1, keepdims=True))
 
 
 def levels(probabilities: Floats, volumes: Floats) -> Floats:
-    """Probability of what is more probable than each part, per volume, (m,)."""
+    """Credible level (m,): total probability of the parts that are more probable per volume."""
     order = np.argsort(-probabilities / volumes, kind="stable")
-    found = np.empty(len(volumes))
-    found[order] = np.cumsum(probabilities[order]) - probabilities[order]
-    return found
+    probability_above = np.empty(len(volumes))
+    probability_above[order] = np.cumsum(probabilities[order]) - probabilities[order]
+    return probability_above
 
 
 def _place(centres: Floats, probabilities: Floats) -> Floats:
-    """That of the centres (m, 3) whose mean distance to all, by probability, is the least."""
+    """Return that of the centres (m, 3) whose expected distance to the origin is the least."""
     likely = np.argsort(-probabilities)[:4000]
     step = max(1, len(likely) // 500)
     away = np.linalg.norm(centres[likely[::step], None] - centres[likely], axis=2)

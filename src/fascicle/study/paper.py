@@ -1,8 +1,8 @@
 """The paper's method, and nothing else: design, optimisation, rejection.
 
-What it gives is a population of networks, not a posterior: candidates are tried in the order of a
-density that the losses themselves have shaped, the first ones that pass are kept, and they pass by
-comparison with the best network found, not with the recording.
+The result is a population of networks, not a posterior: candidates are tried in the order of a
+density that the losses themselves have shaped, the first that pass are kept, and they pass by
+comparison with the best network, not with the recording.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from fascicle.study.settings import FitSettings
 
 @dataclass(frozen=True)
 class PaperFit:
-    """One pass through the stages."""
+    """Pass through the stages of the paper's method."""
 
     settings: FitSettings
     space: ParameterSpace
@@ -36,7 +36,7 @@ class PaperFit:
     progress: Progress | None = None
 
     def run(self) -> PaperPopulation:
-        """Do all that is left, and give the result."""
+        """Run all stages, using stored evaluations, and return the population."""
         self.explore()
         self.optimise()
         return PaperPopulation.of(self.space, self.sample(best_of(self.journal.evaluations)))
@@ -63,13 +63,13 @@ class PaperFit:
 
         def propose(rng: np.random.Generator, stored: str | None) -> tuple[str, Floats]:
             nonlocal surrogates
-            known = self.known()
+            observations = self.known()
             if surrogates is None and stored is not None:  # resumed
-                surrogates = Surrogates.from_json(stored, known)
+                surrogates = Surrogates.from_json(stored, observations)
             if surrogates is None:
-                surrogates = Surrogates.learn(known)
+                surrogates = Surrogates.learn(observations)
             else:
-                surrogates = surrogates.updated(known, self.settings.refit_every)
+                surrogates = surrogates.updated(observations, self.settings.refit_every)
             return surrogates.to_json(), step(rng, surrogates)[None, :]
 
         for number in range(self.settings.steps):
@@ -94,7 +94,7 @@ class PaperFit:
         )
 
     def known(self) -> Observations:
-        """What the surrogates learn from."""
+        """Observations from which the surrogates learn."""
         return Observations.of(self.journal.evaluations)
 
     def report(self, stage: Stage, done: int, total: int) -> None:
@@ -108,7 +108,7 @@ class PaperFit:
     def _candidates(
         self, rng: np.random.Generator, hyperparameters: str | None, number: int, best: Evaluation
     ) -> tuple[str, Floats]:
-        """Candidates of a round, no more than it can use."""
+        """Draw the candidates of a round, no more than it can use."""
         start = Hyperparameters.from_json(hyperparameters) if hyperparameters else None
         loss = LossGP.fit(self.known(), start, iterations(start))
         points, _ = draw_candidates(

@@ -1,4 +1,4 @@
-"""Where networks are evaluated: on threads of this process, or in others."""
+"""Pools that evaluate networks: threads of this process, or workers in other processes."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ Result = TypeVar("Result")
 
 
 class Pool(ABC):
-    """Runs a function of many items; lives as long as its study."""
+    """Runs a function on many items; lives as long as its study."""
 
     @abstractmethod
     def map(
         self, function: Callable[..., Result], items: Sequence[Item], *shared: Any
     ) -> Iterator[Result]:
-        """Results in the order of the items, as soon as they are there.
+        """Yield results in the order of the items, as soon as they are available.
 
         Parameters
         ----------
         function : callable
-            Called with an item and what is shared; of a module or a partial of such, so that it can
-            be sent.
+            Called with an item and the shared arguments; a module's function or a `partial` of one,
+            so that it can be pickled.
         items : sequence
         *shared
-            The same for all items, such as the forward model; sent to each worker once.
+            Arguments shared by all items, such as the forward model; sent to each worker once.
         """
 
 
@@ -52,7 +52,7 @@ class Threads(Pool):
     Parameters
     ----------
     workers : int
-        How many.
+        Number of threads.
     """
 
     def __init__(self, workers: int) -> None:
@@ -72,7 +72,7 @@ class Threads(Pool):
 
 
 class Remote(Pool):
-    """Workers in other processes: what is shared goes to them once, jobs are several items each."""
+    """Workers in other processes; they get shared arguments once, and jobs of several items."""
 
     workers: int
 
@@ -83,21 +83,21 @@ class Remote(Pool):
         self, function: Callable[..., Result], items: Sequence[Item], *shared: Any
     ) -> Iterator[Result]:
         """Give results in the order of the items."""
-        places = [self._place(each) for each in shared]
+        places = [self._place(content) for content in shared]
         jobs = [self._submit(function, part, *places) for part in parts(items, self.workers)]
         return self._in_order(jobs)
 
     def _place(self, content: Any) -> Any:
-        """Where workers find what is shared, which is sent if it has not been."""
-        for each, place in self._sent:
-            if each is content:
+        """Return the place where workers find a shared argument, sending it if necessary."""
+        for sent, place in self._sent:
+            if sent is content:
                 return place
         place = self._send(content)
         self._sent.append((content, place))
         return place
 
     def _in_order(self, futures: list[Any]) -> Iterator[Any]:
-        """Results of jobs; what is not begun when nobody waits any more is not begun."""
+        """Yield results of jobs; jobs are cancelled when the results are no longer wanted."""
         futures.reverse()
         try:
             while futures:
@@ -115,11 +115,11 @@ class Remote(Pool):
 
     @abstractmethod
     def _submit(self, function: Callable[..., Any], items: Sequence[Any], *places: Any) -> Any:
-        """Begin a job; its future."""
+        """Submit a job, and return its future."""
 
     @abstractmethod
     def _results(self, futures: Sequence[Any]) -> Sequence[Any]:
-        """Wait for the first of some jobs, and fetch what all have given; the others have ended."""
+        """Wait for the first of some jobs, the others having ended, and fetch all results."""
 
     def cancel(self, futures: Sequence[Any]) -> None:
         """Cancel jobs that have not begun."""
@@ -133,9 +133,9 @@ class ExecutorPool(Remote):
     Parameters
     ----------
     executor : concurrent.futures.Executor
-        Whose workers.
+        Executor to use.
     workers : int
-        How many it has.
+        Number of its workers.
     """
 
     def __init__(self, executor: Executor, workers: int) -> None:
@@ -158,11 +158,11 @@ class ExecutorPool(Remote):
 
 
 def parts(items: Sequence[Item], workers: int) -> list[Sequence[Item]]:
-    """Items in parts of nearly equal sizes, in order: a job each.
+    """Split items, in order, into parts of nearly equal sizes, one for each job.
 
-    A scheduler passes some hundreds of jobs a second: 8 items each, if there are then enough jobs,
-    8 a worker at most, and as many as there are workers up to 128. Parts of unequal sizes would let
-    workers wait for the last one.
+    A scheduler passes some hundreds of jobs a second. Jobs therefore have at least 8 items, and
+    there are at most 8 for each worker, unless some of up to 128 workers would then get none. Parts
+    of unequal sizes would let workers wait for the last one.
     """
     jobs = max(min(len(items) // 8, 8 * workers), min(workers, 128))
     jobs = max(1, min(jobs, len(items)))
@@ -173,7 +173,7 @@ def parts(items: Sequence[Item], workers: int) -> list[Sequence[Item]]:
 def run_part(
     function: Callable[..., Result], items: Sequence[Any], shared: Sequence[Any]
 ) -> list[Result]:
-    """What a worker does: BLAS takes one thread, since there is a worker for every core."""
+    """Run a job in a worker, with one thread of BLAS, since every core has a worker."""
     results: list[Result] = one_thread(lambda: [function(item, *shared) for item in items])()
     return results
 

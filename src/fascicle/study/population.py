@@ -1,4 +1,4 @@
-"""The networks of a study, and their file: ArviZ InferenceData."""
+"""Networks that a study finds, and their file: ArviZ InferenceData."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from fascicle.study.predictive import Checks, Prediction
 from fascicle.study.settings import Method
 from fascicle.study.space import AveragedOver
 
-if TYPE_CHECKING:  # it brings the surrogate, which takes long to load
+if TYPE_CHECKING:  # imports the surrogate, which takes long to load
     from fascicle.inference.abc import Accepted
 
 Item = TypeVar("Item")
 
 # File of the networks, by method
 RESULT: dict[Method, str] = {"paper": "population.nc", "posterior": "posterior.nc"}
-# Groups of that file
+# Groups of the posterior's file
 FIRST_ALONE, AVERAGED = "posterior_first_alone", "averaged_over"
 
 
@@ -48,9 +48,9 @@ class Population:
     losses : (n,) array
         Mismatch (mV²).
     best : mapping of name to float
-        Parameters with the least mismatch of all evaluations, what is averaged over included.
+        Parameters with the least mismatch of all evaluations, with those averaged over.
     best_loss : float
-        That mismatch (mV²).
+        Least mismatch (mV²).
     """
 
     values: Mapping[str, Floats]
@@ -65,7 +65,7 @@ class Population:
 
     @property
     def effective_size(self) -> float:
-        """How many independent networks they are worth."""
+        """Effective sample size: here, the number of networks."""
         return float(len(self))
 
     def parameters(self, k: int) -> dict[str, float]:
@@ -75,7 +75,7 @@ class Population:
 
 @dataclass(frozen=True)
 class PaperPopulation(Population):
-    """What the paper's rule of acceptance keeps."""
+    """Networks that the paper's rule of acceptance keeps."""
 
     distances: Floats  # (n,), total variation of the per-beat errors from the best network's
 
@@ -96,22 +96,22 @@ class Posterior(Population):
     Attributes
     ----------
     log_likelihoods : (n, n_recordings) array
+        Log-likelihood of each recording at each draw.
     log_evidences, effective, evaluations : (2,) arrays
-        Of each run: log-evidence, effective sample size, evaluations of the emulator.
+        Log-evidence, effective sample size and evaluations of the emulator, of each run.
     means_apart : mapping of name to float
-        Between the runs, in standard deviations.
+        Difference between the runs' means, in standard deviations.
     converged : bool
-        Whether the runs agree, and are worth as many independent draws as are wanted.
+        Whether the runs agree, and their effective sample size is as large as the settings ask.
     averaged : mapping of name to (n,) array
-        What else the networks have in common with no other: quantities that are not known, and not
-        reported either.
+        Quantities of the networks that are averaged over: unknown, and not reported.
     first_alone : mapping of name to (m,) array, optional
-        Of several recordings, draws from the posterior of the first, if that has converged.
+        With several recordings, draws from the posterior given the first, if it has converged.
     states : mapping of name to float
-        How probable each conduction state is, if that is learnt; ``averaged["conduction"]`` is then
-        the number of that of each network.
+        Probability of each conduction state, if the state is learnt; ``averaged["conduction"]``
+        then holds the number of each network's state.
     unnamed : str
-        Why no state is named all the same; else empty.
+        Reason why no state is named despite these probabilities; else empty.
     """
 
     log_likelihoods: Floats
@@ -128,15 +128,15 @@ class Posterior(Population):
     __repr__ = short_repr
 
     def parameters(self, k: int) -> dict[str, float]:
-        """Named parameters of network `k`, with what is averaged over."""
+        """Named parameters of network `k`, with those averaged over."""
         rest = {name: float(values[k]) for name, values in self.averaged.items()}
         return super().parameters(k) | {n: value for n, value in rest.items() if np.isfinite(value)}
 
     @property
     def effective_size(self) -> float:
-        """How many independent draws they are worth: half of them are of each run."""
-        each = np.minimum(self.effective, len(self) / len(self.effective))
-        return float(len(each) ** 2 / (1 / each).sum())
+        """Effective sample size of the runs together, half of whose draws are from each."""
+        effective = np.minimum(self.effective, len(self) / len(self.effective))
+        return float(len(effective) ** 2 / (1 / effective).sum())
 
     @classmethod
     def of(
@@ -149,7 +149,7 @@ class Posterior(Population):
         means_apart: Floats,
         converged: bool,
     ) -> Posterior:
-        """Name the parameters of draws, as many of each run, and of the best of all evaluations."""
+        """Name the parameters of draws, as many from each run, and of the best evaluation."""
         rest = [averaged.values(draw.point[len(space) :]) for draw in draws]
         names = sorted({name for values in rest for name in values})
         return cls(
@@ -170,12 +170,12 @@ class Posterior(Population):
 
 
 def evenly_spread(every: int, count: int) -> list[int]:
-    """Numbers of `count` of `every` networks, evenly spread; of all, if there are no more."""
+    """Indices of `count` networks evenly spread over `every`; all indices if there are no more."""
     return [round(k) for k in np.linspace(0, every - 1, min(count, every))]
 
 
 def _named(space: ParameterSpace, evaluations: Sequence[Evaluation]) -> dict[str, Floats]:
-    points = np.array([each.point[: len(space)] for each in evaluations]).reshape(-1, len(space))
+    points = np.array([draw.point[: len(space)] for draw in evaluations]).reshape(-1, len(space))
     return space.columns(points)
 
 
@@ -189,11 +189,11 @@ def write_population(
 ) -> None:
     """Write the networks as ArviZ InferenceData, whole or not at all.
 
-    Of a posterior, each run of the sampler is a chain. Variables of all recordings but the first
-    end in their numbers: ``ecg_2``. `predicted` holds the networks' ECGs, (n, 12 + k, n_time),
-    aligned with the target's time (mV); of a posterior with the noise, too, and of each recording.
+    Each run of the sampler of a posterior is a chain. Variables of all recordings but the first
+    end in the recording's number: ``ecg_2``. `predicted` holds the networks' ECGs (n, 12 + k,
+    n_time) (mV), aligned with the target's time; for a posterior, the prediction of each recording.
     """
-    with warnings.catch_warnings():  # announces its next major version at every import
+    with warnings.catch_warnings():  # ArviZ announces its next major version at every import
         warnings.simplefilter("ignore", FutureWarning)
         import arviz as az
         import xarray as xr
@@ -241,13 +241,16 @@ def write_population(
             data.posterior[parameter.name].attrs["means_apart"] = apart
     _describe(data, population)
     if not isinstance(predicted, np.ndarray):
-        checks = Checks.joined([each.checks for each in predicted])
+        checks = Checks.joined([prediction.checks for prediction in predicted])
         data.sample_stats.attrs["checks"] = json.dumps(asdict(checks))
     if isinstance(population, Posterior):
-        for group, its in ((FIRST_ALONE, population.first_alone), (AVERAGED, population.averaged)):
-            if its:
-                held = xr.Dataset({name: ("draw", values) for name, values in its.items()})
-                for name in population.best.keys() & its.keys() if group == AVERAGED else ():
+        for group, variables in (
+            (FIRST_ALONE, population.first_alone),
+            (AVERAGED, population.averaged),
+        ):
+            if variables:
+                held = xr.Dataset({name: ("draw", values) for name, values in variables.items()})
+                for name in population.best.keys() & variables.keys() if group == AVERAGED else ():
                     held[name].attrs["best"] = population.best[name]
                 if "conduction" in held:  # as the CF conventions name flags
                     meanings = " ".join(name.replace(" ", "_") for name in CONDUCTION)
@@ -260,7 +263,7 @@ def write_population(
 
 
 def _numbered(items: Sequence[Item]) -> list[tuple[str, Item]]:
-    """Each with what the names of its variables end in."""
+    """Items of the recordings, each after the suffix of its variables' names."""
     return [(f"_{k}" if k > 1 else "", item) for k, item in enumerate(items, 1)]
 
 
@@ -297,7 +300,7 @@ def _groups(
 
 
 def _describe(data: Any, population: Population) -> None:
-    """Units, and what holds for the whole sample."""
+    """Add units, and attributes of the whole sample, to the data."""
     units = {"loss": "mV2", "onset_shift": "ms", "discrepancy": "mV", "gain": "1", "torso": "1"}
     stats = data.sample_stats
     for name in stats.data_vars:
@@ -369,9 +372,10 @@ def read_population(path: Path) -> Population:
 def read_checks(
     path: Path,
 ) -> tuple[Checks | None, Floats | None, Floats | None, tuple[Floats, ...]]:
-    """How a posterior compares with its recordings, its gains (n,) and torsos, its ECGs for each.
+    """Read a posterior's checks, its gains and torsos, and its ECGs for each recording.
 
-    Torsos have shape (n, 12 + k, 12 + k), ECGs (n, 12 + k, n_time) (mV). None of the paper's.
+    Gains have shape (n,), torsos (n, 12 + k, 12 + k), ECGs (n, 12 + k, n_time) (mV). The paper's
+    population has none of these.
     """
     stats = load_netcdf(path, "sample_stats")
     if "gain" not in stats:
@@ -386,5 +390,5 @@ def read_checks(
         Checks.from_json(stats.attrs["checks"]),
         stats["gain"].to_numpy().ravel(),
         None if torsos is None else torsos.reshape(-1, *torsos.shape[2:]),
-        tuple(each.reshape(-1, *each.shape[2:]) for each in ecgs),
+        tuple(ecg.reshape(-1, *ecg.shape[2:]) for ecg in ecgs),
     )

@@ -1,7 +1,7 @@
-"""A posterior: two independent runs of tempered sampling on an emulator, and real networks of it.
+"""Posterior: two independent runs of tempered sampling on an emulator, and simulated draws.
 
-The emulator is fast and not exact: it says where the networks are, and the forward model what they
-do. All that is reported of a posterior comes from networks that were simulated.
+The emulator is fast but not exact: it finds the posterior draws, and the forward model simulates
+them. All that is reported of a posterior comes from simulated networks.
 """
 
 from __future__ import annotations
@@ -26,30 +26,30 @@ from fascicle.study.settings import FitSettings
 from fascicle.study.space import AveragedOver
 
 RUNS = 2
-PARTICLES = 600  # of a batch
-MOST_BATCHES = 16  # that a run is pooled of, where runs do not agree
+PARTICLES = 600  # least number of particles in a batch
+MOST_BATCHES = 16  # batches that are pooled to a run at most, where runs do not agree
 
-Emulated = Callable[[Floats], Floats]  # log-likelihoods (n,) of points (n, d), of one recording
+Emulated = Callable[[Floats], Floats]  # log-likelihoods (n,) of a recording at points (n, d)
 
 
 @dataclass(frozen=True)
 class PosteriorFit:
-    """One pass through the runs of the sampler.
+    """Sampling of a posterior, and simulation of its draws.
 
-    Of several recordings the posterior of the first alone is sampled, too: what the others add is
-    seen.
+    For several recordings the posterior given the first alone is sampled, too, to show what the
+    others add.
     """
 
     settings: FitSettings
     space: ParameterSpace
     averaged: AveragedOver
     journal: Journal
-    emulated: Sequence[Emulated]  # of each recording
+    emulated: Sequence[Emulated]  # likelihood of each recording
     progress: Progress | None = None
-    share: float = 1.0  # of the whole; where it is less, runs need not agree as closely
+    share: float = 1.0  # in a mixture; runs with a smaller share need not agree as closely
 
     def run(self) -> Posterior:
-        """Do all that is left, and give the result."""
+        """Sample and simulate all that is not stored yet, and return the posterior."""
         if len(self.emulated) == 1:
             return self._posterior(1)
         alone = self._sample(1)
@@ -60,13 +60,13 @@ class PosteriorFit:
         return replace(joint, first_alone=self.space.columns(points))
 
     def _posterior(self, recordings: int) -> Posterior:
-        """Sample, and simulate draws of both runs."""
+        """Sample the posterior given the first recordings, and simulate draws of both runs."""
         runs = self._sample(recordings)
-        each = -(-self.settings.effective // RUNS)
+        draws_per_run = -(-self.settings.effective // RUNS)
         draws = [
-            found
+            draw
             for number, run in enumerate(runs)
-            for found in self._simulated(run, each, number, recordings)
+            for draw in self._simulated(run, draws_per_run, number, recordings)
         ]
         return Posterior.of(
             self.space,
@@ -81,67 +81,69 @@ class PosteriorFit:
     def _simulated(
         self, run: SamplingRun, count: int, number: int, recordings: int
     ) -> list[Evaluation]:
-        """Networks of a run, in random order; points that give none are passed over."""
-        left = [*self._rng(RUNS + number, recordings).permutation(run.points)]
-        found: list[Evaluation] = []
+        """Simulate draws of a run in random order, without infeasible points."""
+        points = [*self._rng(RUNS + number, recordings).permutation(run.points)]
+        feasible: list[Evaluation] = []
         total = RUNS * count
 
         def report(done: int) -> None:
             if self.progress is not None:
-                self.progress("networks", number * count + len(found) + done, total, "")
+                self.progress("networks", number * count + len(feasible) + done, total, "")
 
-        while len(found) < count and left:
-            asked, left = left[: count - len(found)], left[count - len(found) :]
-            new = self.journal.evaluate(Stage.SAMPLING, asked, 50, report)
-            found += [each for each in new if each.feasible]
-        if len(found) < count:
+        while len(feasible) < count and points:
+            batch, points = points[: count - len(feasible)], points[count - len(feasible) :]
+            evaluations = self.journal.evaluate(Stage.SAMPLING, batch, 50, report)
+            feasible += [evaluation for evaluation in evaluations if evaluation.feasible]
+        if len(feasible) < count:
             raise InputError(
-                f"only {len(found)} of {len(run.points)} draws give a network of this heart; make "
-                "more prior simulations (prior_simulations), or narrow the ranges of the lengths"
+                f"only {len(feasible)} of {len(run.points)} draws give a network of this heart; "
+                "make more prior simulations (prior_simulations), or narrow the ranges of the "
+                "lengths"
             )
-        return found
+        return feasible
 
     def _rng(self, number: int, recordings: int) -> np.random.Generator:
-        """Random numbers of a run, or of draws from one."""
+        """Random generator of a run, or of the draws from a run."""
         return self.journal.rng(Stage.SAMPLING, number + 2 * RUNS * (recordings > 1))
 
     def _agree(self, runs: Sequence[SamplingRun], share: float = 1.0) -> bool:
-        """Whether runs agree, and are worth as many independent draws as are wanted."""
+        """Whether runs agree, and their effective sample size is as large as the settings ask."""
         enough = all(run.effective * RUNS >= self.settings.effective for run in runs)
         return enough and agreement(*runs).within(share)
 
     def _sample(self, recordings: int) -> list[SamplingRun]:
-        """Make the runs, of more and more batches of particles until they agree."""
-        sample = one_thread(self._batches)  # about both: each would give the other's threads back
+        """Make the runs, adding batches of particles until the runs agree."""
+        # around both runs, since each run would end the other's limit of threads
+        sample = one_thread(self._batches)
         batches: list[list[SamplingRun]] = []
         while True:
             batches.append(sample(recordings, len(batches)))
-            runs = [pooled(each) for each in zip(*batches, strict=True)]
+            runs = [pooled(batches_of_run) for batches_of_run in zip(*batches, strict=True)]
             if self._agree(runs, self.share) or len(batches) >= MOST_BATCHES:
                 return runs
 
     def _batches(self, recordings: int, number: int) -> list[SamplingRun]:
         """A batch of each run."""
-        # twice as many particles as are drawn from a run, since some give no network
+        # twice as many particles as are drawn from a run, since some are infeasible
         count = max(PARTICLES, self.settings.effective)
         # the first numbers are those of the first batches, and of draws
         first = 0 if number == 0 else 4 * RUNS * number
-        said = f"{RUNS} runs of {count * (number + 1)}"
+        message = f"{RUNS} runs of {count * (number + 1)}"
         if len(self.emulated) > 1:
-            said += ", first recording alone" if recordings == 1 else ", all recordings"
+            message += ", first recording alone" if recordings == 1 else ", all recordings"
         return sampled(
             self.emulated[:recordings],
             len(self.space) + len(self.averaged),
             [self._rng(first + run, recordings) for run in range(RUNS)],
             count,
-            said,
+            message,
             self.progress,
         )
 
 
 def of_all(emulated: Sequence[Emulated], points: Floats) -> Floats:
-    """Log-likelihoods (n,) of points (n, d) by all recordings."""
-    return np.asarray(np.sum([each(points) for each in emulated], axis=0))
+    """Log-likelihoods (n,) of all recordings together at points (n, d)."""
+    return np.asarray(np.sum([log_likelihoods(points) for log_likelihoods in emulated], axis=0))
 
 
 def sampled(
@@ -152,7 +154,7 @@ def sampled(
     said: str,
     progress: Progress | None,
 ) -> list[SamplingRun]:
-    """Sample the posterior of recordings by runs of so many particles, one of each generator."""
+    """Sample the posterior of recordings by runs of `count` particles, one with each generator."""
     states: dict[int, State] = {}
 
     def one(run: int, rng: np.random.Generator) -> SamplingRun:
@@ -161,10 +163,12 @@ def sampled(
             _report(states, len(rngs), said, progress)
 
         try:
-            found: SamplingRun = temper(partial(of_all, emulated), dimension, rng, count, reported)
-        except ValueError as error:  # hardly any point has a likelihood, by one's own rule
+            sampled_run: SamplingRun = temper(
+                partial(of_all, emulated), dimension, rng, count, reported
+            )
+        except ValueError as error:  # hardly any point has a likelihood, as by a user's own
             raise InputError(f"{error}, and the likelihood") from None
-        return found
+        return sampled_run
 
     with ThreadPoolExecutor(len(rngs)) as pool:
         return list(pool.map(one, range(len(rngs)), rngs))
@@ -174,7 +178,7 @@ def _report(states: Mapping[int, State], runs: int, said: str, progress: Progres
     if progress is None or len(states) < runs:
         return
     evidences = " and ".join(f"{states[k].log_evidence:.1f}" for k in range(runs))
-    # steps of the temperature take alike long on a logarithmic scale
+    # the logarithm of the temperature rises about evenly in time
     coldest = min(state.temperature for state in states.values())
     done = round(100 * (1 + np.log10(max(coldest, 1e-3)) / 3))
     progress("sampling", max(1, done), 100, f"{said}, log evidence {evidences}")

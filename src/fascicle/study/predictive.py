@@ -1,9 +1,9 @@
-"""Posterior prediction: what the networks of a posterior say of the recording, and whether it fits.
+"""Posterior prediction: recordings predicted by a posterior's networks, and checks of the fit.
 
-Of every network one shift, gain and size of the discrepancy is drawn from what the likelihood says
-of them, and one error of that size. If the model is right, the recording looks like one of these
-ECGs; A. Gelman, X.-L. Meng and H. Stern, "Posterior predictive assessment of model fitness via
-realized discrepancies", Statistica Sinica 6 (1996).
+For every network a shift, a gain and a size of the discrepancy are drawn from their distribution
+under the likelihood, and an error of that size. If the model is right, the recording looks like one
+of these ECGs (A. Gelman, X.-L. Meng and H. Stern, "Posterior predictive assessment of model fitness
+via realized discrepancies", Statistica Sinica 6, 1996).
 """
 
 from __future__ import annotations
@@ -27,15 +27,17 @@ from fascicle.study.agreement import Agreement, agreement
 from fascicle.study.settings import FitSettings
 from fascicle.study.target_comparison import Network
 
-# What makes a fit poor: a recording that would be rare among those that the model gives, or a QRS
-# that not even the best networks explain. What a posterior's other networks explain shows how wide
-# it is, not how well the model fits.
-LEVEL = 0.1  # nominal chance to call a recording of the model rare; it happens less often
-BEST = 0.05  # share of the networks that are the best
+# A fit is poor if the recording would be rare among those that the model predicts, or if not even
+# the best networks explain the QRS. The share that the other networks explain shows how wide the
+# posterior is, not how well the model fits.
+LEVEL = (
+    0.1  # nominal probability that a recording of the model is called rare; the true one is less
+)
+BEST = 0.05  # share of the networks that count as the best
 LEAST_EXPLAINED = 0.85  # share of the variance of the QRS that the best networks explain
-LEAST_IN_TORSO = 0.75  # the same in a torso, which is never quite the patient's
-MOST_OFF = 1.5  # times the error of held-out ECGs, by which the emulator may be off the networks'
-MOST_SCALED = 2.5  # standard deviations of the gain's prior, by which the median gain is off 1
+LEAST_IN_TORSO = 0.75  # share in a torso, which is never quite the patient's
+MOST_OFF = 1.5  # largest error of the emulator in the networks' ECGs, over that in held-out ECGs
+MOST_SCALED = 2.5  # largest distance of the median gain from 1, in SD of the gain's prior
 DURATION, AXIS, ALL_LEADS = "QRS duration", "frontal axis", "all leads together"
 # Name in `fascicle.study.agreement.Agreement`, and unit
 MEASURED = {DURATION: ("global_qrs_duration_ms", " ms"), AXIS: ("axis_degrees", "°")}
@@ -48,25 +50,25 @@ class Checks:
     Attributes
     ----------
     explained : float
-        Share of the variance of the recorded QRS that each of the best networks explains; of a flat
-        line 0.
+        Share of the variance of the recorded QRS that each of the best networks explains; 0 for a
+        flat line.
     probabilities : mapping of str to float
         For the QRS duration, the frontal axis, each independent lead and all of them together:
-        probability of a recording at least as far from the networks, times how many are looked at
-        (Bonferroni). For leads with the smallest discrepancy of the likelihood, since a larger one
-        would hide a misfit.
+        probability of a recording at least as far from the networks, times the number of such
+        comparisons (Bonferroni). Leads are compared with the smallest discrepancy of the
+        likelihood, since a larger one would hide a misfit.
     measured : mapping of str to list of float
         Global QRS duration (ms) and frontal axis (degrees): recorded, then 5th percentile, median
         and 95th of the networks.
     gain : list of float
-        By which simulated ECGs are scaled, median of the networks; least and greatest expected.
+        Factor on the simulated ECGs: median of the networks, least and greatest expected.
     emulator : list of float
-        Root mean square error of the emulated ECGs of the networks, over that of the ECGs; and of
-        held-out ones.
+        Root mean square error of the emulated ECGs of the networks, over that of the ECGs; and the
+        error expected from held-out ECGs.
     least_explained : float
-        What the best networks must explain.
+        Share that the best networks must explain.
     sequence : SequenceSummary, optional
-        In which sequence the networks activate the ventricles in an intrinsic beat.
+        Sequence in which the networks activate the ventricles in an intrinsic beat.
     """
 
     explained: float
@@ -79,7 +81,7 @@ class Checks:
 
     @classmethod
     def joined(cls, each: Sequence[Checks]) -> Checks:
-        """Those of several recordings in one; the least explained, and the gain farthest from 1."""
+        """Join the checks of several recordings, with the least explained and the worst gain."""
         if len(each) == 1:
             return each[0]
         numbered = [(f" of recording {number}", checks) for number, checks in enumerate(each, 1)]
@@ -100,10 +102,10 @@ class Checks:
 
     @classmethod
     def from_json(cls, text: str) -> Checks:
-        """The inverse of ``json.dumps(asdict(checks))``."""
+        """Read checks from ``json.dumps(asdict(checks))``."""
         values = json.loads(text)
         if (sequence := values.get("sequence")) is not None:
-            times = {name: tuple(each) for name, each in sequence["times"].items()}
+            times = {name: tuple(interval) for name, interval in sequence["times"].items()}
             values["sequence"] = SequenceSummary(**{**sequence, "times": times})
         return cls(**values)
 
@@ -119,13 +121,14 @@ class Checks:
 
     @property
     def said(self) -> str:
-        """What the best networks explain."""
-        share = math.floor(100 * self.explained + 1e-9)  # what is less than a limit looks it
+        """Share of the QRS that the best networks explain, in words."""
+        # rounded down, so that a value below a limit is not shown as the limit
+        share = math.floor(100 * self.explained + 1e-9)
         return f"{share}% of the QRS explained by the best {BEST:.0%} of networks"
 
     @property
     def unmapped(self) -> str:
-        """How networks are activated otherwise than mapped hearts with this QRS; else empty."""
+        """Departure of the activation from that of mapped hearts with this QRS; else empty."""
         recorded = [m[0] for name, m in self.measured.items() if name.startswith(DURATION)]
         if self.sequence is None or not recorded or recorded[0] >= LATE_QRS:
             return ""
@@ -134,27 +137,27 @@ class Checks:
 
     @property
     def emulator_off(self) -> str:
-        """Say that the emulator is not of these networks; else empty."""
-        found, expected = self.emulator
-        if found <= MOST_OFF * expected:
+        """Statement that the emulator is not exact enough for these networks; else empty."""
+        error, expected = self.emulator
+        if error <= MOST_OFF * expected:
             return ""
-        return f"emulator {found:.0%} off these networks, {expected:.0%} expected"
+        return f"emulator {error:.0%} off these networks, {expected:.0%} expected"
 
     @property
     def failures(self) -> list[str]:
-        """What is wrong, in the order in which a cardiologist looks at it."""
+        """Failed checks in words, in the order in which a cardiologist looks at an ECG."""
         rare = self.disagreeing
-        found = [
+        failures = [
             f"{name} {_compared(name, m)}" for name, m in self.measured.items() if name in rare
         ]
         if leads := [name for name in rare if name not in self.measured]:
-            found.append(f"{', '.join(leads)} not reproduced")
+            failures.append(f"{', '.join(leads)} not reproduced")
         if self.explained < self.least_explained:
-            found.append(f"{self.said}, less than {self.least_explained:.0%}")
+            failures.append(f"{self.said}, less than {self.least_explained:.0%}")
         gain, low, high = self.gain
         if not low <= gain <= high:
-            found.append(f"ECG scaled by {gain:.2g}, {low:.2g} to {high:.2g} expected")
-        return found
+            failures.append(f"ECG scaled by {gain:.2g}, {low:.2g} to {high:.2g} expected")
+        return failures
 
 
 def _compared(name: str, measured: Sequence[float]) -> str:
@@ -165,14 +168,14 @@ def _compared(name: str, measured: Sequence[float]) -> str:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What n networks predict for the recording."""
+    """Predictions of n networks for a recording."""
 
     ecg: Floats  # (n, 12 + k, n_time), without noise and discrepancy, at the target's times (mV)
-    noisy: Floats  # the same with both
-    gains: Floats  # (n,), as the following drawn for each
+    noisy: Floats  # (n, 12 + k, n_time), with noise and discrepancy (mV)
+    gains: Floats  # (n,), drawn for each network like the torsos, shifts and discrepancies
     torsos: Floats  # (n, 12 + k, 12 + k), from leads in the plain torso to those in the drawn one
     shifts: Floats  # of the first activation from the recorded onset (ms)
-    discrepancies: Floats  # σ (mV)
+    discrepancies: Floats  # size σ of the discrepancy (mV)
     checks: Checks
     agreement: Agreement  # of `ecg` with the recording
 
@@ -185,72 +188,86 @@ def predict_recording(
     networks: Sequence[Network],
     rng: np.random.Generator,
 ) -> Prediction:
-    """Draw what n networks of a posterior predict for a recording, and compare it with that.
+    """Draw predictions of n networks of a posterior for a recording, and compare them with it.
 
-    `likelihoods` are those of each network.
+    `likelihoods` holds the likelihood that belongs to each network.
     """
     pairs = zip(likelihoods, networks, strict=True)
     drawn = [likelihood.predictive(Signals.of(n.simulation), rng) for likelihood, n in pairs]
-    ecg, noisy = (np.array([getattr(each, name) for each in drawn]) for name in ("ecg", "noisy"))
-    found = agreement(target, [replace(n, predicted=e) for n, e in zip(networks, ecg, strict=True)])
+    ecg, noisy = (
+        np.array([getattr(replicate, name) for replicate in drawn]) for name in ("ecg", "noisy")
+    )
+    compared = agreement(
+        target, [replace(n, predicted=e) for n, e in zip(networks, ecg, strict=True)]
+    )
     return Prediction(
         ecg,
         noisy,
-        np.array([each.gain for each in drawn]),
+        np.array([replicate.gain for replicate in drawn]),
         np.array([np.eye(len(e.ecg)) if e.torso is None else e.torso for e in drawn]),
-        np.array([each.shift for each in drawn]),
-        np.array([each.discrepancy for each in drawn]),
-        _checks(target, found, drawn, getattr(likelihoods[0], "gain_sd", FitSettings().gain_sd)),
-        found,
+        np.array([replicate.shift for replicate in drawn]),
+        np.array([replicate.discrepancy for replicate in drawn]),
+        _checks(target, compared, drawn, getattr(likelihoods[0], "gain_sd", FitSettings().gain_sd)),
+        compared,
     )
 
 
-def _checks(target: Target, found: Agreement, drawn: Sequence[Replicate], gain_sd: float) -> Checks:
+def _checks(
+    target: Target, compared: Agreement, drawn: Sequence[Replicate], gain_sd: float
+) -> Checks:
     rows, window = independent_rows(target.used), target.qrs_samples
-    left, error = np.empty((2, len(drawn), len(rows)))
+    residual, error = np.empty((2, len(drawn), len(rows)))
     unexplained = np.empty(len(drawn))
-    for k, each in enumerate(drawn):
-        apart = [(target.mean - each.ecg)[rows, window], (each.noisy - each.ecg)[rows, window]]
-        energies = [(one**2).sum(axis=1) for one in apart]
-        left[k] = energies[0] if each.left is None else each.left
-        error[k] = energies[1] if each.error is None else each.error
-        unexplained[k] = left[k].sum() if each.unexplained is None else each.unexplained
-    leads = {target.leads[row]: _rarer(left[:, k], error[:, k]) for k, row in enumerate(rows)}
-    leads[ALL_LEADS] = _rarer(left.sum(axis=1), error.sum(axis=1))
+    for k, replicate in enumerate(drawn):
+        differences = [
+            (target.mean - replicate.ecg)[rows, window],
+            (replicate.noisy - replicate.ecg)[rows, window],
+        ]
+        energies = [(difference**2).sum(axis=1) for difference in differences]
+        residual[k] = energies[0] if replicate.left is None else replicate.left
+        error[k] = energies[1] if replicate.error is None else replicate.error
+        unexplained[k] = (
+            residual[k].sum() if replicate.unexplained is None else replicate.unexplained
+        )
+    leads = {target.leads[row]: _rarer(residual[:, k], error[:, k]) for k, row in enumerate(rows)}
+    leads[ALL_LEADS] = _rarer(residual.sum(axis=1), error.sum(axis=1))
     spread = float(np.hypot(*target.global_qrs_sd))
     measured = {
-        name: [found.recorded[key], *found.percentiles(key)]
+        name: [compared.recorded[key], *compared.percentiles(key)]
         for name, (key, _) in MEASURED.items()
-        if key in found.recorded
+        if key in compared.recorded
     }
-    others = {
-        DURATION: _two_sided(found.predicted[MEASURED[DURATION][0]], measured[DURATION][0], spread)
+    quantities = {
+        DURATION: _two_sided(
+            compared.predicted[MEASURED[DURATION][0]], measured[DURATION][0], spread
+        )
     }
     if AXIS in measured:
-        axes = np.array([frontal_axis(each.noisy[:, window]) for each in drawn])
-        others[AXIS] = _rare_axis(axes, measured[AXIS][0])
-    # the leads together weigh as much as the duration or the axis
-    parts, off = len(others) + 1, MOST_SCALED * gain_sd + 1e-9
-    weighted = {n: p * parts for n, p in others.items()}
+        axes = np.array([frontal_axis(replicate.noisy[:, window]) for replicate in drawn])
+        quantities[AXIS] = _rare_axis(axes, measured[AXIS][0])
+    # Bonferroni: the leads together weigh as much as the duration or the axis
+    parts, off = len(quantities) + 1, MOST_SCALED * gain_sd + 1e-9
+    weighted = {n: p * parts for n, p in quantities.items()}
     weighted |= {name: p * parts * len(leads) for name, p in leads.items()}
     return Checks(
         1 - float(np.quantile(unexplained, BEST)) / float((target.qrs[rows] ** 2).sum()),
         {name: min(1.0, p) for name, p in weighted.items()},
         measured,
-        [float(np.median([each.gain for each in drawn])), max(1 - off, 0.0), 1 + off],
+        [float(np.median([replicate.gain for replicate in drawn])), max(1 - off, 0.0), 1 + off],
     )
 
 
-def _rarer(left: Floats, error: Floats) -> float:
-    """How probable an error (n,) as large as what a network leaves (n,) is.
+def _rarer(residual: Floats, error: Floats) -> float:
+    """Probability of an error at least as large as the residual of a network.
 
-    Every network with the errors of all, whose distribution is the same.
+    Every residual (n,) is compared with the errors (n,) of all networks, which have the same
+    distribution.
     """
-    return float(1 - np.searchsorted(np.sort(error), left).mean() / len(error))
+    return float(1 - np.searchsorted(np.sort(error), residual).mean() / len(error))
 
 
 def _rare_axis(axes: Floats, recorded: float) -> float:
-    """How probable an axis (degrees) as far from those of networks (n,) is, both ways."""
+    """Two-sided probability of an axis (degrees) as far from those of the networks (n,)."""
     mean = float(np.degrees(np.angle(np.exp(1j * np.radians(axes)).mean())))
     turns = (np.append(axes, recorded) - mean + 180) % 360 - 180
     return _two_sided(turns[:-1], float(turns[-1]), 0.0)

@@ -1,10 +1,10 @@
-"""Prior simulations: networks of the prior with all that is not known, from which emulators learn.
+"""Prior simulations: networks of the prior and their ECGs, from which emulators learn.
 
-They depend on no recording. Every network has parameters, tissue, growth and delays from their
-priors; every tenth one, from which no emulator learns, has its ECG in a random body, too. Where the
-prior is that of mapped hearts, all are simulated, and those are marked that belong to it. They are
-kept with the heart, in parts that are written whole or not at all, so that the simulation may be
-interrupted at any time.
+Prior simulations depend on no recording. Every network has parameters, tissue, growth and delays
+drawn from their priors; every tenth one is held out from the training of emulators, and its ECG is
+computed in a random torso, too. For the prior of mapped hearts all networks are simulated, and
+those that belong to it are marked. The simulations are kept with the heart, in parts that are
+written whole or not at all, so that they may be interrupted at any time.
 """
 
 from __future__ import annotations
@@ -36,27 +36,28 @@ from fascicle.study.pool import Pool
 from fascicle.study.space import UNMAPPED, AveragedOver, growth_and_conduction, is_kept
 
 PART = 500  # networks in a file
-HELD_OUT = 10  # of so many networks the last is held out
-BODIES = 24  # that are drawn, once for all networks
+HELD_OUT = 10  # the last of so many networks is held out
+BODIES = 24  # random torsos, drawn once for all networks
 SEED = 20240  # the networks of the prior are the same in every study
-BEFORE = 40  # samples (ms) before the first activation that are kept of an ECG
+BEFORE = 40  # samples (ms) of an ECG that are kept before the first activation
 Arrays = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
 class Examples:
-    """What networks of the prior give.
+    """Prior simulations as arrays: points, which of them are feasible, and ECGs.
 
     Attributes
     ----------
     points : (n, d) array
-        In the unit cube.
+        Points of the unit cube.
     feasible, kept : (n,) arrays
-        Whether they give a network, and whether that belongs to the prior.
+        Whether a point gives a network, and whether that network belongs to the prior.
     ecgs : (m, 8 + k, length) array
-        Independent leads (mV) of those that do, from `BEFORE` the first activation on.
+        Independent leads (mV) of the feasible networks, from `BEFORE` the first activation on.
     in_bodies, bodies : (h, 8 + k, length) and (h,) arrays
-        Of those held out, in a random body, and its number.
+        Independent leads (mV) of the feasible held-out networks in a random torso, and the
+        torso's number.
     """
 
     points: Floats
@@ -68,12 +69,12 @@ class Examples:
 
     @property
     def held_out(self) -> Booleans:
-        """Which of all networks are (n,)."""
+        """Whether a point (n,) is held out from training."""
         return np.asarray(np.arange(len(self.points)) % HELD_OUT == HELD_OUT - 1)
 
     @property
     def of_the_prior(self) -> Examples:
-        """Examples of which those alone count as feasible that belong to the prior."""
+        """Examples in which only networks that belong to the prior count as feasible."""
         kept = self.kept[self.feasible]
         held_out = self.kept[self.feasible & self.held_out]
         return replace(
@@ -87,7 +88,7 @@ class Examples:
 
 @dataclass(frozen=True)
 class PriorSimulations:
-    """Simulations of one forward model, prior and scenario, as far as they are there."""
+    """Simulations of one forward model, prior and scenario, as far as they have been made."""
 
     model: ForwardModel
     space: ParameterSpace
@@ -95,18 +96,21 @@ class PriorSimulations:
     fixed: Mapping[str, float]
     cache: ArrayCache  # in the heart's folder
     scenario: tuple[Scenario, str] | None = None  # with its digest
-    drawn: Floats | None = None  # points of a posterior, in place of the prior's
+    drawn: Floats | None = None  # points drawn from a posterior, in place of the prior
     mapped: bool = False  # whether the prior is that of mapped hearts
 
     @cached_property
     def content(self) -> str:
-        """What they depend on."""
-        known = growth_and_conduction(self.model.heart, self.model.rules)
-        about = self.space.parameters, self.averaged, sorted(self.fixed.items())
+        """Text that identifies all that the simulations depend on."""
+        constants = growth_and_conduction(self.model.heart, self.model.rules)
+        varied = self.space.parameters, self.averaged, sorted(self.fixed.items())
         digest = "" if self.scenario is None else self.scenario[1]
         drawn = "" if self.drawn is None else hashlib.sha256(self.drawn.tobytes()).hexdigest()
         mapped = f" {MAPPED} {UNMAPPED}" if self.mapped else ""
-        return f"{self.model.heart.digest} {about} {sorted(known.items())} {digest}{drawn}{mapped}"
+        return (
+            f"{self.model.heart.digest} {varied} {sorted(constants.items())} "
+            f"{digest}{drawn}{mapped}"
+        )
 
     def covers(
         self,
@@ -115,32 +119,33 @@ class PriorSimulations:
         fixed: Mapping[str, float],
         mapped: bool,
     ) -> bool:
-        """Whether these are of all that another study learns, fixes and averages over.
+        """Whether the simulations cover what another study learns, fixes and averages over.
 
-        Not where it fixes more than half: simulations of what is left say more of it.
+        A study that fixes more than half of the quantities is not covered: it learns more from
+        simulations of its own, narrower prior.
         """
         if 2 * len(space) < len(self.space) or mapped != self.mapped:
             return False
         ends = _ranges(self.space, self.averaged)
-        wanted = _ranges(space, averaged)
-        others = {n: v for n, v in fixed.items() if self.fixed.get(n) != v}
-        wanted |= {name: (value, value) for name, value in others.items()}
-        wanted.pop("gain", None)  # a factor on the ECG
-        inside = all(
+        ranges = _ranges(space, averaged)
+        changed = {n: v for n, v in fixed.items() if self.fixed.get(n) != v}
+        ranges |= {name: (value, value) for name, value in changed.items()}
+        ranges.pop("gain", None)  # a factor on the ECG
+        within = all(
             ends[name][0] <= low and high <= ends[name][1]
-            for name, (low, high) in wanted.items()
+            for name, (low, high) in ranges.items()
             if name in ends
         )
-        return inside and wanted.keys() == ends.keys() and averaged.tissues == self.averaged.tissues
+        return within and ranges.keys() == ends.keys() and averaged.tissues == self.averaged.tissues
 
     def _file(self, number: int) -> Path:
         return self.cache.file(f"{self.content} {number}")
 
     def points(self, number: int) -> Floats:
-        """Networks of a part in the unit cube, (`PART`, d).
+        """Points (`PART`, d) of the unit cube for the networks of a part.
 
-        What the speeds of the tissue depend on is the same in all of a part: a tissue takes
-        seconds.
+        Quantities that change the conduction velocities of the tissue have one value in a part,
+        since the preparation of a tissue takes seconds.
         """
         if self.drawn is not None:
             return self.drawn[number * PART : (number + 1) * PART]
@@ -152,39 +157,44 @@ class PriorSimulations:
         return points
 
     def parameters(self, number: int) -> list[dict[str, float]]:
-        """All quantities of the networks of a part."""
+        """Quantities of each network of a part, by name."""
         count = len(self.space)
-        every = []
+        networks = []
         for point in self.points(number):
             values = {**self.fixed, **self.space.from_unit(point[:count])}
             values |= self.averaged.values(point[count:])
             values.pop("gain", None)  # a factor on the ECG
-            every.append(values)
-        return every
+            networks.append(values)
+        return networks
 
     def scenarios(self, number: int) -> Sequence[Scenario | None]:
-        """Scenarios of the networks of a part."""
+        """Scenario of each network of a part."""
         return [None if self.scenario is None else self.scenario[0]] * len(self.points(number))
 
     def simulate(
         self, count: int, pool: Pool, progress: Progress | None = None, said: str = ""
     ) -> None:
-        """Make what is missing of so many networks; `said` tells people of what."""
+        """Simulate at least `count` networks, as far as they are missing.
+
+        `said` describes them in the progress callback.
+        """
         end = -(-count // PART)
         missing = [number for number in range(end) if not self._file(number).is_file()]
         if not missing:
             return
-        of, total = ("prior", end * PART) if self.drawn is None else ("posterior", len(self.drawn))
-        report, bodies = stage_progress(progress, f"{of} simulations", said), []
-        # else each has its own body, or none is wanted
+        kind, total = (
+            ("prior", end * PART) if self.drawn is None else ("posterior", len(self.drawn))
+        )
+        report, torsos = stage_progress(progress, f"{kind} simulations", said), []
+        # no random torsos if quantities of the torso are learnt, or for draws from a posterior
         if self.drawn is None and not torso_values(dict.fromkeys(self.space.names, np.nan)):
-            bodies = random_bodies(self.model, np.random.default_rng([SEED, 0, 2]), BODIES)
+            torsos = random_bodies(self.model, np.random.default_rng([SEED, 0, 2]), BODIES)
         rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(self.model.heart.leads))]
         for number in missing:
             items = [*zip(self.parameters(number), self.scenarios(number), strict=True)]
             drawn = np.random.default_rng([SEED, number, 3]).integers(BODIES, size=len(items))
             ecgs: list[Floats] = []
-            others: list[Floats] = []
+            held_out_ecgs: list[Floats] = []
             feasible, kept = np.zeros((2, len(items)), bool)
             points = self.points(number)
             for k, outcome in enumerate(pool.map(_beat, items, self.model)):
@@ -198,21 +208,21 @@ class PriorSimulations:
                 ecgs.append(_from_activation(outcome.leads[rows], outcome))
                 if k % HELD_OUT == HELD_OUT - 1:
                     leads = outcome.leads
-                    if bodies:
-                        body = self.model.with_sources(bodies[drawn[k]], items[k][0])
-                        leads = body.leads(outcome.activation)
-                    others.append(_from_activation(leads[rows], outcome))
+                    if torsos:
+                        torso = self.model.with_sources(torsos[drawn[k]], items[k][0])
+                        leads = torso.leads(outcome.activation)
+                    held_out_ecgs.append(_from_activation(leads[rows], outcome))
             self.cache.write(
                 f"{self.content} {number}",
                 {"feasible": feasible, "kept": kept, "bodies": drawn,
-                 **_joined("ecg", ecgs, len(rows)), **_joined("body", others, len(rows))},
+                 **_joined("ecg", ecgs, len(rows)), **_joined("body", held_out_ecgs, len(rows))},
                 compress=True,
             )  # fmt: skip
 
     def examples(self, count: int, length: int | None = None) -> Examples:
-        """What so many networks give; they must be there.
+        """Read at least `count` networks, which must have been simulated.
 
-        ECGs have so many samples, by default as many as the longest.
+        ECGs have `length` samples, by default as many as the longest.
         """
         parts = []
         for number in range(-(-count // PART)):
@@ -236,23 +246,25 @@ class PriorSimulations:
 
 
 def _ranges(space: ParameterSpace, averaged: AveragedOver) -> dict[str, tuple[float, float]]:
-    """Between which quantities are learnt; averaged over, of normal priors within 2 SD."""
-    found = {p.name: (p.lower, p.upper) for p in (*space.parameters, *averaged.space.parameters)}
+    """Ranges of quantities; those averaged over, with normal priors, within 2 SD of the median."""
+    ranges = {p.name: (p.lower, p.upper) for p in (*space.parameters, *averaged.space.parameters)}
     for p in averaged.space.parameters:
         if p.median is not None and p.sd is not None:
-            found[p.name] = max(p.lower, p.median - 2 * p.sd), min(p.upper, p.median + 2 * p.sd)
-    return found
+            ranges[p.name] = max(p.lower, p.median - 2 * p.sd), min(p.upper, p.median + 2 * p.sd)
+    return ranges
 
 
 def _beat(
     item: tuple[Mapping[str, float], Scenario | None], model: ForwardModel
 ) -> SimulatedBeat | None:
-    """What is kept of a network: a beat without its trees."""
-    found = model.simulate(*item)
-    if not isinstance(found, Simulation):
+    """Simulate a network, and return its beat without the trees; None if it is infeasible."""
+    simulation = model.simulate(*item)
+    if not isinstance(simulation, Simulation):
         return None
-    names = found.lead_names
-    return SimulatedBeat(found.leads, found.onset, found.activation, (), lead_names=names)
+    names = simulation.lead_names
+    return SimulatedBeat(
+        simulation.leads, simulation.onset, simulation.activation, (), lead_names=names
+    )
 
 
 def _from_activation(leads: Floats, beat: SimulatedBeat) -> Floats:
@@ -262,16 +274,16 @@ def _from_activation(leads: Floats, beat: SimulatedBeat) -> Floats:
 
 
 def _joined(name: str, ecgs: list[Floats], rows: int) -> Arrays:
-    """ECGs of any lengths, one after the other, and where each ends."""
+    """ECGs of any lengths, joined one after the other, and the end of each."""
     joined = np.concatenate([np.empty((rows, 0)), *ecgs], axis=1)
     ends = np.cumsum([ecg.shape[1] for ecg in ecgs], dtype=int)
     return {name: joined.astype(np.float32), f"{name}_ends": ends}
 
 
 def _separated(name: str, part: Arrays, length: int) -> NDArray[np.float32]:
-    """ECGs of a part, (n, n_leads, length), with silence after their ends."""
+    """ECGs (n, n_leads, length) of a part, zero after their ends."""
     ends, joined = part[f"{name}_ends"], part[name]
-    found = np.zeros((len(ends), len(joined), length), np.float32)
-    for ecg, begin, end in zip(found, np.concatenate([[0], ends])[:-1], ends, strict=True):
+    ecgs = np.zeros((len(ends), len(joined), length), np.float32)
+    for ecg, begin, end in zip(ecgs, np.concatenate([[0], ends])[:-1], ends, strict=True):
         ecg[:, : min(end - begin, length)] = joined[:, begin : min(end, begin + length)]
-    return found
+    return ecgs

@@ -1,4 +1,4 @@
-"""The recordings of a study: targets, each with the scenario that it was recorded in."""
+"""Recordings of a study: targets, with the scenarios in which they were recorded."""
 
 from __future__ import annotations
 
@@ -15,31 +15,35 @@ from fascicle.forward.scenario_files import find_scenario, read_scenario, scenar
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import as_target, read_target, write_target
 
-# A target, or one with its scenario
+# Target, or target with its scenario, as the user passes it
 Given = Target | Path | str | tuple[Target | Path | str, Scenario | Path | str]
 
 
-# A target, and what was done to the heart while it was recorded: None for the intrinsic beat
+# Target, and the scenario in which it was recorded: None for the intrinsic beat
 Recorded = tuple[Target, Scenario | None]
 
 
 def digests(recorded: Recorded) -> tuple[str, str]:
-    """SHA-256 of what a fit sees of target and scenario; empty without a scenario."""
+    """SHA-256 of target and scenario, as far as a fit uses them; the latter empty without one."""
     target, scenario = recorded
     text = hashlib.sha256(scenario_text(scenario).encode()).hexdigest() if scenario else ""
     return target_digest(target), text
 
 
 def given_recordings(given: Given | list[Given]) -> list[Recorded]:
-    """Read what is not read yet; a list is of several recordings."""
-    several = list(given) if isinstance(given, list) else [given]
-    if not several:
+    """Read targets and scenarios that are files or names; a list holds several recordings."""
+    targets = list(given) if isinstance(given, list) else [given]
+    if not targets:
         raise InputError("no target is given; make one with 'fascicle target'")
-    return [_recording(one) for one in several]
+    return [_recording(target) for target in targets]
 
 
-def _recording(given: Given) -> Recorded:
-    pair = given if isinstance(given, tuple) else (given, None)
+def _recording(target_and_scenario: Given) -> Recorded:
+    pair = (
+        target_and_scenario
+        if isinstance(target_and_scenario, tuple)
+        else (target_and_scenario, None)
+    )
     if len(pair) != 2:
         raise InputError(f"target is a tuple of {len(pair)}; give (target, scenario), or a list")
     target, scenario = as_target(pair[0]), pair[1]
@@ -56,7 +60,7 @@ def _recording(given: Given) -> Recorded:
 
 
 def write_recordings(folder: Path, recordings: Sequence[Recorded]) -> None:
-    """Keep recordings in a study's folder, where they are not kept yet, or are damaged."""
+    """Write recordings to a study's folder, unless they are there already, undamaged."""
     for number, recorded in enumerate(recordings, 1):
         target, scenario = recording_paths(folder, number)
         if _kept(target, scenario) == digests(recorded):
@@ -69,7 +73,7 @@ def write_recordings(folder: Path, recordings: Sequence[Recorded]) -> None:
 
 
 def _kept(target: Path, scenario: Path) -> tuple[str, str] | None:
-    """Digests of what is kept, if it can be read."""
+    """Digests of a recording in files; None if it cannot be read."""
     try:
         return digests(_read(target, scenario))
     except InputError:
@@ -77,23 +81,23 @@ def _kept(target: Path, scenario: Path) -> tuple[str, str] | None:
 
 
 def _read(target: Path, scenario: Path) -> Recorded:
-    there = read_scenario(scenario)[0] if scenario.exists() else None
-    return read_target(target), there
+    recorded_scenario = read_scenario(scenario)[0] if scenario.exists() else None
+    return read_target(target), recorded_scenario
 
 
 def read_recordings(folder: Path, count: int) -> list[Recorded]:
-    """Read what `write_recordings` has written."""
+    """Read the recordings that `write_recordings` has written."""
     return [_read(*recording_paths(folder, number)) for number in range(1, count + 1)]
 
 
 def recording_paths(folder: Path, number: int) -> tuple[Path, Path]:
-    """Files of a recording, which are numbered from the second on."""
+    """Files of a recording; their names have numbers from the second recording on."""
     end = f"-{number}" if number > 1 else ""
     return folder / f"target{end}.nc", folder / f"scenario{end}.toml"
 
 
 def target_digest(target: Target) -> str:
-    """SHA-256 of what the fit sees of a target."""
+    """SHA-256 of a target, as far as a fit uses it."""
     digest = hashlib.sha256()
     numbers = [target.qrs_onset, target.qrs_offset, target.onset_sd, target.offset_sd]
     if target.noise is not None:
@@ -101,7 +105,10 @@ def target_digest(target: Target) -> str:
     for array in (target.beats, target.time, np.array(numbers)):
         digest.update(str(array.shape).encode())
         digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
-    for one in target.filters:  # how they are known does not matter
-        text = f"{one.kind.value} {one.frequency!r} {one.shape!r} {one.sampling_rate!r}"
+    for filter_ in target.filters:  # without the source of this knowledge
+        text = (
+            f"{filter_.kind.value} {filter_.frequency!r} {filter_.shape!r} "
+            f"{filter_.sampling_rate!r}"
+        )
         digest.update(text.encode())
     return digest.hexdigest()

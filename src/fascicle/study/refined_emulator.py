@@ -1,8 +1,8 @@
-"""Emulators that are trained on with simulations where the posterior of the recordings lies.
+"""Emulators refined with simulations of networks drawn from the posterior of the recordings.
 
-An emulator of the prior is as exact there as on average, and what it does not say is that of
-networks of all kinds. Networks of a first posterior, simulated, make it more exact where it
-matters, and show what it does not say there.
+An emulator of the prior is no more exact near the posterior than elsewhere, and its residuals are
+those of networks all over the prior. Simulated networks of a first posterior make the emulator more
+exact where it matters, and show its residuals there.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from fascicle.study.likelihood import EmulatedLikelihood
 from fascicle.study.posterior import RUNS, of_all, sampled
 from fascicle.study.prior_simulations import PriorSimulations
 
-MOST, SHARE = 500, 1 / 32  # networks that are simulated in a round: at most, and of the prior's
-PARTICLES = 300  # of each run of a round; enough to simulate some of
+MOST, SHARE = 500, 1 / 32  # networks simulated in a round: at most, and per prior simulation
+PARTICLES = 300  # of each run of a round; some of them are simulated
 MOST_ROUNDS = 3
-MOVED = 0.02  # of a round's draws are worth something to the next posterior; fewer, and it is afar
+MOVED = 0.02  # effective share of a round's draws for the next posterior; if less, that has moved
 
 
 def refined_emulators(
@@ -40,61 +40,63 @@ def refined_emulators(
     rng: np.random.Generator,
     progress: Progress | None = None,
 ) -> list[EcgEmulator]:
-    """Train emulators on where the posterior lies that they give together.
+    """Train emulators further, on networks of the posterior that they give together.
 
-    One round does, unless the posterior moves away from the networks that were simulated.
+    One round is enough, unless the posterior moves away from the networks that were simulated.
 
-    Where a quantity of the tissue is learnt they stay as they are: each network has a tissue of its
-    own, which takes seconds.
+    Emulators are not refined if a quantity of the tissue is learnt: each network would have a
+    tissue of its own, whose preparation takes seconds.
 
     Parameters
     ----------
     emulators, scenarios : sequences
-        Of each recording: the emulator, and the scenario with its digest.
+        Emulator of each recording, and its scenario with the digest.
     emulated_by : callable
-        Gives the likelihoods of the recordings by emulators.
+        Makes the likelihoods of the recordings from emulators.
     count : int
-        Networks of the prior that the emulators have learnt from.
+        Number of prior simulations that the emulators have learnt from.
     folder : Path
-        Of a study, in which the simulations are kept.
+        Folder of the study, in which the simulations are kept.
 
     Returns
     -------
     list of EcgEmulator
-        Of each recording; one of the same scenario is the same.
+        Emulator of each recording; recordings of one scenario share an emulator.
     """
     now = emulated_by(emulators)
     simulator, drawn = now[0].simulator, round(min(MOST, SHARE * count))
     if any(quantity(name).changes is Changes.TISSUE for name in simulator.space.names):
         return [*emulators]
-    sample = one_thread(sampled)  # about both: each would give the other's threads back
+    sample = one_thread(sampled)  # around both runs: each would end the other's limit
     cache = ArrayCache(folder / DISPOSABLE, "posterior")
     digests = ["" if scenario is None else scenario[1] for scenario in scenarios]
     seen: dict[str, list[tuple[Singles, Singles]]] = {digest: [] for digest in digests}
     for number in range(1, MOST_ROUNDS + 1):
-        said = f"{RUNS} runs of {PARTICLES}, to refine the emulator"
-        said += f", round {number}" if number > 1 else ""
-        runs = sample(now, simulator.dimension, rng.spawn(RUNS), PARTICLES, said, progress)
-        every = np.concatenate([run.points for run in runs])
-        points = rng.permutation(every)[:drawn]
-        usual, found = rng.random((number * len(points), simulator.dimension)), {}
-        for given, emulated, scenario, digest in zip(
+        message = f"{RUNS} runs of {PARTICLES}, to refine the emulator"
+        message += f", round {number}" if number > 1 else ""
+        runs = sample(now, simulator.dimension, rng.spawn(RUNS), PARTICLES, message, progress)
+        run_points = np.concatenate([run.points for run in runs])
+        points = rng.permutation(run_points)[:drawn]
+        usual, refined = rng.random((number * len(points), simulator.dimension)), {}
+        for emulator, emulated, scenario, digest in zip(
             emulators, now, scenarios, digests, strict=True
         ):
-            if digest in found:
+            if digest in refined:
                 continue
             simulations = PriorSimulations(
                 simulator.model, simulator.space, simulator.averaged, simulator.fixed, cache,
                 scenario, points,
             )  # fmt: skip
             simulations.simulate(len(points), simulator.pool, progress)
-            new = simulations.examples(len(points), given.length)
-            inputs, others = (emulated.inputs(p)[0] for p in (points[new.feasible], usual))
-            seen[digest].append((inputs, new.ecgs))
+            new_examples = simulations.examples(len(points), emulator.length)
+            inputs, usual_inputs = (
+                emulated.inputs(p)[0] for p in (points[new_examples.feasible], usual)
+            )
+            seen[digest].append((inputs, new_examples.ecgs))
             examples = map(np.concatenate, zip(*seen[digest], strict=True))
-            found[digest] = trained_on(given, *examples, others, rng, latest=len(inputs))
-        before, now = now, emulated_by([found[digest] for digest in digests])
-        log_weights = of_all(now, every) - of_all(before, every)
-        if effective_size(log_weights - log_weights.max()) > MOVED * len(every):
+            refined[digest] = trained_on(emulator, *examples, usual_inputs, rng, latest=len(inputs))
+        before, now = now, emulated_by([refined[digest] for digest in digests])
+        log_weights = of_all(now, run_points) - of_all(before, run_points)
+        if effective_size(log_weights - log_weights.max()) > MOVED * len(run_points):
             break
-    return [each.emulator for each in now]
+    return [likelihood.emulator for likelihood in now]

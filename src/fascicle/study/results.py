@@ -1,4 +1,4 @@
-"""The files that hold a fitted study."""
+"""Writing of a fitted study's result files."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ def write_results(
 ) -> None:
     """Write networks, trees, activation map and summary into the study's folder.
 
-    `networks` are the simulated population; `agreements` and, of a posterior, `predictions` and the
-    reports of the `emulators` are of each recording.
+    `networks` are the simulated population. `agreements` and, for a posterior, `predictions` and
+    the reports of the `emulators` hold one entry for each recording.
     """
     from fascicle import __version__
 
     population, folder, config = fitted.population, fitted.folder, fitted.study.config
     heart, space = fitted.simulator.model.heart, fitted.simulator.space
     result = folder / RESULT[config.method]
-    result.unlink(missing_ok=True)  # not finished while this is under way
+    result.unlink(missing_ok=True)  # so that the study does not count as finished meanwhile
     shown = range(0, len(networks), max(1, len(networks) // TREES_WRITTEN))[:TREES_WRITTEN]
     _write_networks(
         folder / "networks",
@@ -83,18 +83,18 @@ def write_results(
 
 
 def _sources(fitted: FittedStudy) -> str:
-    """Where the recordings come from."""
+    """Sources of the recordings."""
     return ", ".join(p.target.provenance.get("source", "") for p in fitted.recordings)
 
 
 def spread(values: Floats) -> dict[str, float]:
     """Minimum, median and maximum of `values` (n,), for a summary."""
-    found = {"minimum": values.min(), "median": np.median(values), "maximum": values.max()}
-    return {name: float(value) for name, value in found.items()}
+    statistics = {"minimum": values.min(), "median": np.median(values), "maximum": values.max()}
+    return {name: float(value) for name, value in statistics.items()}
 
 
 def _write_networks(folder: Path, networks: Mapping[str, Network]) -> None:
-    """One folder a network, with its trees; those of an earlier run are replaced."""
+    """Write a folder with the trees of each network, in place of those of an earlier run."""
     shutil.rmtree(folder, ignore_errors=True)
     with atomic_folder(folder) as temporary:
         for name, network in networks.items():
@@ -142,10 +142,10 @@ def _summary(
 
 
 def _posterior_summary(fitted: FittedStudy, posterior: Posterior) -> dict[str, object]:
-    """What only a posterior has."""
+    """Entries of the summary for a posterior."""
     return {
         "conduction_states": dict(posterior.states),
-        # of several states each has its own
+        # with several conduction states, each state has log-evidences of its own
         "log_evidences": None if posterior.states else posterior.log_evidences.tolist(),
         "effective_sample_sizes": posterior.effective.tolist(),
         "standard_deviations_between_runs": dict(posterior.means_apart),

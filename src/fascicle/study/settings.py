@@ -1,4 +1,4 @@
-"""The settings of a fit. Nothing heavy is imported here: the command line makes options of them."""
+"""Settings of a fit; the module imports little, since the command line makes options of them."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ FitSettings.__doc__ = "\n".join(
 
 
 def checked_settings(given: Mapping[str, Any]) -> FitSettings:
-    """Settings as they are used; impossible, unknown and pointless ones are refused in one line."""
+    """Check settings; impossible, unknown and unused settings are refused in one line."""
     settings = FitSettings(**given)
     other = OF_THE_POSTERIOR if settings.method == "paper" else OF_THE_PAPER
     foreign = [name for name in other if name in given]
@@ -129,6 +129,6 @@ def checked_settings(given: Mapping[str, Any]) -> FitSettings:
 
 
 def first_problem(error: ValidationError) -> tuple[str, Any, str]:
-    """Setting, value and what is wrong with it, of the first setting that was refused."""
+    """Name, value and error message of the first setting that was refused."""
     first = error.errors()[0]
     return ".".join(map(str, first["loc"])), first["input"], first["msg"]

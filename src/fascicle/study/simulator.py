@@ -1,4 +1,4 @@
-"""Simulations of points of the unit cube: the one place that runs the forward model for a study."""
+"""Simulations of points of the unit cube by the forward model, on a pool or a backend."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fascicle.study.pool import Pool, Threads
 from fascicle.study.space import AveragedOver, is_kept
 from fascicle.torso.variation.conductor import InvalidTorso
 
-# Simulations by sorted parameters and the identity of a scenario
+# Simulations by sorted parameters and the `id` of a scenario
 Remembered = dict[tuple[tuple[tuple[str, float], ...], int], Simulation]
 
 
@@ -27,28 +27,28 @@ class PointSimulator:
     """Simulates points of the unit cube."""
 
     model: ForwardModel
-    space: ParameterSpace  # what is learnt: from a point to named parameters
-    fixed: dict[str, float] = field(default_factory=dict)  # at other values than defaults
+    space: ParameterSpace  # maps a point to the learnt parameters by name
+    fixed: dict[str, float] = field(default_factory=dict)  # values that are not the defaults
     pool: Pool = field(default=Threads(1), compare=False)
     averaged: AveragedOver = field(default_factory=AveragedOver)  # its coordinates come last
     backend: Backend | None = field(default=None, compare=False)  # in place of the pool
-    # by threads of this process, where draws are evaluated first and then looked at
+    # simulations that threads of this process keep, where draws are evaluated and later read again
     remembered: Remembered | None = field(default=None, compare=False)
     mapped: bool = False  # whether intrinsic beats must be activated as mapped human hearts are
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        """Have the tissues, which every command on a study needs, prepared once a heart."""
+        """Prepare the tissues, which every command on a study needs, once for each heart."""
         self.model.keep_tissues({**self.fixed, **tissue} for tissue in self.averaged.tissues)
 
     def parameters(self, point: Floats) -> dict[str, float]:
-        """All parameters of a point (d,) that are not at their defaults, by name."""
-        learnt, rest = point[: len(self.space)], point[len(self.space) :]
-        return self.fixed | self.space.from_unit(learnt) | self.averaged.values(rest)
+        """Parameters of a point (d,) by name, without those at their defaults."""
+        learnt, averaged = point[: len(self.space)], point[len(self.space) :]
+        return self.fixed | self.space.from_unit(learnt) | self.averaged.values(averaged)
 
     def keeps(self, point: Floats, beat: SimulatedBeat) -> bool:
-        """Whether the intrinsic beat of a point (d,) belongs to the prior."""
+        """Whether the intrinsic beat at a point (d,) belongs to the prior."""
         return not self.mapped or is_kept(point, self.model.surfaces.sequence(beat.activation))
 
     @property
@@ -66,22 +66,28 @@ class PointSimulator:
         self, parameters: Iterable[Mapping[str, float]], scenario: Scenario | None = None
     ) -> Iterator[Simulation | InvalidTree | InvalidTorso]:
         """Simulate networks, in order."""
-        items = [({**self.fixed, **each}, scenario) for each in parameters]
+        items = [({**self.fixed, **network}, scenario) for network in parameters]
         return self.pool.map(_simulate, items, self.model)
 
     def from_backend(self, points: Sequence[Floats]) -> list[Signals | str | None]:
-        """Intrinsic beats that a backend simulates, in the plain tissue; None for all others."""
-        found: list[Signals | str | None] = [None] * len(points)
-        if self.backend is None or not points or self.mapped:  # that takes the activation
-            return found
+        """Intrinsic beats that the backend simulates, or why one is infeasible; None elsewhere.
+
+        A backend simulates networks in the plain tissue alone.
+        """
+        signals: list[Signals | str | None] = [None] * len(points)
+        # a mapped prior needs activation times, which a backend does not give
+        if self.backend is None or not points or self.mapped:
+            return signals
         if self.backend.refusal(self.model, self.averaged.space.names):
-            return found
+            return signals
         tissues = self.averaged.tissue(np.asarray(points)[:, len(self.space) :])
         plain = [k for k, number in enumerate(tissues) if not self.averaged.tissues[number]]
-        asked = [self.parameters(points[k]) for k in plain]
-        for k, each in zip(plain, self.backend.signals(self.model, asked), strict=True):
-            found[k] = each.reason if isinstance(each, InvalidTree) else each
-        return found
+        plain_parameters = [self.parameters(points[k]) for k in plain]
+        for k, outcome in zip(
+            plain, self.backend.signals(self.model, plain_parameters), strict=True
+        ):
+            signals[k] = outcome.reason if isinstance(outcome, InvalidTree) else outcome
+        return signals
 
 
 def _simulate(

@@ -1,4 +1,4 @@
-"""Which quantities a study learns, with which priors, and which it holds fixed."""
+"""Quantities that a study learns, with their priors, fixes, or averages over."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ PARAMETERS = "parameters"  # table of a settings file
 def study_space(
     method: Method, wanted: Mapping[str, Any], heart: Heart
 ) -> tuple[ParameterSpace, dict[str, float]]:
-    """What a study learns, and what else differs from the defaults of quantities.
+    """Parameter space that a study learns, and fixed quantities that differ from their defaults.
 
     The method ``"paper"`` learns the paper's parameters of bundles and fascicles, root time and
     Purkinje conduction velocity; ``"posterior"`` has priors of human anatomy, the interventricular
-    delay, and the speed of the myocardium along the fibre, where the heart does not say it. What
-    stands for a quantity takes its place. `wanted` says what differs, as `parameters` of
-    `fascicle.fit`; a group of `GROUPS` that is ``"free"`` frees all of its quantities but those
-    that are given separately.
+    delay, and the conduction velocity of the myocardium along the fibre, where the heart does not
+    give it. A quantity that stands for another one (`stand_ins`) replaces it. `wanted` holds the
+    user's changes, as `parameters` of `fascicle.fit`; a group of `GROUPS` that is ``"free"`` frees
+    all of its quantities but those that are given separately.
     """
     human, wanted = method == "posterior", without_groups(wanted)
     default: dict[str, Parameter | float] = {
@@ -87,8 +87,8 @@ def study_space(
     return ordered_fascicles(space) if method == "posterior" else space, fixed
 
 
-# Not known of a patient, and averaged over unless a study learns or fixes it; docs/quantities.md
-# says where the priors are from.
+# Quantities unknown in a patient, which are averaged over unless a study learns or fixes them;
+# docs/quantities.md gives the sources of the priors.
 NOT_KNOWN = (
     free("branch_length", prior="normal", median=8.0, sd=1.0),
     free("branch_angle", prior="normal", median=0.15, sd=0.03),
@@ -97,7 +97,7 @@ NOT_KNOWN = (
     free("rv_source", prior="log-normal", median=0.35, sd=0.4),
     free("axial_source", lower=0.0, upper=0.5),
 )
-# As many tissues as can be kept at a time: the plain one, and others about it.
+# As many tissues as a model keeps at a time: the plain one, and variations about it.
 TISSUES: tuple[dict[str, float], ...] = (
     {},
     {"anisotropy_ratio": 2.0},
@@ -109,14 +109,14 @@ TISSUES: tuple[dict[str, float], ...] = (
 
 @dataclass(frozen=True)
 class AveragedOver:
-    """What is not known and not reported either, but varies in all simulations of a posterior.
+    """Unknown quantities that vary in all simulations of a posterior, but are not reported.
 
     Attributes
     ----------
     space : ParameterSpace
         Quantities with their priors.
     tissues : tuple of mappings
-        Quantities of the tissues, each as probable as the others.
+        Quantities of the tissues, which are equally probable.
     """
 
     space: ParameterSpace = field(default_factory=partial(ParameterSpace, ()))
@@ -124,25 +124,25 @@ class AveragedOver:
 
     @classmethod
     def of(cls, space: ParameterSpace, fixed: Mapping[str, float], heart: Heart) -> AveragedOver:
-        """What is left to average over beside what is learnt, fixed, and known of the heart."""
-        known = {*space.names, *fixed, *heart.values}
-        left = tuple(p for p in NOT_KNOWN if p.name not in known)
+        """Quantities to average over: those that are neither learnt, fixed nor the heart's own."""
+        settled = {*space.names, *fixed, *heart.values}
+        unsettled = tuple(p for p in NOT_KNOWN if p.name not in settled)
         varied = {name for tissue in TISSUES for name in tissue}
-        return cls(ParameterSpace(left), ({},) if known & varied else TISSUES)
+        return cls(ParameterSpace(unsettled), ({},) if settled & varied else TISSUES)
 
     def __len__(self) -> int:
-        """Coordinates of a point."""
+        """Number of coordinates of a point."""
         return len(self.space) + (len(self.tissues) > 1)
 
     def tissue(self, points: Floats) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-        """Which of the tissues points (n, d) of the unit cube are of, (n,)."""
+        """Index (n,) of the tissue at points (n, d) of the unit cube."""
         if len(self.tissues) == 1:
             return np.zeros(len(points), np.intp)
         number = (points[:, -1] * len(self.tissues)).astype(np.intp)
         return np.minimum(number, len(self.tissues) - 1)
 
     def columns(self, points: Floats) -> dict[str, Floats]:
-        """Quantities, but those of tissues, at points (n, d) of the unit cube, (n,) each."""
+        """Quantities (n,) at points (n, d) of the unit cube, without those of the tissues."""
         return self.space.columns(points[:, : len(self.space)])
 
     def values(self, point: Floats) -> dict[str, float]:
@@ -151,22 +151,24 @@ class AveragedOver:
         return {**self.space.from_unit(point[: len(self.space)]), **self.tissues[number]}
 
 
-# Probability to keep a network of the prior of mapped hearts which is activated otherwise
+# Probability to keep a network in the prior of mapped hearts although its activation sequence
+# differs from theirs
 UNMAPPED = 0.03
 
 
 def is_kept(point: Floats, sequence: ActivationSequence) -> bool:
     """Whether a point (d,) of the unit cube belongs to the prior of mapped hearts.
 
-    Of those that are activated otherwise some do, and each always or never: its digits decide.
+    A few points with another activation sequence belong to it, too. A hash of the coordinates
+    decides, so that the answer for a point is always the same.
     """
     digits = hashlib.sha256(np.ascontiguousarray(point, dtype=float).tobytes()).digest()
     return sequence.is_mapped or int.from_bytes(digits[:8]) < UNMAPPED * 2**64
 
 
 def without_groups(wanted: Mapping[str, Any]) -> dict[str, Any]:
-    """The same with each group of quantities that is free written out."""
-    whole: dict[str, Any] = {}
+    """Replace each group of quantities that is free by its quantities."""
+    quantities: dict[str, Any] = {}
     for name, value in wanted.items():
         if name in GROUPS:
             if not (isinstance(value, str) and value == FREE):
@@ -174,12 +176,12 @@ def without_groups(wanted: Mapping[str, Any]) -> dict[str, Any]:
                     f"parameter '{name}' is {shown(value)}: a group of quantities can only be "
                     f"'free'; give its quantities one by one: {', '.join(GROUPS[name][:2])}, ..."
                 )
-            whole |= dict.fromkeys(GROUPS[name], FREE)
-    return whole | {name: value for name, value in wanted.items() if name not in GROUPS}
+            quantities |= dict.fromkeys(GROUPS[name], FREE)
+    return quantities | {name: value for name, value in wanted.items() if name not in GROUPS}
 
 
 def _chosen(name: str, value: Any, usual: Mapping[str, Parameter]) -> Parameter | float:
-    """What was said of one quantity: to be learnt, perhaps with its usual prior, or fixed."""
+    """Read the user's choice for a quantity: a parameter to learn, or a value to fix it at."""
     if isinstance(value, str) and value == FREE:
         return usual.get(name) or free(name)
     if not isinstance(value, Mapping):
@@ -200,7 +202,7 @@ def _chosen(name: str, value: Any, usual: Mapping[str, Parameter]) -> Parameter 
 
 
 def _check_fascicles(names: set[str], counts: Mapping[str, int]) -> None:
-    """Refuse fascicles beyond the number there is."""
+    """Refuse parameters of fascicles beyond the number of fascicles."""
     for side, count in counts.items():
         for name in sorted(names):
             number = name.rpartition("_")[2]
@@ -232,7 +234,7 @@ def read_settings(path: Path | str) -> dict[str, Any]:
 
 
 def growth_and_conduction(heart: Heart, rules: GrowthRules) -> dict[str, Any]:
-    """What the forward model of a heart holds fixed, as a study's configuration names it."""
+    """Constants of a heart's forward model, by the fields of a study's configuration."""
     conduction = Conduction.of(heart)
     numbers = asdict(conduction)
     del numbers["regions"]

@@ -1,7 +1,7 @@
-"""How probable each conduction state is, by a classifier of a heart's simulated recordings.
+"""Probability of each conduction state, by a classifier of a heart's simulated recordings.
 
-Each state has prior simulations of its own. The classifier is made once a heart, and kept with it;
-the packaged hearts share one, which has learnt from recordings of all of them.
+Each state has prior simulations of its own. The classifier is made once for each heart, and kept
+with it; the packaged hearts share one, which has learnt from recordings of all of them.
 """
 
 from __future__ import annotations
@@ -45,71 +45,73 @@ from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import AveragedOver, study_space
 
 CLASSIFIER = "classifier"  # kind of file
-RECORDINGS = 40_000  # of each state to learn from
-FEWEST = 100  # simulations of a state to learn from
+RECORDINGS = 40_000  # recordings of each state in the training set
+FEWEST = 100  # least number of simulations of a state to learn from
 
 
 @dataclass(frozen=True)
 class StateSimulations:
-    """Prior simulations that hold those of a state."""
+    """Prior simulations from which those of a conduction state are taken."""
 
     state: ConductionState
     prior: PriorSimulations
-    count: int  # half of what was asked for, but of mapped hearts, of which many are left out
+    count: int  # half of a study's, or all for a mapped prior, to which many do not belong
 
     @classmethod
     def of(
         cls, state: ConductionState, simulator: PointSimulator, folder: Path, count: int
     ) -> StateSimulations:
-        """Those of a simulator that learns all states."""
+        """Prior simulations of one state, for a simulator whose space holds all states."""
         space = state.narrowed(simulator.space, simulator.fixed)
         assert space is not None
         fixed, heart = simulator.fixed | state.blocks, simulator.model.heart
         averaged = AveragedOver.of(space, fixed, heart)
         mapped = state.is_mapped({*space.names, *fixed})
-        own = replace(simulator, space=space, fixed=fixed, averaged=averaged, mapped=mapped)
-        half = max(count // 2, 100)  # the fewest that a fit takes
-        return cls(state, prior_of(own, folder), count if mapped else half)
+        state_simulator = replace(
+            simulator, space=space, fixed=fixed, averaged=averaged, mapped=mapped
+        )
+        half = max(count // 2, 100)  # 100: the least that a fit accepts
+        return cls(state, prior_of(state_simulator, folder), count if mapped else half)
 
     @property
     def content(self) -> str:
-        """What they depend on."""
+        """Text that identifies all that the simulations depend on."""
         return f"{self.state.name} {self.prior.content}"
 
     def ecgs(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        """ECGs of the state to learn from, and held-out ones in random bodies."""
+        """Training ECGs of the state, and held-out ECGs in random torsos."""
         examples = self.prior.examples(self.count, LENGTH).of_the_prior
         independent = slice(len(INDEPENDENT_LEADS))
-        seen = examples.ecgs[~examples.held_out[examples.feasible], independent]
-        tried = examples.in_bodies[:, independent]
-        if len(seen) < FEWEST or not len(tried):
+        training_ecgs = examples.ecgs[~examples.held_out[examples.feasible], independent]
+        held_out_ecgs = examples.in_bodies[:, independent]
+        if len(training_ecgs) < FEWEST or not len(held_out_ecgs):
             raise InputError(
-                f"only {len(seen)} networks of the prior of '{self.state.name}' fit this heart; "
-                "give more prior_simulations, or a prior of the other states"
+                f"only {len(training_ecgs)} networks of the prior of '{self.state.name}' fit this "
+                "heart; give more prior_simulations, or a prior of the other states"
             )
-        return seen, tried
+        return training_ecgs, held_out_ecgs
 
 
 def probabilities(
     classifier: EcgClassifier, known: Iterable[str], priors: Mapping[str, float], target: Target
 ) -> dict[str, float]:
-    """How probable states with priors are given a recording, by a classifier of the known ones."""
-    each = zip(known, classifier.probabilities(target), strict=True)
-    found = {name: p * priors[name] for name, p in each if name in priors}
-    total = sum(found.values())
-    return {name: float(p / total) for name, p in found.items()}
+    """Posterior probabilities of states by a classifier, which knows the states `known`."""
+    by_classifier = zip(known, classifier.probabilities(target), strict=True)
+    products = {name: p * priors[name] for name, p in by_classifier if name in priors}
+    total = sum(products.values())
+    return {name: float(p / total) for name, p in products.items()}
 
 
 @dataclass(frozen=True)
 class NoStateNamed:
-    """Why no conduction state of a recording is named.
+    """Outcome for a recording of which no conduction state is named, with the reason.
 
     Attributes
     ----------
     reason : str
-        In a line.
+        Reason in a line.
     unreliable : mapping of str to float
-        What the classifier says all the same; nobody knows how often it is right.
+        Probabilities by the classifier all the same, whose reliability here is unknown.
     """
 
     reason: str
@@ -130,7 +132,7 @@ def state_probabilities(
     progress: Progress | Lines | None = "lines",
     pool: Pool | None = None,
 ) -> Mapping[str, float] | NoStateNamed:
-    """Say how probable each conduction state is, without a fit.
+    """Estimate the probability of each conduction state, without a fit.
 
     Parameters
     ----------
@@ -139,18 +141,18 @@ def state_probabilities(
     target : Target or path
         A recording of the intrinsic beat.
     priors : mapping of str to float, optional
-        Of the states before the ECG is seen; by default as common as they are in adults who are
-        referred for an ECG (`fascicle.study.conduction_states.PREVALENCE`).
+        Prior probabilities of the states; by default their prevalence in adults who are referred
+        for an ECG (`fascicle.study.conduction_states.PREVALENCE`).
     parameters : mapping of name to value, optional
-        Quantities with other priors than those of people, or fixed, as in `fascicle.fit`, so that
-        its ``"conduction"`` stands for `priors`. Networks of these are simulated once a heart.
+        Quantities with other priors, or fixed, as in `fascicle.fit`; its ``"conduction"`` replaces
+        `priors`. Prior simulations of these are made once for each heart.
     prior_simulations, workers, progress, pool
         As in `fascicle.locate`: a heart of your own is simulated once.
 
     Returns
     -------
     mapping of str to float, or NoStateNamed
-        Probabilities, which add up to 1; or why none is named.
+        Probabilities, which add up to 1; or the reason why no state is named.
 
     Raises
     ------
@@ -167,30 +169,30 @@ def state_probabilities(
     )
     target = as_target(target)
     check_kind(parameters, (Mapping, NoneType), "parameters", "a dict of names to values")
-    wanted = {"conduction": priors, **(parameters or {})}
-    asked_of = wanted.pop("conduction")
-    space, fixed = study_space("posterior", wanted, heart)
-    states = possible_states(asked_of, space, {**heart.values, **fixed})
-    asked = {state.name: state.probability for state in states}
-    if others := {*asked} - {state.name for state in STATES}:
+    choices = {"conduction": priors, **(parameters or {})}
+    conduction = choices.pop("conduction")
+    space, fixed = study_space("posterior", choices, heart)
+    states = possible_states(conduction, space, {**heart.values, **fixed})
+    state_priors = {state.name: state.probability for state in states}
+    if untold := {*state_priors} - {state.name for state in STATES}:
         raise InputError(
-            f"priors: '{min(others)}' is not told apart from normal; give others, or leave them out"
+            f"priors: '{min(untold)}' is not told apart from normal; give others, or leave them out"
         )
     with shown_progress(progress) as shown:
         if shown is not None:
             compile_kernels(shown)
         simulator = PointSimulator(ForwardModel(heart, progress=shown), space, fixed)
-        known = simulations_of_states(simulator, folder, count)
+        simulations = simulations_of_states(simulator, folder, count)
         rows = classified_rows(target)
-        classifier = classifier_of(known, rows, folder, count, pool, shown)
-    probable = probabilities(classifier, known, asked, target)
+        classifier = classifier_of(simulations, rows, folder, count, pool, shown)
+    probable = probabilities(classifier, simulations, state_priors, target)
     if reason := unlike(classifier, target):
         return NoStateNamed(reason, probable)
     return {state_label(name): p for name, p in probable.items()}
 
 
 def unlike(classifier: EcgClassifier, target: Target) -> str:
-    """Why a recording is not one of those that a classifier has learnt from; empty if it is."""
+    """Reason why a recording is unlike the training set of a classifier; empty if it is alike."""
     assert classifier.most_outside is not None
     (outside,) = classifier.outside(classifier.cosines(target))
     if outside <= classifier.most_outside:
@@ -204,28 +206,31 @@ def unlike(classifier: EcgClassifier, target: Target) -> str:
 def simulations_of_states(
     simulator: PointSimulator, folder: Path, count: int
 ) -> dict[str, StateSimulations]:
-    """Prior simulations of all states that what is learnt and fixed leaves.
+    """Prior simulations of all states that the learnt and fixed quantities do not exclude.
 
-    Those of the heart's usual priors, of all states, wherever they are of what is learnt and fixed.
+    Simulations of the heart's usual priors, of all states, are taken if they cover those quantities
+    in every state.
     """
-    usual = PointSimulator(simulator.model, *study_space("posterior", {}, simulator.model.heart))
-    found = _of_each(usual, folder, count)
-    asked = _of_each(simulator, folder, count)
+    usual_simulator = PointSimulator(
+        simulator.model, *study_space("posterior", {}, simulator.model.heart)
+    )
+    usual_states = _of_each(usual_simulator, folder, count)
+    states = _of_each(simulator, folder, count)
     if all(
-        name in found
-        and found[name].prior.covers(
-            each.prior.space, each.prior.averaged, each.prior.fixed, each.prior.mapped
+        name in usual_states
+        and usual_states[name].prior.covers(
+            state.prior.space, state.prior.averaged, state.prior.fixed, state.prior.mapped
         )
-        for name, each in asked.items()
+        for name, state in states.items()
     ):
-        return found
-    return asked
+        return usual_states
+    return states
 
 
 def _of_each(simulator: PointSimulator, folder: Path, count: int) -> dict[str, StateSimulations]:
-    known = {**simulator.model.heart.values, **simulator.fixed}
-    left = [state for state in STATES if state.narrowed(simulator.space, known) is not None]
-    return {state.name: StateSimulations.of(state, simulator, folder, count) for state in left}
+    settled = {**simulator.model.heart.values, **simulator.fixed}
+    possible = [state for state in STATES if state.narrowed(simulator.space, settled) is not None]
+    return {state.name: StateSimulations.of(state, simulator, folder, count) for state in possible}
 
 
 def classifier_of(
@@ -236,43 +241,43 @@ def classifier_of(
     pool: Pool,
     progress: Progress | None = None,
 ) -> EcgClassifier:
-    """The classifier of states that looks at leads, from the package, a heart's folder or made."""
+    """Classifier of states by the leads `rows`: from the package, a heart's folder, or made."""
 
     def make() -> Mapping[str, Any]:
-        for number, each in enumerate(known.values(), 1):
-            said = f"{each.state.name} ({number} of {len(known)} states)"
-            each.prior.simulate(each.count, pool, progress, said)
+        for number, simulations in enumerate(known.values(), 1):
+            message = f"{simulations.state.name} ({number} of {len(known)} states)"
+            simulations.prior.simulate(simulations.count, pool, progress, message)
         rng = np.random.default_rng(SEED)
-        found: Mapping[str, Any] = learn(*lessons(known, rows, rng), rows, rng, progress).arrays()
-        return found
+        arrays: Mapping[str, Any] = learn(*lessons(known, rows, rng), rows, rng, progress).arrays()
+        return arrays
 
     stored = learnt_or_made(CLASSIFIER, classifier_key(known, rows), count, folder, make)
     return EcgClassifier.from_arrays(stored)
 
 
 def classifier_key(known: Mapping[str, StateSimulations], rows: Integers) -> str:
-    """What the classifier of states that looks at leads depends on."""
-    return "; ".join([str(rows), *(each.content for each in known.values())])
+    """Text that identifies all that the classifier of states by the leads `rows` depends on."""
+    return "; ".join([str(rows), *(simulations.content for simulations in known.values())])
 
 
 def lessons(
     known: Mapping[str, StateSimulations], rows: Integers, rng: np.random.Generator
 ) -> tuple[Lessons, Lessons]:
-    """Recordings of a heart to learn from, as many of each state, and held-out ones."""
+    """Training set of a heart's recordings, as many of each state, and a held-out set."""
     first, *_ = known.values()
     recorder = Recorder.of(first.prior.examples(first.count, LENGTH).of_the_prior)
-    seen: list[Singles] = []
+    training: list[Singles] = []
     held_out: list[Singles] = []
-    for each in known.values():
-        ecgs, in_bodies = each.ecgs()
-        seen.append(recorder.recordings(ecgs, rows, RECORDINGS, rng)[0])
+    for state in known.values():
+        ecgs, in_bodies = state.ecgs()
+        training.append(recorder.recordings(ecgs, rows, RECORDINGS, rng)[0])
         held_out.append(in_leads(rows) @ recorder.recorded(in_bodies, rng, in_bodies=True))
-    both = []
-    for recordings in (seen, held_out):
+    sets = []
+    for recordings in (training, held_out):
         one_each = np.eye(len(recordings), dtype=np.float32)
-        kinds = np.repeat(one_each, [len(each) for each in recordings], axis=0)
-        both.append(Lessons(np.concatenate(recordings), kinds))
-    return both[0], both[1]
+        kinds = np.repeat(one_each, [len(ecgs) for ecgs in recordings], axis=0)
+        sets.append(Lessons(np.concatenate(recordings), kinds))
+    return sets[0], sets[1]
 
 
 def simulate_prior(
@@ -285,27 +290,27 @@ def simulate_prior(
 ) -> Path:
     """Simulate networks of the prior of a heart once, and train its emulators, for all its fits.
 
-    Those of every conduction state, and the classifier that tells the states apart.
-
-    What is there already is kept, so it goes on where it was interrupted.
+    Every conduction state has simulations and an emulator; the classifier that tells the
+    states apart is trained, too. Existing files are kept, so an interrupted run is resumed.
 
     Parameters
     ----------
     heart : Heart or path
         The heart, its folder, or ``"default"``.
     networks : int, optional
-        How many; by default as many as a fit wants.
+        Number of networks; by default that of `fascicle.fit`.
     workers : int, optional
         Simulations that run at the same time; by default one a core.
     progress : Progress, "lines" or None
-        Called with how many networks are simulated; by default lines on standard error say so.
+        Progress callback, called with the number of networks simulated; by default lines on
+        standard error.
     pool : Pool, optional
-        Where they are simulated, as in `fascicle.fit`; by default on `workers` threads.
+        Where networks are simulated, as in `fascicle.fit`; by default on `workers` threads.
 
     Returns
     -------
     Path
-        Folder that holds them.
+        Folder that holds simulations, emulators and classifier.
 
     Raises
     ------
@@ -318,8 +323,10 @@ def simulate_prior(
             compile_kernels(shown)
         model = ForwardModel(heart, progress=shown)
         simulator = PointSimulator(model, *study_space("posterior", {}, heart))
-        known = simulations_of_states(simulator, folder, count)
-        classifier_of(known, np.array(INDEPENDENT_ROWS), folder, count, pool, shown)
-        for each in {each.prior.content: each for each in known.values()}.values():
-            made_emulator(each.prior, each.count, pool, shown)
+        states = simulations_of_states(simulator, folder, count)
+        classifier_of(states, np.array(INDEPENDENT_ROWS), folder, count, pool, shown)
+        for simulations in {
+            simulations.prior.content: simulations for simulations in states.values()
+        }.values():
+            made_emulator(simulations.prior, simulations.count, pool, shown)
     return folder / DISPOSABLE

@@ -42,21 +42,21 @@ from fascicle.study.study import MAY_CHANGE, Study, StudyConfig
 from fascicle.study.target_comparison import TargetComparison, evaluate
 
 HEART = "heart"  # in the study's folder
-PREDICTION, REFINEMENT = 2, 3  # number the random generators
+PREDICTION, REFINEMENT = 2, 3  # numbers of the random generators
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a study is of."""
+    """Inputs of a study: heart, recordings, configuration, growth rules and likelihoods."""
 
     heart: Heart
     recordings: Sequence[Recorded]
-    config: StudyConfig  # all that decides the outcome, with hashes of the others
+    config: StudyConfig  # all that decides the outcome, with digests of the other inputs
     rules: GrowthRules
-    likelihoods: Sequence[Likelihood] | None = None  # in place of those made of the prior
+    likelihoods: Sequence[Likelihood] | None = None  # the user's, in place of those by emulators
 
 
-# Of each recording, by the number of the conduction state
+# Likelihood of each recording, by the number of the conduction state
 Emulated = Mapping[float, Sequence[EmulatedLikelihood]]
 
 
@@ -68,10 +68,10 @@ def fit_state(
     backend: Backend | None = None,
     model: ForwardModel | None = None,
 ) -> tuple[FittedStudy, list[EmulatedLikelihood]]:
-    """Do what is left of a study in its folder, and write its results.
+    """Fit a study in its folder, from where it was interrupted, and write its results.
 
-    `model` is that of the heart and the rules, if it is at hand. A posterior comes with the
-    likelihoods of its recordings.
+    `model` is the forward model of the heart and the rules, made here if it is None. A posterior
+    comes with the likelihoods of its recordings; for the paper's method the list is empty.
     """
     heart, config = inputs.heart, inputs.config
     simulator, recordings = simulated_and_compared(
@@ -94,7 +94,7 @@ def fit_state(
 
 
 def begun(inputs: Inputs, folder: Path, progress: Progress | None) -> Study:
-    """A study in its folder, with copies of what it is of."""
+    """Create or resume a study in its folder, with copies of the heart and the recordings."""
     study = Study.create_or_resume(folder, inputs.config, progress)
     if not _holds(folder / HEART, inputs.heart):
         write_heart(inputs.heart, folder / HEART)
@@ -103,47 +103,49 @@ def begun(inputs: Inputs, folder: Path, progress: Progress | None) -> Study:
 
 
 def completed(fitted: FittedStudy, emulated: Emulated, progress: Progress | None) -> FittedStudy:
-    """Simulate the networks, compare a posterior with the recording, and write the results."""
+    """Simulate the networks, compare them with the recordings, and write the results."""
     networks, agreements, predictions = fitted.networks(progress), [], []
-    states = [network.parameters.get("conduction", 0.0) for network in networks]
+    network_states = [network.parameters.get("conduction", 0.0) for network in networks]
     rng = np.random.default_rng([fitted.study.config.seed, PREDICTION])
-    for number, each in enumerate(fitted.recordings):
-        its = networks if number == 0 else fitted.networks(progress, number)
+    for number, recording in enumerate(fitted.recordings):
+        recorded_networks = networks if number == 0 else fitted.networks(progress, number)
         if fitted.of_the_paper:
-            agreements.append(agreement(each.target, its))
+            agreements.append(agreement(recording.target, recorded_networks))
         else:
-            own = [emulated[state][number] for state in states]
-            found = predict_recording(each.target, [e.likelihood for e in own], its, rng)
-            checks = checked(found.checks, own, its)
-            if each.scenario is None:
+            likelihoods = [emulated[state][number] for state in network_states]
+            prediction = predict_recording(
+                recording.target, [e.likelihood for e in likelihoods], recorded_networks, rng
+            )
+            checks = checked(prediction.checks, likelihoods, recorded_networks)
+            if recording.scenario is None:
                 surfaces = fitted.simulator.model.surfaces
-                sequences = [surfaces.sequence(n.simulation.activation) for n in its]
+                sequences = [surfaces.sequence(n.simulation.activation) for n in recorded_networks]
                 checks = replace(checks, sequence=SequenceSummary.of(sequences))
-            predictions.append(replace(found, checks=checks))
-            agreements.append(found.agreement)
+            predictions.append(replace(prediction, checks=checks))
+            agreements.append(prediction.agreement)
     if predictions:
-        checks = Checks.joined([each.checks for each in predictions])
-        ecgs = tuple(each.ecg for each in predictions)
+        checks = Checks.joined([prediction.checks for prediction in predictions])
+        ecgs = tuple(prediction.ecg for prediction in predictions)
         gains, torsos = predictions[0].gains, predictions[0].torsos
         fitted = replace(fitted, checks=checks, gains=gains, torsos=torsos, ecgs=ecgs)
-    (most_probable, _), *_ = Counter(states).most_common()
-    reports = [dict(each.emulator.report) for each in emulated.get(most_probable, ())]
+    (most_probable, _), *_ = Counter(network_states).most_common()
+    reports = [dict(likelihood.emulator.report) for likelihood in emulated.get(most_probable, ())]
     write_results(fitted, networks, agreements, predictions, reports)
     return fitted
 
 
 def _check_scenarios(simulator: PointSimulator, recordings: Sequence[TargetComparison]) -> None:
-    """Refuse a scenario that does not fit the heart, with the first network of the prior."""
-    for each in recordings:
-        if each.scenario is None:
+    """Refuse a scenario that does not fit the heart, by simulating one network of the prior."""
+    for recording in recordings:
+        if recording.scenario is None:
             continue
         for point in np.random.default_rng(0).random((10, simulator.dimension)):
-            if isinstance(next(simulator.simulate([point], each.scenario)), Simulation):
+            if isinstance(next(simulator.simulate([point], recording.scenario)), Simulation):
                 break
 
 
 def _holds(folder: Path, heart: Heart) -> bool:
-    """Whether a folder holds a heart, undamaged."""
+    """Whether a folder holds this heart, undamaged."""
     try:
         return load_heart(folder).digest == heart.digest
     except InputError:
@@ -157,47 +159,53 @@ def _emulated(
     folder: Path,
     progress: Progress | None,
 ) -> tuple[tuple[TargetComparison, ...], list[EmulatedLikelihood]]:
-    """The recordings with their likelihoods, and these by refined emulators of the heart."""
+    """Return the recordings with their likelihoods, and the likelihoods by refined emulators."""
     config, scenarios = inputs.config, _scenarios(inputs.config, recordings)
     emulators = _emulators(simulator, scenarios, inputs, folder, progress)
-    by = _likelihoods(simulator, recordings, inputs)
+    likelihoods_by = _likelihoods(simulator, recordings, inputs)
     if inputs.likelihoods is None:
         count, rng = config.prior_simulations, np.random.default_rng([config.seed, REFINEMENT])
-        refine = partial(refined_emulators, emulators, by, scenarios, count, folder, rng, progress)
+        refine = partial(
+            refined_emulators, emulators, likelihoods_by, scenarios, count, folder, rng, progress
+        )
         emulators = _kept(folder, config, refine)
-    emulated = by(emulators)
+    emulated = likelihoods_by(emulators)
     pairs = zip(recordings, emulated, strict=True)
-    return tuple(replace(one, likelihood=its.likelihood) for one, its in pairs), emulated
+    return tuple(
+        replace(recording, likelihood=emulated_likelihood.likelihood)
+        for recording, emulated_likelihood in pairs
+    ), emulated
 
 
 def _scenarios(
     config: StudyConfig, recordings: Sequence[TargetComparison]
 ) -> list[tuple[Scenario, str] | None]:
     return [
-        None if each.scenario is None else (each.scenario, digest)
-        for each, digest in zip(recordings, config.scenarios, strict=True)
+        None if recording.scenario is None else (recording.scenario, digest)
+        for recording, digest in zip(recordings, config.scenarios, strict=True)
     ]
 
 
 def _likelihoods(
     simulator: PointSimulator, recordings: Sequence[TargetComparison], inputs: Inputs
 ) -> Callable[[Sequence[EcgEmulator]], list[EmulatedLikelihood]]:
-    """What gives the likelihoods of the recordings by emulators."""
+    """Function that makes the likelihoods of the recordings from their emulators."""
     if inputs.likelihoods is None:
         return partial(
             EmulatedLikelihood.each,
             simulator=simulator,
-            targets=[each.target for each in recordings],
+            targets=[recording.target for recording in recordings],
             gain_sd=_gain_sd(inputs.config),
         )
-    given = inputs.likelihoods
+    likelihoods = inputs.likelihoods
     return lambda emulators: [
-        EmulatedLikelihood(simulator, *each) for each in zip(emulators, given, strict=True)
+        EmulatedLikelihood(simulator, *emulator_and_likelihood)
+        for emulator_and_likelihood in zip(emulators, likelihoods, strict=True)
     ]
 
 
 def place_of_simulations(heart: Heart, folder: Path) -> Path:
-    """The heart's folder if that allows it, else that of its copy in a study."""
+    """Folder to keep simulations in: the heart's if it is writable, else its copy's in a study."""
     writable = heart.folder is not None and os.access(heart.folder, os.W_OK)
     return heart.folder if writable and heart.folder is not None else folder / HEART
 
@@ -209,7 +217,7 @@ def _emulators(
     folder: Path,
     progress: Progress | None,
 ) -> list[EcgEmulator]:
-    """Emulators of the prior for each recording, kept with the heart if its folder allows that."""
+    """Emulator of the prior for each recording, kept with the heart if its folder is writable."""
     count, place = inputs.config.prior_simulations, place_of_simulations(inputs.heart, folder)
     made: dict[str, EcgEmulator] = {}
     for scenario, digest in zip(scenarios, inputs.config.scenarios, strict=True):
@@ -221,7 +229,7 @@ def _emulators(
 def _kept(
     folder: Path, config: StudyConfig, refine: Callable[[], list[EcgEmulator]]
 ) -> list[EcgEmulator]:
-    """Refined emulators of each recording, as they are kept in the folder of a study."""
+    """Refined emulator of each recording, read from the folder of a study, or made and kept."""
     cache = ArrayCache(folder / DISPOSABLE, "refined")
     same = config.model_dump_json(exclude={*MAY_CHANGE})
     keys = [f"{number} of {same}" for number in range(len(config.scenarios))]
@@ -247,9 +255,9 @@ def simulated_and_compared(
     backend: Backend | None = None,
     model: ForwardModel | None = None,
 ) -> tuple[PointSimulator, tuple[TargetComparison, ...]]:
-    """A study's simulator and comparisons; takes a while on a new machine or with a new heart.
+    """Make a study's simulator and comparisons, slowly on a new machine or with a new heart.
 
-    `model` is that of the heart and the rules, if it is at hand.
+    `model` is the forward model of the heart and the rules, made here if it is None.
     """
     if progress is not None:
         compile_kernels(progress)

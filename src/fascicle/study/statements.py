@@ -1,4 +1,4 @@
-"""Verdict, caution and warnings of a result, and what the ECG says of its parameters."""
+"""Verdict, caution and warnings of a result, and statements on its parameters."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from fascicle.study.simulator import PointSimulator
 from fascicle.study.target_comparison import Network, TargetComparison
 
 INTERVAL = (5, 95)  # percentiles of a 90 % credible interval
-LEAST_NAMED = 0.02  # probability of a conduction state
+LEAST_NAMED = 0.02  # least probability of a conduction state that is named
 
 
 class Result(Protocol):
@@ -53,7 +53,7 @@ class Result(Protocol):
 
 
 class Caution(Enum):
-    """Why the numbers cannot be relied on: for sentences, and for tables and figures."""
+    """Reason why numbers cannot be relied on: for sentences, and for tables and figures."""
 
     NOT_CONVERGED = "not to be relied on", "not to be relied on: the fit has not converged"
     POOR_FIT = "poor fit", "intervals are those of a model that does not fit the ECG"
@@ -63,12 +63,12 @@ class Caution(Enum):
     )
 
     def __init__(self, brief: str, text: str) -> None:
-        self.brief = brief  # what a sentence begins with
-        self.text = text  # what stands above tables and figures, and in files
+        self.brief = brief  # beginning of a sentence
+        self.text = text  # above tables and figures, and in files
 
 
 class Kind(StrEnum):
-    """What a warning is about."""
+    """Subject of a warning."""
 
     POOR_FIT = "poor fit"
     NOT_CONVERGED = "not converged"
@@ -88,7 +88,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class ResultWarning:
-    """What a reader of a result must know first."""
+    """Warning that a reader of a result must know first."""
 
     kind: Kind
     text: str
@@ -99,12 +99,12 @@ class ResultWarning:
 
 @dataclass(frozen=True)
 class ParameterStatement:
-    """What the ECG says of one parameter.
+    """Posterior of a parameter: median, credible interval, and contraction from the prior.
 
     `lower` and `upper` bound the posterior's 90 % credible interval; `contraction` is 1 − posterior
     variance / prior variance, in quantiles of the prior, 0 to 1; `first_alone` is half of the 90 %
-    interval given the first of several recordings alone; `along_fibre` is, for α, the speed along
-    the fibre (m/s): median and the same bounds.
+    interval given the first of several recordings alone; `along_fibre` is, for α, the conduction
+    velocity along the fibre (m/s): median and bounds of the 90 % credible interval.
     """
 
     name: str
@@ -118,7 +118,7 @@ class ParameterStatement:
 
     @property
     def constrained(self) -> bool:
-        """Whether the ECG constrains it: half of the prior's variance is removed at least."""
+        """Whether the ECG constrains the parameter: removes at least half of its prior variance."""
         return self.contraction >= 0.5
 
     def __str__(self) -> str:
@@ -130,10 +130,10 @@ class ParameterStatement:
         if self.along_fibre is not None:
             speed = "{:.2f} m/s ({:.2f}–{:.2f}) along the fibre, ".format(*self.along_fibre)
         how = "constrained by" if self.constrained else "not identifiable from"
-        # two digits of the width, which more draws would change, and all numbers alike
+        # two digits of the interval's width, as more draws would change others, for all numbers
         decimals = max(0, 1 - math.floor(math.log10(max(self.upper - self.lower, 1e-9))))
-        each = (f"{value:.{decimals}f}" for value in (self.median, self.lower, self.upper))
-        median, lower, upper = each
+        bounds = (f"{value:.{decimals}f}" for value in (self.median, self.lower, self.upper))
+        median, lower, upper = bounds
         to = " to " if self.lower < 0 else "–"
         return f"{median}{unit} (90 % CrI {lower}{to}{upper}{alone}), {speed}{how} the ECG"
 
@@ -161,7 +161,7 @@ class Statements:
 
     @property
     def verdict(self) -> str:
-        """What the networks are, and whether to trust them, in one line."""
+        """Summary of the networks, and whether to trust them, in one line."""
         population, checks = self._result.population, self._result.checks
         if isinstance(population, Posterior) and checks is not None:
             fit = f"fit acceptable: {checks.said}"
@@ -172,14 +172,14 @@ class Statements:
                     *([f"at the end of its range: {ends}"] if ends else []),
                 ]
                 fit = f"poor fit: {'; '.join(failures)}"
-            said = [self.unmapped, self.diagnosis, _convergence(population), fit]
-            said.append(checks.emulator_off)
-            return "; ".join(each for each in said if each)
+            parts = [self.unmapped, self.diagnosis, _convergence(population), fit]
+            parts.append(checks.emulator_off)
+            return "; ".join(part for part in parts if part)
         return self.networks_called
 
     @property
     def diagnosis(self) -> str:
-        """`states`, or why none is named."""
+        """Statement on conduction states (`states`), or the reason why none is named."""
         population = self._result.population
         if getattr(population, "states", {}):
             why = (
@@ -193,9 +193,9 @@ class Statements:
 
     @property
     def states(self) -> str:
-        """How probable each conduction state is, the most probable first.
+        """Probability of each conduction state, the most probable first.
 
-        Empty if they are not learnt, or the result is not to be relied on.
+        Empty if the state is not learnt, or the result is not to be relied on.
         """
         states = getattr(self._result.population, "states", {})
         unnamed = getattr(self._result.population, "unnamed", "")
@@ -203,24 +203,24 @@ class Statements:
             return ""
         named = {name: p for name, p in states.items() if p >= LEAST_NAMED}
         ranked = sorted(named, key=lambda name: -named[name])
-        others = [f"others below {LEAST_NAMED}"] if len(named) < len(states) else []
+        rest = [f"others below {LEAST_NAMED}"] if len(named) < len(states) else []
         alike = [
             f" (block and delay of the {side} bundle branch give much the same ECG)"
             for side in ("left", "right")
             if {f"{side} bundle branch block", f"{side} bundle branch delay"} <= {*named}
         ]
-        each = (f"{state_label(name)}: {named[name]:.2f}" for name in ranked)
-        said = ", ".join([*each, *others])
-        return said + "".join(alike)
+        probabilities = (f"{state_label(name)}: {named[name]:.2f}" for name in ranked)
+        ranking = ", ".join([*probabilities, *rest])
+        return ranking + "".join(alike)
 
     @property
     def networks_called(self) -> str:
-        """How many networks there are, and what they are."""
+        """Number and kind of the networks."""
         count = f"{len(self._result.population)} networks"
         if self._result.settings.method == "paper":
             return f"{count}, a population and not a posterior"
-        own = not isinstance(self._result.population, Posterior)
-        return f"{count} of your own, which were not compared with the ECG" if own else count
+        from_user = not isinstance(self._result.population, Posterior)
+        return f"{count} of your own, which were not compared with the ECG" if from_user else count
 
     @property
     def converged(self) -> bool | None:
@@ -235,9 +235,9 @@ class Statements:
 
     @property
     def caution(self) -> Caution | None:
-        """What to say with every number; None if the posterior can be relied on.
+        """Caution to state with every number; None if the posterior can be relied on.
 
-        Also None of the paper's population, whose verdict says that it is not a posterior.
+        Also None for the paper's population, whose verdict says that it is not a posterior.
         """
         if self.converged is None:
             return None
@@ -249,9 +249,9 @@ class Statements:
 
     @property
     def unmapped(self) -> str:
-        """How the intrinsic beat differs from those of mapped hearts, unless a block explains it.
+        """Difference of the intrinsic beat from mapped hearts that no block explains.
 
-        Empty if it does not, or there is no posterior.
+        Empty if there is no difference, or no posterior.
         """
         checks, states = self._result.checks, getattr(self._result.population, "states", {})
         blocked = bool(states) and max(states, key=lambda name: states[name]) != CONDUCTION[0]
@@ -259,7 +259,7 @@ class Statements:
 
     @property
     def sequence(self) -> list[str]:
-        """Where and when the networks are activated, beside mapped hearts, a line each."""
+        """Lines that compare the networks' activation sequence with that of mapped hearts."""
         checks = self._result.checks
         return [] if checks is None or checks.sequence is None else checks.sequence.lines
 
@@ -270,7 +270,7 @@ class Statements:
 
     @cached_property
     def parameters(self) -> tuple[ParameterStatement, ...]:
-        """What the ECG says of every parameter; empty if the runs do not agree."""
+        """Statement on every parameter; empty if the runs do not agree."""
         posterior = self._result.population
         if not (isinstance(posterior, Posterior) and posterior.converged):
             return ()
@@ -284,7 +284,7 @@ class Statements:
         )
 
     def _along_fibre(self, posterior: Posterior) -> tuple[float, float, float]:
-        """Speed along the fibre (m/s), which is proportional to α."""
+        """Conduction velocity along the fibre (m/s), which is proportional to α."""
         conduction = self._result.simulator.model.conduction
         speeds = posterior.values["alpha"] * conduction.speeds[0] / conduction.alpha
         median, low, high = np.percentile(speeds, (50, *INTERVAL))
@@ -297,11 +297,11 @@ class Statements:
 
     @cached_property
     def warnings(self) -> tuple[ResultWarning, ...]:
-        """What a reader of the result must know first."""
+        """Warnings that a reader of the result must know first."""
         return tuple(ResultWarning(kind, text) for kind, text in _warnings(self._result) if text)
 
     def content(self) -> dict[str, Any]:
-        """All of it for JSON."""
+        """All statements, for JSON."""
         return {
             "verdict": self.verdict,
             "caution": self.caution_text,
@@ -310,7 +310,8 @@ class Statements:
             "sequence": self.sequence,
             "warnings": [asdict(warning) for warning in self.warnings],
             "parameters": [
-                asdict(each) | {"constrained": each.constrained} for each in self.parameters
+                asdict(statement) | {"constrained": statement.constrained}
+                for statement in self.parameters
             ],
             "strongly_correlated": [asdict(pair) for pair in self.correlated],
         }
@@ -319,24 +320,25 @@ class Statements:
 def _convergence(posterior: Posterior) -> str:
     if posterior.converged:
         return "converged"
-    one, other = posterior.log_evidences
+    first, second = posterior.log_evidences
     name, apart = max(posterior.means_apart.items(), key=lambda item: item[1])
-    why = [f"{posterior.effective.sum():.0f} effective draws"]
-    if abs(one - other) > EVIDENCE_APART:
-        why.append(f"log evidence {one:.1f} and {other:.1f} of two runs")
+    reasons = [f"{posterior.effective.sum():.0f} effective draws"]
+    if abs(first - second) > EVIDENCE_APART:
+        reasons.append(f"log evidence {first:.1f} and {second:.1f} of two runs")
     if apart > MEANS_APART:
-        why.append(f"means of {parameter_name(name)} {apart:.1f} SD apart")
-    return f"NOT CONVERGED ({', '.join(why)})"
+        reasons.append(f"means of {parameter_name(name)} {apart:.1f} SD apart")
+    return f"NOT CONVERGED ({', '.join(reasons)})"
 
 
 def _statement(
     parameter: Parameter, values: Floats, first_alone: Floats | None
 ) -> ParameterStatement:
-    left = float(np.var(parameter.to_unit(values)) * 12)  # a uniform share has variance 1/12
+    # in shares of the prior, which is uniform there, with variance 1/12
+    remaining = float(np.var(parameter.to_unit(values)) * 12)
     median, lower, upper = (float(np.percentile(values, share)) for share in (50, *INTERVAL))
     before = None if first_alone is None else _half_width(first_alone)
     return ParameterStatement(
-        parameter.name, parameter.unit, median, lower, upper, 1 - min(left, 1), before
+        parameter.name, parameter.unit, median, lower, upper, 1 - min(remaining, 1), before
     )
 
 
@@ -358,7 +360,7 @@ def correlated(posterior: Population) -> tuple[Correlated, ...]:
 
 
 def prediction_statement(values: Floats, prior: Floats) -> str:
-    """Say whether the ECG constrains a prediction (ms): of networks (n,), and of the prior (m,)."""
+    """Statement on whether the ECG constrains a prediction (ms) of networks (n,); prior (m,)."""
     constrained = np.var(values) <= 0.5 * np.var(prior)
     how = "constrained by" if constrained else "not identifiable from"
     return (
@@ -375,7 +377,8 @@ def has_few_junctions(network: Network) -> bool:
 def _warnings(result: Result) -> Iterator[tuple[Kind, str]]:
     poor = _poor_fit(result)
     yield Kind.POOR_FIT, poor
-    if isinstance(result.population, Posterior) and not poor:  # else to go on would not help
+    # a longer fit would not mend a poor one
+    if isinstance(result.population, Posterior) and not poor:
         yield Kind.NOT_CONVERGED, how_to_go_on(result.population, result.settings)
     if result.checks is not None and result.checks.emulator_off:
         yield (
@@ -421,7 +424,7 @@ def _warnings(result: Result) -> Iterator[tuple[Kind, str]]:
 
 
 def _poor_fit(result: Result) -> str:
-    """Warn of networks that cannot be the patient's; empty if they may be."""
+    """Warning of networks that cannot be the patient's; empty if they may be."""
     if result.settings.method == "paper":
         if result.explained >= 0.5:  # of the QRS; less is not the patient's network
             return ""
@@ -440,7 +443,7 @@ def _poor_fit(result: Result) -> str:
 
 
 def how_to_go_on(posterior: Posterior, settings: FitSettings) -> str:
-    """Say with which settings a fit goes on whose runs do not agree; else empty."""
+    """Advice on settings with which the runs of a fit may agree; empty if they do."""
     if posterior.converged:
         return ""
     return (
@@ -451,16 +454,16 @@ def how_to_go_on(posterior: Posterior, settings: FitSettings) -> str:
 
 
 def _poor_leads(result: Result) -> str:
-    """Warn of compared leads whose shape the best network does not have."""
+    """Warning of compared leads whose shape the best network does not reproduce; or empty."""
     least = 0.7  # correlation; below, less than half of a lead (0.7²) is explained
     poor = []
-    for number, each in enumerate(result.recordings):
-        predicted = result.best_in(number).predicted[:, each.target.qrs_samples]
+    for number, recording in enumerate(result.recordings):
+        predicted = result.best_in(number).predicted[:, recording.target.qrs_samples]
         of = f" of recording {number + 1}" if len(result.recordings) > 1 else ""
-        for lead in np.flatnonzero(each.compared):
-            value = pearson(each.target.qrs[lead], predicted[lead])
+        for lead in np.flatnonzero(recording.compared):
+            value = pearson(recording.target.qrs[lead], predicted[lead])
             if value < least:
-                poor.append(f"{each.target.leads[lead]}{of} ({value:.2f})")
+                poor.append(f"{recording.target.leads[lead]}{of} ({value:.2f})")
     if not poor:
         return ""
     return (
@@ -470,7 +473,7 @@ def _poor_leads(result: Result) -> str:
 
 
 def _unusual_gain(result: Result) -> str:
-    """Warn of a gain, free or learnt, that the volume conductor does not explain."""
+    """Warning of a gain, free or learnt, that the volume conductor does not explain; or empty."""
     best = result.best_network
     gain = best.gain * best.parameters.get("gain", 1.0)
     if 0.5 <= gain <= 2.0:  # hearts, torsos and contacts differ by less
@@ -483,11 +486,11 @@ def _unusual_gain(result: Result) -> str:
 
 def _of_the_paper(result: Result) -> Iterator[tuple[Kind, str]]:
     """Warnings about the paper's rule of acceptance."""
-    count, wanted, tried = len(result.population), result.settings.samples, result.candidates
-    if count < wanted:
+    count, samples, candidates = len(result.population), result.settings.samples, result.candidates
+    if count < samples:
         yield (
             Kind.FEW_NETWORKS,
-            f"{count} of {wanted} networks were accepted of {len(tried)} candidates, and the "
+            f"{count} of {samples} networks were accepted of {len(candidates)} candidates, and the "
             "method ends there: too few to show how different they can be; the beats vary too "
             "little for its rule (--tolerance), or the search was too short (--steps, --rounds)",
         )
@@ -498,17 +501,17 @@ def _of_the_paper(result: Result) -> Iterator[tuple[Kind, str]]:
             f"the recording has {beats} beat{'s' * (beats > 1)}: the rule of acceptance, total "
             "variation between densities of the beats' errors, rests on too few below 30",
         )
-    better = sum(e.feasible and e.loss < result.population.best_loss for e in tried)
+    better = sum(e.feasible and e.loss < result.population.best_loss for e in candidates)
     if better:
         yield (
             Kind.NOT_THE_MINIMUM,
-            f"{better} of {len(tried)} candidates match better than the network that all were "
+            f"{better} of {len(candidates)} candidates match better than the network that all were "
             "compared with: the optimisation has not found the minimum (--steps)",
         )
 
 
 def _regions_taken_as_healthy(result: Result) -> str:
-    """Warn of labelled regions without conduction properties."""
+    """Warning of labelled regions without conduction properties; or empty."""
     model, simulator = result.simulator.model, result.simulator
     if model.heart.regions is None:
         return ""
@@ -525,7 +528,7 @@ def _regions_taken_as_healthy(result: Result) -> str:
 
 
 def _crowded(result: Result) -> dict[str, str]:
-    """Parameters with 40 % of the networks in an outer tenth of the prior, and in which."""
+    """Parameters with 40 % of the networks in an outer tenth of the prior, and that tenth."""
     crowded = {}
     for parameter in result.simulator.space.parameters:
         shares = parameter.to_unit(result.population.values.get(parameter.name, np.empty(0)))
@@ -536,7 +539,7 @@ def _crowded(result: Result) -> dict[str, str]:
 
 
 def _at_end_of_range(result: Result) -> str:
-    """Warn of parameters that are limited by their ranges, not by the ECG."""
+    """Warning of parameters that are limited by their ranges, not by the ECG; or empty."""
     space, population, crowded = result.simulator.space, result.population, _crowded(result)
     best = {p.name: float(p.to_unit(np.array(population.best[p.name]))) for p in space.parameters}
     stopped = [

@@ -1,14 +1,14 @@
 """A study on disk: its configuration, every evaluation, and resuming after any interruption.
 
-A study is a folder with `study.json` and `evaluations.sqlite`. Everything that takes time or
-chance is written down before it is used: each proposal of the optimisation with the
-hyper-parameters behind it, each round of candidates, each evaluation. To resume is to
-run again from the start and to read what is there instead of computing it, so an interrupted
-study and an uninterrupted one are the same program and give the same bits. Step k of a stage
-draws from ``default_rng([seed, stage, k])`` and from nothing else.
+A study is a folder with `study.json` and `evaluations.sqlite`. All that takes time or is random is
+stored before it is used: each proposal of the optimisation with the hyper-parameters behind it,
+each round of candidates, each evaluation. A resumed study runs again from the start, and reads what
+is stored instead of computing it; it is therefore the same program as a study that was never
+interrupted, and gives the same bits. Step k of a stage draws from
+``default_rng([seed, stage, k])`` alone.
 
-One process at a time works on a study (`fascicle.study.lock`). What is stored was made by one
-forward model, which is seen by evaluating some of it again: those losses are its fingerprint.
+One process at a time works on a study (`fascicle.study.lock`). All stored evaluations must come
+from one forward model. To check this, a few of them are made again, and the losses compared.
 """
 
 from __future__ import annotations
@@ -40,52 +40,52 @@ from fascicle.study.space import AveragedOver
 CONFIGURATION = "study.json"
 DATABASE = "evaluations.sqlite"
 STATES = "states"  # folder of the studies of conduction states
-FORMAT: Final = 8  # of the folder
+FORMAT: Final = 8  # version of the folder's format
 MAY_CHANGE = ("workers", "steps", "samples", "effective", "share")  # when a study is resumed
 CHECKED = 4  # stored evaluations that are made again
-SAME_LOSS = 1e-6  # relative; another machine rounds otherwise, another model differs by far more
+SAME_LOSS = 1e-6  # relative tolerance: above rounding on other machines, below changes of the model
 
 
 class StudyConfig(FitSettings):
-    """All that decides the outcome of a study; two runs with equal ones give equal results.
+    """Configuration of a study, which decides its outcome: equal ones give equal results.
 
-    To resume a study is to give the same, but for `MAY_CHANGE`. Heart, targets and scenarios are
-    named by hashes.
+    A study can be resumed with an equal configuration, but for the fields of `MAY_CHANGE`. Heart,
+    targets and scenarios are identified by digests.
     """
 
     # a delay may be infinite, which strict JSON cannot hold
     model_config = ConfigDict(ser_json_inf_nan="constants")
 
     heart: str
-    target: str  # of several the first
+    target: str  # digest of the first recording's target
     other_targets: tuple[str, ...] = ()
-    scenarios: tuple[str, ...] = Field(default=("",), min_length=1)  # "" of an intrinsic beat
-    space: tuple[Parameter, ...] = Field(min_length=1)  # what is learnt
-    fixed: dict[str, float] = Field(default_factory=dict)  # at other values than their defaults
-    growth: dict[str, float]  # rules, where `fixed` does not say otherwise
+    scenarios: tuple[str, ...] = Field(default=("",), min_length=1)  # "" for intrinsic beats
+    space: tuple[Parameter, ...] = Field(min_length=1)  # learnt parameters
+    fixed: dict[str, float] = Field(default_factory=dict)  # values that are not the defaults
+    growth: dict[str, float]  # growth rules, which `fixed` may override
     growth_term: str = REPULSION.function.__name__  # name of the function of a GrowthTerm
-    conduction: dict[str, float | None]  # of the tissues, likewise; None where others decide it
-    likelihood: dict[str, float | str] = Field(default_factory=dict)  # of a posterior
-    averaged: tuple[Parameter, ...] = ()  # what is averaged over, and, each as probable, in which
-    tissues: tuple[dict[str, float], ...] = ({},)
-    states: dict[str, float] = Field(default_factory=dict)  # of conduction, if learnt: their priors
+    conduction: dict[str, float | None]  # of the tissues, likewise; None if derived from others
+    likelihood: dict[str, float | str] = Field(default_factory=dict)  # constants, of a posterior
+    averaged: tuple[Parameter, ...] = ()  # quantities averaged over
+    tissues: tuple[dict[str, float], ...] = ({},)  # tissues averaged over, equally probable
+    states: dict[str, float] = Field(default_factory=dict)  # priors of conduction states, if learnt
     mapped: bool = False  # whether intrinsic beats are activated as mapped human hearts are
-    share: float = 1.0  # of the draws of a study that this one, of a state, is part of
-    version: Literal[8] = FORMAT  # of the folder
+    share: float = 1.0  # of this state's study in the draws of the whole study
+    version: Literal[8] = FORMAT  # of the folder's format
 
     @property
     def parameter_space(self) -> ParameterSpace:
-        """The parameter space that is learnt, of all conduction states."""
+        """Parameter space that is learnt, of all conduction states together."""
         return self.space_of(self.states)
 
     def space_of(self, probable: Mapping[str, float]) -> ParameterSpace:
-        """The parameter space that is learnt, of conduction states that are so probable."""
+        """Parameter space that is learnt, of conduction states with these probabilities."""
         space = ParameterSpace(self.space)
         return united(space, self.fixed, probable) if probable else space
 
     @property
     def averaged_over(self) -> AveragedOver:
-        """What is averaged over; nothing by the paper's method."""
+        """Quantities and tissues that are averaged over; none by the paper's method."""
         return AveragedOver(ParameterSpace(self.averaged), self.tissues)
 
 
@@ -101,7 +101,7 @@ class Study:
     def create_or_resume(
         cls, folder: Path, config: StudyConfig, progress: Progress | None = None
     ) -> Study:
-        """Open the study in `folder`, a new one if the folder is empty or missing.
+        """Open the study in `folder`, or make a new one if the folder is empty or missing.
 
         `progress` is called if the database was damaged, and was moved aside.
         """
@@ -132,13 +132,13 @@ class Study:
         return cls(folder, _read(folder))
 
     def records(self) -> list[Record]:
-        """All evaluations so far, in the order in which they were made, then those of its states.
+        """Evaluations so far, in the order in which they were made, then those of its states.
 
-        Points of each state are of its own unit cube.
+        Each conduction state has a unit cube of its own.
         """
         databases = sorted(self.folder.glob(f"{STATES}/*/{DATABASE}"))
-        each = (self._database, *(Database(path) for path in databases))
-        return [record for database in each for record in database.records()]
+        all_databases = (self._database, *(Database(path) for path in databases))
+        return [record for database in all_databases for record in database.records()]
 
     def steps(self, stage: Stage) -> int:
         """Count the times that a stage has proposed points so far."""
@@ -150,18 +150,17 @@ class Study:
         progress: Progress | None = None,
         emulated: Sequence[Callable[[Floats], Floats]] = (),
     ) -> Population:
-        """Do what is left of the study, and give its result.
+        """Run the study from where it was interrupted, and return its result.
 
         A posterior needs the emulated log-likelihoods of each recording.
 
-        A finished study gives its result again. A few stored points are evaluated again,
-        to see that the forward model is still the same: `objective` must give the same result for
-        the same point whenever it is asked.
+        A finished study gives its result again. A few stored points are evaluated again, to check
+        that the forward model has not changed: `objective` must be deterministic.
         """
         with study_lock(self.folder):
             self.check_objective(objective)
             self._take_over()
-            from fascicle.study import paper, posterior  # the surrogate, which only a fit needs
+            from fascicle.study import paper, posterior  # slow to import, and needed by a fit alone
 
             config, space = self.config, self.config.parameter_space
             averaged = config.averaged_over
@@ -174,7 +173,7 @@ class Study:
             ).run()
 
     def check_objective(self, objective: Objective) -> None:
-        """Refuse another forward model than that of the stored evaluations."""
+        """Refuse a forward model that differs from that of the stored evaluations."""
         stored = [record.evaluation for record in self._database.records()]
         again = stored[:: max(1, len(stored) // CHECKED)][:CHECKED]
         if not again:
@@ -188,15 +187,15 @@ class Study:
                 )
 
     def _take_over(self) -> None:
-        """Make the numbers that may change those of this run.
+        """Store the settings of this run that may differ from those stored (`MAY_CHANGE`).
 
-        A kill within leaves the old numbers, with which more is only computed again: the result,
-        whose presence says that the study is finished, goes first.
+        The result is removed first, since its presence means that the study is finished. If the
+        process is killed before the settings are written, the next run does this again.
         """
-        there = _read(self.folder)
-        if there == self.config:
+        stored = _read(self.folder)
+        if stored == self.config:
             return
-        if there != self.config.model_copy(update={"workers": there.workers}):
+        if stored != self.config.model_copy(update={"workers": stored.workers}):
             (self.folder / RESULT[self.config.method]).unlink(missing_ok=True)
             # proposals of these stages do not depend on the numbers that may change
             self._database.forget_proposals((Stage.INITIAL, Stage.OPTIMISATION))
@@ -204,7 +203,7 @@ class Study:
 
 
 def check_study_folder(folder: Path) -> None:
-    """Refuse a folder that holds other files and no study."""
+    """Refuse a folder that holds files but no study."""
     if not folder.exists():
         return
     try:
@@ -220,13 +219,13 @@ def check_study_folder(folder: Path) -> None:
 
 
 def is_finished(folder: Path, config: StudyConfig) -> bool:
-    """Whether the study of a configuration is in a folder, and finished."""
+    """Whether a folder holds the finished study of a configuration."""
     check_study_folder(folder)
     if not (folder / CONFIGURATION).exists():
         return False
-    there = _read(folder)
-    check_same(folder, there, config)
-    same = there == config.model_copy(update={"workers": there.workers})
+    stored = _read(folder)
+    check_same(folder, stored, config)
+    same = stored == config.model_copy(update={"workers": stored.workers})
     return same and (folder / RESULT[config.method]).exists()
 
 
@@ -244,7 +243,7 @@ def _remove_leftovers(folder: Path) -> None:
 
 
 def _same(then: Evaluation, now: Evaluation) -> bool:
-    """Whether two evaluations of one point are of one forward model."""
+    """Whether two evaluations of one point agree, as if made by one forward model."""
     if not (then.feasible and now.feasible):
         return then.feasible == now.feasible
     if not np.isclose(now.loss, then.loss, rtol=SAME_LOSS, atol=0):
@@ -269,10 +268,10 @@ def _read(folder: Path) -> StudyConfig:
         content = json.loads(text)
     except ValueError:  # of UTF-8, of JSON
         raise InputError(f"{path}: not JSON, so no configuration of a study; {remedy}") from None
-    found = content.get("version", FORMAT) if isinstance(content, dict) else FORMAT
-    if found != FORMAT:
+    version = content.get("version", FORMAT) if isinstance(content, dict) else FORMAT
+    if version != FORMAT:
         raise InputError(
-            f"{path}: a study of format {found}, made by another version of fascicle, with which "
+            f"{path}: a study of format {version}, made by another version of fascicle, with which "
             f"losses cannot be compared (this one has format {FORMAT}); fit it again: {remedy}"
         )
     try:
@@ -286,7 +285,7 @@ def _read(folder: Path) -> StudyConfig:
 
 
 def check_same(folder: Path, there: StudyConfig, now: StudyConfig) -> None:
-    """Refuse another study than is there; `MAY_CHANGE` does not count."""
+    """Refuse a configuration that differs from the stored one beyond `MAY_CHANGE`."""
     if there.growth_term != now.growth_term:
         raise InputError(
             f"{folder}: its networks grow by the term '{there.growth_term}', not by "
@@ -310,23 +309,23 @@ def check_same(folder: Path, there: StudyConfig, now: StudyConfig) -> None:
 
 
 def _identity(config: StudyConfig) -> dict[str, str]:
-    """All that decides the outcome, by the names that a message gives it."""
-    found: dict[str, str] = {}
+    """Texts of all settings and inputs that decide the outcome, by their names in messages."""
+    identity: dict[str, str] = {}
     for name in StudyConfig.model_fields:
         value = getattr(config, name)
         if name in ("space", "averaged"):
-            how = "learnt" if name == "space" else "averaged over"
-            found |= {parameter.name: f"{how} ({_prior(parameter)})" for parameter in value}
+            role = "learnt" if name == "space" else "averaged over"
+            identity |= {parameter.name: f"{role} ({_prior(parameter)})" for parameter in value}
         elif isinstance(value, dict):  # fixed, growth, conduction, likelihood
             label = "" if name == "fixed" else f"{name} "
-            found |= {f"{label}{key}": _number(number) for key, number in value.items()}
+            identity |= {f"{label}{key}": _number(number) for key, number in value.items()}
         elif name in ("other_targets", "scenarios"):
-            found[name.replace("_", " ")] = ", ".join(each[:12] or "none" for each in value)
+            identity[name.replace("_", " ")] = ", ".join(digest[:12] or "none" for digest in value)
         elif name in ("heart", "target"):
-            found[name] = value[:12]  # of a hash
+            identity[name] = value[:12]  # of a digest
         elif name not in (*MAY_CHANGE, "growth_term"):
-            found[name] = f"{value}"
-    return found
+            identity[name] = f"{value}"
+    return identity
 
 
 def _prior(parameter: Parameter) -> str:

@@ -1,4 +1,4 @@
-"""Comparison of simulated networks with recordings: loss, likelihood, ECG under the recording."""
+"""Comparison of simulated networks with recordings: loss, likelihood, and aligned ECG."""
 
 from __future__ import annotations
 
@@ -26,32 +26,32 @@ from fascicle.study.simulator import PointSimulator, Remembered
 from fascicle.study.space import is_kept
 from fascicle.torso.variation.conductor import InvalidTorso
 
-# A point, its parameters, and its intrinsic beat if that is known
+# A point, its parameters, and its intrinsic beat (or why it is infeasible) if a backend made it
 Item = tuple[Floats, Mapping[str, float], Signals | str | None]
 UNLIKE_MAPPED_HEARTS = "not activated in the sequence of mapped human hearts"
 
 
 @dataclass(frozen=True)
 class Network:
-    """One network of a population: its parameters and what it does.
+    """Simulated network of a population, with its parameters and its ECG.
 
     Attributes
     ----------
     parameters : mapping of name to float
-        In their units.
+        Parameters, in their units.
     simulation : Simulation
-        What the forward model makes of them.
+        Output of the forward model for the parameters.
     predicted : (12 + k, n_time) array
-        Its ECG under the recorded mean beat (mV).
+        ECG of the network, aligned with the recorded mean beat (mV).
     under_qrs : float
-        Share of the energy of its ECG that lies under the recorded QRS, 0 to 1.
+        Share of the energy of the ECG that lies under the recorded QRS, 0 to 1.
     gain : float
-        By which its simulated ECG was scaled to give `predicted`; 1 unless the gain is free.
+        Factor on the simulated ECG in `predicted`; 1 unless the gain is free.
     drawn_gain : float, optional
-        Gain that was drawn with a network of a posterior, in place of the best one.
+        Gain that was drawn with a network of a posterior, in place of the best gain.
     torso : (12 + k, 12 + k) array, optional
-        Maps its leads in the plain torso to those in the torso that was drawn with it, besides the
-        gain.
+        Matrix from the leads in the plain torso to those in the torso that was drawn with the
+        network, without the gain.
     """
 
     parameters: Mapping[str, float]
@@ -67,23 +67,23 @@ class Network:
 
 @dataclass(frozen=True)
 class TargetComparison:
-    """A recording, in the leads of the heart, and how simulations are compared with it."""
+    """Recording, in the leads of the heart, with which simulations are compared."""
 
     target: Target
-    scenario: Scenario | None = None  # in which it was recorded; None for the intrinsic beat
-    likelihood: Likelihood | None = None  # if evaluations are to have one
+    scenario: Scenario | None = None  # of the recording; None for the intrinsic beat
+    likelihood: Likelihood | None = None  # computed in evaluations, unless None
     free_gain: bool = False  # whether each simulation is scaled by its best global gain first
-    independent_leads: bool = False  # of the limb leads two at most, which say the rest
+    independent_leads: bool = False  # at most two limb leads, which determine the others
     fewest_junctions: int = 0  # a network with a tree of fewer is infeasible
 
     __repr__ = short_repr
 
     def __getstate__(self) -> dict[str, Any]:
-        """Send the fields alone: other layouts of derived arrays would round otherwise."""
+        """Send the fields alone, since another memory layout of derived arrays changes rounding."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __call__(self, point: Floats, signals: Signals | str) -> Evaluation:
-        """Compare what a point (d,) gives with the mean beat and with every beat."""
+        """Compare the ECG of a point (d,) with the mean beat and with every beat."""
         if isinstance(signals, str):
             return Evaluation.infeasible(point, signals)
         for side, junctions in zip(SIDES, signals.junctions, strict=True):
@@ -98,7 +98,7 @@ class TargetComparison:
 
     @cached_property
     def compared(self) -> Booleans:
-        """Which of the leads are compared, shape (12 + k,)."""
+        """Whether a lead (12 + k,) is compared."""
         used = self.target.used
         if not self.independent_leads:
             return used
@@ -120,17 +120,17 @@ class TargetComparison:
         )
 
     def predicted(self, leads: Floats, alignment: Alignment) -> Floats:
-        """Simulated leads (12 + k, n) under the whole recorded beat, (12 + k, n_time) (mV)."""
+        """Simulated leads (12 + k, n) aligned with the recorded beat, (12 + k, n_time) (mV)."""
         shift = alignment.shift - self.target.qrs_samples.start
         length, response = len(self.target.time), self.target.response
         return alignment.gain * placed(leads, shift, length, response)
 
     @cached_property
     def _recorded_beats(self) -> Floats:
-        """QRS of every beat in the compared leads; a single one is repeated with its noise."""
+        """QRS of every beat in the compared leads; a single beat is repeated with its noise."""
         target = self.target
         if target.noise is not None:
-            # one seed for all time: every evaluation, and a resumed study, sees the same beats
+            # a fixed seed: every evaluation, and a resumed study, sees the same beats
             target = repeated(target, np.random.default_rng(0))
         return np.asarray(target.qrs_beats[:, self.compared])
 
@@ -143,7 +143,7 @@ def null_loss(recordings: Sequence[TargetComparison]) -> float:
 def evaluate(
     simulator: PointSimulator, recordings: Sequence[TargetComparison], points: Sequence[Floats]
 ) -> Iterator[Evaluation]:
-    """Evaluate points (d,) of the unit cube, in order: all that the inference ever sees.
+    """Evaluate points (d,) of the unit cube, in order; the inference sees nothing else.
 
     Losses of several recordings add up; the beats are those of the first.
     """
@@ -156,21 +156,21 @@ def _evaluate_part(
     simulator: PointSimulator, recordings: Sequence[TargetComparison], points: Sequence[Floats]
 ) -> Iterator[Evaluation]:
     intrinsic = [recording.scenario is None for recording in recordings]
-    known = simulator.from_backend(points) if any(intrinsic) else [None] * len(points)
+    backend_signals = simulator.from_backend(points) if any(intrinsic) else [None] * len(points)
     items: list[Item] = [
-        (point, simulator.parameters(point), there)
-        for point, there in zip(points, known, strict=True)
+        (point, simulator.parameters(point), signals)
+        for point, signals in zip(points, backend_signals, strict=True)
     ]
     shared, evaluated = (simulator.model, recordings), partial(_evaluate, mapped=simulator.mapped)
     if isinstance(simulator.pool, Threads):
         yield from simulator.pool.map(evaluated, items, *shared, simulator.remembered)
         return
-    # what needs no simulation is compared here
-    left = [item for item in items if item[-1] is None or not all(intrinsic)]
-    outcomes = simulator.pool.map(evaluated, left, *shared) if left else iter(())
+    # points that need no simulation are compared in this process
+    to_simulate = [item for item in items if item[-1] is None or not all(intrinsic)]
+    outcomes = simulator.pool.map(evaluated, to_simulate, *shared) if to_simulate else iter(())
     for item in items:
-        here = item[-1] is not None and all(intrinsic)
-        yield evaluated(item, *shared) if here else next(outcomes)
+        compared_here = item[-1] is not None and all(intrinsic)
+        yield evaluated(item, *shared) if compared_here else next(outcomes)
 
 
 def _evaluate(
@@ -183,18 +183,20 @@ def _evaluate(
 ) -> Evaluation:
     """Simulate a point in the scenario of each recording, and compare it with all of them.
 
-    If it must be `mapped`, an intrinsic beat that is not of the prior of mapped hearts is none.
+    If `mapped`, a point whose intrinsic beat is not of the prior of mapped hearts is infeasible.
     """
-    point, parameters, known = item
+    point, parameters, intrinsic_signals = item
     simulated: list[Signals | str] = []
-    each: list[Evaluation] = []
+    evaluations: list[Evaluation] = []
     for recording in recordings:
         pairs = zip(recordings, simulated, strict=False)
-        same = [signals for other, signals in pairs if other.scenario == recording.scenario]
-        if same:
-            signals = same[0]
-        elif recording.scenario is None and known is not None:
-            signals = known
+        simulated_before = [
+            signals for other, signals in pairs if other.scenario == recording.scenario
+        ]
+        if simulated_before:
+            signals = simulated_before[0]
+        elif recording.scenario is None and intrinsic_signals is not None:
+            signals = intrinsic_signals
         else:
             outcome = _simulated(parameters, recording.scenario, model, remembered)
             signals = Signals.of(outcome) if isinstance(outcome, Simulation) else outcome.reason
@@ -202,18 +204,22 @@ def _evaluate(
                 sequence = model.surfaces.sequence(outcome.activation)
                 signals = signals if is_kept(point, sequence) else UNLIKE_MAPPED_HEARTS
         simulated.append(signals)
-        each.append(recording(point, signals))
-        if not each[-1].feasible:
-            return each[-1]
-    logs = np.concatenate([evaluation.log_likelihoods for evaluation in each])
-    return replace(each[0], loss=sum(one.loss for one in each), log_likelihoods=logs)
+        evaluations.append(recording(point, signals))
+        if not evaluations[-1].feasible:
+            return evaluations[-1]
+    logs = np.concatenate([evaluation.log_likelihoods for evaluation in evaluations])
+    return replace(
+        evaluations[0],
+        loss=sum(evaluation.loss for evaluation in evaluations),
+        log_likelihoods=logs,
+    )
 
 
 def networks(
     simulator: PointSimulator, recording: TargetComparison, learnt: Iterable[Mapping[str, float]]
 ) -> Iterator[Network]:
-    """Simulate parameters that are known to give trees, as those of a population are."""
-    parameters = [{**simulator.fixed, **each} for each in learnt]
+    """Simulate networks whose parameters are feasible, as those of a population are."""
+    parameters = [{**simulator.fixed, **values} for values in learnt]
     shared = simulator.model, recording
     if isinstance(simulator.pool, Threads):
         return simulator.pool.map(_network, parameters, *shared, simulator.remembered)
@@ -226,7 +232,7 @@ def _simulated(
     model: ForwardModel,
     remembered: Remembered | None,
 ) -> Simulation | InvalidTree | InvalidTorso:
-    """Simulate parameters, or find what they gave before."""
+    """Simulate parameters, or return the simulation kept from before."""
     key = tuple(sorted(parameters.items())), id(scenario)
     if remembered is not None and key in remembered:
         return remembered[key]

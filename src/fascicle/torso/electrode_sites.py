@@ -1,4 +1,4 @@
-"""Where electrodes belong, and whether given ones can be where they are said to be."""
+"""Standard sites of electrodes, and checks on the positions of given electrodes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fascicle.torso.heart_pose import surface_middle
 from fascicle.torso.surfaces import Surface
 from fascicle.torso.trunk import TrunkSize
 
-FARTHEST = 30.0  # mm from the skin: beyond, electrodes and torso do not belong together
+FARTHEST = 30.0  # mm from the skin; electrodes further away do not belong to the torso
 
 
 # Rows of electrodes in arrays, in the order of `fascicle.core.leads.ELECTRODES`
@@ -42,7 +42,7 @@ def standard_electrodes(size: TrunkSize, skin: Surface) -> Floats:
 
 
 def site_rays(size: TrunkSize) -> tuple[Floats, Floats]:
-    """Where electrodes belong: on the skin that rays from within the trunk leave through.
+    """Rays from within the trunk that leave the skin at the standard electrode sites.
 
     Starts (9, 3) and directions (9, 3) in the torso frame (mm).
     """
@@ -70,10 +70,10 @@ def site_rays(size: TrunkSize) -> tuple[Floats, Floats]:
 
 
 def additional_sites(heart: Heart, axes: Floats, skin: Surface, names: Sequence[str]) -> Electrodes:
-    """Put electrodes besides the nine onto the skin of any torso (mm), by where the nine are.
+    """Put electrodes besides the nine onto the skin of any torso (mm), relative to the nine.
 
     Frank's A, C, E, I and M lie at the level of V4 to V6, C halfway between A and E around the
-    chest, H at the back of the neck; F, of the left leg, is where LL is: Frank 1956, Circulation
+    chest, H at the back of the neck; F, of the left leg, is at LL: Frank 1956, Circulation
     13:737-749. V7 to V9 lie at that level on the posterior axillary line, below the tip of the
     scapula and at the spine's border, and right-sided electrodes mirror the left ones: Kligfield et
     al. 2007, Circulation 115:1306-1324.
@@ -129,8 +129,8 @@ def check_not_mirrored(name: str, heart: Heart) -> None:
     """Refuse a heart, called `name`, whose RV lies left of or behind the LV for its electrodes.
 
     In a healthy chest the RV lies to the right and in front of the LV, each by two thirds of their
-    distance; the limits leave room for any rotation about the long axis that is seen. Where limb
-    and chest electrodes contradict each other on what is left, `electrode_warnings` says so.
+    distance; the limits leave room for any rotation about the long axis that occurs. Where limb
+    and chest electrodes disagree about the left side, `electrode_warnings` says so.
     """
     limbs, chest = _leftwards(heart.electrodes)
     if limbs @ chest <= 0:
@@ -148,13 +148,13 @@ def check_not_mirrored(name: str, heart: Heart) -> None:
 
 
 def check_not_exchanged(name: str, heart: Heart) -> None:
-    """Refuse electrodes, from `name`, of which two have each other's name."""
+    """Refuse electrodes, from `name`, that seem to be exchanged."""
     for warning in _order_warnings(heart):
         raise InputError(f"{name}: {warning}")
 
 
 def _order_warnings(heart: Heart) -> Iterator[str]:
-    """Electrodes that are exchanged: left and right, above and below, or around the chest."""
+    """Warnings about exchanged electrodes: left and right, up and down, or around the chest."""
     electrodes = heart.electrodes
     limbs, chest = _leftwards(electrodes)
     leftwards, up = -_lv_to_rv(heart), _upwards(electrodes)
@@ -188,7 +188,7 @@ def _order_warnings(heart: Heart) -> Iterator[str]:
 
 
 def electrode_warnings(heart: Heart) -> Iterator[str]:
-    """Electrodes that seem misplaced or exchanged: one line each, with what to do."""
+    """Warnings about misplaced or exchanged electrodes: one line each, with a remedy."""
     yield from _order_warnings(heart)
     distance, _ = cKDTree(heart.vertices).query(heart.electrode_positions)
     for name, d in zip(heart.electrode_names, distance, strict=True):
@@ -210,7 +210,7 @@ def _upwards(electrodes: Floats) -> Floats:
 
 
 def _frontwards(heart: Heart, left: Floats) -> Floats:
-    """From the trunk towards V1 to V4, as far as it is neither up nor to the left."""
+    """Unit vector from the heart towards V1 to V4, orthogonal to up and to the left."""
     electrodes = heart.electrodes
     up = _upwards(electrodes)
     left = unit(left - (left @ up) * up)
@@ -220,6 +220,6 @@ def _frontwards(heart: Heart, left: Floats) -> Floats:
 
 
 def _lv_to_rv(heart: Heart) -> Floats:
-    """From the middle of one endocardium to that of the other (mm)."""
+    """Vector from the middle of the LV endocardium to that of the RV endocardium (mm)."""
     lv, rv = (surface_middle(Surface(e.vertices, e.triangles)) for e in heart.endocardia)
     return rv - lv

@@ -1,8 +1,8 @@
-"""Where a heart lies in the torso: its anatomical axes, and the torso's axes around it.
+"""Pose of a heart in the torso: its anatomical axes, and the torso's axes around it.
 
 Torso frame (mm): x to the patient's left, y to the back, z to the head; the origin lies on the axis
-of the trunk, at the level of the fourth intercostal space at the sternum. It is DICOM's LPS frame
-but for the origin.
+of the trunk, at the level of the fourth intercostal space at the sternum. Its axes are those of
+DICOM's LPS frame.
 """
 
 from __future__ import annotations
@@ -35,23 +35,23 @@ class TorsoFrame:
     """The rigid motion between the heart's coordinates and the torso frame.
 
     The columns of the rotation (3, 3) are the torso's axes in the heart's coordinates; the origin
-    (3,) is the frame's there (mm).
+    (3,) is that of the torso frame, in the heart's coordinates (mm).
     """
 
     rotation: Floats
     origin: Floats
 
     def to_torso(self, points: Floats) -> Floats:
-        """Torso coordinates of points (..., 3) given in the heart's."""
+        """Convert points (..., 3) from the heart's to the torso's coordinates."""
         return np.asarray((points - self.origin) @ self.rotation)
 
     def to_heart(self, points: Floats) -> Floats:
-        """Heart coordinates of points (..., 3) given in the torso's."""
+        """Convert points (..., 3) from the torso's to the heart's coordinates."""
         return np.asarray(points @ self.rotation.T + self.origin)
 
 
 def endocardial_surfaces(mesh: LabelledMesh) -> tuple[Surface, Surface]:
-    """Left and right."""
+    """Left and right endocardium."""
     lv, rv = (Surface(*mesh.part(label)) for label in ENDOCARDIA)
     return lv, rv
 
@@ -61,7 +61,7 @@ def heart_axes(lv: Surface, rv: Surface) -> Floats:
 
     Columns (3, 3): from the LV to the RV; to the anterior-superior side of the septum; from the LV
     apex, the point furthest from the opening, to the middle of the opening. Right-handed, whether
-    the heart is mirrored or not; the first as far as it is at right angles to the last.
+    the heart is mirrored or not; the first is made orthogonal to the last.
     """
     base = opening(lv)
     used = lv.vertices[np.unique(lv.triangles)]
@@ -124,7 +124,7 @@ def torso_frame(mesh: LabelledMesh, size: TrunkSize, pose: Pose = "standard") ->
 
 
 def axes_of_electrodes(electrodes: Floats, sites: Floats) -> Floats:
-    """Torso axes as electrodes tell them: those that put the standard sites nearest to them.
+    """Torso axes by the electrodes: those that put the standard sites nearest to them.
 
     The columns (3, 3) in the heart's coordinates, for electrodes (9, 3) there and sites (9, 3) in
     the torso frame: the rotation of least squares (Kabsch 1976, Acta Cryst A32:922-923).
@@ -137,8 +137,8 @@ def axes_of_electrodes(electrodes: Floats, sites: Floats) -> Floats:
 def check_apex(source: str, rotation: Floats, lv: Surface, rv: Surface) -> None:
     """Refuse torso axes in which the apex points to two of right, back and head.
 
-    Hearts differ, so one of them may be: a vertical heart points hardly to the left, a horizontal
-    one hardly down.
+    One of them alone may be right, as hearts differ: a vertical heart points hardly to the left, a
+    horizontal one hardly down.
     """
     left, back, up = -rotation.T @ heart_axes(lv, rv)[:, 2]
     directions = {"right": -left, "back": back, "head": up}

@@ -3,7 +3,7 @@
 Where electrodes are given, first the measures of the trunk and its pose around heart and electrodes
 have their most probable values: electrodes lie on the skin and near their standard sites, the heart
 has its default position, measures are those of adults. The smallest smooth deformation of skin,
-ribs and lungs together takes up what is left between skin and electrodes.
+ribs and lungs together closes the gaps that remain between skin and electrodes.
 
 Sources
 -------
@@ -59,11 +59,11 @@ from fascicle.torso.trunk import (
     trunk_box,
 )
 
-FITTED = "fitted to the electrodes"  # what a heart's lead fields say of a torso that it lacks
+FITTED = "fitted to the electrodes"  # key of lead fields whose torso is not in the heart's folder
 SKIN_MARGIN = 5.0  # mm that must remain between heart and skin
-FARTHEST = 60.0  # mm, of an electrode from the fitted skin, which the deformation can take up
-# One standard deviation of what is fitted: tilt (rad), position of the heart to the left, back and
-# up (mm), and the logarithms of the measures
+FARTHEST = 60.0  # mm from the fitted skin to an electrode, most that the deformation can close
+# Standard deviations of the fitted quantities: tilt (rad), position of the heart to the left, back
+# and up (mm), and the logarithms of the measures
 TILT = np.radians(10)
 POSITION = np.array([12.0, 12.0, 20.0])
 MEASURES = {"height": 0.09, "girth": 0.15, "depth": 0.1, "shoulders": 0.1, "hips": 0.1}
@@ -91,9 +91,9 @@ def fitted_torso(
     known: Mapping[str, float],
     pose: Pose = "standard",
 ) -> tuple[TorsoSurfaces, FittedTrunk]:
-    """Put an idealised torso around a heart (mm) on whose skin given electrodes lie.
+    """Put an idealised torso around a heart (mm), with given electrodes on its skin.
 
-    Electrodes (9, 3), which an error calls `name`, are in the heart's coordinates (mm). Measures of
+    Electrodes (9, 3), called `name` in errors, are in the heart's coordinates (mm). Measures of
     the person that are known, arguments of `TrunkSize`, are kept. In the "standard" pose the
     torso's axes follow from the electrodes, else they are those of the image that the heart comes
     from; both are tilted a little where that fits better.
@@ -154,8 +154,8 @@ def _with_lungs(
 class FittedTrunk:
     """An idealised trunk fitted to electrodes: its measures, and where it lies around the heart.
 
-    In the torso frame (mm), each (9, 3): electrodes as given, standard sites on the trunk before it
-    was deformed, and points of that skin that the deformation puts at the electrodes.
+    Positions (9, 3) are in the torso frame (mm): the given electrodes, standard sites on the trunk
+    before it was deformed, and points of that skin that the deformation moves to the electrodes.
     """
 
     size: TrunkSize
@@ -166,19 +166,19 @@ class FittedTrunk:
 
     @property
     def moved(self) -> Floats:
-        """How far the deformation moves the skin at each electrode (mm); (9,)."""
+        """Distances (9,) by which the deformation moves the skin at the electrodes (mm)."""
         return np.asarray(np.linalg.norm(self.on_skin - self.electrodes, axis=1))
 
     @cached_property
     def _displacement(self) -> RBFInterpolator:
-        """The least-norm displacement; its inverse multiquadrics fall off over 80 mm."""
+        """Least-norm displacement, of inverse multiquadrics that fall off over 80 mm."""
         moved = self.on_skin - self.electrodes
         return RBFInterpolator(
             self.electrodes, moved, kernel="inverse_multiquadric", epsilon=1 / 80.0, degree=-1
         )
 
     def undeformed(self, points: Floats) -> Floats:
-        """Where points (n, 3) of the torso frame lie in the trunk before it was deformed (mm)."""
+        """Positions in the undeformed trunk of points (n, 3) of the torso frame (mm)."""
         return np.asarray(points + self._displacement(points))
 
 
@@ -198,11 +198,11 @@ def fit_trunk(
     `fitted_torso` for the measures `known`.
     """
     hull = heart[ConvexHull(heart).vertices]
-    given = set(known) | ({"girth"} if {"chest", "weight"} & set(known) else set())
-    unknown = [measure for measure in MEASURES if measure not in given]
+    fixed = set(known) | ({"girth"} if {"chest", "weight"} & set(known) else set())
+    unknown = [measure for measure in MEASURES if measure not in fixed]
 
     def trunk_of(x: Floats) -> tuple[TrunkSize, TorsoFrame]:
-        """Measures, and where that trunk lies: tilted about its axes, then the heart moved."""
+        """Measures and frame of a trunk: tilted about its axes, then moved around the heart."""
         steps = zip(unknown, x[6:], strict=True)
         factors = {measure: float(np.exp(MEASURES[measure] * step)) for measure, step in steps}
         girth = factors.pop("girth", None)
@@ -216,7 +216,7 @@ def fit_trunk(
         return size, TorsoFrame(tilted, centroid - tilted @ position)
 
     def residuals(x: Floats) -> Floats:
-        """Electrodes off the skin and off their sites; heart near the skin; measures and pose."""
+        """Distances of electrodes to skin and sites, and of heart to skin; measures and pose."""
         size, frame = trunk_of(x)
         outside, placed = outside_trunk(size), frame.to_torso(electrodes)
         # across the skin, 5 mm, which the deformation may take up; along it, 25 mm on the chest,
@@ -225,16 +225,16 @@ def fit_trunk(
         off_site[: Electrode.V1] /= 50.0
         off_site[Electrode.V1 :] /= 25.0
         gap = -outside(frame.to_torso(hull)).max()
-        near = min(gap - 32.0, 0.0) / 8.0  # mm, of skin to heart; only less is penalised
+        near = min(gap - 32.0, 0.0) / 8.0  # mm, of skin to heart; only a small gap is penalised
         return np.concatenate([outside(placed) / 5.0, off_site.ravel(), [near], x])
 
     most = np.array([3.0] * 3 + [np.inf] * 3 + [3.0] * len(unknown))
-    # an electrode at an odd place, beyond three standard deviations, counts less and less, so that
-    # the others tell how odd it is
-    found = least_squares(
+    # the loss grows slowly beyond three standard deviations, so that a misplaced electrode hardly
+    # pulls on the fit to the others
+    fit = least_squares(
         residuals, np.zeros(len(most)), bounds=(-most, most), loss="cauchy", f_scale=3.0
     )
-    shift = POSITION * found.x[3:6]
+    shift = POSITION * fit.x[3:6]
     axis = int(np.argmax(np.abs(shift)))
     if abs(shift[axis]) > 80:  # mm
         way = (("right", "left"), ("front", "back"), ("feet", "head"))[axis][int(shift[axis] > 0)]
@@ -242,7 +242,7 @@ def fit_trunk(
             f"{name}: the heart lies {abs(shift[axis]):.0f} mm too far to the {way} for these "
             "electrodes, so they are not in the heart's frame; give both in one frame, in mm"
         )
-    size, frame = trunk_of(found.x)
+    size, frame = trunk_of(fit.x)
     placed, outside = frame.to_torso(electrodes), outside_trunk(size)
     fitted = FittedTrunk(size, frame, placed, leaving(outside, size), _nearest(outside, placed))
     worst = int(np.argmax(fitted.moved))
@@ -268,7 +268,7 @@ def leaving(outside: Outside, size: TrunkSize) -> Floats:
 
 
 def _nearest(outside: Outside, points: Floats) -> Floats:
-    """Points of a level set near given ones (n, 3), by Newton's steps down its slope."""
+    """Points of a level set near points (n, 3), by Newton steps along its gradient."""
     points = points.copy()
     step = 0.5  # mm, for the slope
     steps = step * np.concatenate([np.eye(3), -np.eye(3)])

@@ -41,10 +41,10 @@ MM_PER_CM = 10.0
 
 @dataclass(frozen=True)
 class Contacts:
-    """Where electrodes touch the skin.
+    """Contacts of electrodes with the skin.
 
-    Vertices of the triangle that each touches (e, 3), and barycentric coordinates in it (e, 3),
-    which are also the shares of the current; the distance (mm) from the electrode as given (e,).
+    Vertices of the triangle that each electrode touches (e, 3), and barycentric coordinates in it
+    (e, 3), which are also the shares of the current; distances (mm) from the given positions (e,).
     """
 
     triangles: Integers
@@ -52,13 +52,13 @@ class Contacts:
     moved: Floats
 
     def points(self, values: Floats) -> Floats:
-        """Values (e, k) where they touch, of those at the vertices (n, k), such as positions."""
+        """Interpolate values at the vertices (n, k), such as positions, to the contacts (e, k)."""
         return np.asarray((self.weights[:, :, None] * values[self.triangles]).sum(axis=1))
 
     def currents(self, vertices: int) -> Floats:
-        """Unit current into each electrode, out through the nine alike: (e, vertices), in µA.
+        """Unit current into each electrode, out through the nine equally: (e, vertices), in µA.
 
-        Through all alike where there are fewer.
+        It leaves through all electrodes equally if there are fewer than nine.
         """
         inflow = np.zeros((len(self.triangles), vertices))
         np.add.at(inflow, (np.arange(len(inflow))[:, None], self.triangles), self.weights)
@@ -70,8 +70,8 @@ def resolve_lead_fields(
 ) -> LeadFields | None:
     """Lead fields of a heart: its own where they are up to date, else those of its torso.
 
-    None where the volume conductor is unbounded; an error if they are another heart's, and there is
-    no torso to compute others in.
+    None where the volume conductor is unbounded; an error if the heart's own are out of date and
+    there is no torso to compute others in.
     """
     torso = heart.torso
     if is_up_to_date(heart, conduction) or (torso is None and heart.lead_fields is None):
@@ -87,11 +87,11 @@ def resolve_lead_fields(
 
 def is_up_to_date(heart: Heart, conduction: Conduction) -> bool:
     """Whether a heart's own lead fields are those of its electrodes, fibres, torso and tissues."""
-    found = heart.lead_fields
+    fields = heart.lead_fields
     return (
-        found is not None
-        and found.key == key_of(heart, conduction)
-        and (heart.torso is None or found.torso == torso_key(heart.torso))
+        fields is not None
+        and fields.key == key_of(heart, conduction)
+        and (heart.torso is None or fields.torso == torso_key(heart.torso))
     )
 
 
@@ -117,8 +117,8 @@ def lead_fields(
 ) -> Floats:
     """Lead fields (9 + a, n) of the heart's electrodes, at its vertices (mV/µA, that is kΩ).
 
-    Those of the nine sum to zero at every vertex: each is for unit current that leaves through all
-    nine alike, which no lead notices; so are those of the additional electrodes. Scar
+    Fields of the nine sum to zero at every vertex: a field, of additional electrodes too, is for
+    unit current that leaves through all nine equally, which affects no lead. Scar
     (`Conduction.regions`) does not count: tissue that does not activate still conducts
     extracellularly, and nothing better than the intact Gᵢ + Gₑ is known of it here. An error if an
     electrode is far from the skin, the mesh falls into pieces, or the solver gets stuck.
@@ -134,12 +134,12 @@ def lead_fields(
 
 
 def place_electrodes(vertices: Floats, tetrahedra: Integers, electrodes: Floats) -> Contacts:
-    """The points of the whole conductor's skin nearest to electrodes (e, 3) (mm)."""
+    """Contacts on the whole conductor's skin nearest to electrodes (e, 3) (mm)."""
     return contacts_on(vertices, outer_boundary(vertices, tetrahedra), electrodes)
 
 
 def contacts_on(vertices: Floats, skin: Integers, points: Floats) -> Contacts:
-    """The points of a skin (t, 3) nearest to given ones (e, 3) (mm)."""
+    """Contacts on the triangles (t, 3) of a skin nearest to points (e, 3) (mm)."""
     squared, nearest, points = igl.point_mesh_squared_distance(
         np.ascontiguousarray(points, dtype=float), vertices, skin
     )
@@ -208,7 +208,7 @@ def solve_neumann(
     preconditioner = smoothed_aggregation(conductor).aspreconditioner(cycle="V")
 
     def solve(current: Floats) -> Floats:
-        # ∇Z in the heart is then right to 1e-7, for reciprocity to 1e-6
+        # then ∇Z in the heart is accurate to 1e-7, and reciprocity holds to 1e-6
         potential, failed = cg(
             conductor, current, rtol=1e-9, maxiter=most_iterations, M=preconditioner
         )
@@ -220,7 +220,7 @@ def solve_neumann(
         return np.asarray(potential - potential.mean())
 
     potentials = np.empty_like(currents)
-    # threads, as smoothing and products are compiled and let go of the interpreter
+    # threads, as smoothing and products are compiled and release the interpreter lock
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for done, potential in enumerate(pool.map(solve, currents)):
             potentials[done] = potential
@@ -243,15 +243,15 @@ def block_cg(
 ) -> Floats:
     """Conjugate gradients, preconditioned, for several right-hand sides (n, c) in step.
 
-    Products with all columns at once cost a fraction of as many products with one. It ends when all
-    residuals are below the tolerance, relative to the right-hand side, or after so many iterations.
+    A product with all columns at once costs a fraction of products one by one. It ends when all
+    residuals are below the tolerance, relative to the right-hand side, or after `most` iterations.
     """
     potential = np.zeros_like(currents)
     residual = currents.copy()
-    wanted = tolerance * np.linalg.norm(currents, axis=0)
+    target = tolerance * np.linalg.norm(currents, axis=0)
     direction, previous = np.zeros_like(residual), np.ones(currents.shape[1])
     for _ in range(most):
-        if (np.linalg.norm(residual, axis=0) <= wanted).all():
+        if (np.linalg.norm(residual, axis=0) <= target).all():
             break
         corrected = precondition(residual)
         product = np.einsum("nc,nc->c", residual, corrected)
@@ -266,11 +266,11 @@ def block_cg(
 
 
 def multigrid(stiffness: csr_matrix) -> Preconditioner:
-    """One V-cycle of smoothed aggregation on columns (n, c), with two ℓ₁-Jacobi sweeps a side.
+    """V-cycle of smoothed aggregation on columns (n, c), with two ℓ₁-Jacobi sweeps a side.
 
-    That smoother converges for every symmetric positive definite matrix (Baker, Falgout, Kolev and
-    Yang, SIAM J. Sci. Comput. 33, 2011, 2864-2887). In single precision, which is enough for a
-    preconditioner and takes half the memory's time.
+    The smoother converges for every symmetric positive definite matrix (Baker, Falgout, Kolev and
+    Yang, SIAM J. Sci. Comput. 33, 2011, 2864-2887). Single precision is enough for a preconditioner
+    and halves the memory traffic.
     """
     hierarchy = smoothed_aggregation(stiffness)
     levels = [
@@ -278,19 +278,19 @@ def multigrid(stiffness: csr_matrix) -> Preconditioner:
         for a in hierarchy.levels[:-1]
     ]
     inverse = [1 / np.asarray(abs(matrix).sum(axis=1)) for matrix, _, _ in levels]
-    # some tens of unknowns
+    # of some tens of unknowns
     coarsest = np.linalg.inv(hierarchy.levels[-1].A.toarray()).astype(np.float32)
 
     def cycle(depth: int, residual: Floats) -> Floats:
         if depth == len(levels):
             return np.asarray(coarsest @ residual)
         matrix, prolong, restrict = levels[depth]
-        found = inverse[depth] * residual
-        found += inverse[depth] * (residual - matrix @ found)
-        found += prolong @ cycle(depth + 1, restrict @ (residual - matrix @ found))
+        correction = inverse[depth] * residual
+        correction += inverse[depth] * (residual - matrix @ correction)
+        correction += prolong @ cycle(depth + 1, restrict @ (residual - matrix @ correction))
         for _ in range(2):
-            found += inverse[depth] * (residual - matrix @ found)
-        return np.asarray(found)
+            correction += inverse[depth] * (residual - matrix @ correction)
+        return np.asarray(correction)
 
     return lambda residual: cycle(0, residual.astype(np.float32))
 

@@ -1,4 +1,4 @@
-"""Tetrahedra for everything outside the myocardium, which conform to it."""
+"""Tetrahedra for the torso outside the myocardium, which conform to the heart's."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from fascicle.torso.surfaces import Surface
 def torso_of(heart: Heart, progress: StageProgress = no_progress) -> Torso:
     """A heart's torso, or the idealised one of a heart that carries its lead fields without it.
 
-    That is the standard one, or the one fitted to the heart's electrodes where its lead fields say
-    `FITTED`. An error if electrodes are not on it: then it was another torso.
+    The idealised torso is the standard one, or the one fitted to the heart's electrodes if its lead
+    fields say `FITTED`. An error if electrodes are not on it: then it was another torso.
     """
     if heart.torso is not None:
         return heart.torso
@@ -58,13 +58,13 @@ def mesh_torso(
     of a real heart's opening is too rough to hold one that nowhere cuts the tissue.
     """
     progress(0, 2)
-    around, first_lung = 1, 2  # Netgen's numbers of what it fills; the other lungs' follow
+    around, first_lung = 1, 2  # Netgen's numbers of the domains it fills; other lungs follow
     heart, triangles = without_unused_vertices(mesh.vertices, mesh.triangles)
     remedy = (
         "a surface crosses itself or another or is too rough; remesh the heart, the torso or the "
         "lungs more evenly"
     )
-    # optimised once, no dihedral angle is below 5 degrees around a good heart mesh
+    # one optimisation step leaves no dihedral angle below 5 degrees around a good heart mesh
     vertices, tetrahedra, domains = tetrahedralise(
         [
             Interface(heart, triangles, NOTHING, around),

@@ -1,4 +1,4 @@
-"""Closed triangle surfaces of the torso: what must not be wrong with them, and their files."""
+"""Closed triangle surfaces of the torso: reading them from files, and checks on them."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Surface(NamedTuple):
 class TorsoSurfaces:
     """Closed surfaces around a heart, in its coordinates (mm), and electrodes on the skin (9, 3).
 
-    Those of a torso of the user's own are not known. Lungs are the left, then the right one.
+    Electrodes are None for the user's own torso. Lungs are the left, then the right one.
     """
 
     skin: Surface
@@ -75,8 +75,8 @@ def read_torso_surfaces(
 
     Surfaces are welded (STL repeats every point), turned outwards, and remeshed if they are far
     finer than a torso needs. Of a volume mesh the outer surface is used; lungs are separate files.
-    An error if a file cannot be read, holds no surface, or one that is open, in several pieces, not
-    in mm or not where a torso's or a lung's is.
+    An error if a file cannot be read, or its surface is missing, open, in several pieces, not in mm
+    or out of place.
     """
     outer = _read_surface(Path(skin), "torso", SKIN_EDGE)
     inner = tuple(_read_surface(Path(lung), "lung", LUNG_EDGE) for lung in lungs)
@@ -85,7 +85,7 @@ def read_torso_surfaces(
 
 
 def _read_surface(path: Path, purpose: str, edge: float) -> Surface:
-    """The triangles of a file, or the boundary of its tetrahedra; a finer surface is remeshed."""
+    """Triangles of a file, or the boundary of its tetrahedra; a too fine surface is remeshed."""
     mesh = read_mesh(path, purpose)
     if len(mesh.cells.get(TETRAHEDRON, ())):
         triangles, _ = boundary_triangles(mesh.require(TETRAHEDRON, "tetrahedra"))
@@ -109,8 +109,8 @@ def check_within(
 ) -> None:
     """Refuse surfaces of heart, skin and lungs between which no tetrahedra fit.
 
-    One is not in mm, open, wound the wrong way, crosses itself, reaches out of the torso or
-    overlaps another. `names` are those of skin and lungs from files.
+    A surface must not be open, inside out, in other units than mm, cross itself, reach out of the
+    torso or overlap another. `names` are those of skin and lungs from files.
     """
     names = names or ["torso", *(f"lung {number}" for number in range(1, len(lungs) + 1))]
     for name, surface in zip(names, (skin, *lungs), strict=True):
@@ -134,7 +134,7 @@ def check_within(
 
 def check_closed(name: str, surface: Surface, organ: str = "heart") -> None:
     """Refuse a surface that is not in mm, open, of several sheets on an edge, or inside out."""
-    # largest extents (mm): a child's is above the first, no adult's above the second
+    # largest extents (mm): a child's is above the lower, no adult's above the upper limit
     extents = {"torso": (200.0, 2500.0), "lung": (70.0, 450.0), "heart": (35.0, 400.0)}
     check_units(name, surface.vertices, extents[organ])
     check_edges(name, surface.vertices, surface.triangles, "close the hole")
@@ -161,12 +161,14 @@ def _check_inside(name: str, points: Floats, skin: Surface) -> None:
         )
 
 
-def _check_apart(name: str, one: Surface, other_name: str, other: Surface) -> None:
-    """Refuse surfaces that overlap, one within the other included, or touch."""
-    points = np.concatenate([one.vertices, other.vertices])
-    gap = np.append(signed_distance(one.vertices, other), signed_distance(other.vertices, one))
-    pairs = intersections(one, other)
-    crossed = one.corners[pairs[0, 0]].mean(axis=0) if len(pairs) else None
+def _check_apart(name: str, surface: Surface, other_name: str, other: Surface) -> None:
+    """Refuse surfaces that touch, overlap or lie one within the other."""
+    points = np.concatenate([surface.vertices, other.vertices])
+    gap = np.append(
+        signed_distance(surface.vertices, other), signed_distance(other.vertices, surface)
+    )
+    pairs = intersections(surface, other)
+    crossed = surface.corners[pairs[0, 0]].mean(axis=0) if len(pairs) else None
     if gap.min() < LEAST_GAP or crossed is not None:
         overlaps = gap.min() < 0 or crossed is not None
         where = crossed if crossed is not None and gap.min() >= 0 else points[np.argmin(gap)]

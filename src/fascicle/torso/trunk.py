@@ -39,7 +39,7 @@ from fascicle.torso.surfaces import LUNG_EDGE, SKIN_EDGE, Surface, remeshed, sig
 
 # About the distance (mm) of points (n, 3) to a surface, negative inside
 Outside = Callable[[Floats], Floats]
-# Where points (n, 3) of a deformed trunk lie in the undeformed one
+# Positions in the undeformed trunk of points (n, 3) of a deformed one
 Deformation = Callable[[Floats], Floats]
 
 SHAPE = ("depth", "shoulders", "hips")
@@ -61,7 +61,7 @@ SECTIONS = np.array(
         (0.870, 0.36, 0.44, 0.0, 0.0),
     ]
 )
-# Likewise of ribs and all within: level, half-width and half-depth
+# Likewise of the rib cage with its contents: level, half-width and half-depth
 CAGE = np.array(
     [
         (0.600, 0.84, 0.80),
@@ -76,7 +76,7 @@ CAGE = np.array(
 
 @dataclass(frozen=True)
 class TrunkSize:
-    """What an adult trunk is scaled by; an error if a value is not one of an adult.
+    """Measures by which an adult trunk is scaled; an error if a value is not an adult's.
 
     The last three are factors on the standard adult's depth by width of the chest, and on the width
     of shoulders and hips.
@@ -90,7 +90,7 @@ class TrunkSize:
     hips: float = 1.0
 
     def __post_init__(self) -> None:
-        # the girth comes last, as it is a number for a possible height and weight only
+        # girth comes last, as it is a number only if height and weight are possible
         limits = {"height": (1.2, 2.3, "m"), "weight": (25.0, 250.0, "kg")}
         limits |= dict.fromkeys(SHAPE, (0.5, 2.0, "times"))
         for name, (low, high, unit) in (limits | {"girth": (50.0, 180.0, "cm")}).items():
@@ -120,12 +120,12 @@ class TrunkSize:
         return self.depth * 0.70 * self.half_width
 
     def level(self, fraction: float) -> float:
-        """Height z in the torso frame (mm) of a fraction of the standing height; V1's is 0."""
+        """Coordinate z in the torso frame (mm) of a fraction of the standing height; V1's is 0."""
         return 1000 * self.height * (fraction - 0.735)
 
 
 def identity(points: Floats) -> Floats:
-    """No deformation."""
+    """Return points unchanged: no deformation."""
     return points
 
 
@@ -148,12 +148,12 @@ def trunk_box(size: TrunkSize, margin: float = 0.0) -> Floats:
 
 
 def _ends(size: TrunkSize) -> tuple[float, float]:
-    """Where the trunk is cut off below and above (mm)."""
+    """Levels z at which the trunk is cut off below and above (mm)."""
     return size.level(0.495), size.level(0.850)
 
 
 def outside_trunk(size: TrunkSize) -> Outside:
-    """About how far points of the torso frame are from the skin (mm), negative inside."""
+    """Approximate signed distance (mm) from the skin in the torso frame, negative inside."""
     lower, upper = _ends(size)
     sections = SECTIONS[:, :3].copy()
     sections[:, 1] *= size.shoulders ** SECTIONS[:, 3] * size.hips ** SECTIONS[:, 4]
@@ -167,14 +167,14 @@ def outside_trunk(size: TrunkSize) -> Outside:
 
 
 def beyond_sections(size: TrunkSize, sections: Floats) -> Outside:
-    """About the distance (mm) of points to a stack of superellipses, as those of `CAGE` (k, 3)."""
+    """Approximate signed distance (mm) to a stack of superellipses (k, 3), such as `CAGE`."""
     level = np.array([size.level(fraction) for fraction in sections[:, 0]])
     halves = PchipInterpolator(level, sections[:, 1:] * (size.half_width, size.half_depth))
 
     def outside(points: Floats) -> Floats:
         half = halves(np.clip(points[:, 2], level[0], level[-1]))
         relative = (np.abs(points[:, :2] / half) ** SQUARENESS).sum(axis=1) ** (1 / SQUARENESS)
-        # exact along x and along y, where the outline is that far away
+        # `reach` is the outline's radius towards a point: the distance is exact along x and y
         reach = np.linalg.norm(points[:, :2], axis=1) / np.maximum(relative, 1e-9)
         return np.asarray((relative - 1) * np.clip(reach, half.min(axis=1), half.max(axis=1)))
 
@@ -231,9 +231,9 @@ def lungs_of(
 ) -> tuple[Surface, Surface]:
     """Left and right lung in the torso frame (mm).
 
-    They keep clear of the surface `excluded` (`exclusion_hull`); `undeformed` says where points lie
-    in the undeformed trunk. An error, which calls the heart `name`, if one of
-    them would have less than the `smallest` volume (litres).
+    Lungs keep clear of the surface `excluded` (`exclusion_hull`); `undeformed` maps points to the
+    undeformed trunk. An error, about the heart called `name`, if a lung would have less than the
+    `smallest` volume (litres).
     """
     lungs = []
     for side, sign, dome_level in (("left", 1, 0.710), ("right", -1, 0.717)):  # the diaphragm's
@@ -250,7 +250,7 @@ def lungs_of(
 def _lung(
     size: TrunkSize, excluded: Surface, sign: int, dome_level: float, undeformed: Deformation
 ) -> Surface | None:
-    """One lung: within the ribs, lateral to the mediastinum and the heart, above the diaphragm."""
+    """Lung within the ribs, lateral to the mediastinum and the heart, above the diaphragm."""
     half_width, half_depth = size.half_width, size.half_depth
     height, top, blend, spacing = 1000 * size.height, size.level(0.822), 20.0, 8.0  # mm
     outside_ribs = beyond_sections(size, CAGE)

@@ -1,1 +1,1 @@
-"""Mesh files: VTK, Gmsh, openCARP and what meshio reads."""
+"""Mesh files: VTK, Gmsh, openCARP and PLY."""

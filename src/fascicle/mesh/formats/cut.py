@@ -56,12 +56,12 @@ def _parts(mesh: MeshFile, kind: int, cells: Integers) -> tuple[Integers, Intege
     from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkUnstructuredGrid
     from vtkmodules.vtkFiltersGeneral import vtkDataSetTriangleFilter
 
-    grid, points, given = vtkUnstructuredGrid(), vtkPoints(), vtkCellArray()
+    grid, points, cell_array = vtkUnstructuredGrid(), vtkPoints(), vtkCellArray()
     points.SetData(numpy_to_vtk(np.ascontiguousarray(mesh.points)))
     corners = numpy_to_vtkIdTypeArray(np.ascontiguousarray(cells, dtype=np.int64).ravel())
-    given.SetData(cells.shape[1], corners)
+    cell_array.SetData(cells.shape[1], corners)
     grid.SetPoints(points)
-    grid.SetCells(kind, given)
+    grid.SetCells(kind, cell_array)
     number: Any = numpy_to_vtk(np.arange(len(cells)))
     number.SetName("cell")
     grid.GetCellData().AddArray(number)
@@ -74,7 +74,7 @@ def _parts(mesh: MeshFile, kind: int, cells: Integers) -> tuple[Integers, Intege
     parts = connections.reshape(-1, 4).astype(np.int64)
     parent = vtk_to_numpy(output.GetCellData().GetArray("cell")).astype(np.int64)
     ordered = np.sort(parts, axis=1)
-    proper = (np.diff(ordered, axis=1) > 0).all(axis=1)  # of corners that coincide
+    proper = (np.diff(ordered, axis=1) > 0).all(axis=1)  # without coinciding corners
     parts, parent = parts[proper], parent[proper]
     origin, a, b, c = (mesh.points[parts[:, k]] for k in range(4))
     volume = np.einsum("ij,ij->i", a - origin, np.cross(b - origin, c - origin))

@@ -1,4 +1,4 @@
-"""What a mesh file holds, whatever its format."""
+"""Content of a mesh file, whatever its format."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from fascicle.core.errors import InputError
 OPENCARP_FORMATS = (".pts", ".elem")  # either names both files, and the `.lon`
 # VTK's numbers for the cells that are used here
 VERTEX, LINE, TRIANGLE, TETRAHEDRON = 1, 3, 5, 10
-# what is cut into tetrahedra: name, and number of corners
+# Cells that are cut into tetrahedra: name, and number of corners
 SOLIDS = {11: ("voxels", 8), 12: ("hexahedra", 8), 13: ("wedges", 6), 14: ("pyramids", 5)}
 GROUP = "gmsh:physical"  # meshio's name for the number of a cell's physical group
 
 
 def damaged(path: Path, found: object) -> InputError:
-    """The error of a file that ends early or contradicts itself."""
+    """Error of a file that ends early or contradicts itself."""
     return InputError(f"{path}: truncated or damaged ({found}); export or copy it again")
 
 
@@ -59,15 +59,15 @@ class MeshFile:
     def require(self, kind: int, name: str) -> Integers:
         """Cells of one kind."""
         cells = self.cells.get(kind)
-        others = ", ".join(f"{count} {other}" for other, count in self.others.items())
+        other_cells = ", ".join(f"{count} {other}" for other, count in self.others.items())
         if cells is None or not len(cells):
-            found = f"{len(self.points)} points, other cells: {others or 'none'}"
+            contents = f"{len(self.points)} points, other cells: {other_cells or 'none'}"
             raise InputError(
-                f"{self.path}: no {name} in this file ({found}); give a mesh that has {name}"
+                f"{self.path}: no {name} in this file ({contents}); give a mesh that has {name}"
             )
         if self.others and kind != LINE:
             raise InputError(
-                f"{self.path}: {len(cells)} {name}, but also other cells ({others}); "
+                f"{self.path}: {len(cells)} {name}, but also other cells ({other_cells}); "
                 f"make the whole mesh of {name}"
             )
         return cells

@@ -2,7 +2,7 @@
 
 VTK's PLY reader crashes on truncated files. meshio mixes up element data of Gmsh's format 2 (Gmsh
 reference manual, "MSH file format version 2 (Legacy)") where there are cells of several kinds, and
-takes none of some elements only, as Gmsh writes fibres of tetrahedra among triangles.
+refuses data of some elements only, as Gmsh writes fibres of tetrahedra among triangles.
 """
 
 from __future__ import annotations
@@ -59,11 +59,13 @@ def read_meshio(path: Path) -> MeshFile:
     points = np.asarray(data.points, dtype=float)
     if points.shape[1] != 3:
         raise InputError(f"{path}: points have {points.shape[1]} coordinates; 3 are needed")
-    others = {
+    other_cells = {
         block.type: len(block.data) for block in data.cells if block.type not in (*USED, "vertex")
     }
     groups = {name: (int(of), int(number)) for name, (number, of) in data.field_data.items()}
-    return MeshFile(path, points, cells, dict(data.point_data), cell_data, others, groups=groups)
+    return MeshFile(
+        path, points, cells, dict(data.point_data), cell_data, other_cells, groups=groups
+    )
 
 
 def _read_ply(path: Path) -> Any:
@@ -77,10 +79,10 @@ def _read_ply(path: Path) -> Any:
     content = re.sub(rb" vertex_index(?=\s)", b" vertex_indices", content, count=1)
     data = meshio.ply.read(io.BytesIO(content))
     announced = dict(re.findall(rb"element (vertex|face) (\d+)", content.split(b"end_header")[0]))
-    found = {b"vertex": len(data.points), b"face": sum(len(block.data) for block in data.cells)}
+    counts = {b"vertex": len(data.points), b"face": sum(len(block.data) for block in data.cells)}
     for element, number in announced.items():
-        if int(number) != found[element]:
-            raise ValueError(f"{found[element]} of {int(number)} elements '{element.decode()}'")
+        if int(number) != counts[element]:
+            raise ValueError(f"{counts[element]} of {int(number)} elements '{element.decode()}'")
     return data
 
 
@@ -124,7 +126,7 @@ def _parsed(path: Path, content: bytes) -> MeshFile:
     if not len(nodes) or not elements:
         raise ValueError("no nodes or no elements")
     ids = nodes[:, 0].astype(np.int64)
-    cells, cell_data, others = {}, {}, {}
+    cells, cell_data, other_cells = {}, {}, {}
     for kind in sorted({kind for kind, _ in elements}):
         type_name = ELEMENTS[kind][0]
         rows = np.concatenate([rows for of, rows in elements if of == kind])
@@ -136,9 +138,11 @@ def _parsed(path: Path, content: bytes) -> MeshFile:
             arrays = {GROUP: rows[:, 1].astype(float)} | _arrays(data["ElementData"], rows[:, 0])
             cell_data[USED[type_name]] = arrays
         elif type_name != "vertex":
-            others[type_name] = len(rows)
+            other_cells[type_name] = len(rows)
     point_data = _arrays(data["NodeData"], ids)
-    return MeshFile(path, nodes[:, 1:].copy(), cells, point_data, cell_data, others, groups=groups)
+    return MeshFile(
+        path, nodes[:, 1:].copy(), cells, point_data, cell_data, other_cells, groups=groups
+    )
 
 
 def _sections(content: bytes) -> Iterator[tuple[str, bytes]]:
@@ -148,11 +152,11 @@ def _sections(content: bytes) -> Iterator[tuple[str, bytes]]:
         if start is None:
             raise ValueError(f"no section where one should start (byte {at})")
         end = b"$End" + start[1]
-        found = content.find(end, start.end())
-        at = content.find(b"\n", found) + 1
-        if found < 0 or not at or content[found:at].strip() != end:
+        end_at = content.find(end, start.end())
+        at = content.find(b"\n", end_at) + 1
+        if end_at < 0 or not at or content[end_at:at].strip() != end:
             raise ValueError("ends within a section")
-        yield start[1].decode(), content[start.end() : found]
+        yield start[1].decode(), content[start.end() : end_at]
 
 
 def _lines(body: bytes, count: int) -> tuple[list[str], bytes]:
@@ -229,16 +233,16 @@ def _read_data(body: bytes, is_binary: bool) -> tuple[str, Floats]:
     return names[0].strip('"'), _table(int(rows), body, int(components), is_binary)
 
 
-def _places(wanted: Integers, numbers: Integers) -> Integers:
-    """Position of each number among others; -1 if it is absent."""
+def _places(ids: Integers, numbers: Integers) -> Integers:
+    """Position of each of `ids` in `numbers`; -1 if it is absent."""
     order = np.argsort(numbers, kind="stable")
-    at = np.searchsorted(numbers[order], wanted)
+    at = np.searchsorted(numbers[order], ids)
     place = order[np.minimum(at, len(order) - 1)]
-    return np.where(numbers[place] == wanted, place, -1)
+    return np.where(numbers[place] == ids, place, -1)
 
 
 def _arrays(tables: dict[str, Floats], ids: Integers) -> dict[str, Floats]:
-    """Values of each table in the order of these numbers, without tables that have none of them."""
+    """Values of each table in the order of `ids`, without tables that have none of these."""
     arrays = {}
     for name, table in tables.items():
         place = _places(ids, table[:, 0].astype(np.int64)) if len(table) else np.full(len(ids), -1)

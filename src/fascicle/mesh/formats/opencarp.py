@@ -56,10 +56,10 @@ def read_opencarp_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
     by_type: dict[str, list[int]] = {}
     for row, line in enumerate(lines):
         by_type.setdefault(line.lstrip()[:2], []).append(row)
-    cells, cell_data, others = {}, dict[int, dict[str, Floats]](), {}
+    cells, cell_data, other_cells = {}, dict[int, dict[str, Floats]](), {}
     for code, rows_of_type in by_type.items():
         if code in OTHER_ELEMENTS:
-            others[OTHER_ELEMENTS[code]] = len(rows_of_type)
+            other_cells[OTHER_ELEMENTS[code]] = len(rows_of_type)
             continue
         if code not in ELEMENTS:
             raise InputError(
@@ -77,7 +77,7 @@ def read_opencarp_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
         for code in by_type.keys() & ELEMENTS.keys():
             rows = by_type[code]
             cell_data[ELEMENTS[code][0]] |= {name: v[rows] for name, v in directions.items()}
-    return MeshFile(elements, points, cells, {}, cell_data, others)
+    return MeshFile(elements, points, cells, {}, cell_data, other_cells)
 
 
 def _read_directions(path: Path, count: int) -> dict[str, Floats]:
@@ -163,9 +163,9 @@ def _table(path: Path, lines: list[str], columns: tuple[int, ...]) -> Floats:
     except ValueError as error:
         raise damaged(path, _start(str(error).split(";")[0])) from None
     if len(table) != len(lines) or table.shape[1] not in columns:
-        wanted = " or ".join(map(str, columns))
-        found = f"{len(table)} lines with {table.shape[1]} numbers"
-        raise damaged(path, f"{found}; need {len(lines)} with {wanted}")
+        needed = " or ".join(map(str, columns))
+        actual = f"{len(table)} lines with {table.shape[1]} numbers"
+        raise damaged(path, f"{actual}; need {len(lines)} with {needed}")
     if (bad := np.flatnonzero(~np.isfinite(table).all(axis=1))).size:
         raise InputError(
             f"{path}: {bad.size} of {len(table)} lines hold numbers that are not finite (first: "

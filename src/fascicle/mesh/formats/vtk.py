@@ -20,9 +20,9 @@ from fascicle.mesh.formats.mesh_file import LINE, SOLIDS, TETRAHEDRON, TRIANGLE,
 def read_vtk(path: Path) -> MeshFile:
     """Read a VTK, VTU, VTP, OBJ or STL file by VTK's own reader.
 
-    It may crash, or take any amount of memory: call it by `fascicle.core.isolated`. Nothing here
-    imports PyVista, whose readers log complaints where they cannot be collected, and without which
-    a child process starts 0.1 s sooner.
+    It may crash, or take any amount of memory: call it by `fascicle.core.isolated`. This
+    function does not import PyVista, whose readers log complaints where they cannot be collected,
+    and without which a child process starts 0.1 s sooner.
     """
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkFiltersCore import vtkAppendFilter
@@ -45,7 +45,7 @@ def read_vtk(path: Path) -> MeshFile:
             as_grid.Update()
             data = as_grid.GetOutput()
     try:
-        cells, index, others = _cells(data)
+        cells, index, other_cells = _cells(data)
         arrays = _named_arrays(data.GetCellData()).items()
         cell_data = {k: {name: v[rows] for name, v in arrays} for k, rows in index.items()}
     except (IndexError, ValueError):
@@ -54,8 +54,8 @@ def read_vtk(path: Path) -> MeshFile:
     points = np.empty((0, 3)) if positions is None else vtk_to_numpy(positions.GetData())
     lines = index.get(LINE, np.empty(0))
     return MeshFile(
-        path, points.astype(float), cells, _named_arrays(data.GetPointData()), cell_data, others,
-        has_polylines=np.unique(lines).size < lines.size,
+        path, points.astype(float), cells, _named_arrays(data.GetPointData()), cell_data,
+        other_cells, has_polylines=np.unique(lines).size < lines.size,
     )  # fmt: skip
 
 
@@ -124,7 +124,7 @@ def _vtk_complaints() -> Iterator[list[str]]:
 
 
 def _cells(grid: Any) -> tuple[dict[int, Integers], dict[int, Integers], dict[str, int]]:
-    """Cells of the kinds used here, the cell of the file that each comes from, and other kinds.
+    """Cells of the kinds used here, the row in the file of each, and counts of other kinds.
 
     A line of several points becomes as many segments as it has.
     """
@@ -152,12 +152,12 @@ def _cells(grid: Any) -> tuple[dict[int, Integers], dict[int, Integers], dict[st
         index[LINE] = cell[:-1][inside]
     ignored = (0, 1, 2)  # empty cells and lone vertices
     unused = kinds[~np.isin(kinds, (LINE, 4, *used, *ignored))]
-    found, counts = np.unique(unused, return_counts=True)
-    names = (vtkCellTypes.GetClassNameFromTypeId(kind) for kind in found.tolist())
-    others = {
+    other_kinds, counts = np.unique(unused, return_counts=True)
+    names = (vtkCellTypes.GetClassNameFromTypeId(kind) for kind in other_kinds.tolist())
+    other_cells = {
         name.removeprefix("vtk"): int(count) for name, count in zip(names, counts, strict=True)
     }
-    return cells, index, others
+    return cells, index, other_cells
 
 
 def write_grid(
@@ -199,13 +199,13 @@ def pyvista_grid(
     point_data: Mapping[str, NDArray[Any]],
     cell_data: Mapping[str, NDArray[Any]],
 ) -> Any:
-    """What `write_grid` writes as `pyvista.UnstructuredGrid`, with units in the arrays' names."""
+    """Mesh of `write_grid` as `pyvista.UnstructuredGrid`, with units in the arrays' names."""
     import pyvista as pv
 
     units = (("activation", "ms"), ("length", "mm"), ("lead_field_", "kohm"))
     grid = pv.UnstructuredGrid({kind: cells}, np.asarray(points))
-    for arrays, given in ((grid.point_data, point_data), (grid.cell_data, cell_data)):
-        for name, values in given.items():
+    for arrays, named_values in ((grid.point_data, point_data), (grid.cell_data, cell_data)):
+        for name, values in named_values.items():
             unit = next((f"_{unit}" for begin, unit in units if name.startswith(begin)), "")
             arrays[name + unit] = values
     return grid

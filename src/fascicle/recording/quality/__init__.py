@@ -1,1 +1,1 @@
-"""What a recording's own numbers say about how far it can be trusted."""
+"""Quality checks of a recording, by its own numbers."""

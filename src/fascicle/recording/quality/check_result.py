@@ -11,7 +11,7 @@ from fascicle.recording.recording import Recording
 
 
 class Severity(Enum):
-    """What follows from a check."""
+    """Consequence of a check."""
 
     FINE = "ok"
     WARNING = "warning"  # the target is made, and says so
@@ -20,7 +20,7 @@ class Severity(Enum):
 
 @dataclass(frozen=True)
 class Check:
-    """What is looked at: name, unit of its figure (or none), and from which on it is not fine."""
+    """A check: its name, the unit of its figure (or none), and the limit of what is fine."""
 
     name: str
     unit: str
@@ -35,7 +35,7 @@ class Check:
 
 @dataclass(frozen=True)
 class CheckResult:
-    """One check with its figure."""
+    """Outcome of a check, with its figure."""
 
     check: Check
     value: float  # NaN where the recording does not allow the check
@@ -56,6 +56,6 @@ def listed(leads: Collection[str]) -> str:
 
 def leave_out(recording: Recording, leads: Collection[str]) -> str:
     """Option that uses every recorded lead but these."""
-    every = (*recording.measured_leads, *recording.additional)
-    kept = [lead for lead in every if lead not in leads]
+    recorded = (*recording.measured_leads, *recording.additional)
+    kept = [lead for lead in recorded if lead not in leads]
     return f"--leads {','.join(kept)}"

@@ -38,8 +38,8 @@ DOWER = np.array(
         [1.213, 0.127, -0.601], [1.125, 0.127, -0.086], [0.831, 0.076, 0.230],
     ]
 )  # fmt: skip
-# Standard deviations of what a lead holds besides, over those of the heart vector: shared with its
-# neighbours, and its own; tuned, as the limits, on benchmarks/chest_leads.py
+# Standard deviations of the rest of a chest lead over those of the heart vector: of the part that
+# its neighbours share, and of its own; tuned, as the limits, on benchmarks/chest_leads.py
 SHARED, OWN = 0.6, 0.3
 
 
@@ -64,19 +64,19 @@ class LeadCheck(Check):
             advice = f"go on without: {leave_out(recording, lost)}"
         if not named:
             return self.found(largest)
-        what = self.message.format(leads=listed(named), largest=largest)
-        return self.found(largest, f"{what}; {advice}", severity)
+        problem = self.message.format(leads=listed(named), largest=largest)
+        return self.found(largest, f"{problem}; {advice}", severity)
 
 
 def check_leads(recording: Recording) -> tuple[CheckResult, ...]:
-    """What is wrong with leads whatever is in them: no signal, or another lead's."""
+    """Check that each lead holds a signal, and not that of another lead."""
     return (*_check_flatness(recording), *_check_duplicates(recording))
 
 
 def check_recording(
     recording: Recording, peaks: Integers, filters: Sequence[Filter], paced: bool = False
 ) -> tuple[CheckResult, ...]:
-    """Every other check, also those that are fine, of a recording without pacing spikes.
+    """Outcomes of all other checks, the fine ones too, of a recording without pacing spikes.
 
     The R peaks are at the samples `peaks` (n_beats,); `filters` are those that it has passed;
     `paced` says that it had spikes.
@@ -127,7 +127,7 @@ def _check_flatness(recording: Recording) -> list[CheckResult]:
 
 def _check_duplicates(recording: Recording) -> list[CheckResult]:
     """Largest absolute correlation between two leads of the same size."""
-    leads = {}  # that move: mean zero and standard deviation one, and what that was (mV)
+    leads = {}  # that move: standardised, and their standard deviation (mV)
     for lead, values in measured(recording).items():
         x, _ = coarse(values, recording.sampling_rate)
         size = float(x.std())
@@ -136,10 +136,10 @@ def _check_duplicates(recording: Recording) -> list[CheckResult]:
     # where one limb lead is flat, others are the same by Einthoven's law
     limb_flat = {lead for lead in measured(recording) if lead in LIMB_LEADS} - set(leads)
     largest, messages = 0.0, []
-    for one, other in combinations(leads, 2):
-        if limb_flat and one in LIMB_LEADS and other in LIMB_LEADS:
+    for lead, other in combinations(leads, 2):
+        if limb_flat and lead in LIMB_LEADS and other in LIMB_LEADS:
             continue
-        (x, x_size), (y, y_size) = leads[one], leads[other]
+        (x, x_size), (y, y_size) = leads[lead], leads[other]
         if len(x) != len(y) or abs(x_size - y_size) > 0.01 * max(x_size, y_size):
             continue
         correlation = float(x @ y) / len(x)
@@ -147,24 +147,28 @@ def _check_duplicates(recording: Recording) -> list[CheckResult]:
         if abs(correlation) > DUPLICATED.limit:
             sign = "the same" if correlation > 0 else "the same but for the sign"
             messages.append(
-                f"leads {one} and {other} are {sign}; get the right samples, or leave both out: "
-                f"{leave_out(recording, [one, other])}"
+                f"leads {lead} and {other} are {sign}; get the right samples, or leave both out: "
+                f"{leave_out(recording, [lead, other])}"
             )
     return [DUPLICATED.found(largest, message, Severity.FATAL) for message in messages or [""]]
 
 
 def _check_lowpass(recording: Recording, peaks: Integers, filters: Sequence[Filter]) -> CheckResult:
-    """What the recorder's low-pass does to the QRS; a stated one is set against the spectrum."""
-    lowpasses = (one for one in filters if one.kind is FilterKind.LOW_PASS)
-    lowpass = next((one for one in lowpasses if one.origin is not FilterOrigin.APPLIED), None)
+    """Check the recorder's low-pass, which smooths the QRS; compare one stated to the spectrum."""
+    lowpasses = (filter_ for filter_ in filters if filter_.kind is FilterKind.LOW_PASS)
+    lowpass = next(
+        (filter_ for filter_ in lowpasses if filter_.origin is not FilterOrigin.APPLIED), None
+    )
     if lowpass is None:
         return LOWPASS.found(math.nan)
     messages = []
     if lowpass.frequency < LOWPASS.limit:
         much = "strongly " if lowpass.frequency <= 40.0 else ""  # Hz; small deflections vanish
-        known = ", estimated from the spectrum," if lowpass.origin is FilterOrigin.ESTIMATED else ""
+        source = (
+            ", estimated from the spectrum," if lowpass.origin is FilterOrigin.ESTIMATED else ""
+        )
         messages.append(
-            f"the recorder's low-pass at {lowpass.frequency:.3g} Hz{known} {much}smooths the QRS "
+            f"the recorder's low-pass at {lowpass.frequency:.3g} Hz{source} {much}smooths the QRS "
             f"({LOWPASS.limit:g} Hz are recommended); export the recording unfiltered"
         )
     if lowpass.origin is FilterOrigin.STATED:
@@ -183,7 +187,7 @@ def _check_lowpass(recording: Recording, peaks: Integers, filters: Sequence[Filt
 
 
 def _noise(values: Floats, rate: float) -> float:
-    """Standard deviation (uV) of what a moving average of 12 ms (37 Hz) takes off.
+    """Standard deviation (uV) of the noise that a moving average of 12 ms (37 Hz) removes.
 
     By the median absolute deviation, for which the QRS takes too little of the time to count.
     """
@@ -195,7 +199,7 @@ def _noise(values: Floats, rate: float) -> float:
 def _interference(values: Floats, rate: float, mains: float) -> float:
     """Amplitude (uV), as of one sine, of a frequency (Hz) and two harmonics.
 
-    It is the power of the lines less that of the spectrum next to them, by pieces of 4 s.
+    Its power is that of the lines less that of the spectrum next to them, by pieces of 4 s.
     """
     n = min(len(values), round(4.0 * rate))
     frequency, density = welch(values, rate, window=np.hanning(n), noverlap=0, scaling="density")
@@ -295,9 +299,10 @@ LEAD_CHECKS = (
 
 
 def check_mean_beat(qrs: Floats, simultaneous: bool = True) -> tuple[CheckResult, CheckResult]:
-    """Both checks of a mean QRS (12, n), mV, every `SAMPLING_STEP` ms; a T wave has no chest leads.
+    """Check the speed and the chest leads of a mean QRS (12, n), mV, every `SAMPLING_STEP` ms.
 
-    `simultaneous` says that all leads were recorded at the same time.
+    Chest leads are not checked in a beat that is too slow for a QRS. `simultaneous` says that all
+    leads were recorded at the same time.
     """
     fastest = float(spatial_velocity(qrs).max())
     if not fastest < SPEED.limit:
@@ -339,12 +344,12 @@ def check_chest_leads(qrs: Floats, simultaneous: bool = True) -> CheckResult:
         remedies[f"lead {lead} is probably upside down", f"--invert {lead}"] = misfit(turned)
     for k, (lead, other) in enumerate(pairwise(CHEST_LEADS)):
         order = [*range(k), k + 1, k, *range(k + 2, 6)]
-        what = f"leads {lead} and {other} are probably exchanged"
-        remedies[what, f"--swap {lead}-{other}"] = misfit(chest[order])
-    what, option = min(remedies, key=remedies.__getitem__)
-    ratio = misfit(chest) / remedies[what, option]
+        problem = f"leads {lead} and {other} are probably exchanged"
+        remedies[problem, f"--swap {lead}-{other}"] = misfit(chest[order])
+    problem, option = min(remedies, key=remedies.__getitem__)
+    ratio = misfit(chest) / remedies[problem, option]
     message = (
-        f"{what}: with that undone the chest leads fit one another {ratio:.1f} times better; look "
-        f"at the picture; to undo it: {option}"
+        f"{problem}: with that undone the chest leads fit one another {ratio:.1f} times better; "
+        f"look at the picture; to undo it: {option}"
     )
     return CHEST.found(ratio, message if ratio > CHEST.limit else "")

@@ -16,7 +16,7 @@ from fascicle.recording.lead_groups import cut
 from fascicle.recording.quality.check_result import Check, CheckResult, Severity, leave_out
 from fascicle.recording.recording import Recording
 
-GAINS = Check("gains of limb leads, ratio", "", 1.01)  # up to which gains are one
+GAINS = Check("gains of limb leads, ratio", "", 1.01)  # up to which gains count as equal
 REVERSAL = Check("lead reversal, I and II against V6", "", -0.4)
 P_WAVE = (-0.26, -0.10)  # s from R
 WRONG_GAINS = (
@@ -25,7 +25,7 @@ WRONG_GAINS = (
 )
 REMAINING = 0.5  # share of a misfit that an explanation may leave, also of what the next one leaves
 
-# What is zero, lead by lead in the order of LIMB_LEADS.
+# Combinations of limb leads that are zero: their coefficients in the order of LIMB_LEADS.
 CLASSIC = {
     "Einthoven I + III - II": (1.0, -1.0, 1.0, 0.0, 0.0, 0.0),
     "Goldberger aVR + (I + II)/2": (0.5, 0.5, 0.0, 1.0, 0.0, 0.0),
@@ -35,11 +35,11 @@ CLASSIC = {
 
 
 def check_identities(recording: Recording) -> list[CheckResult]:
-    """Compare the limb leads that were recorded with what the others among them say.
+    """Compare the limb leads that were recorded with one another.
 
-    The figure of an identity is the 99th percentile of what should be zero, after the baseline and
-    what is faster than about 37 Hz have been taken off each lead; it is fine up to 0.05 mV or 5 %
-    of the limb leads' height. The first broken identity carries the explanation. Leads that were
+    The figure of an identity is the 99th percentile of the sum that should be zero, after removal
+    of each lead's baseline and of all above about 37 Hz; it is fine up to 0.05 mV or 5 % of the
+    limb leads' height. The first broken identity carries the explanation. Leads that were
     recorded one group after another are compared where they overlap.
     W. Einthoven, G. Fahr, A. de Waart, Pflügers Arch. 150:275 (1913); E. Goldberger, Am. Heart J.
     23:483 (1942).
@@ -55,7 +55,7 @@ def _together(recording: Recording) -> list[tuple[list[int], slice]]:
     """Sets of at least three limb leads, and the samples (1 s or more) that they have in common."""
     spans = recording.spans.tolist()
     rows = [row for row, lead in enumerate(LIMB_LEADS) if lead in recording.measured_leads]
-    found = {}
+    times = {}
     for start, stop in {tuple(spans[row]) for row in rows}:
         covering = tuple(
             row
@@ -65,17 +65,17 @@ def _together(recording: Recording) -> list[tuple[list[int], slice]]:
         begin = max([start, *(spans[row][0] for row in covering)])
         end = min([stop, *(spans[row][1] for row in covering)])
         if len(covering) >= 3 and end - begin >= recording.sampling_rate:
-            found[covering] = slice(begin, end)
-    return [(list(covering), time) for covering, time in sorted(found.items(), key=itemgetter(0))]
+            times[covering] = slice(begin, end)
+    return [(list(covering), time) for covering, time in sorted(times.items(), key=itemgetter(0))]
 
 
 def _check_group(recording: Recording, rows: list[int], time: slice) -> list[CheckResult]:
     leads = _detrended(recording.signal[rows, time], recording.sampling_rate)
     leads = leads[:, :: max(leads.shape[1] // 30_000, 1)]  # relations hold at each sample
     labels, zeros = _identities(rows)
-    found, limit = _misfits(leads, zeros), _limit_of(leads)
-    broken = np.flatnonzero(found > limit)
-    values = zip(labels, found.tolist(), strict=True)
+    misfits, limit = _misfits(leads, zeros), _limit_of(leads)
+    broken = np.flatnonzero(misfits > limit)
+    values = zip(labels, misfits.tolist(), strict=True)
     findings = [Check(label, "mV", limit).found(value) for label, value in values]
     gains = _check_gains(recording, rows, leads, zeros)
     if not broken.size:
@@ -86,15 +86,15 @@ def _check_group(recording: Recording, rows: list[int], time: slice) -> list[Che
     for k in broken:
         findings[k] = replace(findings[k], severity=severity)
     first = int(broken[0])  # one fault breaks several identities, and is explained once
-    what = f"{labels[first].split(' ', 1)[1]} is off by {found[first]:.2f} mV"
-    findings[first] = replace(findings[first], message=f"{what}: {reason}")
+    fault = f"{labels[first].split(' ', 1)[1]} is off by {misfits[first]:.2f} mV"
+    findings[first] = replace(findings[first], message=f"{fault}: {reason}")
     return findings
 
 
 def _detrended(leads: Floats, rate: float) -> Floats:
     """Leads (m, n), mV, without baseline and with less noise, about 0.6 to 37 Hz.
 
-    By moving averages, which are linear: whatever holds between leads still holds.
+    Moving averages are linear: relations between leads still hold.
     """
     leads, rate = coarse(leads, rate)
     width = max(round(0.5 * rate), 1)  # s
@@ -129,8 +129,8 @@ def _identities(rows: list[int]) -> tuple[list[str], Floats]:
     zeros = np.array(list(CLASSIC.values()))
     whole = ~np.delete(zeros, rows, axis=1).any(axis=1)
     if whole.sum() == len(rows) - 2:
-        there = np.flatnonzero(whole)
-        return [[*CLASSIC][k] for k in there], zeros[there][:, rows]
+        usable = np.flatnonzero(whole)
+        return [[*CLASSIC][k] for k in usable], zeros[usable][:, rows]
     names = [LIMB_LEADS[row] for row in rows]
     from_two = limb_leads_from(names)
     assert from_two is not None  # there are at least three
@@ -160,8 +160,8 @@ def _explain(
     for i, j in combinations(range(len(rows)), 2):
         order = [{i: j, j: i}.get(k, k) for k in range(len(rows))]
         if holds(leads[order]):
-            one, other = names[i], names[j]
-            mistakes.append(f"leads {one} and {other} are exchanged, give --swap {one}-{other}")
+            lead, other = names[i], names[j]
+            mistakes.append(f"leads {lead} and {other} are exchanged, give --swap {lead}-{other}")
     if mistakes:
         return Severity.FATAL, ", or ".join(mistakes)
     remaining = np.array([_without(k, leads, zeros) for k in range(len(rows))])
@@ -169,19 +169,19 @@ def _explain(
     limit = _limit_of(np.delete(leads, best, axis=0))
     if remaining[best] <= min(limit, REMAINING * before, REMAINING * remaining[next_best]):
         gain = _gain(int(best), leads, zeros)
-        what = "does not follow from the other limb leads"
+        fault = "does not follow from the other limb leads"
         if holds(np.where(same[best][:, None], gain, 1.0) * leads):
-            what = f"is {1 / gain:.2f} times what the other limb leads say"
+            fault = f"is {1 / gain:.2f} times what the other limb leads say"
         advice = "leave it out, it is then computed from the others:"
         advice = f"{advice} {leave_out(recording, [names[best]])}"
-        return Severity.FATAL, f"lead {names[best]} {what}; {advice}"
+        return Severity.FATAL, f"lead {names[best]} {fault}; {advice}"
     factors = _factors(leads, zeros)
     # below a ratio of 1.2 they may still be in mV
     if factors is not None and factors.max() > 1.2 * factors.min() and holds(factors * leads):
         ratios = (factors[0] / factors).ravel()
-        found = ", ".join(f"{n} {g:.2f}" for n, g in zip(names, ratios, strict=True))
+        gains = ", ".join(f"{n} {g:.2f}" for n, g in zip(names, ratios, strict=True))
         return Severity.FATAL, (
-            f"each lead has a gain of its own ({found}); export the recording in mV, with one gain "
+            f"each lead has a gain of its own ({gains}); export the recording in mV, with one gain "
             "for all leads"
         )
     return Severity.WARNING, (
@@ -190,7 +190,7 @@ def _explain(
 
 
 def _misfits(leads: Floats, zeros: Floats) -> Floats:
-    """How far (mV) each relation ``zeros @ leads`` is from constant: its 99th percentile, (k,)."""
+    """Deviation (mV) of each relation ``zeros @ leads`` from constant, 99th percentile, (k,)."""
     rest = zeros @ leads
     rest = np.abs(rest - np.median(rest, axis=1, keepdims=True))
     return np.asarray(np.percentile(rest, 99.0, axis=1))
@@ -226,9 +226,9 @@ def _without(k: int, leads: Floats, zeros: Floats) -> float:
 
 def _gain(k: int, leads: Floats, zeros: Floats) -> float:
     """Factor for lead k that makes the relations hold best, by least squares."""
-    own = zeros[:, k, None] * leads[k]
-    others = zeros @ leads - own
-    return float(-(own * others).sum() / max((own * own).sum(), np.finfo(float).tiny))
+    part = zeros[:, k, None] * leads[k]
+    rest = zeros @ leads - part
+    return float(-(part * rest).sum() / max((part * part).sum(), np.finfo(float).tiny))
 
 
 def _factors(leads: Floats, zeros: Floats) -> Floats | None:
@@ -260,11 +260,13 @@ def check_reversal(recording: Recording, peaks: Integers, paced: bool = False) -
     """
     rate = recording.sampling_rate
     median = _median_beat(recording, peaks)
-    left = [row for row in (LEADS.index("V6"), LEADS.index("V5")) if np.isfinite(median[row]).all()]
-    if not left or not np.isfinite(median[:2]).all():
+    lateral = [
+        row for row in (LEADS.index("V6"), LEADS.index("V5")) if np.isfinite(median[row]).all()
+    ]
+    if not lateral or not np.isfinite(median[:2]).all():
         message = "not checked: needs leads I, II and V6 or V5, and two beats"
         return REVERSAL.found(np.nan, message, Severity.FINE)
-    reference = median[left[0]]
+    reference = median[lateral[0]]
     p_waves = _wave(median[:2], P_WAVE, rate)
     if paced or np.ptp(p_waves, axis=1).max() < 0.05:  # mV; half a mm on paper
         why = "the rhythm is paced" if paced else "leads I and II show no P wave"
@@ -280,9 +282,9 @@ def check_reversal(recording: Recording, peaks: Integers, paced: bool = False) -
     }
     pair = max(after, key=after.__getitem__)
     message = (
-        f"lead {'I' if now[0] < now[1] else 'II'} runs against {LEADS[left[0]]} in P wave and QRS: "
-        f"electrodes {pair.replace('-', ' and ')} are probably reversed (or the heart lies on the "
-        f"right, or the rhythm is not from the sinus node); to undo it: --swap {pair}"
+        f"lead {'I' if now[0] < now[1] else 'II'} runs against {LEADS[lateral[0]]} in P wave and "
+        f"QRS: electrodes {pair.replace('-', ' and ')} are probably reversed (or the heart lies on "
+        f"the right, or the rhythm is not from the sinus node); to undo it: --swap {pair}"
     )
     return REVERSAL.found(min(now), message)
 
@@ -290,15 +292,15 @@ def check_reversal(recording: Recording, peaks: Integers, paced: bool = False) -
 def _median_beat(recording: Recording, peaks: Integers) -> Floats:
     """Median (12, n), mV, over two or more beats of each lead, 0.26 s before R to 0.10 s after.
 
-    Leads recorded at other times give their own beats; NaN where they have fewer.
+    Leads recorded at other times have beats of their own; NaN where these are fewer than two.
     """
     before, after = (round(s * recording.sampling_rate) for s in (0.26, 0.10))
     median = np.full((len(LEADS), before + after + 1), np.nan)
     for row, (start, stop) in enumerate(recording.spans):
-        own = peaks[(peaks - before >= start) & (peaks + after < stop)]
-        own = own[:: max(len(own) // 100, 1)]
-        if len(own) >= 2:
-            median[row] = np.median(cut(recording.signal[[row]], own, before, after), axis=0)
+        covered = peaks[(peaks - before >= start) & (peaks + after < stop)]
+        covered = covered[:: max(len(covered) // 100, 1)]
+        if len(covered) >= 2:
+            median[row] = np.median(cut(recording.signal[[row]], covered, before, after), axis=0)
     return median
 
 

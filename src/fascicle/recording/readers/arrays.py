@@ -32,20 +32,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class _Array:
-    """Numbers, and what the file says about them alone."""
+    """Numbers of a file, and the metadata about them alone."""
 
     numbers: Any
     metadata: Sequence[Entry] = ()
 
     @property
     def values(self) -> Floats:
-        """Without axes of length one."""
+        """Numbers without axes of length one."""
         return np.array(self.numbers, dtype=np.float64).squeeze()
 
 
 @dataclass(frozen=True)
 class _Group:
-    """A file, or a group or structure in it; `metadata` is said here and in those around it."""
+    """A file, or a group or structure in it; `metadata` are its own and those of its parents."""
 
     name: str
     metadata: list[Entry]
@@ -76,31 +76,31 @@ def read_matlab(path: Path, sampling_rate: float | None) -> RawRecording:
     if b"HDF5" in start:
         return read_hdf5(path, sampling_rate)
     with warnings.catch_warnings():
-        warnings.simplefilter("error", UserWarning)  # such as that a variable is there twice
+        warnings.simplefilter("error", UserWarning)  # such as of a duplicate variable
         variables = loadmat(path, appendmat=False, simplify_cells=True)
-    found = {name: value for name, value in variables.items() if not name.startswith("__")}
+    stored = {name: value for name, value in variables.items() if not name.startswith("__")}
     # MATLAB 4 has no header
-    return _raw_recording(found, path, "MATLAB 4" if 0 in start[:4] else "MATLAB 5")
+    return _raw_recording(stored, path, "MATLAB 4" if 0 in start[:4] else "MATLAB 5")
 
 
 def _stored(node: h5py.Group, depth: int = 0) -> dict[str, Any]:
     import h5py
 
-    found: dict[str, Any] = _attributes(node)
+    members: dict[str, Any] = _attributes(node)
     for key in node:
         linked = not isinstance(node.get(key, getlink=True), h5py.HardLink)
         item: Any = None if linked else node[key]
-        if isinstance(item, h5py.Group) and depth < 4:  # more may be a circle
-            found[key] = {} if key.startswith("#") else _stored(item, depth + 1)  # MATLAB's own
+        if isinstance(item, h5py.Group) and depth < 4:  # deeper nesting may be circular
+            members[key] = {} if key.startswith("#") else _stored(item, depth + 1)  # MATLAB's own
         elif isinstance(item, h5py.Dataset) and not item.is_virtual and not item.external:
-            said = (entry_of(name, value) for name, value in _attributes(item).items())
+            entries = (entry_of(name, value) for name, value in _attributes(item).items())
             content = _content(item)
             numeric = isinstance(content, np.ndarray) and content.dtype.kind in "iuf"
-            metadata = [entry for entry in said if entry is not None]
-            found[key] = _Array(content, metadata) if numeric else content
+            metadata = [entry for entry in entries if entry is not None]
+            members[key] = _Array(content, metadata) if numeric else content
         else:
-            found[key] = None
-    return found
+            members[key] = None
+    return members
 
 
 def _attributes(item: Any) -> dict[str, Any]:
@@ -108,7 +108,7 @@ def _attributes(item: Any) -> dict[str, Any]:
 
 
 def _content(item: h5py.Dataset) -> Any:
-    """Read a dataset; what MATLAB 7.3 stores as codes of characters becomes text."""
+    """Read a dataset; the character codes that MATLAB 7.3 stores become text."""
     kind = item.attrs.get("MATLAB_class", b"")
     if kind == b"cell":
         cells = [_content(item.file[reference]) for reference in np.ravel(item[()])]
@@ -121,56 +121,58 @@ def _content(item: h5py.Dataset) -> Any:
 
 
 def _groups(where: str, stored: Mapping[str, Any], around: Sequence[Entry]) -> Iterator[_Group]:
-    """Yield what a file or structure holds, sorted into metadata and arrays, and those in it."""
-    found = _Group(where or "/", list(around))
+    """Yield a file or structure, sorted into metadata and arrays, and then those inside it."""
+    group = _Group(where or "/", list(around))
     for key, value in stored.items():
         name, array = printable(key), value if isinstance(value, _Array) else _Array(value)
         if isinstance(value, Mapping):
             continue
         if (entry := entry_of(name, array.numbers)) is not None:
-            found.metadata.append(entry)
+            group.metadata.append(entry)
         elif isinstance(array.numbers, np.ndarray) and array.numbers.dtype.kind in "iuf":
-            found.arrays[name] = array
+            group.arrays[name] = array
         else:
-            found.others.append(name)
-    yield found
+            group.others.append(name)
+    yield group
     for name, value in stored.items():
         if isinstance(value, Mapping):
-            yield from _groups(f"{where}/{printable(name)}", value, found.metadata)
+            yield from _groups(f"{where}/{printable(name)}", value, group.metadata)
 
 
 def _raw_recording(stored: Mapping[str, Any], path: Path, format: str) -> RawRecording:
-    """Make a raw recording of the one place in a file that holds leads."""
+    """Make a raw recording of the only place in a file that holds leads."""
     groups = list(_groups("", stored, []))
-    places = {where: found for group in groups for where, found in _leads(group, path).items()}
+    places = {where: leads for group in groups for where, leads in _leads(group, path).items()}
     if not places:
-        there = [f"'{name}' ({_size(a)})" for group in groups for name, a in group.arrays.items()]
-        there += [f"'{name}' (no numbers)" for group in groups for name in group.others]
+        contents = [
+            f"'{name}' ({_size(a)})" for group in groups for name, a in group.arrays.items()
+        ]
+        contents += [f"'{name}' (no numbers)" for group in groups for name in group.others]
         # a record of a PhysioNet challenge
         header = ", or give the WFDB header (.hea) of the record" * ("val" in groups[0].arrays)
         raise InputError(
-            f"{path}: no leads (found: {', '.join(there[:4]) or 'nothing'}); name the arrays I, "
+            f"{path}: no leads (found: {', '.join(contents[:4]) or 'nothing'}); name the arrays I, "
             f"II, V1 to V6, or add a list 'leads' of names to one matrix{header}"
         )
     if len(places) > 1:
         raise InputError(
             f"{path}: leads in {' and '.join(list(places)[:3])}; keep one recording in the file"
         )
-    ((channels, said),) = places.values()
-    check_physical(said, path)
-    return RawRecording(channels, declared_rate(said, path), format)
+    ((channels, metadata),) = places.values()
+    check_physical(metadata, path)
+    return RawRecording(channels, declared_rate(metadata, path), format)
 
 
 def _leads(group: _Group, path: Path) -> dict[str, tuple[list[Channel], list[Entry]]]:
-    """Leads of a group and what is said of them, by where: arrays named so, matrices with names."""
-    vectors, said, found = [], list(group.metadata), {}
+    """Leads of a group and their metadata, by place: arrays named after leads, named matrices."""
+    vectors, vector_metadata, places = [], list(group.metadata), {}
     for name, array in group.arrays.items():
         values, metadata = array.values, [*array.metadata, *group.metadata]
         if values.ndim == 1:
             named = lead_name(name) or additional_lead_name(name)
             unit = None if named is None else declared_unit(metadata, path, name)
             vectors.append(Channel(name, values, unit, missing=fill_values(metadata)))
-            said += [] if lead_name(name) is None else array.metadata
+            vector_metadata += [] if lead_name(name) is None else array.metadata
         names = [n for n in name_lists(metadata) if len(n) in values.shape and _are_leads(n)]
         if values.ndim != 2 or not names:
             continue
@@ -182,11 +184,11 @@ def _leads(group: _Group, path: Path) -> dict[str, tuple[list[Channel], list[Ent
         rows, count = values if len(names[0]) == len(values) else values.T, len(names[0])
         units = [declared_unit(metadata, path, lead, (k, count)) for k, lead in enumerate(names[0])]
         leads = zip(names[0], rows, units, strict=True)
-        channels = [Channel(*each, missing=fill_values(metadata)) for each in leads]
-        found[f"'{name}' of {group.name}"] = (channels, metadata)
+        channels = [Channel(*lead, missing=fill_values(metadata)) for lead in leads]
+        places[f"'{name}' of {group.name}"] = (channels, metadata)
     if _are_leads([vector.name for vector in vectors]):
-        found[f"arrays named after leads of {group.name}"] = (vectors, said)
-    return found
+        places[f"arrays named after leads of {group.name}"] = (vectors, vector_metadata)
+    return places
 
 
 def _are_leads(names: Sequence[str]) -> bool:

@@ -1,7 +1,7 @@
-"""What ecgdatakit reads: HL7 aECG, MUSE, Philips, Mortara, SCP-ECG, ISHNE, MFER, EDF, WFDB.
+"""Formats read by ecgdatakit: HL7 aECG, MUSE, Philips, Mortara, SCP-ECG, ISHNE, MFER, EDF, WFDB.
 
-Its samples are those of wfdb and edfio. What it leaves to its callers is seen to here: files beyond
-the folder of a WFDB header, samples that are marked invalid, leads without a scale, exact rates.
+Its samples are those of wfdb and edfio. This module does the rest: files beyond the folder of a
+WFDB header, samples that are marked invalid, leads without a scale, exact rates.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from fascicle.recording.readers.names import lead_name
 from fascicle.recording.readers.read import Channel, RawRecording, narrowest_passband, sha256_of
 from fascicle.recording.recording import CHECKSUMS_AGREE, Filters, with_remarks
 
-# what the library says that touches no sample: dates, its own rounding, averaged beats of SCP-ECG
+# warnings of the library that concern no sample: dates, its own rounding, averaged beats of SCP-ECG
 _TECHNICAL = re.compile(
     "is not an integer; rounded|birth date|measurement time|long-term rhythm|tag length|median beat"
 )
@@ -42,12 +42,12 @@ def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
     data = path.read_bytes()
     content, root, mends = deviations.mended(data)
     with _copy(path, {path.name: content} if content != data else {}) as copy:
-        found = FileParser.detect_format(path) or FileParser.detect_format(copy)
-        if found is None:
+        detected = FileParser.detect_format(path) or FileParser.detect_format(copy)
+        if detected is None:
             raise InputError(
                 f"{path}: damaged, or of a kind that is not read; export it as HL7 aECG or DICOM"
             )
-        record, remarks, wrong = _parsed(found["parser_class"], path, copy)
+        record, remarks, wrong = _parsed(detected["parser_class"], path, copy)
     if deviations.NO_RHYTHM in mends and record.median_beats:
         record.leads = record.median_beats
     remarks += [*mends, *_check_one_recording(record.source_format, path, data, root)]
@@ -63,12 +63,12 @@ def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
     remarks += [f"lead off: {', '.join(off)}"] if off else []
     provenance = with_remarks({"parser": f"ecgdatakit {version('ecgdatakit')}"}, remarks)
     channels, rate = _channels(record, path), _rate(record, leads, root)
-    return RawRecording(channels, rate, found["name"], _filters(record, leads), provenance)
+    return RawRecording(channels, rate, detected["name"], _filters(record, leads), provenance)
 
 
 @contextlib.contextmanager
 def _copy(path: Path, contents: Mapping[str, bytes]) -> Iterator[Path]:
-    """A copy of a file, and of those that it names, of other contents; itself if there are none."""
+    """Copy of a file, and of those that it names, with new contents; without these, the file."""
     if not contents:
         yield path
         return
@@ -79,7 +79,7 @@ def _copy(path: Path, contents: Mapping[str, bytes]) -> Iterator[Path]:
 
 
 def _samples_are_right(source_format: str, data: bytes, root: ET.Element | None) -> bool:
-    """Whether no checksum of the samples is wrong; 0 is one that was not written."""
+    """Whether no checksum of the samples is wrong; one of 0 was not written."""
     if source_format == "scp_ecg":
         return deviations.scp_samples_are_right(data)
     if source_format == "ge_muse_xml" and root is not None:
@@ -92,7 +92,7 @@ def _parsed(parser: Any, path: Path, copy: Path) -> tuple[Any, list[str], list[s
     from ecgdatakit.exceptions import ChecksumWarning, ECGDataKitError, UnsupportedFormatError
 
     def reason(error: object) -> str:
-        """One short line; the file is named elsewhere."""
+        """Text of an error in one short line, without the name of the file."""
         file = f" (in|of) ({re.escape(str(copy))}|{re.escape(path.name)})"
         return one_line(re.sub(file, "", str(error)))
 
@@ -114,7 +114,7 @@ def _parsed(parser: Any, path: Path, copy: Path) -> tuple[Any, list[str], list[s
         text = re.sub(r";? ?\(?(see )?raw_metadata.*", "", reason(warning.message))
         if is_checksum or not _TECHNICAL.search(text):
             (wrong if is_checksum else remarks).append(text)
-    for remark in remarks:  # what EDF has of whole records is right
+    for remark in remarks:  # a truncated EDF file is read: its whole records are right
         if re.search("(may be|are) truncated|has gaps|shorter than the frame", remark):
             raise InputError(f"{path}: incomplete recording ({remark}); export it again")
     return record, remarks, wrong
@@ -123,9 +123,9 @@ def _parsed(parser: Any, path: Path, copy: Path) -> tuple[Any, list[str], list[s
 def _check_one_recording(
     source_format: str, path: Path, data: bytes, root: ET.Element | None
 ) -> list[str]:
-    """Refuse what the library reads the first of: several subjects or recordings in one file.
+    """Refuse files of several subjects or recordings, of which the library reads only the first.
 
-    What follows an SCP-ECG record and is none is left out, which is returned as a remark.
+    Bytes after an SCP-ECG record that are no other record are left out; a remark says so.
     """
     several, remarks = "", []
     if source_format == "scp_ecg":
@@ -149,10 +149,14 @@ def _check_one_recording(
 
 
 def _identity(person: ET.Element) -> tuple[str, ...]:
-    """What tells a person of an XML file from another: identifiers and the name."""
-    found = (person.find(tag) for tag in ("id", "PatientID", ".//name"))
-    texts = ((*each.attrib.values(), *each.itertext()) for each in found if each is not None)
-    return tuple(text.strip() for each in texts for text in each)
+    """Identifiers and name of a person in an XML file, which tell people apart."""
+    elements = (person.find(tag) for tag in ("id", "PatientID", ".//name"))
+    texts = (
+        (*element.attrib.values(), *element.itertext())
+        for element in elements
+        if element is not None
+    )
+    return tuple(text.strip() for words in texts for text in words)
 
 
 def _standard_name(lead: Any) -> str | None:
@@ -163,7 +167,7 @@ def _standard_name(lead: Any) -> str | None:
 
 
 def _channels(record: Any, path: Path) -> list[Channel]:
-    """Channels in physical units where these are known, leads where they start on a common time."""
+    """Channels, in physical units where these are known; leads lie on a common time axis."""
     channels, starts = [], []
     for lead in record.leads:
         name, standard = printable(lead.label), _standard_name(lead)
@@ -182,7 +186,7 @@ def _channels(record: Any, path: Path) -> list[Channel]:
                 f"{path}: unknown amplitude of lead {standard} (its scale is "
                 f"{lead.adc_resolution:g}); export the recording with the amplitude of one digit"
             )
-        with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused as a gap
+        with np.errstate(over="ignore", invalid="ignore"):  # infinite samples are refused as gaps
             values = lead.resolution * digits + lead.offset
         is_ishne = record.source_format == "ishne_holter"  # which marks faults by the lowest digit
         missing = (lead.resolution * -(2.0**15) + lead.offset,) if is_ishne else ()
@@ -200,7 +204,7 @@ def _channels(record: Any, path: Path) -> list[Channel]:
 
 
 def _rate(record: Any, leads: Sequence[Any], root: ET.Element | None) -> float | None:
-    """Samples per second, which the library rounds to an integer; None where they are a guess."""
+    """Sampling rate (Hz), which the library rounds to an integer; None where it is a guess."""
     raw, first = record.raw_metadata, (leads or record.leads)[0]
     if not raw.get("sampling_rate_stated", True):
         return None
@@ -232,8 +236,8 @@ def _muse_rate(root: ET.Element) -> float:
 def _filters(record: Any, leads: Sequence[Any]) -> Filters:
     """Filters of the recorder; of EDF, which has them for each lead, the narrowest pass band."""
     if not record.source_format.startswith("edf"):
-        found = record.recording.acquisition.filters
-        hz = (found.highpass, found.lowpass, found.notch)
+        filters = record.recording.acquisition.filters
+        hz = (filters.highpass, filters.lowpass, filters.notch)
         return Filters(*(f if f is not None and 0 < f < math.inf else None for f in hz))
     bands: dict[str, list[float]] = {"HP": [], "LP": [], "N": []}
     # "HP:0.05Hz LP:150Hz N:50Hz"; a number with another unit than Hz is not understood
@@ -290,8 +294,8 @@ def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
     for lead, spec in zip(record.leads, specs, strict=True):
         name = printable(spec["description"] or lead.label)
         digits = lead.samples[: len(lead.samples) - skew * spec["samples_per_frame"]]
-        known = lead_name(name) is not None
-        if not spec["gain"] and (not known or np.ptp(digits) == 0):  # 0: not recorded
+        is_lead = lead_name(name) is not None
+        if not spec["gain"] and (not is_lead or np.ptp(digits) == 0):  # 0: not recorded
             channels.append(Channel(name, digits))
             continue
         if not spec["gain"]:
@@ -303,7 +307,7 @@ def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
         marked = lead.label in raw.get("invalid_sample_counts", {})  # by the format's lowest digit
         missing = (values[np.nanargmin(digits)],) if marked else ()
         channels.append(Channel(name, values, unit, gain=spec["gain"], missing=missing))
-        if known:
+        if is_lead:
             rate = raw["sampling_frequency"] * spec["samples_per_frame"]
     names = ", ".join(file.name for file in files)
     provenance = {"signal_files": names, "signal_sha256": sha256_of(files)}
@@ -311,8 +315,8 @@ def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
     unsummed = {spec["description"] for spec in specs if not spec["checksum"]}
     differ = [name for name in re.findall("'(.*?)'", "".join(wrong)) if name not in unsummed]
     if raw["checksum_valid"] or differ:
-        said = f"differ for {', '.join(differ)}" if differ else CHECKSUMS_AGREE
-        provenance = {"checksums": said} | provenance
+        agreement = f"differ for {', '.join(differ)}" if differ else CHECKSUMS_AGREE
+        provenance = {"checksums": agreement} | provenance
     stated = rate if raw["sampling_frequency_stated"] else None
     return RawRecording(channels, stated, provenance=with_remarks(provenance, remarks))
 

@@ -1,6 +1,7 @@
 """DICOM waveform objects (12-lead, general and ambulatory ECG), by pydicom.
 
-ecgdatakit reads one multiplex group of a file only, so that of leads in turns nine are lost.
+ecgdatakit reads one multiplex group of a file only: of leads recorded in turns of three it would
+lose nine.
 """
 
 from __future__ import annotations
@@ -22,9 +23,10 @@ from fascicle.recording.recording import with_remarks
 
 
 class _Group:
-    """A multiplex group: what it says of itself, and the leads that are recorded in it.
+    """A multiplex group: its metadata, and the leads that are recorded in it.
 
-    `sources` are name and lead of each channel; the lead is None where it is none of the twelve.
+    `sources` are name and lead of each channel; the lead is None for a channel that is none of the
+    twelve.
     """
 
     def __init__(self, item: Any, index: int) -> None:
@@ -45,7 +47,7 @@ class _Group:
 def read_dicom(path: Path, sampling_rate: float | None) -> RawRecording:
     """Read the leads of a DICOM waveform object.
 
-    Of several multiplex groups the one with the most leads counts and, of those, the one with the
+    Of several multiplex groups the one with the most leads is read and, of those, the one with the
     most samples: the rhythm, not the median beat. Where it lacks leads, groups that have them are
     joined to it by their time offsets, and those that continue its leads, such as a rhythm strip;
     each lead is NaN outside its own time. A channel that is constant in one group and not in
@@ -61,7 +63,7 @@ def read_dicom(path: Path, sampling_rate: float | None) -> RawRecording:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        # some writers leave out what comes before the data set
+        # some writers leave out the preamble before the data set
         dataset = pydicom.dcmread(path, force=path.suffix.lower() == ".dcm")
         items = _items(dataset, "WaveformSequence")
         for item in items:
@@ -126,7 +128,7 @@ def read_dicom(path: Path, sampling_rate: float | None) -> RawRecording:
 
 
 def _mended(item: Any) -> list[str]:
-    """State what a group holds, where it is certain; a line for what was stated instead."""
+    """Correct a group's stated size where the true one is certain; return remarks on the change."""
     described, data = len(_items(item, "ChannelDefinitionSequence")), len(item.WaveformData)
     channels, samples = item.NumberOfWaveformChannels, item.NumberOfWaveformSamples
     frame = described * item.get("WaveformBitsAllocated", 0) // 8
@@ -156,7 +158,7 @@ def _source(channel: Any, number: int) -> tuple[str, str | None]:
 
 
 def _drop_empty(groups: Sequence[_Group], samples: Sequence[Any]) -> None:
-    """Take leads off groups in which they are constant, where they move in another group."""
+    """Remove leads from groups in which they are constant, if they move in another group."""
     moving = [
         {lead for (_, lead), row in zip(group.sources, array.T, strict=True) if np.ptp(row) > 0}
         for group, array in zip(groups, samples, strict=True)
@@ -167,12 +169,12 @@ def _drop_empty(groups: Sequence[_Group], samples: Sequence[Any]) -> None:
 
 
 def _chosen(groups: Sequence[_Group], path: Path) -> list[_Group]:
-    """Return the group that counts and those joined to it; averaged beats are the last resort."""
+    """Return the group to read and those joined to it; averaged beats are the last resort."""
     rhythms = [group for group in groups if not group.averaged]
-    found = _join(rhythms, path) if rhythms else []
-    if not _is_complete({lead for group in found for lead in group.leads}):
-        found = _join(groups, path)
-    return sorted(found, key=lambda group: group.index)
+    chosen = _join(rhythms, path) if rhythms else []
+    if not _is_complete({lead for group in chosen for lead in group.leads}):
+        chosen = _join(groups, path)
+    return sorted(chosen, key=lambda group: group.index)
 
 
 def _is_complete(leads: Collection[str]) -> bool:
@@ -182,12 +184,12 @@ def _is_complete(leads: Collection[str]) -> bool:
 def _join(groups: Sequence[_Group], path: Path) -> list[_Group]:
     """Return the group with the most leads, and those that have what it lacks or continue it."""
     ranked = sorted(groups, key=lambda group: (-len(group.leads), -group.samples))
-    first, found = ranked[0], set(ranked[0].leads)
-    if _is_complete(found):
+    first, leads = ranked[0], set(ranked[0].leads)
+    if _is_complete(leads):
         return [first]
     chosen = [first]
     for group in ranked[1:]:
-        adds = bool(set(group.leads) - found) and not _is_complete(found)
+        adds = bool(set(group.leads) - leads) and not _is_complete(leads)
         if adds and group.rate != first.rate:
             raise InputError(
                 f"{path}: leads {', '.join(group.leads)} are sampled at {group.rate:g} Hz, "
@@ -196,7 +198,7 @@ def _join(groups: Sequence[_Group], path: Path) -> list[_Group]:
         in_time = group.rate == first.rate and math.isfinite(group.start)
         if adds or (group.leads and in_time):
             chosen.append(group)
-            found |= set(group.leads)
+            leads |= set(group.leads)
     return chosen
 
 
@@ -215,13 +217,13 @@ def _joined_parts(channels: Sequence[Channel]) -> tuple[list[Channel], dict[str,
         for part in ranked[1:]:
             if (part.unit, part.gain) == (ranked[0].unit, ranked[0].gain):
                 values = np.where(np.isnan(values), part.values, values)
-        there = np.flatnonzero(np.isfinite(values))
-        if there.size and len(there) == there[-1] + 1 - there[0]:
+        recorded = np.flatnonzero(np.isfinite(values))
+        if recorded.size and len(recorded) == recorded[-1] + 1 - recorded[0]:
             ranked[0] = replace(ranked[0], values=values)
         joined.append(ranked[0])
         if len(parts) > 1 and ranked[0].lead is not None:
-            said = f"lead {lead} is that of {len(parts)} groups, joined in time"
-            notes[f"strip_of_{lead}"] = said
+            note = f"lead {lead} is that of {len(parts)} groups, joined in time"
+            notes[f"strip_of_{lead}"] = note
     return joined, notes
 
 
@@ -229,7 +231,7 @@ def _channels(group: _Group, samples: Any, path: Path) -> list[Channel]:
     """Turn the digits of a group into physical values.
 
     ``value = (sample * sensitivity * correction factor) + baseline`` (DICOM PS3.3, C.10.9.1.4);
-    padding is their channel's fill value.
+    padding becomes the fill value of the channel.
     """
     padding = group.item.get("WaveformPaddingValue", None)
     stated = isinstance(padding, bytes) and len(padding) >= samples.itemsize
@@ -258,7 +260,7 @@ def _channels(group: _Group, samples: Any, path: Path) -> list[Channel]:
         baseline = _number(channel, "ChannelBaseline")
         values, missing = samples[:, k] * sensitivity + baseline, pads * sensitivity + baseline
         units = _items(channel, "ChannelSensitivityUnitsSequence")
-        spelt = [_text(each, word) for each in units[:1] for word in ("CodeValue", "CodeMeaning")]
+        spelt = [_text(code, word) for code in units[:1] for word in ("CodeValue", "CodeMeaning")]
         unit = next((text for text in spelt if millivolts(text)), next(filter(None, spelt), None))
         channels.append(Channel(name, values, unit, lead, 1 / sensitivity, tuple(missing)))
     return channels
@@ -268,8 +270,8 @@ def _items(item: Any, keyword: str) -> Sequence[Any]:
     """Return the items of a sequence; none where it is absent or something else."""
     from pydicom import Sequence as Items
 
-    found = item.get(keyword, None)
-    return list(found) if isinstance(found, Items) else []
+    items = item.get(keyword, None)
+    return list(items) if isinstance(items, Items) else []
 
 
 def _text(item: Any, keyword: str) -> str:

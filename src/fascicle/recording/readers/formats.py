@@ -1,4 +1,4 @@
-"""The formats that are read, a `Reader` each: help texts follow from this list.
+"""Formats of recordings that can be read, a `Reader` each: help texts follow from this list.
 
 Nothing heavy is imported here: a format's own module loads when a file of it is read.
 """
@@ -17,20 +17,21 @@ from fascicle.core.errors import InputError
 
 @dataclass(frozen=True)
 class Reader:
-    """What reads the files of one format.
+    """Reader of the files of one format.
 
     Attributes
     ----------
     format : str
-        Its name.
+        Name of the format.
     suffixes : tuple of str
-        How the names of its files end, such as ``.csv``.
+        Endings of the names of its files, such as ``.csv``.
     read : function
-        Called as ``read(path, sampling_rate)``, returns a `RawRecording`. `sampling_rate` is what
-        the user says of a file, usually None. Whatever it raises makes the file a damaged one.
+        Called as ``read(path, sampling_rate)``, returns a `RawRecording`. `sampling_rate` is the
+        rate that the user states, usually None. A file for which it raises an exception other than
+        `InputError` is reported as damaged.
     recognises : function, optional
-        Whether a file that begins with so many bytes (at most 512) is of this format. What the
-        content says counts before what the name says.
+        Whether a file that begins with these bytes (at most 512) is of this format. The content
+        counts before the name.
     largest : int
         Size of the largest file that is opened (bytes).
     isolated : bool
@@ -78,7 +79,7 @@ READERS = [
 def register_reader(reader: Reader) -> None:
     """Add a format to those that are read, in this process; it comes before the others.
 
-    It takes the place of one of the same name.
+    A reader of the same name is replaced.
     """
     READERS[:] = [reader, *(other for other in READERS if other.format != reader.format)]
 
@@ -92,15 +93,15 @@ def reader_of(path: Path) -> Reader:
     """Reader of a file that is not empty or too large, by its content or else by its name."""
     with path.open("rb") as file:
         start, suffix = file.read(512), path.suffix.lower()
-    found = [reader for reader in READERS if reader.recognises(start)]
-    found += [reader for reader in READERS if suffix in reader.suffixes]
-    if not start or not found:
-        what = f"'{suffix}' recordings cannot be read" if start else "the file is empty"
-        raise InputError(f"{path}: {what}; give {known_formats()}")
-    size, largest = path.stat().st_size / 2**20, found[0].largest / 2**20
+    readers = [reader for reader in READERS if reader.recognises(start)]
+    readers += [reader for reader in READERS if suffix in reader.suffixes]
+    if not start or not readers:
+        problem = f"'{suffix}' recordings cannot be read" if start else "the file is empty"
+        raise InputError(f"{path}: {problem}; give {known_formats()}")
+    size, largest = path.stat().st_size / 2**20, readers[0].largest / 2**20
     if size > largest:
         raise InputError(
             f"{path}: {size:.0f} MB; cut the recording to a part of at most {largest:.0f} MB, 10 s "
             "are enough"
         )
-    return found[0]
+    return readers[0]

@@ -21,9 +21,9 @@ import numpy as np
 from fascicle.core.errors import InputError, printable
 from fascicle.core.leads import ADDITIONAL_LEADS, LEADS
 
-# What may stand before the name proper: what ISO/IEEE 11073 and EDF+ put there, and who introduced
-# the lead. A hyphen joins words only where nothing is beside it, or blanks on both sides:
-# "ECG -aVR" is the inverted lead.
+# Text that may stand before the name proper: prefixes of ISO/IEEE 11073 and EDF+, and who
+# introduced the lead. A hyphen joins words only where nothing is beside it, or blanks on both
+# sides: "ECG -aVR" is the inverted lead.
 _BEFORE = (
     r"(?:(?:mdc|ecg[12]?|ekg|einthoven|goldberger|wilson|lead)(?:[ _:.]+(?!-)|-(?![ -])|[ ]-[ ])"
     r"|lead)*"
@@ -38,7 +38,7 @@ _BEHIND = (
 )
 _LEAD = re.compile(f"{_BEFORE}(?:{_NAMES}){_BEHIND}")
 
-PER_SECOND = (  # how many of a unit of time are a second
+PER_SECOND = (  # number of units of time in a second
     dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0)
     | dict.fromkeys(("ms", "msec", "msecs", "millisecond", "milliseconds"), 1e3)
     | dict.fromkeys(("us", "microsecond", "microseconds"), 1e6)
@@ -81,12 +81,12 @@ def lead_of_code(code: str) -> str | None:
     """Return the lead of an MDC (``2:1``, ISO/IEEE 11073) or SCP-ECG (``5.6.3-9-1``) code."""
     match = re.fullmatch(r"(?:2:|5\.6\.3-9-)(\d+)", code)
     codes = (1, 2, 61, 62, 63, 64, 3, 4, 5, 6, 7, 8, 9, 66, 67, 10, 11, 12, 13, 14, 16, 17, 18)
-    known = zip(codes, (*LEADS, *ADDITIONAL_LEADS), strict=True)
-    return dict(known).get(int(match[1])) if match else None
+    coded_leads = zip(codes, (*LEADS, *ADDITIONAL_LEADS), strict=True)
+    return dict(coded_leads).get(int(match[1])) if match else None
 
 
 def millivolts(unit: str) -> float | None:
-    """Return how many mV one such unit is, or None when the unit is unknown.
+    """Return the mV in one such unit, or None when the unit is unknown.
 
     Understands nV, uV (with u or either code point of the Greek letter), mV, V and the words
     (``microvolts``, ``uVolt``), in any case: a megavolt is not a unit of an ECG.
@@ -107,7 +107,7 @@ def plain_unit(unit: str) -> str:
 
 
 class Key(Enum):
-    """What a piece of metadata says; the values are the names it may have."""
+    """Meaning of a piece of metadata; the values are the names that it may have."""
 
     RATE = (
         "fs sfreq srate samplingrate samplingfrequency samplingfreq samplerate samplefrequency "
@@ -118,7 +118,7 @@ class Key(Enum):
         "lead leads leadname leadnames channel channels channelname channelnames chname chnames "
         "signame signames signalname signalnames label labels name names columns"
     )
-    # What turns stored digits into physical values: conventions differ, so none is applied
+    # Factors and offsets of stored digits: conventions differ, so none is applied
     GAIN = "gain gains adcgain adcgains scale scaling scalefactor lsb"
     OFFSET = "addoffset offset baseline adczero"
     MISSING = "fillvalue missingvalue"
@@ -126,7 +126,7 @@ class Key(Enum):
 
 @dataclass(frozen=True)
 class Entry:
-    """One piece of metadata, as it is spelt in the file.
+    """A piece of metadata, as it is spelt in the file.
 
     `value` is texts, or a number: NaN for several different ones.
     """
@@ -137,7 +137,7 @@ class Entry:
 
     @property
     def numbers(self) -> list[float]:
-        """The number, or those among the texts."""
+        """Number of the entry, or the numbers among its texts."""
         numbers = []
         for value in (self.value,) if isinstance(self.value, float) else self.value:
             with contextlib.suppress(ValueError):
@@ -146,12 +146,12 @@ class Entry:
 
     @property
     def text(self) -> str:
-        """What it says, in a line."""
+        """Value of the entry, in a line."""
         return repr(self.value) if isinstance(self.value, float) else ", ".join(self.value[:3])
 
 
 def key_of(name: str) -> Key | None:
-    """Return what metadata of this name says, or None where it is none."""
+    """Return the meaning of metadata of this name, None for other names."""
     plain = re.sub("[^a-z0-9]", "", name.lower()).removesuffix("hz")
     return next((key for key in Key if plain in key.value.split()), None)
 
@@ -175,9 +175,9 @@ def name_lists(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
     lists = []
     for entry in entries:
         if entry.key is Key.NAMES and isinstance(entry.value, tuple):
-            one = entry.value[0] if len(entry.value) == 1 else ""
-            names = re.split(r"\s*[,;|]\s*" if re.search("[,;|]", one) else r"\s+", one)
-            lists.append(tuple(names) if one else entry.value)
+            text = entry.value[0] if len(entry.value) == 1 else ""
+            names = re.split(r"\s*[,;|]\s*" if re.search("[,;|]", text) else r"\s+", text)
+            lists.append(tuple(names) if text else entry.value)
     return lists
 
 
@@ -199,13 +199,13 @@ def check_physical(entries: Sequence[Entry], path: Path) -> None:
 
 def declared_rate(entries: Sequence[Entry], path: Path) -> float | None:
     """Return the sampling rate (Hz) that the metadata declare, None where they do not."""
-    said = [entry for entry in entries if entry.key is Key.RATE]
+    stated = [entry for entry in entries if entry.key is Key.RATE]
     spelt = r"(\d{1,9}\.?\d{0,20})\s*(?:Hz|sps)?"
-    matches = [re.fullmatch(spelt, entry.text, re.IGNORECASE) for entry in said]
+    matches = [re.fullmatch(spelt, entry.text, re.IGNORECASE) for entry in stated]
     rates = {float(match[1]) for match in matches if match is not None}
     if None in matches or len(rates) > 1:
-        found = ", ".join(f"'{entry.name}' is {entry.text}" for entry in said)
-        raise InputError(f"{path}: unclear sampling rate ({found}); state one, in Hz")
+        listing = ", ".join(f"'{entry.name}' is {entry.text}" for entry in stated)
+        raise InputError(f"{path}: unclear sampling rate ({listing}); state one, in Hz")
     return next(iter(rates), None)
 
 
@@ -217,14 +217,16 @@ def declared_unit(
     `place` is its index among the signals that the entries are about, and their number.
     """
     index, count = place
-    said = [(e.name, e.value) for e in entries if e.key is Key.UNIT and isinstance(e.value, tuple)]
-    lists = [units * count if len(units) == 1 else units for _, units in said]
+    stated = [
+        (e.name, e.value) for e in entries if e.key is Key.UNIT and isinstance(e.value, tuple)
+    ]
+    lists = [units * count if len(units) == 1 else units for _, units in stated]
     units = [units[index] for units in lists if len(units) == count and units[index]]
     one_each = all(len(units) == count for units in lists)
     if not one_each or not all(same_unit(units[0], unit) for unit in units):
-        found = ", ".join(f"'{name}' is {', '.join(units[:3])}" for name, units in said)
+        listing = ", ".join(f"'{name}' is {', '.join(units[:3])}" for name, units in stated)
         raise InputError(
-            f"{path}: unclear unit of lead '{signal}' ({found}); state one, or one for each of the "
-            f"{count} signals"
+            f"{path}: unclear unit of lead '{signal}' ({listing}); state one, or one for each of "
+            f"the {count} signals"
         )
     return units[0] if units else None

@@ -46,7 +46,7 @@ from fascicle.recording.recording import (
 
 @dataclass(frozen=True)
 class Channel:
-    """One signal of a file."""
+    """Signal of a file."""
 
     name: str  # as it is spelt in the file
     values: Floats  # (n,) samples, in `unit`; NaN where there is none
@@ -56,7 +56,7 @@ class Channel:
     missing: tuple[float, ...] = ()  # written for a missing sample, in `unit`; see `without_fill`
 
     def placed(self, start: int, length: int, beyond: float = np.nan) -> Channel:
-        """The same on a time axis of `length` samples, from `start` on; `beyond` elsewhere."""
+        """Channel on a time axis of `length` samples, from `start` on; `beyond` elsewhere."""
         values = np.full(length, beyond)
         values[start : start + len(self.values)] = self.values
         return replace(self, values=values)
@@ -64,12 +64,12 @@ class Channel:
 
 @dataclass(frozen=True)
 class RawRecording:
-    """What a reader finds in a file."""
+    """Channels and metadata that a reader finds in a file."""
 
-    channels: Sequence[Channel]  # in any order; what is no lead is left out and named
+    channels: Sequence[Channel]  # in any order; those that are no leads are left out and named
     sampling_rate: float | None = None  # Hz; None where the file does not say
     format: str = ""  # by default the reader's
-    filters: Filters = field(default_factory=Filters)  # what the recorder did to the signals
+    filters: Filters = field(default_factory=Filters)  # of the recorder
     provenance: dict[str, str] = field(default_factory=dict)  # text about the file
 
 
@@ -121,8 +121,8 @@ def read_recording(
     InputError
         When the file cannot be used; the message says why and what to do.
     """
-    name, own = path, packaged_heart(path)
-    path = existing_file(as_path(path, "recording") if own is None else own / "ecg.csv")
+    name, packaged = path, packaged_heart(path)
+    path = existing_file(as_path(path, "recording") if packaged is None else packaged / "ecg.csv")
     if leads is not None:
         check_items(leads, str, "leads", f"names of leads, such as {', '.join(LEADS)}, V7, X")
     if sampling_rate is not None:
@@ -135,22 +135,22 @@ def read_recording(
     reader = reader_of(path)
     if reader.isolated:
         # such as the signal file of a WFDB header
-        others = path.parent.glob(f"{glob.escape(path.stem)}.*")
-        companions = tuple(other for other in others if other != path and other.is_file())
+        siblings = path.parent.glob(f"{glob.escape(path.stem)}.*")
+        companions = tuple(sibling for sibling in siblings if sibling != path and sibling.is_file())
         raw: RawRecording = read_isolated(
             read_raw, path, companions=companions, format=reader.format, sampling_rate=sampling_rate
         )
     else:
         raw = read_raw(path, reader.format, sampling_rate)
-    recording = _assemble(raw, str(path if own is None else name), leads, sampling_rate, unit)
+    recording = _assemble(raw, str(path if packaged is None else name), leads, sampling_rate, unit)
     notes = {
         "source_sha256": sha256_of([path]),
         "choice_leads": None if leads is None else ", ".join(leads),
         "choice_sampling_rate_hz": None if sampling_rate is None else f"{sampling_rate:g}",
         "choice_unit": unit,
     }
-    said = {name: text for name, text in notes.items() if text is not None}
-    recording = replace(recording, provenance=recording.provenance | said)
+    choices = {name: text for name, text in notes.items() if text is not None}
+    recording = replace(recording, provenance=recording.provenance | choices)
     if digits_per_mv is not None and not shared_gain:
         raise InputError("--digits-per-mv is the gain of --shared-gain; give both or neither")
     if shared_gain:
@@ -163,13 +163,13 @@ def read_recording(
         if len(pair) != 2:
             raise InputError(f"--swap {text}: give two names, such as RA-LA or V1-V2")
         # leads by their standard names, electrodes in capitals
-        one, other = (lead_name(name) or name.upper() for name in pair)
-        recording = corrections.swap(recording, one, other)
+        first, second = (lead_name(name) or name.upper() for name in pair)
+        recording = corrections.swap(recording, first, second)
     return recording
 
 
 def read_raw(path: Path, format: str, sampling_rate: float | None) -> RawRecording:
-    """What a file of a format holds; whatever its reader raises is a damaged file."""
+    """Read a file of a format; an unexpected exception of the reader means that it is damaged."""
     reader = next(reader for reader in READERS if reader.format == format)
     try:
         raw: RawRecording = reader.read(path, sampling_rate)
@@ -190,28 +190,28 @@ def existing_file(path: Path) -> Path:
     header = path.with_name(path.name + ".hea") if path.name else path
     if header.is_file():
         return header
-    what = "is not an ordinary file" if path.exists() else "no such file"
-    raise InputError(f"{path}: {what}; give one recording file")
+    problem = "is not an ordinary file" if path.exists() else "no such file"
+    raise InputError(f"{path}: {problem}; give one recording file")
 
 
 def _assemble(
     raw: RawRecording,
     source: str,
-    wanted: Sequence[str] | None = None,
+    selected: Sequence[str] | None = None,
     sampling_rate: float | None = None,
     unit: str | None = None,
 ) -> Recording:
     """Make a recording of the channels that are leads; missing limb leads follow from two.
 
-    This is the one check of what a reader found, against itself and against what the user says.
+    The content of a file is checked here alone, for consistency and against the user's statements.
     """
-    every, ignored = _by_lead(raw, source, wanted)
-    silent = [lead for lead, channel in every.items() if lead in LEADS and not _moves(channel)]
-    if len(silent) == len([lead for lead in every if lead in LEADS]):
-        silent = []  # so that all are refused for what they hold
-    every = {lead: channel for lead, channel in every.items() if lead not in silent}
-    _check_complete(list(every), silent, source, wanted)
-    leads = {lead: channel for lead, channel in every.items() if lead in LEADS}
+    channels, ignored = _by_lead(raw, source, selected)
+    silent = [lead for lead, channel in channels.items() if lead in LEADS and not _moves(channel)]
+    if len(silent) == len([lead for lead in channels if lead in LEADS]):
+        silent = []  # so that the refusal is about their samples
+    channels = {lead: channel for lead, channel in channels.items() if lead not in silent}
+    _check_complete(list(channels), silent, source, selected)
+    leads = {lead: channel for lead, channel in channels.items() if lead in LEADS}
     lengths = {lead: len(channel.values) for lead, channel in leads.items()}
     few, many = min(lengths, key=lengths.__getitem__), max(lengths, key=lengths.__getitem__)
     rate = raw.sampling_rate if raw.sampling_rate is not None else sampling_rate
@@ -233,12 +233,12 @@ def _assemble(
     gains = np.full(len(LEADS), np.nan)
     for lead, channel in leads.items():
         row, scale = LEADS.index(lead), _scale(channel, lead, source, unit, leads)
-        with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused as a gap
+        with np.errstate(over="ignore", invalid="ignore"):  # infinite samples are refused as gaps
             values = scale * without_fill(channel, rate)
         signal[row] = np.where(np.isfinite(values), values, np.nan)
         if channel.gain is not None and math.isfinite(channel.gain):
             gains[row] = abs(channel.gain) / scale
-    more, left_out = _additional(every, lengths[many], rate, source, unit)
+    more, left_out = _additional(channels, lengths[many], rate, source, unit)
     lost = f"not recorded, constant or empty from start to end: {', '.join(silent)}"
     signal, pulses = leave_out_pulses(np.array([*signal, *more.values()]), rate)
     signal, repairs = bridge_gaps(signal, rate, (*LEADS, *more))
@@ -247,7 +247,7 @@ def _assemble(
     for lead in [lead for lead, values in additional.items() if not is_span(values, whole)]:
         left_out.append(lead)
         del additional[lead]
-    if left_out and wanted is not None:
+    if left_out and selected is not None:
         raise InputError(
             f"{source}: lead {left_out[0]} is constant, was not recorded all of the time that the "
             "others were, or has no unit of a potential; leave it out of --leads"
@@ -268,7 +268,7 @@ def _assemble(
         filters=raw.filters,
         digits_per_millivolt=gains,
         derived=derived,
-        ignored=(*ignored, *(printable(every[lead].name) for lead in left_out)),
+        ignored=(*ignored, *(printable(channels[lead].name) for lead in left_out)),
         additional=additional,
     )
 
@@ -278,35 +278,35 @@ def _additional(
 ) -> tuple[dict[str, Floats], list[str]]:
     """Potentials (n,), mV, of additional leads, and names of those that cannot be used.
 
-    They are potentials: X, Y and Z may also be the axes of an accelerometer. Where no electrode was
-    connected, recorders may write a constant.
+    Only potentials are leads: X, Y and Z may also be the axes of an accelerometer. Where no
+    electrode was connected, recorders may write a constant.
     """
-    found, left_out = {}, []
+    potentials, left_out = {}, []
     for lead, channel in channels.items():
         if lead in LEADS:
             continue
-        values, known = without_fill(channel, rate), millivolts(channel.unit or unit or "")
-        if len(values) == length and _moves(channel) and known is not None:
-            found[lead] = _scale(channel, lead, source, unit, channels) * values
+        values, scale = without_fill(channel, rate), millivolts(channel.unit or unit or "")
+        if len(values) == length and _moves(channel) and scale is not None:
+            potentials[lead] = _scale(channel, lead, source, unit, channels) * values
         else:
             left_out.append(lead)
-    return found, left_out
+    return potentials, left_out
 
 
 def _by_lead(
-    raw: RawRecording, source: str, wanted: Sequence[str] | None
+    raw: RawRecording, source: str, selected: Sequence[str] | None
 ) -> tuple[dict[str, Channel], list[str]]:
     """Sort the channels into leads and the rest, whose names are returned."""
     leads: dict[str, Channel] = {}
     ignored = []
     for channel in raw.channels:
         lead = channel.lead or lead_name(channel.name) or additional_lead_name(channel.name)
-        if lead is None and wanted is not None:
+        if lead is None and selected is not None:
             # without its unit
             name = re.sub(r"[ _(\[]+[num]?v[)\]]?$", "", channel.name.strip().casefold())
-            lead = next((each for each in wanted if each.casefold() == name), None)
-        repeated = wanted is None and lead in leads and lead not in LEADS
-        if lead is None or repeated or (wanted is not None and lead not in wanted):
+            lead = next((candidate for candidate in selected if candidate.casefold() == name), None)
+        repeated = selected is None and lead in leads and lead not in LEADS
+        if lead is None or repeated or (selected is not None and lead not in selected):
             ignored.append(printable(channel.name))
         elif lead in leads:
             raise InputError(
@@ -319,52 +319,55 @@ def _by_lead(
 
 
 def _moves(channel: Channel) -> bool:
-    """Whether a channel holds more than one value: writers fill what was not recorded up."""
-    there = channel.values[np.isfinite(channel.values)]
-    return there.size > 0 and bool((there != there[0]).any())
+    """Whether a channel has more than one value: writers fill unrecorded ones with a constant."""
+    recorded = channel.values[np.isfinite(channel.values)]
+    return recorded.size > 0 and bool((recorded != recorded[0]).any())
 
 
 def _check_complete(
-    found: Sequence[str], silent: Sequence[str], source: str, wanted: Sequence[str] | None
+    leads: Sequence[str], silent: Sequence[str], source: str, selected: Sequence[str] | None
 ) -> None:
-    """Refuse a file without the leads that are needed or wanted; `silent` ones hold no signal."""
-    limb_known = limb_leads_from(found) is not None
-    needed = INDEPENDENT_LEADS if wanted is None else wanted
-    there = {*found, *(LIMB_LEADS if limb_known else ())}
-    missing = [lead for lead in needed if lead not in there]
+    """Refuse a file without the leads needed or selected; `silent` ones hold no signal."""
+    limb_known = limb_leads_from(leads) is not None
+    needed = INDEPENDENT_LEADS if selected is None else selected
+    available = {*leads, *(LIMB_LEADS if limb_known else ())}
+    missing = [lead for lead in needed if lead not in available]
     if not missing:
         return
-    usable = [lead for lead in (*LEADS, *ADDITIONAL_LEADS) if lead in found]
+    usable = [lead for lead in (*LEADS, *ADDITIONAL_LEADS) if lead in leads]
     advice = "two limb leads and V1 to V6 are needed"
-    if limb_known and any(lead in CHEST_LEADS for lead in found):
+    if limb_known and any(lead in CHEST_LEADS for lead in leads):
         advice += f"; to go on without, name the leads to use: --leads {','.join(usable)}"
-    said = f"found: {', '.join(usable) or 'none'}"
-    said += f"; constant or empty: {', '.join(silent)}" if silent else ""
+    listing = f"found: {', '.join(usable) or 'none'}"
+    listing += f"; constant or empty: {', '.join(silent)}" if silent else ""
     raise InputError(
-        f"{source}: lead{'s' * (len(missing) > 1)} {', '.join(missing)} missing ({said}); {advice}"
+        f"{source}: lead{'s' * (len(missing) > 1)} {', '.join(missing)} missing ({listing}); "
+        f"{advice}"
     )
 
 
 def _scale(
-    channel: Channel, lead: str, source: str, said: str | None, leads: Mapping[str, Channel]
+    channel: Channel, lead: str, source: str, stated: str | None, leads: Mapping[str, Channel]
 ) -> float:
     """Return the mV of one unit of a channel."""
-    if channel.unit is not None and said is not None and not same_unit(channel.unit, said):
+    if channel.unit is not None and stated is not None and not same_unit(channel.unit, stated):
         raise InputError(
-            f"{source}: lead {lead} is in '{channel.unit}', --unit says '{said}'; leave the option "
-            "out or correct the file"
+            f"{source}: lead {lead} is in '{channel.unit}', --unit says '{stated}'; leave the "
+            "option out or correct the file"
         )
-    unit = channel.unit if channel.unit is not None else said
+    unit = channel.unit if channel.unit is not None else stated
     scale = None if unit is None else millivolts(unit)
     if scale is None:
-        found = "the file names none" if unit is None else f"'{unit}'"
+        spelling = "the file names none" if unit is None else f"'{unit}'"
         message = (
-            f"{source}: unknown unit of lead {lead} ({found}); known are nV, uV, mV and V, give it "
-            "in the file or by --unit"
+            f"{source}: unknown unit of lead {lead} ({spelling}); known are nV, uV, mV and V, give "
+            "it in the file or by --unit"
         )
         if unit is not None:
             raise InputError(message)
-        raise missing_unit(message, [each.values for each in leads.values() if each.unit is None])
+        raise missing_unit(
+            message, [other.values for other in leads.values() if other.unit is None]
+        )
     return scale
 
 
@@ -391,8 +394,8 @@ def without_fill(channel: Channel, rate: float) -> Floats:
         step = np.fmax(np.abs(before[0] - before[1]), np.abs(after[0] - after[1]))
         usual = np.nanpercentile(np.abs(np.diff(values)), 90.0)
         jump = np.fmax(np.abs(before[0] - fill), np.abs(after[0] - fill))
-        gone = (jump > 2.0 * np.fmax(step, usual)) | (lengths > longest)
-        for start, length in zip(starts[gone], lengths[gone], strict=True):
+        lost = (jump > 2.0 * np.fmax(step, usual)) | (lengths > longest)
+        for start, length in zip(starts[lost], lengths[lost], strict=True):
             values[start : start + length] = np.nan
     return values
 
@@ -410,5 +413,7 @@ def narrowest_passband(
     highpass: Iterable[float], lowpass: Iterable[float], notch: Iterable[float]
 ) -> Filters:
     """Filters of leads that may differ in them (Hz, 0 is none): the narrowest band."""
-    high, low, mains = ([f for f in found if f > 0] for found in (highpass, lowpass, notch))
+    high, low, mains = (
+        [f for f in frequencies if f > 0] for frequencies in (highpass, lowpass, notch)
+    )
     return Filters(max(high, default=None), min(low, default=None), min(mains, default=None))

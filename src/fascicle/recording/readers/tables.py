@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class _Column:
-    """A column: its name and the unit in it, as in the file, the lead that it holds, its cells.
+    """A column: its name and unit as spelt in the file, the lead that it holds, and its cells.
 
     `quantity` is the name without the unit, in small letters with blanks for underscores; `rhythm`
     says that the name is that of a rhythm strip, which may repeat a lead.
@@ -54,11 +54,11 @@ class _Column:
 
     @property
     def per_second(self) -> float | None:
-        """How many of the column's units are a second; None where it has no unit of time."""
+        """Number of the column's units in a second; None where it has no unit of time."""
         return PER_SECOND.get(plain_unit(self.quantity if self.unit is None else self.unit))
 
     def numbers(self, path: Path) -> Floats:
-        """The cells as numbers (n,); empty cells are NaN."""
+        """Cells as numbers (n,); empty cells are NaN."""
         values = np.full(len(self.cells), np.nan)
         if self.cells.dtype.kind in "iuf":  # else at least one cell is not a number
             values = self.cells.to_numpy(dtype=np.float64)
@@ -84,9 +84,9 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
     columns, metadata = _parsed(path)
     check_physical(metadata, path)
     missing = fill_values(metadata)
-    said = {"by --sampling-rate": sampling_rate, "by a comment": declared_rate(metadata, path)}
-    # what this package writes is in mV
-    own = [column.name for column in columns][: 1 + len(LEADS)] == ["time_ms", *LEADS]
+    stated = {"by --sampling-rate": sampling_rate, "by a comment": declared_rate(metadata, path)}
+    # tables that this package writes are in mV
+    from_fascicle = [column.name for column in columns][: 1 + len(LEADS)] == ["time_ms", *LEADS]
     leads = [column for column in columns if column.lead is not None]
     clocks = ("time", "t", "timestamp", "elapsed time")
     # a name may be that of a unit of time alone, such as seconds
@@ -106,18 +106,18 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
                 f"{path}: no lead among the columns {shown}; name them I, II, V1 to V6 with their "
                 "unit (I_mV)"
             )
-        unit = _unit(value, own, metadata, path)
-        return _read_long(path, place, times[0], value, unit, missing, said)
+        unit = _unit(value, from_fascicle, metadata, path)
+        return _read_long(path, place, times[0], value, unit, missing, stated)
     numbers = np.array([column.numbers(path) for column in [*leads, *times]])
     # spreadsheets end with empty rows
     kept = ~np.isnan(numbers).all(axis=0) if times else np.full(numbers.shape[1], True)
     numbers = numbers[:, kept]
-    known = _agreed_rate(path, said)
+    stated_rate = _agreed_rate(path, stated)
     rates: dict[str, float | None] = {
-        f"in the column '{column.name}'": _rate_of(path, column, clock, known, "")
+        f"in the column '{column.name}'": _rate_of(path, column, clock, stated_rate, "")
         for column, clock in zip(times, numbers[len(leads) :], strict=True)
     }
-    rate = _agreed_rate(path, said | rates)
+    rate = _agreed_rate(path, stated | rates)
     if rate is None:
         raise missing_rate(
             f"{path}: no time column among {shown}; add one named time_ms or time_s, or give the "
@@ -125,29 +125,31 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
             numbers.shape[1],
         )
     channels = [
-        Channel(c.name, row, _unit(c, own, metadata, path), c.lead, missing=missing)
+        Channel(c.name, row, _unit(c, from_fascicle, metadata, path), c.lead, missing=missing)
         for c, row in zip(leads, numbers, strict=False)
     ]
-    others = [c for c in columns if c not in leads and c not in times]
-    not_numbers = [c.name for c in others if c.cells.dtype.kind not in "iuf"]
+    extra = [c for c in columns if c not in leads and c not in times]
+    not_numbers = [c.name for c in extra if c.cells.dtype.kind not in "iuf"]
     table = _without_strips(channels, [c.rhythm for c in leads], rate, not_numbers, "table")
     more = []
-    for c in (c for c in others if c.name not in not_numbers):
-        unit = c.unit if c.unit is not None else _unit(c, own, metadata, path)
+    for c in (c for c in extra if c.name not in not_numbers):
+        unit = c.unit if c.unit is not None else _unit(c, from_fascicle, metadata, path)
         lead, values = additional_lead_name(c.quantity), c.numbers(path)[kept]
         more.append(Channel(c.name, values, unit, lead, missing=missing))
     return _with_rest_around(replace(table, channels=[*table.channels, *more]))
 
 
 def _with_rest_around(table: RawRecording) -> RawRecording:
-    """A single beat that begins and ends at 0 in all leads, as one simulated, between rest.
+    """Add rest before and after a single beat that begins and ends at 0, as simulated ones do.
 
     The first sample of a paced beat is a thousandth of its amplitude at most.
     """
     rate = table.sampling_rate or 0.0
-    every = [channel.values for channel in table.channels]
-    most = 1e-3 * max((float(np.abs(values).max(initial=0.0)) for values in every), default=0.0)
-    if any(len(values) >= SHORTEST * rate or max(abs(values[[0, -1]])) > most for values in every):
+    signals = [channel.values for channel in table.channels]
+    most = 1e-3 * max((float(np.abs(values).max(initial=0.0)) for values in signals), default=0.0)
+    if any(
+        len(values) >= SHORTEST * rate or max(abs(values[[0, -1]])) > most for values in signals
+    ):
         return table
     before = round(0.5 * rate)  # s
     channels = [c.placed(before, 2 * before + len(c.values), 0.0) for c in table.channels]
@@ -201,8 +203,8 @@ def _parsed(path: Path) -> tuple[list[_Column], list[Entry]]:
     names = [str(name) for name in frame.columns]
     columns = [_column(name, names, frame.iloc[:, k]) for k, name in enumerate(names)]
     # "fs: 500"
-    said = (re.fullmatch(r"([\w -]{1,40}?)\s*[:=]\s*(\S.{0,40}?)\s*", line) for line in comments)
-    entries = (entry_of(match[1], match[2]) for match in said if match is not None)
+    matches = (re.fullmatch(r"([\w -]{1,40}?)\s*[:=]\s*(\S.{0,40}?)\s*", line) for line in comments)
+    entries = (entry_of(match[1], match[2]) for match in matches if match is not None)
     return columns, [entry for entry in entries if entry is not None]
 
 
@@ -241,14 +243,16 @@ def _column(spelt: str, names: Sequence[str], cells: pd.Series) -> _Column:
 def _lead_or_rhythm(name: str) -> tuple[str | None, bool]:
     """Return the lead that a name means, and whether it is a rhythm strip."""
     strip = r"[\s_(.-]*(?<![a-z])(?:rhythm(?:[\s_]strip)?|long)(?![a-z])\)?[\s_.-]*"
-    rest, found = re.subn(strip, "", name, count=1, flags=re.IGNORECASE)
-    return lead_name(rest), found > 0
+    rest, strips = re.subn(strip, "", name, count=1, flags=re.IGNORECASE)
+    return lead_name(rest), strips > 0
 
 
-def _unit(column: _Column, own: bool, metadata: Sequence[Entry], path: Path) -> str | None:
-    """Unit of a lead, which its header and the comments must agree about; `own` tables have mV."""
+def _unit(
+    column: _Column, from_fascicle: bool, metadata: Sequence[Entry], path: Path
+) -> str | None:
+    """Unit of a lead, which header and comments must agree about; mV in tables of fascicle."""
     commented = declared_unit(metadata, path, column.name)
-    unit = "mV" if own else column.unit
+    unit = "mV" if from_fascicle else column.unit
     if unit is not None and commented is not None and not same_unit(unit, commented):
         raise InputError(
             f"{path}: column '{column.name}' is in '{unit}', a comment says '{commented}'; correct "
@@ -258,25 +262,27 @@ def _unit(column: _Column, own: bool, metadata: Sequence[Entry], path: Path) -> 
 
 
 def _agreed_rate(path: Path, rates: dict[str, float | None]) -> float | None:
-    """Rate (Hz) that the user, a comment and the times agree about, if any says it.
+    """Rate (Hz) that the user, a comment and the times agree about, None if none states it.
 
-    The first counts: rates of times may have been rounded.
+    The first one is returned: rates of times may have been rounded.
     """
-    found = [(who, rate) for who, rate in rates.items() if rate is not None]
-    for who, rate in found[1:]:
-        if not abs(rate - found[0][1]) <= 2e-3 * found[0][1]:  # more is not rounding
+    stated = [(who, rate) for who, rate in rates.items() if rate is not None]
+    for who, rate in stated[1:]:
+        if not abs(rate - stated[0][1]) <= 2e-3 * stated[0][1]:  # more is not rounding
             raise InputError(
-                f"{path}: sampling rate is {found[0][1]:g} Hz {found[0][0]}, {rate:g} Hz {who}; "
+                f"{path}: sampling rate is {stated[0][1]:g} Hz {stated[0][0]}, {rate:g} Hz {who}; "
                 "correct the wrong one"
             )
-    return found[0][1] if found else None
+    return stated[0][1] if stated else None
 
 
-def _rate_of(path: Path, column: _Column, times: Floats, known: float | None, lead: str) -> float:
-    """Rate (Hz) of even times by least squares; the known one where the column has no unit."""
+def _rate_of(
+    path: Path, column: _Column, times: Floats, stated_rate: float | None, lead: str
+) -> float:
+    """Rate (Hz) of even times by least squares; the stated one where the column has no unit."""
     where = f"of lead '{lead}'" if lead else f"in the column '{column.name}'"
     step, steps = _step(times), np.diff(times)
-    if column.per_second is None and known is None:
+    if column.per_second is None and stated_rate is None:
         raise missing_time_unit(
             f"{path}: unknown unit of the time column '{column.name}'; name it time_ms or time_s, "
             "or give the sampling rate in Hz by --sampling-rate",
@@ -288,7 +294,7 @@ def _rate_of(path: Path, column: _Column, times: Floats, known: float | None, le
             f"{path}: times {where} are missing or do not increase from row to row; sort or "
             "correct them"
         )
-    scale = column.per_second or step * (known or 1.0)
+    scale = column.per_second or step * (stated_rate or 1.0)
     if np.ptp(times - times[0] - step * np.arange(len(times))) > 0.5 * step:
         k = int(np.argmax(np.abs(steps - step)))
         raise InputError(
@@ -314,7 +320,7 @@ def _read_long(
     value: _Column,
     unit: str | None,
     missing: tuple[float, ...],
-    said: dict[str, float | None],
+    stated: dict[str, float | None],
 ) -> RawRecording:
     """Read one row per lead and time, onto common times; NaN where a lead was not recorded."""
     times, values = time.numbers(path), value.numbers(path)
@@ -328,12 +334,15 @@ def _read_long(
     if not rows:
         raise InputError(f"{path}: no lead in the column '{place.name}'; name them I, II, V1 to V6")
     # the longest lead knows the rate best
-    ordered, known = sorted(rows, key=lambda name: -len(rows[name])), _agreed_rate(path, said)
+    ordered, stated_rate = (
+        sorted(rows, key=lambda name: -len(rows[name])),
+        _agreed_rate(path, stated),
+    )
     rates: dict[str, float | None] = {
-        f"of lead '{name}'": _rate_of(path, time, times[rows[name]], known, name)
+        f"of lead '{name}'": _rate_of(path, time, times[rows[name]], stated_rate, name)
         for name in ordered
     }
-    rate, step = _agreed_rate(path, said | rates), _step(times[rows[ordered[0]]])
+    rate, step = _agreed_rate(path, stated | rates), _step(times[rows[ordered[0]]])
     assert rate is not None  # every lead has one
     samples = {name: times[index] / step for name, index in rows.items()}
     first = {name: at.mean() - (len(at) - 1) / 2 for name, at in samples.items()}
@@ -356,7 +365,7 @@ def _read_long(
 def _without_strips(
     channels: Sequence[Channel], rhythm: Sequence[bool], rate: float, rest: Sequence[str], kind: str
 ) -> RawRecording:
-    """Choose between a lead and a rhythm strip of it: on paper, the longer one serves."""
+    """Choose between a lead and a rhythm strip of it: the longer one, as on paper."""
     seconds = [np.isfinite(without_fill(channel, rate)).sum() / rate for channel in channels]
     chosen, choices = list(channels), {}
     for lead in {channel.lead for channel in channels}:

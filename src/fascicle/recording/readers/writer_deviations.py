@@ -1,6 +1,6 @@
 """Files whose samples are certain although a writer deviates from the standard of its format.
 
-ecgdatakit refuses them; it is given a copy in which the deviation is mended. What was done is said.
+ecgdatakit refuses such files and gets a copy in which the deviation is mended; a remark says so.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from fascicle.recording.readers.names import PER_SECOND, lead_name, plain_unit
 
 NO_RHYTHM = "the file holds no rhythm but an averaged beat, which is read"
 UNKNOWN_RATE = 1.0  # Hz; what stands for a rate that the file does not state
-SCP_SAMPLES = (0, 2, 3, 4, 5, 6)  # sections of SCP-ECG that the samples rest on
+SCP_SAMPLES = (0, 2, 3, 4, 5, 6)  # sections of SCP-ECG that its samples depend on
 
 
 def mended(data: bytes) -> tuple[bytes, ET.Element | None, list[str]]:
-    """A file as ecgdatakit takes it, its root if it is XML, and what was mended, in a line each."""
+    """File as ecgdatakit accepts it, its root if it is XML, and a remark on each deviation."""
     content, remarks = data, list[str]()
     if data[16:22] == b"SCPECG":
         content, remarks = _mended_scp(data)
@@ -35,7 +35,7 @@ def mended(data: bytes) -> tuple[bytes, ET.Element | None, list[str]]:
 
 
 def _point(number: str) -> str:
-    """A number with a point for its decimal comma; 2,500 stays as it is, it may be 2500."""
+    """Number with a point for its decimal comma; 2,500 stays as it is, since it may be 2500."""
     ambiguous = re.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}", number)
     return number if ambiguous or "." in number else number.replace(",", ".", 1)
 
@@ -61,7 +61,7 @@ def _mended_edf(data: bytes) -> tuple[bytes, list[str]]:
 
 
 def _mended_xml(data: bytes) -> tuple[bytes, ET.Element | None, list[str]]:
-    """XML that is well-formed and holds a rhythm, which may be an averaged beat, and no other."""
+    """Well-formed XML that holds the rhythm alone or, in its place, an averaged beat."""
     from ecgdatakit.exceptions import ECGDataKitError
     from ecgdatakit.parsing.helpers.xml import parse_xml_root
 
@@ -97,7 +97,7 @@ def _mended_xml(data: bytes) -> tuple[bytes, ET.Element | None, list[str]]:
 
 
 def _well_formed(data: bytes) -> bytes:
-    """Text that no sample stands in set right: its encoding, its comments, what follows its end."""
+    """XML without faults of encoding, comments or trailing text, which hold no samples."""
     wide = data.startswith((b"\xff\xfe", b"\xfe\xff"))
     text = data.decode("utf-16" if wide else "utf-8", "replace")
     text = re.sub(r"<\?xml.*?\?>|<!--.*?-->|[\0-\x08\x0b\x0c\x0e-\x1f]", "", text, flags=re.DOTALL)
@@ -119,12 +119,12 @@ def _waves(root: ET.Element) -> tuple[list[ET.Element], list[ET.Element]]:
         codes = [wave.find("code") for wave in waves]
         kinds = ["" if code is None else code.get("code", "").lower() for code in codes]
     averaged = [kind in ("median", "representative_beat") for kind in kinds]
-    of_kind = [[w for w, one in zip(waves, averaged, strict=True) if one == a] for a in (0, 1)]
+    of_kind = [[w for w, flag in zip(waves, averaged, strict=True) if flag == a] for a in (0, 1)]
     return of_kind[0], [*of_kind[1], *root.iter("derivation")]
 
 
 def _make_rhythm(beat: ET.Element, parents: dict[ET.Element, ET.Element]) -> None:
-    """Call an averaged beat the rhythm; where a file has it elsewhere, make one of no meaning."""
+    """Declare an averaged beat the rhythm; Philips XML, which keeps it apart, gets a dummy one."""
     if beat.tag == "Waveform":
         beat.find("WaveformType").text = "Rhythm"  # type: ignore[union-attr]
     elif beat.tag == "series":
@@ -141,8 +141,8 @@ def _mend_aecg(sequences: ET.Element) -> list[str]:
         text = number.get("value", "")
         if (new := _point(text)) != text:
             number.set("value", new)
-            what = f"'{printable(text[:40])}' is read as {new[:40]}"
-            remarks.append(f"deviates from HL7 aECG: {what}")
+            mend = f"'{printable(text[:40])}' is read as {new[:40]}"
+            remarks.append(f"deviates from HL7 aECG: {mend}")
     for code in sequences.iterfind("component/sequence/code"):
         if lead := lead_name(code.get("code", "")):
             code.set("code", f"MDC_ECG_LEAD_{lead.upper()}")
@@ -150,8 +150,8 @@ def _mend_aecg(sequences: ET.Element) -> list[str]:
         per_second = PER_SECOND.get(plain_unit(step.get("unit", "")), 0.0)
         step.set("unit", {1.0: "s", 1e3: "ms", 1e6: "us"}.get(per_second, ""))
     if not any(step.get("unit") and step.get("value") for step in steps):
-        one = f'<increment value="{1 / UNKNOWN_RATE:g}" unit="s"/>'
-        sequence = f'<sequence><code code="TIME_RELATIVE"/><value>{one}</value></sequence>'
+        increment = f'<increment value="{1 / UNKNOWN_RATE:g}" unit="s"/>'
+        sequence = f'<sequence><code code="TIME_RELATIVE"/><value>{increment}</value></sequence>'
         sequences.insert(0, ET.fromstring(f"<component>{sequence}</component>"))  # the first counts
     return remarks
 
@@ -188,10 +188,10 @@ def wfdb_lines(header: Path) -> list[list[str]]:
 
 
 def mended_wfdb(header: Path) -> tuple[str, list[Path], list[str]]:
-    """Header of one segment as WFDB has it, the signal files that it names, and what was mended.
+    """Header of one segment in standard WFDB, the signal files that it names, and remarks.
 
-    A signal file is the one in the header's folder that is called so, whatever its case and the
-    folder in the header; or like the header, where that names a single one.
+    A signal file is the one in the header's folder of that name, whatever its case and the folder
+    in the header; or the one named like the header, where the header names a single file.
     """
     record, *signals = wfdb_lines(header)
     time, date = r"\d\d?(:\d\d?){0,2}(\.\d*)?", r"\d\d?/\d\d?/\d{4}"
@@ -218,26 +218,26 @@ def mended_wfdb(header: Path) -> tuple[str, list[Path], list[str]]:
 
 
 def _signal_file(header: Path, name: str, alone: bool) -> Path:
-    wanted = re.split(r"[\\/]", name)[-1]
-    files = sorted(header.parent.iterdir(), key=lambda file: file.name != wanted)
-    alike = [file for file in files if file.name.casefold() == wanted.casefold()]
-    alike += [header.with_suffix(Path(wanted).suffix)] * alone
-    found = next((file for file in alike if file.is_file() and file != header), None)
-    if found is None:
+    base_name = re.split(r"[\\/]", name)[-1]
+    files = sorted(header.parent.iterdir(), key=lambda file: file.name != base_name)
+    alike = [file for file in files if file.name.casefold() == base_name.casefold()]
+    alike += [header.with_suffix(Path(base_name).suffix)] * alone
+    signal_file = next((file for file in alike if file.is_file() and file != header), None)
+    if signal_file is None:
         raise InputError(
             f"{header}: names '{printable(name[:40])}', which is no file in its folder; put all "
             "files of the record in one folder"
         )
-    return found
+    return signal_file
 
 
 def _mended_scp(data: bytes) -> tuple[bytes, list[str]]:
-    """SCP-ECG whose sample ranges count from 1, with what is needed for its samples only.
+    """SCP-ECG with sample ranges that count from 1, and only the sections that samples need.
 
-    It is no longer than the file, and section 5 stands for a section 6 that is not there.
+    Its stated size is at most that of the file, and section 5 replaces a missing section 6.
     """
     content, remarks = bytearray(data), []
-    right = {place for place, stated, found in scp_checksums(data) if stated == found}
+    right = {place for place, stated, computed in scp_checksums(data) if stated == computed}
     # section: its pointer, its first byte and length
     sections = {number: places for number, *places in _scp_sections(data)}
     entries = {number: pointer for number, (pointer, _, _) in sections.items()}
@@ -261,7 +261,7 @@ def _mended_scp(data: bytes) -> tuple[bytes, list[str]]:
         dropped += [4, 5]
         remarks.append(NO_RHYTHM)
     elif min(firsts := [int.from_bytes(data[at : at + 4], "little") for at in leads]) == 0:
-        if 1 in firsts:  # they count from both
+        if 1 in firsts:  # some ranges count from 0, some from 1
             return data, []
         for lead, first in zip(leads, firsts, strict=True):
             struct.pack_into("<I", content, lead, first + 1)
@@ -270,24 +270,26 @@ def _mended_scp(data: bytes) -> tuple[bytes, list[str]]:
         )
     for number in dropped:
         struct.pack_into("<II", content, entries[number] + 2, 0, 0)
-    # what was right is right again, the whole last
+    # checksums that were right are set right again, that of the whole record last
     for place, _, _ in reversed(list(scp_checksums(data))):
-        sums = {at: found for at, _, found in scp_checksums(bytes(content))}
+        sums = {at: computed for at, _, computed in scp_checksums(bytes(content))}
         if place in right and place in sums:
             struct.pack_into("<H", content, place, sums[place])
     return bytes(content), remarks
 
 
 def scp_samples_are_right(data: bytes) -> bool:
-    """Whether no checksum that the samples rest on is wrong; 0 is one that was not written."""
+    """Whether no checksum that the samples depend on is wrong; one of 0 was not written."""
     samples = {start for number, _, start, n in _scp_sections(data) if n and number in SCP_SAMPLES}
     return all(
-        stated in (0, found) for place, stated, found in scp_checksums(data) if place in samples
+        stated in (0, computed)
+        for place, stated, computed in scp_checksums(data)
+        if place in samples
     )
 
 
 def scp_checksums(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Place of each checksum, what it is and what it should be: the whole, then each section."""
+    """Place, stated and computed value of each checksum: of the record, then of each section."""
     spans = [(0, int.from_bytes(data[2:6], "little"))]
     spans += [(start, length) for _, _, start, length in _scp_sections(data) if length > 0]
     for start, length in spans:

@@ -1,1 +1,1 @@
-"""The lead fields as a function of what is not known of the torso."""
+"""Lead fields as a function of unknown properties of the torso."""

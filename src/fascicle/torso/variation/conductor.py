@@ -1,10 +1,10 @@
-"""Heart, torso and electrodes as a conductor that depends on what is not known of the torso.
+"""Heart, torso and electrodes as a conductor that depends on unknown properties of the torso.
 
-A point x of the torso moves by a share w(x) of what the skin moves by, w = d/(d + D) for its
-distances d to the convex hull of heart and blood and D to the skin. The potentials on the moved
-torso are those on the unmoved mesh with the conductivity σT, T = |J| J⁻¹J⁻ᵀ with the Jacobian J of
-that map, taken at each tetrahedron's centre: nothing is meshed again, and flat tetrahedra, which
-moving their corners would turn over, do no harm.
+A point x of the torso moves by a share w(x) of the skin's motion, w = d/(d + D) for its distances
+d to the convex hull of heart and blood and D to the skin. The potentials on the moved torso are
+those on the unmoved mesh with the conductivity σT, T = |J| J⁻¹J⁻ᵀ with the Jacobian J of that map,
+taken at each tetrahedron's centre: nothing is meshed again, and flat tetrahedra, which moving their
+corners would invert, do no harm.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ from fascicle.mesh.measures import solid_centroid, unit
 from fascicle.torso.electrode_sites import Electrode
 from fascicle.torso.lead_fields import assemble_stiffness, outer_boundary, total_conductivity
 
-# What becomes of volumes at least, where the skin comes nearest to the heart: a tenth
+# Least |J|: volumes between heart and skin may shrink to a tenth
 LEAST_COMPRESSION = 0.1
 
 
 @dataclass(frozen=True)
 class InvalidTorso:
-    """A torso that cannot be, and why, in one line: an outcome of a search, not an error."""
+    """Impossible torso, with the reason in one line: an outcome of a search, not an error."""
 
     reason: str
 
 
 @dataclass(frozen=True)
 class TorsoState:
-    """What differs from the heart folder's torso.
+    """Differences from the heart folder's torso.
 
     The geometry (7,) is the heart's shift to the left, posteriorly and up (mm), its rotation vector
     along the same axes (rad), and the factor on the trunk; ratios (3,) are factors on the
-    conductivities of the `TorsoTissue`, over that on the myocardium's; by `chest` (6, 2) V1 to V6
-    are moved along the skin, to the left and up (mm).
+    conductivities of the `TorsoTissue`, over the factor on the myocardium's; by `chest` (6, 2) V1
+    to V6 are moved along the skin, to the left and up (mm).
     """
 
     geometry: Floats
@@ -53,7 +53,7 @@ class TorsoState:
 
     @classmethod
     def of(cls, values: Mapping[str, float]) -> TorsoState:
-        """From quantities of `fascicle.core.quantities`; those that are missing are neutral."""
+        """Take quantities of `fascicle.core.quantities`; those that are missing are neutral."""
         pose = [
             values.get(f"heart_{turn}{axis}", 0.0)
             for turn in ("", "rotation_")
@@ -74,7 +74,7 @@ class TorsoState:
 def torso_axes(electrodes: Floats) -> Floats:
     """Directions of the torso in the heart's coordinates, from the limb electrodes.
 
-    RA and LA lie level, LL below them in the plane of the front: LL may lie to one side. Rows
+    RA and LA lie level, LL below them in the frontal plane: LL may lie to one side. Rows
     (3, 3): to the patient's left, to the back, up; orthonormal and right-handed.
     """
     left = unit(electrodes[Electrode.LA] - electrodes[Electrode.RA])
@@ -85,7 +85,7 @@ def torso_axes(electrodes: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class SkinMotion:
-    """How the skin moves around a heart that stays: x → c + Rᵀ(s(x − c) − t).
+    """Motion of the skin around a heart at rest: x → c + Rᵀ(s(x − c) − t).
 
     For the heart's centroid c (mm), its rotation R about c and its shift t in the chest (mm), and
     the factor s on the trunk about c.
@@ -98,21 +98,21 @@ class SkinMotion:
 
     @classmethod
     def of(cls, centroid: Floats, axes: Floats, state: TorsoState) -> SkinMotion:
-        """That of a state, along the torso's axes."""
+        """Motion of a state, along the torso's axes."""
         rotation = Rotation.from_rotvec(state.geometry[3:6] @ axes).as_matrix()
         return cls(centroid, rotation, state.geometry[:3] @ axes, float(state.geometry[6]))
 
     def __call__(self, points: Floats) -> Floats:
-        """Where points (..., 3) that move with the skin are then (mm)."""
+        """Moved positions of points (..., 3) that move with the skin (mm)."""
         moved = self.size * (points - self.centroid) - self.shift
         return np.asarray(self.centroid + moved @ self.rotation)
 
 
 @dataclass(frozen=True)
 class Morph:
-    """The map at some points (m, 3), the centres of the torso's tetrahedra (mm).
+    """Map of the torso's motion at points (m, 3), the centres of its tetrahedra (mm).
 
-    With the share w (m,), 0 in the heart's convex hull and 1 on the skin, and its slope ∇w (m, 3).
+    It has the share w (m,), 0 in the hull of heart and blood and 1 on the skin, and ∇w (m, 3).
     """
 
     centres: Floats
@@ -127,18 +127,18 @@ class Morph:
         return np.asarray(sheared + self.share[:, None, None] * strain)
 
     def determinants(self, motion: SkinMotion) -> Floats:
-        """|J| (m,): what becomes of volumes, at or below 0 where heart and skin touch."""
+        """|J| (m,): factors on volumes, at or below 0 where heart and skin touch."""
         columns = np.moveaxis(self.jacobians(motion), 2, 0)
         return np.asarray(np.einsum("mi,mi->m", columns[0], np.cross(columns[1], columns[2])))
 
     def at(self, chosen: Integers | Booleans | slice) -> Morph:
-        """The same for some of the points."""
+        """Map at some of the points."""
         return Morph(self.centres[chosen], self.share[chosen], self.slope[chosen])
 
 
 def pulled_back(jacobians: Floats) -> Floats:
     """|J| J⁻¹J⁻ᵀ = C Cᵀ/|J| for the cofactors C of J, transposed; (m, 3, 3)."""
-    columns = [jacobians[:, :, k] for k in range(3)]  # their products are rows of C
+    columns = [jacobians[:, :, k] for k in range(3)]  # their cross products are rows of C
     cofactor = [np.cross(columns[(k + 1) % 3], columns[(k + 2) % 3]) for k in range(3)]
     determinant = np.einsum("mi,mi->m", columns[0], cofactor[0])
     tensors = np.empty_like(jacobians)
@@ -150,7 +150,7 @@ def pulled_back(jacobians: Floats) -> Floats:
 
 
 def build_morph(heart: Heart, torso: Torso, skin: Integers) -> Morph:
-    """The map at the centres of a torso's tetrahedra, for the triangles (t, 3) of its skin."""
+    """Map at the centres of a torso's tetrahedra, for the triangles (t, 3) of its skin."""
     blood = torso.tetrahedra[torso.tissues == TorsoTissue.BLOOD]
     inner = torso.vertices[np.union1d(heart.tetrahedra, blood)]
     hull = ConvexHull(inner)
@@ -165,7 +165,7 @@ def build_morph(heart: Heart, torso: Torso, skin: Integers) -> Morph:
 
 
 def _away(points: Floats, vertices: Floats, triangles: Integers) -> tuple[Floats, Floats]:
-    """Distances (m,) to a surface (mm), and the unit vectors (m, 3) along which they grow."""
+    """Distances (m,) to a surface (mm), and their gradients (m, 3), unit vectors."""
     squared, _, nearest = igl.point_mesh_squared_distance(points, vertices, triangles)
     distance = np.sqrt(np.maximum(squared, 1e-12))
     return distance, (points - nearest) / distance[:, None]
@@ -173,7 +173,7 @@ def _away(points: Floats, vertices: Floats, triangles: Integers) -> tuple[Floats
 
 @dataclass(frozen=True)
 class Conductor:
-    """The mesh of heart and torso, and what changes in it.
+    """Mesh of heart and torso whose torso can move and change its conductivities.
 
     The conductivity (m, 3, 3) is σ of the heart's tetrahedra, then of the torso's (mS/cm).
     """
@@ -184,7 +184,7 @@ class Conductor:
 
     @cached_property
     def tetrahedra(self) -> Integers:
-        """The heart's, then the torso's (m, 4)."""
+        """Tetrahedra (m, 4) of the heart, then of the torso."""
         return np.concatenate([self.heart.tetrahedra, self.torso.tetrahedra])
 
     @cached_property
@@ -194,7 +194,7 @@ class Conductor:
 
     @cached_property
     def morph(self) -> Morph:
-        """The map at the centres of the torso's tetrahedra."""
+        """Map at the centres of the torso's tetrahedra."""
         return build_morph(self.heart, self.torso, self.skin)
 
     @property
@@ -209,31 +209,31 @@ class Conductor:
 
     @cached_property
     def inside(self) -> Booleans:
-        """Which of the torso's tetrahedra (t,) lie in the convex hull of heart and blood."""
+        """Whether the torso's tetrahedra (t,) lie in the convex hull of heart and blood."""
         return np.asarray(self.morph.share == 0)
 
     @cached_property
     def in_hull(self) -> Integers:
-        """All tetrahedra (i, 4) of that hull: the heart's and those."""
+        """All tetrahedra (i, 4) of that hull: the heart's, then the torso's in it."""
         return np.concatenate([self.heart.tetrahedra, self.torso.tetrahedra[self.inside]])
 
     @cached_property
     def hull_surface(self) -> Integers:
-        """Vertices (s,) between that hull and what is outside."""
+        """Vertices (s,) on the surface of that hull."""
         return np.intersect1d(self.in_hull, self.torso.tetrahedra[~self.inside])
 
     @cached_property
     def axes(self) -> Floats:
-        """Rows: to the left, back and up (3, 3)."""
+        """Unit vectors to the left, back and up, the rows of (3, 3)."""
         return torso_axes(self.heart.electrodes)
 
     @cached_property
     def centroid(self) -> Floats:
-        """Of the myocardium (3,), mm."""
+        """Centroid of the myocardium (3,), mm."""
         return solid_centroid(self.heart.vertices, self.heart.tetrahedra)
 
     def motion(self, state: TorsoState) -> SkinMotion:
-        """The skin's motion around the heart."""
+        """Motion of the skin around the heart."""
         return SkinMotion.of(self.centroid, self.axes, state)
 
     def is_possible(self, state: TorsoState) -> bool:
@@ -246,7 +246,7 @@ class Conductor:
         return assemble_stiffness(self.torso.vertices, self.tetrahedra, sigma)
 
     def moved(self, state: TorsoState, chosen: Booleans | slice = slice(None)) -> Floats:
-        """σT of the torso's tetrahedra, or of those chosen (c, 3, 3), as it moves (mS/cm)."""
+        """σT of the torso's tetrahedra, or of the chosen ones (c, 3, 3), in a state (mS/cm)."""
         factors = state.ratios[self.torso.tissues - min(TorsoTissue)]
         sigma = self.around[chosen] * factors[chosen, None, None]
         jacobians = self.morph.at(chosen).jacobians(self.motion(state))
@@ -254,5 +254,5 @@ class Conductor:
 
 
 def build_conductor(heart: Heart, torso: Torso, conduction: Conduction) -> Conductor:
-    """The conductor of a heart in its torso, tissues conducting as `conduction` has it."""
+    """Build the conductor of a heart in its torso, with the conductivities of `conduction`."""
     return Conductor(heart, torso, total_conductivity(heart, torso, conduction))

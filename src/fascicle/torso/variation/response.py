@@ -1,15 +1,15 @@
 """The lead fields of a heart as a function of the torso: a reduced basis in a hull.
 
-Whatever moves of the torso moves outside the convex hull of heart and blood. Within, lead fields
-are combinations of modes Φ of those of some torsos, and their energy K depends on the tissues'
-factors linearly. The outside adds the energy A of the modes' potentials around the hull, and drives
-the current f of an electrode into it (`fascicle.torso.variation.training`), so that the
-coefficients of an electrode's lead field are (K + A)⁻¹f, Galerkin's best in the energy of the
-whole.
+The torso moves only outside the convex hull of heart and blood. Within, lead fields are
+combinations of modes Φ of the lead fields in some torsos, and their energy K depends linearly on
+the tissues' factors. The outside adds the energy A of the modes' potentials around the hull, and an
+electrode's current drives f into the hull (`fascicle.torso.variation.training`), so that the
+coefficients of an electrode's lead field are (K + A)⁻¹f, the Galerkin solution, which is best in
+the energy of heart and torso.
 
-A and f are smooth functions of eight numbers: pose, size, and what the lungs conduct. They are
-interpolated between torsos by radial functions with a linear trend; of f, only what differs from
-an electrode near the hull in plain tissue without end, which is what varies steeply.
+A and f are smooth functions of eight numbers: pose, size, and the conductivity of the lungs. They
+are interpolated between torsos by radial functions with a linear trend. Of f only a remainder is
+interpolated: the steep part, of an electrode near the hull in infinite plain tissue, is known.
 """
 
 from __future__ import annotations
@@ -42,27 +42,27 @@ from fascicle.torso.variation.conductor import (
 SPACING = 6.0
 LEFT: Floats = SPACING * np.arange(-5.0, 6.0)
 UP: Floats = SPACING * np.arange(-13.0, 14.0)
-FIXED = Electrode.V1 + 6 * len(LEFT) * len(UP)  # from here on, places of one electrode each
-# Ends of what is interpolated over: displacements (mm), rotations (rad), size, and the logarithm of
-# conductivities
+FIXED = Electrode.V1 + 6 * len(LEFT) * len(UP)  # first place of the additional electrodes
+# Ends of the ranges of interpolation: displacements (mm), rotations (rad), size, and the logarithm
+# of conductivities
 REACH = np.array([20.0] * 3 + [np.radians(20.0)] * 3 + [0.15])
 LOG_FACTOR = np.log(2.0)
 
 
 def exterior_inputs(state: TorsoState) -> Floats:
-    """The eight numbers that the outside depends on, about 1 at the ends of their ranges."""
+    """Inputs (8,) of the response outside the hull: pose, size and lungs, scaled to about ±1."""
     plain, lung, _ = state.ratios
     geometry = (state.geometry - [0, 0, 0, 0, 0, 0, 1]) / REACH
     return np.append(geometry, np.log(lung / plain) / (2 * LOG_FACTOR))
 
 
 def near_field(electrodes: Floats, hull: Floats, projection: Floats, energy: Floats) -> Floats:
-    """What electrodes (e, 3) (mm) in plain tissue without end drive into the hull's modes (e, k).
+    """Currents (e, k) that electrodes (e, 3) in infinite plain tissue drive into the hull's modes.
 
-    Electrodes are on the skin as they stand to the heart, `hull` (s, 3) are points of its surface
-    (mm). The projection (s, k) makes coefficients of the modes of 1/distance (1/mm) to the points:
+    Electrodes (mm) are in the heart's coordinates, `hull` (s, 3) are points of its surface (mm).
+    The projection (s, k) turns 1/distance (1/mm) to the points into coefficients of the modes:
     the potential of a unit current into an insulated plane, 1/(2πσr), projected in the energy of a
-    hull of plain tissue. The energy (k, k) is of the modes in that hull and outside (1/kΩ).
+    hull of plain tissue. The energy (k, k) is that of the modes in that hull and outside (1/kΩ).
     """
     return np.asarray((1.0 / cdist(electrodes, hull)) @ projection @ energy)
 
@@ -72,8 +72,8 @@ class TorsoResponse:
     """Lead fields of a heart as a function of the torso.
 
     There are p = 3 + 6·left·up + a places: RA, LA and LL, then V1 to V6 at every place of a grid
-    along the skin, then the additional electrodes. The `Morph` is that of the tetrahedra that are
-    compressed most when the heart nears the skin. For hull and projection see `near_field`.
+    along the skin, then the additional electrodes. The critical `Morph` is at the tetrahedra that
+    are compressed most when the heart nears the skin. For hull and projection see `near_field`.
     """
 
     modes: Floats  # Φ at the heart's vertices (kΩ½), (k, n)
@@ -82,7 +82,7 @@ class TorsoResponse:
     outer: Floats  # upper triangles of A over the factor on plain tissue's σ, (b, k(k+1)/2)
     places: Floats  # (p, 3), mm
     patterns: Floats  # orthonormal functions of the places, (p, q)
-    remainders: Floats  # their coefficients in what f has beyond `near_field`, (b, q, k)
+    remainders: Floats  # coefficients of the patterns in f beyond `near_field`, (b, q, k)
     hull: Floats  # (s, 3), mm
     projection: Floats  # (s, k)
     filled: Floats  # energy of the modes in a hull of plain tissue, (k, k)
@@ -96,7 +96,7 @@ class TorsoResponse:
     def __call__(self, state: TorsoState) -> Floats | InvalidTorso:
         """Coefficients (9 + a, k) of the modes for every electrode.
 
-        Over the factor on the myocardium's conductivity; the nine sum to zero.
+        To be divided by the factor on the myocardium's conductivity; the nine sum to zero.
         """
         motion = SkinMotion.of(self.centroid, self.axes, state)
         critical = Morph(self.critical_centres, self.critical_share, self.critical_slope)
@@ -120,17 +120,17 @@ class TorsoResponse:
         return np.asarray(scipy.linalg.cho_solve(factor, driven.T).T)
 
     def _placed(self, state: TorsoState, motion: SkinMotion) -> tuple[Floats, Floats]:
-        """How far V1 to V6 move on the unmoved skin (6, 2), and where electrodes are then (mm)."""
+        """Shifts (6, 2) of V1 to V6 on the unmoved skin, and moved positions of electrodes (mm)."""
         # on a larger trunk the same distance is a smaller part of the skin
         moved = state.chest / state.geometry[6]
         return moved, motion(at_electrodes(self.places, moved))
 
     def electrodes(self, state: TorsoState) -> Floats:
-        """Where the electrodes (9 + a, 3) stand to the heart (mm)."""
+        """Positions (9 + a, 3) of the electrodes in the heart's coordinates (mm)."""
         return self._placed(state, SkinMotion.of(self.centroid, self.axes, state))[1]
 
     def coefficients(self, values: Mapping[str, float]) -> Floats | InvalidTorso:
-        """The same from quantities of the torso; those of the last few torsos are remembered."""
+        """Coefficients for quantities of the torso; the last few torsos are remembered."""
         return self._remembered(tuple(sorted(torso_values(values).items())))
 
     @cached_property
@@ -139,18 +139,18 @@ class TorsoResponse:
 
     @cached_property
     def _weights(self) -> RBFInterpolator:
-        """How much each of the torsos solved counts at a place (1, b)."""
+        """Interpolation weights (1, b) of the torsos solved, as a function of `exterior_inputs`."""
         return RBFInterpolator(self.solved, np.eye(len(self.solved)), kernel="cubic", degree=1)
 
     def arrays(self) -> dict[str, Any]:
-        """Every array, by its name, for files."""
+        """Arrays by name, for files."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
-    __getstate__ = arrays  # what is remembered stays in its process
+    __getstate__ = arrays  # remembered values are not sent to other processes
 
 
 def at_electrodes(values: Floats, moved: Floats) -> Floats:
-    """Values (9 + a, c) at electrodes, of those at all places, where V1 to V6 are moved (6, 2)."""
+    """Interpolate values at all places to electrodes (9 + a, c), with V1 to V6 moved (6, 2)."""
     (i, a), (j, b) = _between(moved[:, 0], LEFT), _between(moved[:, 1], UP)
     corner = Electrode.V1 + (np.arange(len(moved)) * len(LEFT) + i) * len(UP) + j
     a, b = a[:, None], b[:, None]
@@ -161,7 +161,7 @@ def at_electrodes(values: Floats, moved: Floats) -> Floats:
 
 
 def _between(values: Floats, places: Floats) -> tuple[Integers, Floats]:
-    """The intervals of evenly spaced places that hold values, and how far along them these are."""
+    """Intervals of evenly spaced places that hold values, and the values' share along them."""
     position = np.clip((values - places[0]) / SPACING, 0, len(places) - 1)
     index = np.minimum(position.astype(np.int64), len(places) - 2)
     return index, position - index

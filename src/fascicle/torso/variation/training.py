@@ -1,10 +1,10 @@
 """Building the response of a heart's lead fields to the torso: solves, modes, interpolation.
 
 A potential B on the surface of the hull of heart and blood sets up a potential E(torso) outside,
-insulated at the skin. The energy of E is what the outside adds to the hull's, and E at an electrode
-is, by reciprocity, the current that a unit current into that electrode drives into the hull.
-Nothing else of the outside is felt within: static condensation (Huynh, Knezevic and Patera, ESAIM:
-Math. Model. Numer. Anal. 47, 2013, 213-251).
+insulated at the skin. The outside adds the energy of E to the hull's, and E at an electrode is, by
+reciprocity, the current that a unit current into that electrode drives into the hull. The outside
+has no other effect within: static condensation (Huynh, Knezevic and Patera, ESAIM: Math. Model.
+Numer. Anal. 47, 2013, 213-251).
 """
 
 from __future__ import annotations
@@ -62,9 +62,8 @@ def build_response(
 ) -> TorsoResponse:
     """Learn how the lead fields of a conductor depend on the torso, from torsos drawn by `rng`.
 
-    `mode_torsos` are solved for all electrodes, and so many modes of their fields kept; between
-    `outer_torsos` the outside is interpolated; `patterns` functions of the places on the skin are
-    kept.
+    `mode_torsos` are solved for all electrodes, and `modes` of their fields are kept; the outside
+    is interpolated between `outer_torsos`; `patterns` functions of the places on the skin are kept.
     """
     heart, total = conductor.heart, mode_torsos + outer_torsos
     places = electrode_places(conductor)
@@ -81,19 +80,19 @@ def build_response(
     upper = np.triu_indices(len(filled))
 
     def outside(state: TorsoState) -> tuple[Singles, Singles]:
-        """Upper triangle of A, and what f has beyond the near field at the places."""
+        """Upper triangle of A, and the remainder of f beyond the near field at the places."""
         energy, driven = solve_outside(state)
         moved = conductor.motion(state)(points)
         beyond = driven - near_field(moved, hull, projection, energy + filled)
         return energy[upper].astype(np.float32), beyond.astype(np.float32)
 
     states = random_torsos(conductor, outer_torsos, rng)
-    found = _in_parallel(outside, states, lambda done: progress(mode_torsos + done, total))
-    outer, remainders = (np.array(of_states) for of_states in zip(*found, strict=True))
+    responses = _in_parallel(outside, states, lambda done: progress(mode_torsos + done, total))
+    outer, remainders = (np.array(of_states) for of_states in zip(*responses, strict=True))
     functions = _place_patterns(remainders, patterns)
     # the eight tetrahedra that are compressed most in each torso
     determinants = [conductor.morph.determinants(conductor.motion(state)) for state in states]
-    critical = conductor.morph.at(np.unique([np.argsort(each)[:8] for each in determinants]))
+    critical = conductor.morph.at(np.unique([np.argsort(factors)[:8] for factors in determinants]))
     return TorsoResponse(
         basis[: len(heart.vertices)].T.copy(), inner_energies(conductor, basis),
         np.array([exterior_inputs(state) for state in states]), outer,
@@ -107,13 +106,13 @@ def build_response(
 def _in_parallel(
     work: Callable[[TorsoState], T], states: Sequence[TorsoState], progress: Callable[[int], None]
 ) -> list[T]:
-    """What comes out for each state; `progress` is called with how many are done."""
-    found = []
+    """Do work for each state, in parallel; `progress` is called with the number done."""
+    outcomes = []
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for result in pool.map(work, states):
-            found.append(result)
-            progress(len(found))
-    return found
+        for outcome in pool.map(work, states):
+            outcomes.append(outcome)
+            progress(len(outcomes))
+    return outcomes
 
 
 def random_torsos(conductor: Conductor, count: int, rng: np.random.Generator) -> list[TorsoState]:
@@ -137,10 +136,10 @@ def random_torsos(conductor: Conductor, count: int, rng: np.random.Generator) ->
 def electrode_places(conductor: Conductor) -> Contacts:
     """Contacts of the limb electrodes, then of V1 to V6 at every place of a grid along the skin.
 
-    Those of the additional electrodes, which stay where they are on the skin, come last.
+    Contacts of the additional electrodes, which do not move along the skin, come last.
 
-    From where an electrode is, it goes up or down along the skin first, then horizontally. There
-    are 3 + 6 · len(LEFT) · len(UP) of them: by electrode, then to the left, then up.
+    From its position an electrode goes up or down along the skin first, then horizontally. Limb and
+    chest electrodes have 3 + 6 · len(LEFT) · len(UP) places: by electrode, to the left, then up.
     """
     vertices, skin = conductor.torso.vertices, conductor.skin
     to_left, _, upwards = conductor.axes
@@ -149,17 +148,17 @@ def electrode_places(conductor: Conductor) -> Contacts:
         np.add.at(vertex_normals, corner, triangle_normals(vertices, skin))
 
     def line(start: Floats, direction: Floats, places: Floats) -> Floats:
-        """Points (places, n, 3) at such distances (mm) along the skin from the start (n, 3)."""
+        """Points (places, n, 3) at distances (mm) along the skin from the start (n, 3)."""
         origin = int(np.argmin(np.abs(places)))
         reached = {origin: contacts_on(vertices, skin, start).points(vertices)}
         for sign, last in ((1, len(places)), (-1, -1)):
             for k in range(origin + sign, last, sign):
                 point = reached[k - sign]
-                for _ in range(3):  # steps between two places; each is put back onto the skin
-                    found = contacts_on(vertices, skin, point)
-                    normal = unit(found.points(vertex_normals))
+                for _ in range(3):  # steps between two places, back onto the skin after every step
+                    contacts = contacts_on(vertices, skin, point)
+                    normal = unit(contacts.points(vertex_normals))
                     along = sign * direction - (normal @ (sign * direction))[:, None] * normal
-                    step = found.points(vertices) + SPACING / 3 * unit(along)
+                    step = contacts.points(vertices) + SPACING / 3 * unit(along)
                     point = contacts_on(vertices, skin, step).points(vertices)
                 reached[k] = point
         return np.array([reached[k] for k in range(len(places))])
@@ -193,15 +192,15 @@ def solve_torso(
     """Potentials (n, 9 + a) of the electrodes in one torso, as closely as modes need them."""
     loads = currents(places, state, len(conductor.torso.vertices))
     stiffness = grounded(conductor.stiffness(state))
-    found = block_cg(stiffness, multigrid(stiffness), loads, tolerance, most)
-    return np.asarray(found - found.mean(axis=0))
+    potentials = block_cg(stiffness, multigrid(stiffness), loads, tolerance, most)
+    return np.asarray(potentials - potentials.mean(axis=0))
 
 
 class Part(NamedTuple):
-    """Some tetrahedra of a conductor, with vertices numbered among themselves.
+    """Some tetrahedra of a conductor, with their own numbering of vertices.
 
-    Numbers (n,) of the vertices used in the whole mesh, their points (n, 3) (mm), the corners (m,
-    4) of the tetrahedra, and which vertices lie on the hull's surface (n,).
+    Numbers (n,) in the whole mesh of the vertices used, their points (n, 3) (mm), the corners (m,
+    4) of the tetrahedra, and whether vertices lie on the hull's surface (n,).
     """
 
     used: Integers
@@ -211,7 +210,7 @@ class Part(NamedTuple):
 
     @classmethod
     def of(cls, conductor: Conductor, tetrahedra: Integers) -> Part:
-        """Of tetrahedra numbered in the whole mesh."""
+        """Make a part of tetrahedra numbered in the whole mesh."""
         used = np.unique(tetrahedra)
         points, corners = without_unused_vertices(conductor.torso.vertices, tetrahedra)
         return cls(used, points, corners, np.isin(used, conductor.hull_surface))
@@ -223,15 +222,15 @@ class Part(NamedTuple):
     def extended(
         self, conductivity: Floats, values: Floats, tolerance: float, most: int
     ) -> tuple[csr_matrix, Floats]:
-        """The stiffness, and the harmonic extension (n, k) of values (s, k) on the surface."""
+        """Stiffness, and the harmonic extension (n, k) of values (s, k) on the surface."""
         stiffness, free = self.stiffness(conductivity), ~self.on_surface
         inner = stiffness[free]
         load = -(inner[:, self.on_surface] @ values)
         matrix = inner[:, free].tocsr()
-        found = np.empty((len(self.points), values.shape[1]))
-        found[self.on_surface] = values
-        found[free] = block_cg(matrix, multigrid(matrix), load, tolerance, most)
-        return stiffness, found
+        extension = np.empty((len(self.points), values.shape[1]))
+        extension[self.on_surface] = values
+        extension[free] = block_cg(matrix, multigrid(matrix), load, tolerance, most)
+        return stiffness, extension
 
 
 def hull_modes(conductor: Conductor, fields: Floats, count: int) -> Floats:
@@ -257,22 +256,22 @@ def inner_energies(conductor: Conductor, modes: Floats) -> Floats:
     for tissue in TorsoTissue:
         chosen = conductor.inside & (conductor.torso.tissues == tissue)
         parts.append((conductor.torso.tetrahedra[chosen], conductor.around[chosen]))
-    found = np.zeros((len(parts), modes.shape[1], modes.shape[1]))
+    energies = np.zeros((len(parts), modes.shape[1], modes.shape[1]))
     for k, (tetrahedra, sigma) in enumerate(parts):
         if len(tetrahedra):
             part = Part.of(conductor, tetrahedra)
             within = modes[part.used]
-            found[k] = within.T @ (part.stiffness(sigma) @ within)
-    return found
+            energies[k] = within.T @ (part.stiffness(sigma) @ within)
+    return energies
 
 
 def exterior(
     conductor: Conductor, values: Floats, contacts: Contacts, tolerance: float = 3e-4
 ) -> Callable[[TorsoState], tuple[Floats, Floats]]:
-    """What the outside of the hull is to potentials B (s, k) on its surface, for each state.
+    """Solver of the outside of the hull for potentials B (s, k) on its surface, by state.
 
-    The energy of E (k, k), and E at the contacts (p, k), over the conductivity of plain tissue; the
-    factor on the lungs' counts through its ratio to that. `tolerance` is relative.
+    It returns the energy of E (k, k) and E at the contacts (p, k), for a factor of 1 on plain
+    tissue's conductivity; the lungs' factor counts relative to it. `tolerance` is relative.
     """
     part = Part.of(conductor, conductor.torso.tetrahedra[~conductor.inside])
     columns = np.searchsorted(part.used, contacts.triangles)
@@ -283,8 +282,8 @@ def exterior(
 
     def solve(state: TorsoState) -> tuple[Floats, Floats]:
         sigma = conductor.moved(state, ~conductor.inside) / state.ratios[0]
-        stiffness, found = part.extended(sigma, values, tolerance, 60)
-        return found.T @ (stiffness @ found), at_contacts @ found
+        stiffness, extension = part.extended(sigma, values, tolerance, 60)
+        return extension.T @ (stiffness @ extension), at_contacts @ extension
 
     return solve
 
@@ -292,13 +291,13 @@ def exterior(
 def plain_hull(conductor: Conductor, values: Floats) -> tuple[Floats, Floats, Floats]:
     """Points (s, 3) (mm) and `near_field`'s projection (s, k) for B (s, k) on the hull's surface.
 
-    And the energy (k, k) of B in a hull of plain tissue (1/kΩ).
+    Also returns the energy (k, k) of B in a hull of plain tissue (1/kΩ).
     """
     part = Part.of(conductor, conductor.in_hull)
     isotropic = conductor.around[conductor.torso.tissues == TorsoTissue.OTHER][0]
     sigma = np.broadcast_to(isotropic, (len(part.corners), 3, 3))
-    stiffness, found = part.extended(sigma, values, 1e-6, 500)
-    flux = stiffness[part.on_surface] @ found
+    stiffness, extension = part.extended(sigma, values, 1e-6, 500)
+    flux = stiffness[part.on_surface] @ extension
     filled = values.T @ flux
     filled = (filled + filled.T) / 2
     amplitude = MM_PER_CM / (2 * np.pi * isotropic[0, 0])
@@ -307,10 +306,9 @@ def plain_hull(conductor: Conductor, values: Floats) -> tuple[Floats, Floats, Fl
 
 
 def _place_patterns(remainders: Singles, count: int) -> Floats:
-    """Functions (p, q) of places that hold most of fields (b, p, k): principal components.
+    """Principal components (p, q), functions of places that hold most of fields (b, p, k).
 
-    Each limb electrode, and each additional one, has one of its own: there are many more places of
-    the chest's.
+    Limb and additional electrodes have a function each, as the chest has many more places.
     """
     chest = np.concatenate(list(remainders[:, Electrode.V1 : FIXED]), axis=1)
     _, vectors = np.linalg.eigh(chest @ chest.T)
