@@ -1,4 +1,4 @@
-"""How much of an ECG is the mesh that the activation is solved on.
+"""Effect on the ECG of the mesh that the activation is solved on.
 
     python -m benchmarks.activation_refinement [--data CRTDEMO_FOLDER]
 
@@ -76,15 +76,15 @@ def leads(heart: Heart, conduction: Conduction, gradients: Array, activation: Ar
     return np.asarray(total)
 
 
-def difference(found: Array, reference: Array) -> tuple[float, float]:
+def difference(ecg: Array, reference: Array) -> tuple[float, float]:
     """Norm of the difference as a part of the reference's, as they are and aligned."""
-    samples = max(found.shape[1], reference.shape[1])
-    found, reference = (
-        np.pad(each, ((0, 0), (0, samples - each.shape[1]))) for each in (found, reference)
+    samples = max(ecg.shape[1], reference.shape[1])
+    ecg, reference = (
+        np.pad(signal, ((0, 0), (0, samples - signal.shape[1]))) for signal in (ecg, reference)
     )
     norm = float(np.linalg.norm(reference))
-    as_they_are = float(np.linalg.norm(found - reference)) / norm
-    return as_they_are, float(np.sqrt(align(found, reference).loss * samples)) / norm
+    as_they_are = float(np.linalg.norm(ecg - reference)) / norm
+    return as_they_are, float(np.sqrt(align(ecg, reference).loss * samples)) / norm
 
 
 def compare(name: str, heart: Heart, parameters: dict[str, float], times: int) -> None:
@@ -98,14 +98,14 @@ def compare(name: str, heart: Heart, parameters: dict[str, float], times: int) -
     hearts = [heart]
     for _ in range(times):
         hearts.append(refined(hearts[-1]))
-    couplings = [attach(build_myocardium(each, conduction), trees) for each in hearts]
+    couplings = [attach(build_myocardium(mesh, conduction), trees) for mesh in hearts]
     rhythms = {"sinus rhythm": parameters["root_time"], "left block": BLOCK_ROOT_TIME}
     for rhythm, late in rhythms.items():
         roots = max(0.0, -late), max(0.0, late)
-        solved = [solve(each, roots, parameters["cv"]).myocardium for each in couplings]
+        solved = [solve(coupling, roots, parameters["cv"]).myocardium for coupling in couplings]
         ecgs = [
-            leads(each, conduction, gradients, activation)
-            for each, activation in zip(hearts, solved, strict=True)
+            leads(mesh, conduction, gradients, activation)
+            for mesh, activation in zip(hearts, solved, strict=True)
         ]
         for coarse, fine in combinations(range(len(hearts)), 2):
             restricted = solved[fine][: len(solved[coarse])]

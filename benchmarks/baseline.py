@@ -1,4 +1,4 @@
-"""One forward simulation the published way: purkinje-uv trees, fim-python eikonal, ECG in a loop.
+"""A forward simulation the published way: purkinje-uv trees, fim-python eikonal, ECG in a loop.
 
 Run by an environment of its own (`baseline_requirements.txt`), which has no fascicle:
 

@@ -1,4 +1,4 @@
-"""What the template U depends on: steps, cable, pacing, cell type, and where it stops.
+"""Dependence of the template U on steps, cable, pacing, cell type, and where it stops.
 
     python -m benchmarks.cable
 

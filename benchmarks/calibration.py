@@ -4,8 +4,8 @@
                                      [--physics same|other] [--method posterior|paper]
                                      [--noise TARGET] [--wrong [--other-heart HEART]]
 
-Truths are networks of the prior that no emulator has seen, with all that is not known drawn as in
-the prior simulations, each in a random body of its own. Each gives a recording: the simulated ECG
+Truths are networks of the prior that no emulator has seen, with all that is unknown drawn as in
+the prior simulations, each in a random torso. Each gives a recording: the simulated ECG
 times a gain, ten beats with noise of 0.03 mV, and QRS marks that are off. A whole fit with default
 settings follows, but with `--prior-simulations` networks. Where the truth lies among the draws is
 kept (`truth-0007.json`), so that the same command goes on where it stopped, or adds truths. With
@@ -95,16 +95,16 @@ from fascicle.study import paper, posterior
 from fascicle.study.conduction_states import STATES
 from fascicle.study.ecg_emulator import EcgEmulator
 from fascicle.study.evaluations import Database, Journal
-from fascicle.study.heart_emulator import emulator_of, usual_prior
+from fascicle.study.heart_emulator import emulator_of, simulations_of, usual_prior
 from fascicle.study.likelihood import EmulatedLikelihood, checked
 from fascicle.study.pool import Threads
 from fascicle.study.population import Population, Posterior
 from fascicle.study.predictive import AXIS, DURATION, Checks, predict_recording
+from fascicle.study.prior import NOT_KNOWN, Prior, is_kept, study_space
 from fascicle.study.prior_simulations import PriorSimulations
 from fascicle.study.refined_emulator import refined_emulators
 from fascicle.study.settings import FitSettings, Method
 from fascicle.study.simulator import PointSimulator
-from fascicle.study.space import NOT_KNOWN, is_kept, study_space
 from fascicle.study.state_fit import REFINEMENT
 from fascicle.study.target_comparison import Network, TargetComparison, evaluate
 from fascicle.study.target_comparison import networks as simulated
@@ -131,7 +131,7 @@ def truth_of(
 ) -> Any:
     """Parameters from the prior that give a network, and their simulation.
 
-    If the prior is that of `mapped` hearts, of these.
+    With `mapped`, only networks that are activated as mapped hearts are.
     """
     while True:
         point = rng.random(len(space))
@@ -143,9 +143,9 @@ def truth_of(
 
 
 def fired_together(values: Mapping[str, float]) -> dict[str, float]:
-    """A network whose roots fire at the same time."""
-    others = {*stand_ins("root_time")}
-    return {n: v for n, v in values.items() if n not in others} | {"root_time": 0.0}
+    """Parameters of a network whose roots fire at the same time."""
+    replaced = {*stand_ins("root_time")}
+    return {n: v for n, v in values.items() if n not in replaced} | {"root_time": 0.0}
 
 
 @lru_cache(1)
@@ -179,7 +179,7 @@ def other_physics(
     mesh: Callable[[str], Heart] = finer,
     method: Method = "posterior",
 ) -> tuple[ForwardModel, Any, Any]:
-    """A model of the heart that is not the one that is fitted, and its own prior."""
+    """A model of the heart other than the one that is fitted, and its prior."""
     fine = turned(mesh(heart), rng.normal(0, TURNED))
     if fine.lead_fields is not None:  # the ECG will be that of `another_torso`
         fine = replace(fine, lead_fields=None, torso=None)
@@ -221,16 +221,17 @@ def another_torso(
             return replace(simulation, leads=leads, onset=first_sample(times))
 
 
-def truth_of_prior(prior: PriorSimulations, number: int, rng: np.random.Generator) -> Any:
-    """Quantities of a network that no emulator has seen, and its simulation in a random body."""
-    surfaces = prior.model.surfaces
-    for point, values in zip(prior.points(number), prior.parameters(number), strict=True):
-        outcome = prior.model.simulate(values)
+def truth_of_prior(simulations: PriorSimulations, number: int, rng: np.random.Generator) -> Any:
+    """Quantities of a network that no emulator has seen, and its simulation in a random torso."""
+    model = simulations.model
+    points, networks = simulations.points(number), simulations.parameters(number)
+    for point, values in zip(points, networks, strict=True):
+        outcome = model.simulate(values)
         if not isinstance(outcome, Simulation):
             continue
-        if not prior.mapped or is_kept(point, surfaces.sequence(outcome.activation)):
-            (body,) = random_bodies(prior.model, rng, 1)
-            body = prior.model.with_sources(body, values)
+        if is_kept(point, model.surfaces.sequence(outcome.activation)):
+            (body,) = random_bodies(model, rng, 1)
+            body = model.with_sources(body, values)
             return values, replace(outcome, leads=body.leads(outcome.activation))
     raise ValueError("no network of the prior fits the heart")
 
@@ -243,7 +244,7 @@ def recorded(
 ) -> Target:
     """A recording of a simulation.
 
-    `noise` (n_leads, n) is another recording's, of which each beat has a part.
+    `noise` (n_leads, n) is that of another recording, of which each beat takes a part.
     """
     clean = rng.normal(1, gain_sd) * np.pad(
         simulation.leads[INDEPENDENT_ROWS], ((0, 0), (PAD, PAD))
@@ -252,11 +253,11 @@ def recorded(
     activated = simulation.activation[np.isfinite(simulation.activation)]
     first, last = float(activated.min()), float(activated.max())
     if noise is None:
-        own = smooth_noise(rng, (BEATS, *clean.shape), NOISE)
+        noises = smooth_noise(rng, (BEATS, *clean.shape), NOISE)
     else:
         starts = rng.integers(0, noise.shape[1] - clean.shape[1], BEATS)
-        own = np.stack([noise[:, start : start + clean.shape[1]] for start in starts])
-    potentials = clean + own
+        noises = np.stack([noise[:, start : start + clean.shape[1]] for start in starts])
+    potentials = clean + noises
     onset = first + rng.normal(0, np.hypot(ONSET_SD, FIRST_ACTIVATION_SD))
     end = max(last + rng.normal(0, OFFSET_SD), onset + 40)
     twelve = np.concatenate([_limb(potentials[:, :2]), potentials[:, 2:]], axis=1)
@@ -270,13 +271,13 @@ def _limb(first_two: np.ndarray) -> np.ndarray:
 
 
 def residuals(target: Target) -> np.ndarray:
-    """What the beats of a recorded target have beside their mean, one after the other."""
+    """Deviations (8, n) of the beats of a recorded target from their mean, one after the other."""
     apart = (target.beats - target.mean)[:, INDEPENDENT_ROWS]
     return np.concatenate(list(np.concatenate([apart, apart[:, :, ::-1]])), axis=1)
 
 
 def on_mesh(simulation: Simulation, count: int) -> Simulation:
-    """The same with the activation of the first vertices only, those of the coarser mesh."""
+    """Simulation with the activation of the first vertices only, those of the coarser mesh."""
     return replace(simulation, activation=simulation.activation[:count])
 
 
@@ -300,7 +301,7 @@ def predicted_and_map(
 
 
 def longest_axis(heart: Heart) -> np.ndarray:
-    """Where the vertices lie along the heart's longest axis."""
+    """Coordinates (mm) of the vertices along the heart's longest axis."""
     centred = heart.vertices - heart.vertices.mean(axis=0)
     return np.asarray(centred @ np.linalg.svd(centred[::50], full_matrices=False)[2][0])
 
@@ -312,20 +313,15 @@ def prepared(heart_path: str, method: Method, count: int) -> tuple[Any, ...]:
     heart = fascicle.load_heart(heart_path)
     model, axis = ForwardModel(heart), longest_axis(heart)
     if method == "paper":
-        return PointSimulator(model, *study_space(method, {}, heart)), None, None, axis
-    simulator, prior = normal_state(model)
-    return simulator, prior, emulator_of(simulator, count, heart.folder), axis
+        return PointSimulator(model, Prior.of(method, {}, heart)), None, None, axis
+    simulator = normal_state(model)
+    simulations = simulations_of(model, simulator.prior, heart.folder)
+    return simulator, simulations, emulator_of(simulator, count, heart.folder), axis
 
 
-def normal_state(
-    model: ForwardModel, processes: int = 1
-) -> tuple[PointSimulator, PriorSimulations]:
-    """Simulator of the networks of the normal state of a heart, and their prior."""
-    prior = usual_prior(model, model.heart.folder, state=NORMAL)
-    simulator = PointSimulator(
-        model, prior.space, prior.fixed, Threads(processes), prior.averaged, mapped=prior.mapped
-    )
-    return simulator, prior
+def normal_state(model: ForwardModel, processes: int = 1) -> PointSimulator:
+    """Simulator of the networks of the normal state of a heart."""
+    return PointSimulator(model, usual_prior(model.heart, NORMAL), Threads(processes))
 
 
 def fitted(
@@ -335,22 +331,20 @@ def fitted(
     number: int,
     emulator: EcgEmulator | None,
 ) -> Population:
-    """Fit a recording whole, in a folder that is not kept."""
+    """Fit a recording, in a temporary folder."""
     with tempfile.TemporaryDirectory() as folder:
         database = Database(Path(folder) / "evaluations.sqlite")
         database.prepare()
         objective = partial(evaluate, simulator, [recording])
-        journal = Journal(database, objective, simulator.dimension, number, 1)
+        journal = Journal(database, objective, simulator.prior.dimension, number, 1)
         if emulator is None:
-            return paper.PaperFit(settings, simulator.space, journal).run()
+            return paper.PaperFit(settings, simulator.prior.learnt, journal).run()
         emulated = [EmulatedLikelihood(simulator, emulator, recording.likelihood)]
-        return posterior.PosteriorFit(
-            settings, simulator.space, simulator.averaged, journal, emulated
-        ).run()
+        return posterior.PosteriorFit(settings, simulator.prior, journal, emulated).run()
 
 
 def wrong_inputs(
-    target: Target, rng: np.random.Generator, others: dict[str, Target]
+    target: Target, rng: np.random.Generator, wrong: dict[str, Target]
 ) -> dict[str, Target]:
     """Recordings that no network of the heart gives, made of a right one and of `others`."""
 
@@ -359,7 +353,7 @@ def wrong_inputs(
 
     inverted = np.ones((12, 1))
     inverted[rng.integers(6, 12)] = -1
-    ectopic, half = others.pop("half ectopic"), len(target.beats) // 2
+    ectopic, half = wrong.pop("half ectopic"), len(target.beats) // 2
     time = target.time + ectopic.qrs_onset - target.qrs_onset
     moved = [[np.interp(time, ectopic.time, lead) for lead in beat] for beat in ectopic.beats]
     end = target.qrs_onset + max(target.qrs_duration, ectopic.qrs_duration)
@@ -371,54 +365,56 @@ def wrong_inputs(
             np.concatenate([target.beats[:half], moved[half:]]),
             qrs_offset=min(end, target.time[-1]),
         ),
-        **others,
+        **wrong,
     }
 
 
 def exchanged(rng: np.random.Generator) -> np.ndarray:
-    """Matrix (12, 12) of what the leads are with two electrodes exchanged."""
+    """Matrix (12, 12) that changes leads as the exchange of two electrodes does."""
     matrix, order = lead_matrix(), np.arange(len(ELECTRODES))
-    one, other = rng.choice(len(ELECTRODES), 2, replace=False)
-    order[[one, other]] = other, one
+    first, second = rng.choice(len(ELECTRODES), 2, replace=False)
+    order[[first, second]] = second, first
     return np.asarray(matrix[:, order] @ np.linalg.pinv(matrix))
 
 
-def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, Any]:
-    """Make a truth, fit it, and say where it lies among the draws."""
-    settings = FitSettings(prior_simulations=given.prior_simulations, method=given.method)
+def one_truth(heart: str, number: int, options: argparse.Namespace) -> dict[str, Any]:
+    """Make a truth, fit its recording, and rank the truth among the draws."""
+    settings = FitSettings(prior_simulations=options.prior_simulations, method=options.method)
     of_paper = settings.method == "paper"
     gain_sd = 0.0 if of_paper else settings.gain_sd
-    simulator, prior, emulator, axis = prepared(heart, settings.method, given.prior_simulations)
-    model, space = simulator.model, simulator.space
-    seed = TUNING if given.tuning else HELD_OUT
+    simulator, simulations, emulator, axis = prepared(
+        heart, settings.method, options.prior_simulations
+    )
+    model, space = simulator.model, simulator.prior.learnt
+    seed = TUNING if options.tuning else HELD_OUT
     rng, true = np.random.default_rng([seed, number]), model
-    if given.physics == "other":
-        true, its_space, its_fixed = other_physics(heart, rng, method=settings.method)
+    if options.physics == "other":
+        true, true_space, true_fixed = other_physics(heart, rng, method=settings.method)
         if not of_paper:
-            its_space = NORMAL.narrowed(its_space, its_fixed)
-        point, simulation = truth_of(true, its_space, its_fixed, rng, simulator.mapped)
-        values = {**its_fixed, **its_space.from_unit(point)}
+            true_space = NORMAL.narrowed(true_space, true_fixed)
+        point, simulation = truth_of(true, true_space, true_fixed, rng, simulator.prior.mapped)
+        values = {**true_fixed, **true_space.from_unit(point)}
         if model.heart.lead_fields is not None:
             simulation = another_torso(model, simulation, len(axis), rng, values)
     elif of_paper:
-        point, simulation = truth_of(model, space, simulator.fixed, rng)
-        values = {**simulator.fixed, **space.from_unit(point)}
+        point, simulation = truth_of(model, space, simulator.prior.fixed, rng)
+        values = simulator.prior.from_unit(point)
     else:
-        values, simulation = truth_of_prior(prior, seed * 100_000 + number, rng)
+        values, simulation = truth_of_prior(simulations, seed * 100_000 + number, rng)
     truth = {name: values[name] for name in space.names}
 
     def record(simulation: Simulation) -> Target:
-        noise = None if given.noise is None else residuals(read_target(given.noise))
+        noise = None if options.noise is None else residuals(read_target(options.noise))
         return recorded(simulation, gain_sd, rng, noise)
 
     begun = time.perf_counter()
     if of_paper:
         target = synthetic_target(simulation.leads, rng, BEATS_OF_THE_PAPER)
-        comparison, its = TargetComparison(target), emulator
+        comparison, trained = TargetComparison(target), emulator
     else:
         target = record(simulation)
-        comparison, its = compared(target, simulator, emulator, gain_sd, number)
-    population, networks, checks = fit(simulator, comparison, settings, number, rng, its)
+        comparison, trained = compared(target, simulator, emulator, gain_sd, number)
+    population, networks, checks = fit(simulator, comparison, settings, number, rng, trained)
     seconds = time.perf_counter() - begun
     result: dict[str, Any] = {"networks": len(population)}
     if networks:
@@ -433,30 +429,30 @@ def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, A
             "evaluations": population.evaluations.tolist(),
             "effective": population.effective.tolist(),
         }
-    if given.wrong and not of_paper:
+    if options.wrong and not of_paper:
         speed = space.parameters[space.names.index("fibre_speed")]
         far = rng.choice([speed.lower / 1.5, speed.upper * 1.5])
-        others = {
+        alternatives = {
             "fibre speed out of range": record(
                 true.simulate({**values, "fibre_speed": float(far)})
             ),
             "half ectopic": record(true.simulate(values, ectopic())),
         }
-        if given.other_heart is not None:
-            other = other_person(given.other_heart)
-            others["another heart"] = record(truth_of(*other, rng, mapped=True)[1])
+        if options.other_heart is not None:
+            other = other_person(options.other_heart)
+            alternatives["another heart"] = record(truth_of(*other, rng, mapped=True)[1])
         result["wrong"] = {}
         most, posterior.MOST_BATCHES = posterior.MOST_BATCHES, 1
-        for name, wrong in wrong_inputs(target, rng, others).items():
-            comparison, its = compared(wrong, simulator, emulator, gain_sd, number)
-            found = fit(simulator, comparison, settings, number, rng, its)[2]
-            result["wrong"][name] = judged(found)
+        for name, wrong in wrong_inputs(target, rng, alternatives).items():
+            comparison, trained = compared(wrong, simulator, emulator, gain_sd, number)
+            wrong_checks = fit(simulator, comparison, settings, number, rng, trained)[2]
+            result["wrong"][name] = judged(wrong_checks)
         posterior.MOST_BATCHES = most
     return result | {"seconds": seconds}
 
 
 def judged(checks: Checks) -> dict[str, Any]:
-    """What a fit says of itself."""
+    """Results of the checks of a fit."""
     return {
         "acceptable": checks.acceptable,
         "failures": checks.failures,
@@ -482,13 +478,15 @@ def ectopic() -> Scenario:
 def compared(
     target: Target, simulator: PointSimulator, emulator: EcgEmulator, gain_sd: float, number: int
 ) -> tuple[TargetComparison, EcgEmulator]:
-    """A recording and its likelihood, and the emulator that is trained on for it."""
-    by = partial(EmulatedLikelihood.each, simulator=simulator, targets=[target], gain_sd=gain_sd)
+    """A recording and its likelihood, and the emulator that is refined for it."""
+    likelihoods = partial(
+        EmulatedLikelihood.each, simulator=simulator, targets=[target], gain_sd=gain_sd
+    )
     rng, count = np.random.default_rng([number, REFINEMENT]), int(emulator.report["networks"])
     with tempfile.TemporaryDirectory() as folder:
-        found = refined_emulators([emulator], by, [None], count, Path(folder), rng)
-    likelihood = by(found)[0].likelihood
-    return TargetComparison(target, likelihood=likelihood, free_gain=True), found[0]
+        emulators = refined_emulators([emulator], likelihoods, [None], count, Path(folder), rng)
+    likelihood = likelihoods(emulators)[0].likelihood
+    return TargetComparison(target, likelihood=likelihood, free_gain=True), emulators[0]
 
 
 def fit(
@@ -499,15 +497,15 @@ def fit(
     rng: np.random.Generator,
     emulator: EcgEmulator | None,
 ) -> tuple[Population, list[Network], Checks | None]:
-    """Population, its networks, and of a posterior how they agree with the recording."""
+    """Population, its networks, and the checks of a posterior against the recording."""
     simulator = replace(simulator, remembered={})
     population = fitted(simulator, recording, settings, number, emulator)
     learnt = [population.parameters(k) for k in range(len(population))]
     networks, likelihood = list(simulated(simulator, recording, learnt)), recording.likelihood
     if likelihood is None:
         return population, networks, None
-    every = [likelihood] * len(networks)
-    checks = predict_recording(recording.target, every, networks, rng).checks
+    likelihoods = [likelihood] * len(networks)
+    checks = predict_recording(recording.target, likelihoods, networks, rng).checks
     emulated = [EmulatedLikelihood(simulator, emulator, likelihood)] * len(networks)
     return population, networks, checked(checks, emulated, networks)
 
@@ -520,14 +518,16 @@ def places(
     axis: np.ndarray,
     rng: np.random.Generator,
 ) -> dict[str, Any]:
-    """Where the truth (parameters, predictions, activation map) lies among networks."""
+    """Ranks and scores of the truth (parameters, predictions, activation map) among networks."""
     truth, expected, true_map = true
-    space = simulator.space
+    space = simulator.prior.learnt
 
     def together(values: Any) -> Simulation:
-        return simulator.model.simulate(fired_together({**simulator.fixed, **values}))
+        return simulator.model.simulate(fired_together({**simulator.prior.fixed, **values}))
 
-    found = np.array([predictions(n.simulation, together(n.parameters), axis) for n in networks])
+    predicted = np.array(
+        [predictions(n.simulation, together(n.parameters), axis) for n in networks]
+    )
     maps = np.array([n.simulation.activation - n.simulation.activation.min() for n in networks])
     draws = {name: population.values[name] for name in space.names}
     units = {p.name: p.to_unit(draws[p.name]) for p in space.parameters}
@@ -535,12 +535,12 @@ def places(
     return {
         "ranks": {
             **{name: _rank(draws[name], truth[name], rng) for name in space.names},
-            **{name: _rank(found[:, k], expected[k], rng) for k, name in enumerate(PREDICTED)},
+            **{name: _rank(predicted[:, k], expected[k], rng) for k, name in enumerate(PREDICTED)},
         },
         "map": [float(_within(maps, true_map, level)) for level in LEVELS],
         "tarp": _tarp(np.column_stack([*units.values()]), np.array([*at.values()]), rng),
         "crps": {name: _crps(units[name], at[name]) for name in units}
-        | {name: _crps(found[:, k], expected[k]) for k, name in enumerate(PREDICTED)},
+        | {name: _crps(predicted[:, k], expected[k]) for k, name in enumerate(PREDICTED)},
         "contraction": {n: float(1 - 12 * np.var(u)) for n, u in units.items()},
     }
 
@@ -608,11 +608,11 @@ def summarise(results: list[dict[str, Any]], folder: Path) -> None:
         scores = [r["crps"][name] for r in results if name in r["crps"]]
         score = f"{np.mean(scores):7.3f}" if scores else ""
         print(f"{name:<26} {shares} {distance(values):9.3f} {mean} {score}")
-    own = [np.mean([r["crps"][n] for n in r["contraction"]]) for r in results]
-    error = np.std(own) / np.sqrt(len(own))
+    scores_of_truths = [np.mean([r["crps"][n] for n in r["contraction"]]) for r in results]
+    error = np.std(scores_of_truths) / np.sqrt(len(scores_of_truths))
     narrowed = np.mean([[*r["contraction"].values()] for r in results])
     print(
-        f"CRPS of parameters {np.mean(own):.4f} +- {error:.4f} of the prior, "
+        f"CRPS of parameters {np.mean(scores_of_truths):.4f} +- {error:.4f} of the prior, "
         f"contraction {narrowed:.2f}"
     )
     parameters = np.concatenate([ranks[name] for name in results[0]["contraction"]])
@@ -637,9 +637,9 @@ def summarise(results: list[dict[str, Any]], folder: Path) -> None:
         called_poor("right inputs", results)
         for name in results[0].get("wrong", ()):
             called_poor(name, [r["wrong"][name] for r in results])
-    for what in ("evaluations", "effective"):
-        if what in results[0]:
-            print(f"{what}: {np.median([sum(r[what]) for r in results]):.0f} (median)")
+    for figure in ("evaluations", "effective"):
+        if figure in results[0]:
+            print(f"{figure}: {np.median([sum(r[figure]) for r in results]):.0f} (median)")
     print(
         f"networks: {np.median([r['networks'] for r in results]):.0f} (median), "
         f"{np.median([r['seconds'] for r in results]):.0f} s on one core"
@@ -649,7 +649,7 @@ def summarise(results: list[dict[str, Any]], folder: Path) -> None:
 
 def called_poor(name: str, judged: list[dict[str, Any]]) -> None:
     """Print how many fits are called poor, and how often which failure comes first."""
-    poor = [each["failures"][0] for each in judged if not each["acceptable"]]
+    poor = [judgement["failures"][0] for judgement in judged if not judgement["acceptable"]]
     words = {DURATION: DURATION, AXIS: AXIS, "reproduced": "leads", "%": "share", "scaled": "gain"}
     first = Counter(next(kind for word, kind in words.items() if word in text) for text in poor)
     kinds = ", ".join(f"{kind} {count}" for kind, count in first.most_common())
@@ -675,8 +675,8 @@ def _draw(ranks: dict[str, np.ndarray], band: float, path: Path) -> None:
     save(figure, path)
 
 
-def identify(given: argparse.Namespace, path: Path) -> None:
-    """Write what the truths are made with, or refuse to mix them with others."""
+def identify(options: argparse.Namespace, path: Path) -> None:
+    """Keep the options that truths are made with, or refuse to mix them with others."""
     names = (
         "heart",
         "prior_simulations",
@@ -687,7 +687,7 @@ def identify(given: argparse.Namespace, path: Path) -> None:
         "other_heart",
         "tuning",
     )
-    made_with = {name: str(getattr(given, name)) for name in names}
+    made_with = {name: str(getattr(options, name)) for name in names}
     if not path.exists():
         write_text(path, json.dumps(made_with, indent=1) + "\n")
     elif json.loads(path.read_text()) != made_with:
@@ -695,8 +695,8 @@ def identify(given: argparse.Namespace, path: Path) -> None:
 
 
 def _run(arguments: tuple[int, Path, argparse.Namespace]) -> int:
-    number, path, given = arguments
-    write_text(path, json.dumps(one_truth(given.heart, number, given), indent=1) + "\n")
+    number, path, options = arguments
+    write_text(path, json.dumps(one_truth(options.heart, number, options), indent=1) + "\n")
     return number
 
 
@@ -708,7 +708,7 @@ def in_processes(
     stage: str,
     before: int = 0,
 ) -> None:
-    """Do work on items, each of which keeps its result itself; so many were done before."""
+    """Work on items in processes; `work` keeps its result. `before` items are done already."""
     with ProcessPoolExecutor(processes) as pool:
         for done, _ in enumerate(pool.map(work, items), before + 1):
             progress(stage, done, before + len(items), "")
@@ -731,21 +731,21 @@ def main() -> None:
     parser.add_argument("--tuning", action="store_true", help="truths to choose constants by")
     parser.add_argument("--other-heart", help="heart of another person, for --wrong")
     parser.add_argument("--processes", type=int, default=2)
-    given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    identify(given, given.out / "settings.json")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    identify(options, options.out / "settings.json")
     with TerminalProgress() as progress:
-        if given.method == "posterior":
-            heart = fascicle.load_heart(given.heart)
-            simulator, _ = normal_state(ForwardModel(heart, progress=progress), given.processes)
-            emulator_of(simulator, given.prior_simulations, heart.folder, progress)
-        if given.physics == "other" and fascicle.load_heart(given.heart).torso is not None:
-            model = ForwardModel(fascicle.load_heart(given.heart), progress=progress)
+        if options.method == "posterior":
+            heart = fascicle.load_heart(options.heart)
+            simulator = normal_state(ForwardModel(heart, progress=progress), options.processes)
+            emulator_of(simulator, options.prior_simulations, heart.folder, progress)
+        if options.physics == "other" and fascicle.load_heart(options.heart).torso is not None:
+            model = ForwardModel(fascicle.load_heart(options.heart), progress=progress)
             model.torso(TORSO_GROUPS)  # kept on disk, where each process finds it
-        paths = [given.out / f"truth-{number:04d}.json" for number in range(given.truths)]
-        left = [(number, path, given) for number, path in enumerate(paths) if not path.exists()]
-        in_processes(_run, left, given.processes, progress, "truths", len(paths) - len(left))
-    summarise([json.loads(path.read_text()) for path in paths], given.out)
+        paths = [options.out / f"truth-{number:04d}.json" for number in range(options.truths)]
+        left = [(number, path, options) for number, path in enumerate(paths) if not path.exists()]
+        in_processes(_run, left, options.processes, progress, "truths", len(paths) - len(left))
+    summarise([json.loads(path.read_text()) for path in paths], options.out)
 
 
 if __name__ == "__main__":

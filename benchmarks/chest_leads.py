@@ -72,7 +72,7 @@ def _model() -> fascicle.ForwardModel:
 
 
 def _electrodes(rng: np.random.Generator) -> Array:
-    """The nine electrodes as they stand to a heart that has moved, chest electrodes elsewhere."""
+    """The nine electrodes relative to a displaced heart, with displaced chest electrodes."""
     heart = _model().heart
     places, middle = heart.electrodes.copy(), heart.vertices.mean(axis=0)
     for place in places[3:]:
@@ -84,7 +84,7 @@ def _electrodes(rng: np.random.Generator) -> Array:
 
 
 def displaced(seed: int) -> Array:
-    """QRS (12, n) of a random network, heart and electrodes not where they are in the heart's."""
+    """QRS (12, n) of a random network, with heart and electrodes displaced."""
     rng, model = np.random.default_rng([seed, 1]), _model()
     heart = model.heart
     scenario = read_scenario(find_scenario(str(rng.choice(KINDS))))[0]
@@ -111,30 +111,30 @@ def displaced(seed: int) -> Array:
     return np.asarray(leads[:, first : last + 1])
 
 
-def without_qrs(one: Case) -> list[Recording]:
+def without_qrs(synthetic: Case) -> list[Recording]:
     """T waves alone: a line in place of each QRS, and what is between two of them."""
-    rate, signal = one.recording.sampling_rate, one.recording.signal.copy()
+    rate, signal = synthetic.recording.sampling_rate, synthetic.recording.signal.copy()
     starts, stops = (
-        np.round((one.begins + end) * rate / RATE).astype(int)
-        for end in (one.onset - 10.0, one.offset + 10.0)
+        np.round((synthetic.begins + end) * rate / RATE).astype(int)
+        for end in (synthetic.onset - 10.0, synthetic.offset + 10.0)
     )
     for start, stop in zip(starts, stops, strict=True):
         if start >= 0 and stop < signal.shape[1]:
             signal[:, start : stop + 1] = np.linspace(
                 signal[:, start], signal[:, stop], stop - start + 1, axis=1
             )
-    piece = one.recording.signal[:, stops[2] : starts[3]]
-    return [replace(one.recording, signal=signal), Recording(piece, rate, "a T wave")]
+    piece = synthetic.recording.signal[:, stops[2] : starts[3]]
+    return [replace(synthetic.recording, signal=signal), Recording(piece, rate, "a T wave")]
 
 
-def recorded(one: Case) -> tuple[str, Array] | None:
+def recorded(synthetic: Case) -> tuple[str, Array] | None:
     """Group and mean QRS (12, n) of a recording; None where it gives no target."""
     try:
-        target = fascicle.make_target(one.recording)
+        target = fascicle.make_target(synthetic.recording)
     except InputError:
         return None
     width = "wide" if target.global_qrs_duration >= 120 else "narrow"
-    return "paced" if one.kind in (*PACED, "paced") else width, target.qrs
+    return "paced" if synthetic.kind in (*PACED, "paced") else width, target.qrs
 
 
 def by_neighbours(qrs: Array) -> tuple[float, str]:
@@ -150,8 +150,8 @@ def by_neighbours(qrs: Array) -> tuple[float, str]:
 
 def by_check(qrs: Array) -> tuple[float, str]:
     """Figure of the check and its remedy, which is empty below the limit."""
-    found = check_chest_leads(qrs)
-    return found.value, found.message.rpartition(": ")[2]
+    check = check_chest_leads(qrs)
+    return check.value, check.message.rpartition(": ")[2]
 
 
 def report(label: str, cases: list[Array], figure: Callable[[Array], tuple[float, str]]) -> None:
@@ -162,9 +162,9 @@ def report(label: str, cases: list[Array], figure: Callable[[Array], tuple[float
     false = np.mean([figure(qrs)[0] > limit for qrs in cases])
     cells = []
     for remedy in FAULTS:
-        found = [figure(faulty(qrs, remedy)) for qrs in cases]
-        right = np.mean([ratio > limit and name == remedy for ratio, name in found])
-        other = np.mean([ratio > limit and name != remedy for ratio, name in found])
+        answers = [figure(faulty(qrs, remedy)) for qrs in cases]
+        right = np.mean([ratio > limit and name == remedy for ratio, name in answers])
+        other = np.mean([ratio > limit and name != remedy for ratio, name in answers])
         cells.append(f"{100 * right:4.0f} ({100 * other:.0f})")
     print(f"{label:<22}{len(cases):>5}{100 * false:7.1f} {''.join(f'{c:>9}' for c in cells)}")
 
@@ -185,24 +185,24 @@ def main() -> None:
     groups: dict[str, list[Array]] = {"narrow": [], "wide": [], "paced": []}
     t_waves: dict[str, list[Array]] = {"QRS replaced by lines": [], "between two QRS": []}
     for seed in range(first, first + arguments.count):
-        one = case(seed)
-        found = recorded(one)
-        if found is not None:
-            groups[found[0]].append(found[1])
-        if (found is not None and found[0] == "paced") or seed % 4:
+        synthetic = case(seed)
+        group_and_qrs = recorded(synthetic)
+        if group_and_qrs is not None:
+            groups[group_and_qrs[0]].append(group_and_qrs[1])
+        if (group_and_qrs is not None and group_and_qrs[0] == "paced") or seed % 4:
             continue  # spikes are QRS enough; T waves of every fourth are enough
-        for label, alone, noise in zip(t_waves, without_qrs(one), (None, 0.03), strict=True):
+        for label, alone, noise in zip(t_waves, without_qrs(synthetic), (None, 0.03), strict=True):
             with contextlib.suppress(InputError):
                 t_waves[label].append(fascicle.make_target(alone, noise=noise).qrs)
-    every = [qrs for group in groups.values() for qrs in group]
+    complexes = [qrs for group in groups.values() for qrs in group]
     groups["displaced"] = [displaced(seed) for seed in range(first, first + arguments.displaced)]
     names = "".join(f"{remedy.split()[1]:>9}" for remedy in FAULTS)
     print(f"{'found, %':<22}{'n':>5}{'false':>7} {names}   (V1 ...: upside down)")
     for label, cases in groups.items():
         report(label, cases, by_check)
-    report("all", [*every, *groups["displaced"]], by_check)
-    report("all, by neighbours", [*every, *groups["displaced"]], by_neighbours)
-    report_speed("QRS", every)
+    report("all", [*complexes, *groups["displaced"]], by_check)
+    report("all, by neighbours", [*complexes, *groups["displaced"]], by_neighbours)
+    report_speed("QRS", complexes)
     for label, beats in t_waves.items():
         report_speed(label, beats)
 

@@ -1,4 +1,4 @@
-"""How well an ECG tells conduction states apart: truths of each, of another physics.
+"""Discrimination of conduction states by an ECG: truths of each state, of another physics.
 
     python -m benchmarks.conduction_states --heart HEART --out FOLDER [--physics 34] [--fits 0]
                                            [--noise TARGET] [--tuning] [--processes 1]
@@ -69,42 +69,40 @@ from fascicle.forward.model import ForwardModel
 from fascicle.recording.target_files import read_target, write_target
 from fascicle.reporting.style import new_figure, save
 from fascicle.study.conduction_states import STATES
+from fascicle.study.heart_emulator import usual_prior
 from fascicle.study.pool import Threads
+from fascicle.study.prior import Prior
 from fascicle.study.settings import FitSettings
-from fascicle.study.simulator import PointSimulator
-from fascicle.study.space import study_space
 from fascicle.study.state_classifier import classifier_of, probabilities, simulations_of_states
 
 NAMES = tuple(state.name for state in STATES)
 NETWORKS = 3  # of each state in a physics
 BINS = np.linspace(0, 1, 11)
-LEAST_PROBABLE = 1e-3  # what a probability is taken for at least in a logarithmic score
+LEAST_PROBABLE = 1e-3  # lower bound of probabilities in a logarithmic score
 SURE = 0.9
 
 
-def truths_of(number: int, given: argparse.Namespace) -> None:
+def truths_of(number: int, options: argparse.Namespace) -> None:
     """Make the recordings of a draw of another physics."""
     paths = [
-        [given.out / f"{number:03d}-{network}-{state}.nc" for state in range(len(STATES))]
+        [options.out / f"{number:03d}-{network}-{state}.nc" for state in range(len(STATES))]
         for network in range(NETWORKS)
     ]
     if all(path.exists() for row in paths for path in row):
         return
     threadpool_limits(1)
-    gc.collect()  # of the last draw: gigabytes
-    rng = np.random.default_rng([TUNING if given.tuning else HELD_OUT, number, 1])
-    heart = fascicle.load_heart(given.heart)
+    gc.collect()  # frees the gigabytes of the last draw
+    rng = np.random.default_rng([TUNING if options.tuning else HELD_OUT, number, 1])
+    heart = fascicle.load_heart(options.heart)
     plain, axis = ForwardModel(heart), longest_axis(heart)
-    mesh = fascicle.load_heart if given.own_mesh else finer
-    model, space, fixed = other_physics(given.heart, rng, mesh)
-    noise = None if given.noise is None else residuals(read_target(given.noise))
+    mesh = fascicle.load_heart if options.own_mesh else finer
+    model, space, fixed = other_physics(options.heart, rng, mesh)
+    noise = None if options.noise is None else residuals(read_target(options.noise))
     for row in paths:
         for state, path in zip(STATES, row, strict=True):
-            own = state.narrowed(space, fixed)
-            assert own is not None
-            mapped = state.is_mapped({*own.names, *fixed})
-            point, simulation = truth_of(model, own, fixed | state.blocks, rng, mapped)
-            values = {**fixed, **state.blocks, **own.from_unit(point)}
+            prior = Prior(space, fixed).narrowed(state)
+            point, simulation = truth_of(model, prior.space, prior.fixed, rng, prior.mapped)
+            values = prior.from_unit(point)
             true = predicted_and_map(simulation, model.simulate(fired_together(values)), axis)
             if heart.lead_fields is not None:
                 simulation = another_torso(plain, simulation, len(heart.vertices), rng, values)
@@ -114,41 +112,41 @@ def truths_of(number: int, given: argparse.Namespace) -> None:
             write_target(target, path)
 
 
-def classified(paths: list[Path], given: argparse.Namespace) -> list[dict[str, Any]]:
-    """What the classifier of a heart says of recordings, and the conventional criteria."""
-    heart = fascicle.load_heart(given.classifier or given.heart)
+def classified(paths: list[Path], options: argparse.Namespace) -> list[dict[str, Any]]:
+    """State probabilities of recordings by a heart's classifier, and the conventional criteria."""
+    heart = fascicle.load_heart(options.classifier or options.heart)
     assert heart.folder is not None
-    space, fixed = study_space("posterior", {}, heart)
-    simulator = PointSimulator(ForwardModel(heart), space, fixed)
-    count = FitSettings().prior_simulations
-    known = simulations_of_states(simulator, heart.folder, count)
-    rows, pool = np.array(INDEPENDENT_ROWS), Threads(given.processes)
+    model, count = ForwardModel(heart), FitSettings().prior_simulations
+    simulations = simulations_of_states(model, usual_prior(heart), heart.folder, count)
+    rows, pool = np.array(INDEPENDENT_ROWS), Threads(options.processes)
     with TerminalProgress() as progress:
-        classifier = classifier_of(known, rows, heart.folder, count, pool, progress)
+        classifier = classifier_of(simulations, rows, heart.folder, count, pool, progress)
     priors = dict.fromkeys(NAMES, 1.0)
-    found = []
+    classifications = []
     for path in paths:
         target = read_target(path)
-        found.append(
+        classifications.append(
             {
                 "physics": path.stem[:3],
                 "state": NAMES[int(path.stem[-1])],
-                "states": probabilities(classifier, known, priors, target),
-                "criteria": [each.name for each in target.conventional_criteria if each.met],
+                "states": probabilities(classifier, simulations, priors, target),
+                "criteria": [
+                    criterion.name for criterion in target.conventional_criteria if criterion.met
+                ],
             }
         )
-    return found
+    return classifications
 
 
-def one_fit(path: Path, given: argparse.Namespace) -> None:
-    """Fit a recording, and keep what its first line says."""
+def one_fit(path: Path, options: argparse.Namespace) -> None:
+    """Fit a recording, and keep its verdict and the ranks of the truth."""
     result = path.with_suffix(".json")
     if result.exists():
         return
     threadpool_limits(1)
     begun = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        fitted = fascicle.fit(given.heart, path, Path(folder) / "study", workers=1, progress=None)
+        fitted = fascicle.fit(options.heart, path, Path(folder) / "study", workers=1, progress=None)
         seconds = time.perf_counter() - begun
         networks = fitted.networks(None)
     with np.load(path.with_suffix(".npz")) as kept:
@@ -156,7 +154,7 @@ def one_fit(path: Path, given: argparse.Namespace) -> None:
     rng, simulator = np.random.default_rng(0), fitted.simulator
     some = [networks[k] for k in rng.permutation(len(networks))[:MAPPED]]
     axis = longest_axis(simulator.model.heart)
-    said = {
+    summary = {
         **places(simulator, fitted.population, some, true, axis, rng),
         "verdict": fitted.verdict,
         "explained": None if fitted.checks is None else fitted.checks.explained,
@@ -164,7 +162,7 @@ def one_fit(path: Path, given: argparse.Namespace) -> None:
         "failures": [] if fitted.checks is None else fitted.checks.failures,
         "seconds": seconds,
     }
-    write_text(result, json.dumps(said, indent=1) + "\n")
+    write_text(result, json.dumps(summary, indent=1) + "\n")
 
 
 def summarise_fits(fits: list[dict[str, Any]]) -> None:
@@ -196,18 +194,18 @@ def summarise(results: list[dict[str, Any]], folder: Path) -> None:
     """Print the tables and draw the figure."""
     print(f"{'':<56}" + " ".join(f"{number:>5}" for number in range(len(NAMES))) + "   first")
     for number, name in enumerate(NAMES):
-        its = [r["states"] for r in results if r["state"] == name]
-        if its:
-            means = " ".join(f"{np.mean([p[other] for p in its]):5.2f}" for other in NAMES)
-            first = np.mean([max(p, key=p.__getitem__) == name for p in its])
-            print(f"{number} {name:<54}{means}   {first:4.0%} of {len(its)}")
+        of_state = [r["states"] for r in results if r["state"] == name]
+        if of_state:
+            means = " ".join(f"{np.mean([p[other] for p in of_state]):5.2f}" for other in NAMES)
+            first = np.mean([max(p, key=p.__getitem__) == name for p in of_state])
+            print(f"{number} {name:<54}{means}   {first:4.0%} of {len(of_state)}")
     scored(results, folder / "states.png")
     print(f"logarithmic score by the conventional criteria: {score_of_criteria(results):.2f}")
     for name in NAMES:
-        its = [r["criteria"] for r in results if r["state"] == name]
-        met = Counter(criterion for criteria in its for criterion in criteria)
-        said = ", ".join(f"{criterion} {count}" for criterion, count in met.most_common())
-        print(f"criteria met by {len(its)} of {name}: {said or 'none'}")
+        of_state = [r["criteria"] for r in results if r["state"] == name]
+        met = Counter(criterion for criteria in of_state for criterion in criteria)
+        counts = ", ".join(f"{criterion} {count}" for criterion, count in met.most_common())
+        print(f"criteria met by {len(of_state)} of {name}: {counts or 'none'}")
 
 
 def scored(results: list[dict[str, Any]], path: Path) -> None:
@@ -230,36 +228,37 @@ def scored(results: list[dict[str, Any]], path: Path) -> None:
     figure = new_figure(4.0, 4.0)
     axes = figure.subplots()
     axes.plot([0, 1], [0, 1], color="0.6", linewidth=0.8)
-    there = counts > 0
+    filled = counts > 0
     error_bars = np.sqrt(share * (1 - share) / np.maximum(counts, 1))
-    axes.errorbar(mean[there], share[there], error_bars[there], fmt="o")
+    axes.errorbar(mean[filled], share[filled], error_bars[filled], fmt="o")
     axes.set_xlabel("probability stated of a state")
     axes.set_ylabel("share of truths that are of it")
     save(figure, path)
 
 
 def score_of_criteria(results: list[dict[str, Any]]) -> float:
-    """Logarithmic score of what states recordings of other physics had that met the same criteria.
+    """Logarithmic score of the states of recordings of other physics that met the same criteria.
 
-    With one more of each state, so that none is impossible.
+    One recording of each state is added, so that no state is impossible.
     """
     logs = []
-    for one in results:
+    for recording in results:
         alike = [
             other["state"]
             for other in results
-            if other["criteria"] == one["criteria"] and other["physics"] != one["physics"]
+            if other["criteria"] == recording["criteria"]
+            and other["physics"] != recording["physics"]
         ]
-        logs.append(np.log((alike.count(one["state"]) + 1) / (len(alike) + len(NAMES))))
+        logs.append(np.log((alike.count(recording["state"]) + 1) / (len(alike) + len(NAMES))))
     return float(np.mean(logs))
 
 
 def binned(stated: np.ndarray, true: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of each bin: how many probabilities, their mean, and the share of truths."""
+    """Number of probabilities in each bin, their mean, and the share of truths."""
     place = np.clip(np.digitize(stated, BINS) - 1, 0, len(BINS) - 2)
     counts = np.bincount(place, minlength=len(BINS) - 1)
-    sums = (np.bincount(place, each, len(BINS) - 1) for each in (stated, true))
-    mean, share = (each / np.maximum(counts, 1) for each in sums)
+    sums = (np.bincount(place, values, len(BINS) - 1) for values in (stated, true))
+    mean, share = (total / np.maximum(counts, 1) for total in sums)
     return counts, mean, share
 
 
@@ -274,22 +273,22 @@ def main() -> None:
     parser.add_argument("--tuning", action="store_true")
     parser.add_argument("--classifier", help="heart; by default the same")
     parser.add_argument("--own-mesh", action="store_true", help="for hearts of many vertices")
-    given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
     with TerminalProgress() as progress:
-        make = partial(truths_of, given=given)
-        in_processes(make, range(given.physics), given.processes, progress, "truths")
-    paths = sorted(given.out.glob("*.nc"))
-    summarise(classified(paths, given), given.out)
-    if given.fits:
-        every = range(given.fits)
+        make = partial(truths_of, options=options)
+        in_processes(make, range(options.physics), options.processes, progress, "truths")
+    paths = sorted(options.out.glob("*.nc"))
+    summarise(classified(paths, options), options.out)
+    if options.fits:
+        numbers = range(options.fits)
         chosen = [
-            given.out / f"{k % given.physics:03d}-{k // given.physics}-{k % len(NAMES)}.nc"
-            for k in every
+            options.out / f"{k % options.physics:03d}-{k // options.physics}-{k % len(NAMES)}.nc"
+            for k in numbers
         ]
         with TerminalProgress() as progress:
-            fit = partial(one_fit, given=given)
-            in_processes(fit, chosen, given.processes, progress, "fits")
+            fit = partial(one_fit, options=options)
+            in_processes(fit, chosen, options.processes, progress, "fits")
         fits = [json.loads(path.with_suffix(".json").read_text()) for path in chosen]
         summarise_fits(fits)
 

@@ -64,20 +64,20 @@ def main() -> None:
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--networks", type=int, default=4096)
     parser.add_argument("--workers", type=int, default=os.cpu_count())
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     try:
-        model = ForwardModel(load_heart(given.heart))
-        backend = GpuBackend(given.device)
+        model = ForwardModel(load_heart(arguments.heart))
+        backend = GpuBackend(arguments.device)
     except InputError as error:
         parser.error(str(error))
-    print(f"{model}, {given.networks} networks")
+    print(f"{model}, {arguments.networks} networks")
     ms, mv = differences(model, backend)
     print(f"largest differences of {COMPARED}: {ms:.2g} ms, {mv:.2g} mV")
-    with ThreadPoolExecutor(given.workers) as executor:
-        cores = rate(lambda networks: model.simulate_many(networks, executor), given.networks)
-    card = rate(lambda networks: list(backend.signals(model, networks)), given.networks)
-    print(f"{given.workers} cores: {cores:.1f} networks a second")
-    print(f"{given.device}: {card:.1f} networks a second, {card / cores:.2f} times as many")
+    with ThreadPoolExecutor(arguments.workers) as executor:
+        cores = rate(lambda networks: model.simulate_many(networks, executor), arguments.networks)
+    card = rate(lambda networks: list(backend.signals(model, networks)), arguments.networks)
+    print(f"{arguments.workers} cores: {cores:.1f} networks a second")
+    print(f"{arguments.device}: {card:.1f} networks a second, {card / cores:.2f} times as many")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How far the computed ECG is from the exact one of the same activation, by source of error.
+"""Error of the computed ECG against the exact one of the same activation, by source.
 
     python -m benchmarks.ecg_error --data CRTDEMO_FOLDER
 
@@ -57,7 +57,7 @@ class ActivatedMesh:
     activation: Array
 
     def refined(self) -> ActivatedMesh:
-        """Each tetrahedron in eight, numbered together; the activation stays the same field."""
+        """Mesh with each tetrahedron cut in eight, numbered together; the activation stays."""
         finer = in_eight(self.vertices, self.corners)
         return ActivatedMesh(
             finer.vertices,
@@ -67,7 +67,7 @@ class ActivatedMesh:
         )
 
     def electrocardiograph(self, gradients: Array) -> Electrocardiograph:
-        """As `ForwardModel` builds it, from the electrodes' lead fields in each element."""
+        """Electrocardiograph as in `ForwardModel`, from lead-field gradients in each element."""
         return build_electrocardiograph(
             self.corners,
             barycentric_gradients(self.vertices, self.corners),
@@ -100,9 +100,9 @@ class ActivatedMesh:
         return self.electrocardiograph(gradients).leads(self.activation)
 
 
-def norm_difference(found: Array, reference: Array) -> float:
+def norm_difference(leads: Array, reference: Array) -> float:
     """L2 norm over leads and time of the difference, as a part of the reference's."""
-    return float(np.linalg.norm(found - reference) / np.linalg.norm(reference))
+    return float(np.linalg.norm(leads - reference) / np.linalg.norm(reference))
 
 
 def errors(mesh: ActivatedMesh, electrodes: Array) -> dict[str, tuple[float, float]]:
@@ -127,8 +127,11 @@ def errors(mesh: ActivatedMesh, electrodes: Array) -> dict[str, tuple[float, flo
         "1 ms samples, cubic between": (_between(_cubic, fine), fine),
     }  # fmt: skip
     return {
-        name: (norm_difference(found, reference), float(np.abs(found - reference).max()))
-        for name, (found, reference) in pairs.items()
+        name: (
+            norm_difference(approximate, reference),
+            float(np.abs(approximate - reference).max()),
+        )
+        for name, (approximate, reference) in pairs.items()
     }
 
 
@@ -145,7 +148,7 @@ def _cubic(at: Array, times: Array, values: Array) -> Array:
 
 
 def _between(interpolate: Callable[[Array, Array, Array], Array], fine: Array) -> Array:
-    """What interpolation makes of every eighth sample."""
+    """Samples interpolated from every eighth of them."""
     times = np.arange(fine.shape[1]) / SUBSAMPLES
     kept = slice(None, None, SUBSAMPLES)
     return np.array([interpolate(times, times[kept], lead[kept]) for lead in fine])

@@ -1,4 +1,4 @@
-"""How far computed activation times are from exact or finer ones.
+"""Error of computed activation times against exact or finer ones.
 
     python -m benchmarks.eikonal_error [--data CRTDEMO_FOLDER]
 
@@ -72,7 +72,7 @@ def conduction() -> Conduction:
 
 
 def straight(centroids: Array) -> Array:
-    """The same oblique fibre everywhere."""
+    """Parallel oblique fibres."""
     return np.tile(np.array([2.0, 1.0, 0.7]) / np.linalg.norm([2.0, 1.0, 0.7]), (len(centroids), 1))
 
 
@@ -135,7 +135,7 @@ def straight_times(vertices: Array, points: Array, times: npt.ArrayLike, fibre: 
 
 
 def cube_errors(cell: float) -> Iterator[tuple[str, Array]]:
-    """One source with rays and without, then many, against the exact times."""
+    """Errors of a source with rays and without, then of many sources, against exact times."""
     heart = block(CUBE, cell, straight)
     myocardium, fibre = build_myocardium(heart, conduction()), straight(np.zeros((1, 3)))[0]
     rng = np.random.default_rng(1)
@@ -217,9 +217,9 @@ def heart_errors(folder: Path) -> Iterator[tuple[str, Array]]:
             }
         )
     for rhythm in rhythms:
-        times = [each[rhythm] for each in solved]
-        for (k, one), (_, other) in pairwise(enumerate(times)):
-            yield f"crtdemo, {rhythm}, x{8**k} to x{8 ** (k + 1)}", one - other
+        times = [activations[rhythm] for activations in solved]
+        for (k, coarse), (_, fine) in pairwise(enumerate(times)):
+            yield f"crtdemo, {rhythm}, x{8**k} to x{8 ** (k + 1)}", coarse - fine
         yield f"crtdemo, {rhythm}, x1 to x64", times[0] - times[-1]
 
 

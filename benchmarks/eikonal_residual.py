@@ -1,4 +1,4 @@
-"""How far a computed activation is from solving the discrete anisotropic eikonal equation.
+"""Residual of a computed activation in the discrete anisotropic eikonal equation.
 
 NumPy only, so that the two environments of the forward benchmark measure themselves alike.
 """

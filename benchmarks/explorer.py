@@ -1,4 +1,4 @@
-"""How fast the explorer's page follows a hand, and whether it stays well while somebody plays.
+"""Response time of the explorer's page to its controls, and its stability in random play.
 
     python -m benchmarks.explorer [--heart camps-dti004] [--moves 100] [--minutes 0]
 
@@ -73,13 +73,13 @@ def play(page: Page, rng: np.random.Generator, names: list[str]) -> None:
 
 
 def memory(page: Page, server: int) -> tuple[float, float]:
-    """What page and server hold (MB)."""
+    """Memory of page and server (MB)."""
     page.request_gc()
     held = page.evaluate("performance.memory.usedJSHeapSize") / 1e6
     status = Path(f"/proc/{server}/status").read_text()
-    found = re.search(r"VmRSS:\s+(\d+)", status)
-    assert found is not None
-    return float(held), int(found[1]) / 1e3
+    resident = re.search(r"VmRSS:\s+(\d+)", status)
+    assert resident is not None
+    return float(held), int(resident[1]) / 1e3
 
 
 def main() -> None:
@@ -87,17 +87,17 @@ def main() -> None:
     parser.add_argument("--heart", default="camps-dti004")
     parser.add_argument("--moves", type=int, default=100)
     parser.add_argument("--minutes", type=float, default=0.0)
-    given = parser.parse_args()
-    command = [sys.executable, "-m", "fascicle.cli", "explore", given.heart, "--no-browser"]
+    arguments = parser.parse_args()
+    command = [sys.executable, "-m", "fascicle.cli", "explore", arguments.heart, "--no-browser"]
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert server.stdout is not None
     url = server.stdout.readline().split()[-1]
-    said: list[str] = []
+    messages: list[str] = []
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=WEBGL)
         page = browser.new_context(bypass_csp=True).new_page()
-        page.on("console", lambda message: said.append(message.text))
-        page.on("pageerror", lambda error: said.append(str(error)))
+        page.on("console", lambda message: messages.append(message.text))
+        page.on("pageerror", lambda error: messages.append(str(error)))
         page.goto(url)
         settled(page)
         # tissue is prepared on release, and the torso's lead fields take minutes: not measured
@@ -105,14 +105,16 @@ def main() -> None:
             "explorer.said.groups.slice(0, 2).flatMap((g) => g.sliders).map(({ name }) => name)"
         )
         for name in names:
-            found = latencies(page, name, given.moves)
-            print(f"{name:<22}{np.median(found):6.0f}{np.quantile(found, 0.9):6.0f}", flush=True)
-        report_play(page, server.pid, names, given.minutes, said)
+            times = latencies(page, name, arguments.moves)
+            print(f"{name:<22}{np.median(times):6.0f}{np.quantile(times, 0.9):6.0f}", flush=True)
+        report_play(page, server.pid, names, arguments.minutes, messages)
         browser.close()
     server.wait()
 
 
-def report_play(page: Page, server: int, names: list[str], minutes: float, said: list[str]) -> None:
+def report_play(
+    page: Page, server: int, names: list[str], minutes: float, messages: list[str]
+) -> None:
     rng, until = np.random.default_rng(0), time.monotonic() + 60 * minutes
     began: Any = None
     while time.monotonic() < until:
@@ -122,9 +124,9 @@ def report_play(page: Page, server: int, names: list[str], minutes: float, said:
     if began is not None:
         settled(page)
         shown, ended = page.evaluate("explorer.number"), memory(page, server)
-        print(f"{minutes:g} minutes: {shown} beats; {len(said)} errors {said[:3]}")
-        for what, before, after in zip(("page", "server"), began, ended, strict=True):
-            print(f"{what} {before:.0f} to {after:.0f} MB")
+        print(f"{minutes:g} minutes: {shown} beats; {len(messages)} errors {messages[:3]}")
+        for process, before, after in zip(("page", "server"), began, ended, strict=True):
+            print(f"{process} {before:.0f} to {after:.0f} MB")
 
 
 if __name__ == "__main__":

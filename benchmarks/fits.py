@@ -1,4 +1,4 @@
-"""What fits to real ECGs give, by both methods.
+"""Fits to real ECGs by both methods.
 
     python -m benchmarks.fits --data DATA_FOLDER
                               [--only demo|ludb23|ludb24|ludb119|ptb|dti004|dti004-body|
@@ -122,11 +122,11 @@ CASES = {
 
 
 def row(name: str, fitted: FittedStudy, seconds: float) -> str:
-    """One line of the table."""
+    """Row of the table."""
     recording, best = fitted.recordings[0], fitted.best_network
     target, used = recording.target, recording.compared
     leads = zip(target.qrs[used], best.predicted[used][:, target.qrs_samples], strict=True)
-    correlation = np.mean([np.corrcoef(one, other)[0, 1] for one, other in leads])
+    correlation = np.mean([np.corrcoef(recorded, simulated)[0, 1] for recorded, simulated in leads])
     population = fitted.population
     effective = population.effective.sum() if isinstance(population, Posterior) else len(population)
     return (
@@ -144,15 +144,17 @@ def main() -> None:
     parser.add_argument("--only", choices=list(CASES), action="append")
     parser.add_argument("--method", choices=["posterior", "paper"], action="append")
     parser.add_argument("--seeds", type=int, default=1)
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     print(
         f"{'':<17} {'method':<9} {'flat':>6} {'best':>6} {'corr':>5} {'QRS':>4} {'best':>4} "
         f"{'evals':>6} {'eff':>5} {'s':>6}"
     )
-    for name in given.only or CASES:
+    for name in arguments.only or CASES:
         case = CASES[name]
-        heart, target = case.heart(given.data, given.out), case.target(given.data)
-        for method, seed in product(given.method or ("posterior", "paper"), range(given.seeds)):
+        heart, target = case.heart(arguments.data, arguments.out), case.target(arguments.data)
+        for method, seed in product(
+            arguments.method or ("posterior", "paper"), range(arguments.seeds)
+        ):
             begin = time.perf_counter()
             settings: dict[str, Any] = {"parameters": case.parameters}
             if method == "paper":
@@ -161,7 +163,7 @@ def main() -> None:
                 settings["parameters"] = {"conduction": "normal", **case.parameters}
             with TerminalProgress() as progress:
                 fitted = fascicle.fit(
-                    heart, target, given.out / f"{name}-{method}-{seed}", method=method,
+                    heart, target, arguments.out / f"{name}-{method}-{seed}", method=method,
                     seed=seed, progress=progress, **settings,
                 )  # fmt: skip
             print(row(name, fitted, time.perf_counter() - begin), flush=True)

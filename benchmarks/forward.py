@@ -1,4 +1,4 @@
-"""One forward simulation, root times to ECG: fascicle against the published way of doing it.
+"""A forward simulation, root times to ECG: fascicle against the published way of doing it.
 
     python -m benchmarks.forward --data CRTDEMO_FOLDER --baseline-python BASELINE/bin/python
     python -m benchmarks.forward --data CRTDEMO_FOLDER --make-baseline BASELINE
@@ -280,8 +280,8 @@ def print_table(fascicle: Report | None, baseline: Report | None) -> None:
 
 
 def _print_row(label: str, fascicle: float | None, baseline: float | None) -> None:
-    known = fascicle is not None and baseline is not None
-    ratio = f"{baseline / fascicle:.1f}" if known else "-"
+    both = fascicle is not None and baseline is not None
+    ratio = f"{baseline / fascicle:.1f}" if both else "-"
     print(f"{label:<42}{_shown(fascicle):>12}{_shown(baseline):>12}{ratio:>9}")
 
 

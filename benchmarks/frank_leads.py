@@ -36,31 +36,31 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--heart", default="default")
     parser.add_argument("--effective", type=int, default=300)
-    given = parser.parse_args()
-    folder = given.out / "heart"
+    arguments = parser.parse_args()
+    folder = arguments.out / "heart"
     if not (folder / MANIFEST).exists():
-        write_heart(add_electrodes(given.heart, [*FRANK]), folder)
+        write_heart(add_electrodes(arguments.heart, [*FRANK]), folder)
     heart = fascicle.load_heart(folder)
-    whole = make_target(read_recording(given.recording)).in_leads(heart.leads)
-    twelve = make_target(read_recording(given.recording, leads=LEADS))
+    whole = make_target(read_recording(arguments.recording)).in_leads(heart.leads)
+    twelve = make_target(read_recording(arguments.recording, leads=LEADS))
     fitted = fascicle.fit(
-        heart, twelve, given.out / "study", effective=given.effective,
+        heart, twelve, arguments.out / "study", effective=arguments.effective,
         parameters={"conduction": "normal"},
     )  # fmt: skip
-    found = agreement(whole, fitted.networks())
+    agreed = agreement(whole, fitted.networks())
     print(fitted.verdict)
     regressed = vectorcardiogram(whole.qrs[: len(LEADS)])
     print(f"{'lead':<6}{'':<11}{'r':>7}{'explained':>11}{'Kors, r':>10}{'explained':>11}")
-    for row, lead in enumerate(found.leads):
-        what = "predicted" if lead in FRANK else "fitted"
-        line = f"{lead:<6}{what:<11}{found.correlation[row]:7.2f}{found.explained[row]:11.0%}"
+    for row, lead in enumerate(agreed.leads):
+        kind = "predicted" if lead in FRANK else "fitted"
+        line = f"{lead:<6}{kind:<11}{agreed.correlation[row]:7.2f}{agreed.explained[row]:11.0%}"
         if lead in FRANK:
             recorded, other = whole.qrs[row], regressed[[*FRANK].index(lead)]
             explained = 1 - ((recorded - other) ** 2).sum() / (recorded**2).sum()
             line += f"{pearson(recorded, other):10.2f}{explained:11.0%}"
         print(line)
-    left = [1 - np.mean(part) for part in np.split(found.explained, [len(LEADS)])]
-    print(f"variance unexplained, Frank's leads over the twelve: {left[1] / left[0]:.2f}")
+    missed = [1 - np.mean(part) for part in np.split(agreed.explained, [len(LEADS)])]
+    print(f"variance unexplained, Frank's leads over the twelve: {missed[1] / missed[0]:.2f}")
 
 
 if __name__ == "__main__":

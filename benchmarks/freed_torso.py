@@ -1,4 +1,4 @@
-"""A network found in the torso as it is, and what freeing the torso gains from there.
+"""Gain of freeing the torso, from a network that was fitted in the torso as it is.
 
     python -m benchmarks.freed_torso STUDY [--free pose electrodes] [--generations 100] [--seed 0]
 
@@ -31,34 +31,39 @@ def main() -> None:
     parser.add_argument("--free", nargs="+", default=["pose", "electrodes"])
     parser.add_argument("--generations", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
-    rng = np.random.default_rng(given.seed)
-    fitted = fascicle.load_study(given.study)
-    known = [record.evaluation for record in fitted.study.records()]
-    names = [name for group in given.free for name in GROUPS.get(group, (group,))]
-    learnt = fitted.simulator.space
+    arguments = parser.parse_args()
+    rng = np.random.default_rng(arguments.seed)
+    fitted = fascicle.load_study(arguments.study)
+    earlier = [record.evaluation for record in fitted.study.records()]
+    names = [name for group in arguments.free for name in GROUPS.get(group, (group,))]
+    prior = fitted.simulator.prior
     torso = ParameterSpace(tuple(free(name) for name in names))
-    space = ParameterSpace((*learnt.parameters, *torso.parameters))
-    simulator = replace(fitted.simulator, space=space)
-    networks = spread(known)
+    space = ParameterSpace((*prior.learnt.parameters, *torso.parameters))
+    prior = replace(prior, space=space, states={})
+    simulator = replace(fitted.simulator, prior=prior)
+    networks = spread(earlier)
     torsos = rng.random((len(networks), len(torso)))
     torsos[0] = torso.to_unit({name: QUANTITIES[name].default for name in torso.names})
     points = list(np.hstack([networks, torsos]))
     starts = list(evaluate(simulator, fitted.recordings, points))
-    found = list(starts)
+    evaluated = list(starts)
 
     def objective(points):
         evaluations = list(evaluate(simulator, fitted.recordings, points))
-        found.extend(evaluations)
+        evaluated.extend(evaluations)
         return evaluations
 
     with TerminalProgress() as progress:
         refine(
-            rng, starts, objective, given.generations, stage_progress(progress, "refinement", "")
+            rng,
+            starts,
+            objective,
+            arguments.generations,
+            stage_progress(progress, "refinement", ""),
         )
-    best = best_of(found)
-    print(f"flat line {fitted.null_loss:.3f}, torso as it is {best_of(known).loss:.3f}, "
-          f"freed {best.loss:.3f} mV² after {given.generations} generations")  # fmt: skip
+    best = best_of(evaluated)
+    print(f"flat line {fitted.null_loss:.3f}, torso as it is {best_of(earlier).loss:.3f}, "
+          f"freed {best.loss:.3f} mV² after {arguments.generations} generations")  # fmt: skip
     values = space.from_unit(best.point)
     for name in (n for n in (*DELAY, *TORSO_QUANTITIES) if n in values):
         print(f"{name} {fitted.population.best.get(name, 0.0):.3f} -> {values[name]:.3f}")

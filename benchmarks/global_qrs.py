@@ -61,8 +61,8 @@ class Marks:
 
     @property
     def beats(self) -> int:
-        """How many QRS complexes are marked, in whichever leads."""
-        peaks = np.sort(np.concatenate([each[:, 1] for each in self.qrs.values()]))
+        """Number of marked QRS complexes, in whichever leads."""
+        peaks = np.sort(np.concatenate([marks[:, 1] for marks in self.qrs.values()]))
         return int(1 + (np.diff(peaks) > SAME_BEAT).sum())
 
     def ends(self, r_times: Array) -> tuple[float, float] | None:
@@ -88,11 +88,11 @@ def manual_marks(stem: Path) -> Marks:
     """Read the twelve annotation files of a record."""
     import wfdb
 
-    qrs, every = {}, []
+    qrs, all_times = {}, []
     for lead in LEADS:
-        found = wfdb.rdann(str(stem), lead.lower())
-        times, symbols = 1000.0 * found.sample / found.fs, found.symbol
-        every += list(times)
+        annotation = wfdb.rdann(str(stem), lead.lower())
+        times, symbols = 1000.0 * annotation.sample / annotation.fs, annotation.symbol
+        all_times += list(times)
         qrs[lead] = np.array(
             [
                 times[k : k + 3]
@@ -100,7 +100,7 @@ def manual_marks(stem: Path) -> Marks:
                 if symbols[k : k + 3] == ["(", "N", ")"]
             ]
         ).reshape(-1, 3)
-    return Marks(qrs, min(every), max(every))
+    return Marks(qrs, min(all_times), max(all_times))
 
 
 def r_times(recording: Recording, target: Target) -> Array:
@@ -109,14 +109,14 @@ def r_times(recording: Recording, target: Target) -> Array:
     rows, inside = np.flatnonzero(target.used), target.qrs_samples
     shape = (target.qrs - target.qrs.mean(axis=1, keepdims=True))[rows]
     width, begin = shape.shape[1], int(target.time[inside.start])
-    found = []
+    times = []
     for peak in r_peaks(signal, 1000.0):
         near = range(peak + begin - REACH, peak + begin + REACH + 1)
         starts = [start for start in near if 0 <= start < signal.shape[1] - width]
         if starts:
             scores = [np.sum(signal[rows, start : start + width] * shape) for start in starts]
-            found.append(float(starts[int(np.argmax(scores))] - begin))
-    return np.array(found)
+            times.append(float(starts[int(np.argmax(scores))] - begin))
+    return np.array(times)
 
 
 def read_record(header: Path) -> Recording:
@@ -131,8 +131,8 @@ def read_record(header: Path) -> Recording:
 def records(folder: Path) -> Iterator[Path]:
     """Headers of the records with annotations, by number."""
     headers = [path for path in folder.glob("*.hea") if path.stem.isdecimal()]
-    found = [path for path in headers if path.with_suffix(".v6").exists()]
-    yield from sorted(found, key=lambda path: int(path.stem))
+    annotated = [path for path in headers if path.with_suffix(".v6").exists()]
+    yield from sorted(annotated, key=lambda path: int(path.stem))
 
 
 def errors(analysis: Analysis, marks: Marks) -> Array | None:
@@ -143,7 +143,7 @@ def errors(analysis: Analysis, marks: Marks) -> Array | None:
         return None
     window = np.array([target.qrs_onset, target.qrs_offset]) - marked
     outermost = np.array(target.global_qrs) - marked
-    return np.array([[*each, each[1] - each[0]] for each in (window, outermost)])
+    return np.array([[*ends, ends[1] - ends[0]] for ends in (window, outermost)])
 
 
 def report(label: str, off: Array) -> None:
@@ -151,7 +151,7 @@ def report(label: str, off: Array) -> None:
     print(f"{label}, n = {len(off)}: found less true (ms), mean ± standard deviation")
     print(f"{'':<28}{'onset':<16}{'offset':<16}{'duration':<16}")
     for row, name in enumerate(("window, all leads together", "global QRS, outermost leads")):
-        cells = [f"{each.mean():6.1f} ±{each.std():5.1f}" for each in off[:, row].T]
+        cells = [f"{column.mean():6.1f} ±{column.std():5.1f}" for column in off[:, row].T]
         print(f"{name:<28}" + "".join(f"{cell:<16}" for cell in cells))
 
 
@@ -167,9 +167,9 @@ def on_records(folder: Path) -> None:
             refused.append(str(error))
             continue
         times = 1000.0 * np.array([beat.time for beat in analysis.beats])
-        found = int(((times >= marks.first) & (times <= marks.last)).sum())
-        if found != marks.beats:
-            miscounted.append(f"{header.stem}: {found} beats found, {marks.beats} marked")
+        count = int(((times >= marks.first) & (times <= marks.last)).sum())
+        if count != marks.beats:
+            miscounted.append(f"{header.stem}: {count} beats found, {marks.beats} marked")
         found_errors = errors(analysis, marks)
         if found_errors is None:
             refused.append(f"{header.stem}: no lead is marked in {FEWEST} beats")

@@ -1,4 +1,4 @@
-"""How much of a tree is the mesh: growth on endocardia refined fourfold and again.
+"""Effect of the mesh on a tree: growth on endocardia refined fourfold and again.
 
     python -m benchmarks.growth_refinement --data CRTDEMO_FOLDER
 
@@ -74,7 +74,7 @@ class Difference:
 
 
 def refined(endocardium: Endocardium) -> Endocardium:
-    """Each triangle cut into four at its edges' midpoints; old vertices keep their numbers."""
+    """Endocardium with triangles cut into four at edge midpoints; vertices keep their numbers."""
     triangles = endocardium.triangles
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     unique, inverse = np.unique(edges, axis=0, return_inverse=True)
@@ -96,17 +96,17 @@ def grounds(endocardium: Endocardium) -> list[Ground]:
     ]
 
 
-def chart_shift(one: Chart, other: Chart, rng: np.random.Generator) -> Array:
+def chart_shift(chart: Chart, other: Chart, rng: np.random.Generator) -> Array:
     """Distance (mm) between where two charts put the same point of the disk, for many points.
 
-    The points lie uniformly on the surface of `one`.
+    The points lie uniformly on the surface of `chart`.
     """
-    corners = one.vertices[one.triangles]
+    corners = chart.vertices[chart.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(normals, axis=1)
     chosen = rng.choice(len(area), CHART_POINTS, p=area / area.sum())
     weights = rng.dirichlet((1.0, 1.0, 1.0), CHART_POINTS)
-    disk = np.einsum("nk,nkd->nd", weights, one.points[one.triangles[chosen]])
+    disk = np.einsum("nk,nkd->nd", weights, chart.points[chart.triangles[chosen]])
     here = np.einsum("nk,nkd->nd", weights, corners[chosen])
     return np.asarray(np.linalg.norm(_positions(other, disk) - here, axis=1))
 
@@ -131,30 +131,30 @@ def junctions(ground: Ground, parameters: Mapping[str, float], rules: GrowthRule
 
 
 def difference(
-    one: Ground, other: Ground, parameters: Mapping[str, float], nudge: float
+    ground: Ground, other: Ground, parameters: Mapping[str, float], nudge: float
 ) -> Difference | None:
     """Compare two trees, the second's lengths `nudge` mm longer; None where one does not fit."""
     nudged = {name: x + nudge if "_length" in name else x for name, x in parameters.items()}
-    first, second = junctions(one, parameters, RULES), junctions(other, nudged, RULES)
+    first, second = junctions(ground, parameters, RULES), junctions(other, nudged, RULES)
     if first is None or second is None:
         return None
     nearest = np.concatenate([KDTree(second).query(first)[0], KDTree(first).query(second)[0]])
     # a fascicle's end is a junction of the tree without branches, which fits where the full does
-    ends = junctions(one, parameters, UNBRANCHED), junctions(other, nudged, UNBRANCHED)
+    ends = junctions(ground, parameters, UNBRANCHED), junctions(other, nudged, UNBRANCHED)
     apart = np.linalg.norm(np.subtract(*map(np.asarray, ends)), axis=1)
     return Difference((len(first), len(second)), nearest, apart)
 
 
-def compare(one: Ground, other: Ground, trees: int, nudge: float = 0.0) -> list[Difference]:
+def compare(ground: Ground, other: Ground, trees: int, nudge: float = 0.0) -> list[Difference]:
     """Compare `trees` pairs of trees that fit on both meshes; always the same parameters."""
     rng = np.random.default_rng(0)
-    found: list[Difference] = []
-    while len(found) < trees:
+    pairs: list[Difference] = []
+    while len(pairs) < trees:
         parameters = NETWORK_SPACE.from_unit(rng.random(len(NETWORK_SPACE)))
-        pair = difference(one, other, parameters, nudge)
+        pair = difference(ground, other, parameters, nudge)
         if pair is not None:
-            found.append(pair)
-    return found
+            pairs.append(pair)
+    return pairs
 
 
 def hearts(data: Path | None) -> Iterator[tuple[str, Endocardium]]:
@@ -170,10 +170,10 @@ def hearts(data: Path | None) -> Iterator[tuple[str, Endocardium]]:
             yield "crtdemo", endocardium
 
 
-def print_row(label: str, found: Sequence[Difference], shift: Array) -> None:
-    counts = np.array([pair.junctions for pair in found])
-    nearest = np.concatenate([pair.nearest for pair in found])
-    ends = np.concatenate([pair.ends for pair in found])
+def print_row(label: str, pairs: Sequence[Difference], shift: Array) -> None:
+    counts = np.array([pair.junctions for pair in pairs])
+    nearest = np.concatenate([pair.nearest for pair in pairs])
+    ends = np.concatenate([pair.ends for pair in pairs])
     change = np.abs(counts[:, 1] - counts[:, 0])
     print(
         f"{label:<22}{shift.mean():>8.2f}{shift.max():>8.2f}{ends.mean():>8.2f}{ends.max():>8.2f}"
@@ -197,10 +197,10 @@ def main(argv: Sequence[str] | None = None) -> None:
         meshes = grounds(endocardium)
         label = f"{name} {endocardium.side}, "
         for first, second in ((0, 1), (1, 2)):
-            one, other = meshes[first], meshes[second]
-            shift = chart_shift(one.chart, other.chart, np.random.default_rng(0))
+            ground, other = meshes[first], meshes[second]
+            shift = chart_shift(ground.chart, other.chart, np.random.default_rng(0))
             row = f"{label}x{4**first} to x{4**second}"
-            print_row(row, compare(one, other, arguments.trees), shift)
+            print_row(row, compare(ground, other, arguments.trees), shift)
         nudged = compare(meshes[0], meshes[0], arguments.trees, NUDGE)
         print_row(f"{label}x1 nudged", nudged, np.zeros(1))
 

@@ -61,14 +61,14 @@ def measure(endocardium: Endocardium, trees: int) -> tuple[list[float], list[flo
     chart = build_chart(endocardium)
     seed = find_seed(endocardium, chart)
     rng = np.random.default_rng(0)
-    found: list[tuple[tuple[float, int], tuple[float, int]]] = []
-    while len(found) < trees:
+    pairs: list[tuple[tuple[float, int], tuple[float, int]]] = []
+    while len(pairs) < trees:
         two, other_two = (NETWORK_SPACE.from_unit(u) for u in rng.random((2, len(NETWORK_SPACE))))
         four = with_four_fascicles(two, other_two)
         pair = [seconds_and_nodes(endocardium.side, chart, seed, p) for p in (two, four)]
         if pair[0] is not None and pair[1] is not None:
-            found.append((pair[0], pair[1]))
-    seconds, nodes = np.array(found).sum(axis=0).T
+            pairs.append((pair[0], pair[1]))
+    seconds, nodes = np.array(pairs).sum(axis=0).T
     return list(1e9 * seconds / nodes), list(nodes / trees)
 
 

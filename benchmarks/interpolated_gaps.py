@@ -1,4 +1,4 @@
-"""What a gap that is interpolated changes in a target, where it is longest and does most.
+"""Change of a target by an interpolated gap, where it is longest and does most.
 
     python -m benchmarks.interpolated_gaps [--recordings 40] [--seed 50000]
 
@@ -42,10 +42,8 @@ def main() -> None:
     parser.add_argument("--recordings", type=int, default=40)
     parser.add_argument("--seed", type=int, default=50_000)
     options = parser.parse_args()
-    found = [changes(options.seed + k) for k in range(options.recordings)]
-    for name, values in zip(
-        ("mean (mV)", "window (ms)", "SD (mV)"), np.array(found).T, strict=True
-    ):
+    rows = [changes(options.seed + k) for k in range(options.recordings)]
+    for name, values in zip(("mean (mV)", "window (ms)", "SD (mV)"), np.array(rows).T, strict=True):
         print(f"{name:12} median {np.median(values):.3f}, largest {np.max(values):.3f}")
 
 

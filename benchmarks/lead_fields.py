@@ -91,8 +91,10 @@ def main() -> None:
     inverse = diags(1 / stiffness.diagonal())
     _, failed = cg(stiffness, currents[0], rtol=1e-9, maxiter=5000, M=inverse)
     baseline = time.perf_counter() - start
-    one = (elapsed - assembled) / len(currents)
-    print(f"one lead field {one:.1f} s, diagonal {baseline:.1f} s: ratio {one / baseline:.2f}")
+    single = (elapsed - assembled) / len(currents)
+    print(
+        f"one lead field {single:.1f} s, diagonal {baseline:.1f} s: ratio {single / baseline:.2f}"
+    )
     print("the diagonal did not converge" if failed else "both to the same residual")
 
 

@@ -1,4 +1,4 @@
-"""What the loss says of networks that explain nothing: how many of them it cannot tell apart.
+"""Resolution of the loss among networks that explain nothing: how many it cannot tell apart.
 
     python -m benchmarks.loss_landscape --data DATA_FOLDER [--only demo|ludb24|dti004|...]
                                         [--draws 300] [--out FOLDER]
@@ -49,18 +49,18 @@ def window_alone(simulated: Array, recorded: Array) -> float:
 
 def draws(model: fascicle.ForwardModel, count: int) -> list[fascicle.Simulation]:
     """Valid networks, simulated."""
-    rng, found = np.random.default_rng(SEED), []
-    while len(found) < count:
+    rng, networks = np.random.default_rng(SEED), []
+    while len(networks) < count:
         outcome = model.simulate(NETWORK_SPACE.from_unit(rng.random(len(NETWORK_SPACE))))
         if isinstance(outcome, fascicle.Simulation):
-            found.append(outcome)
-    return found
+            networks.append(outcome)
+    return networks
 
 
 def row(
     name: str, model: fascicle.ForwardModel, target: Target, networks: list[fascicle.Simulation]
 ) -> str:
-    """One line of the table."""
+    """Row of the table."""
     comparison = TargetComparison(target)
     recorded = target.qrs[comparison.compared]
     losses = np.array([comparison.align(network.leads).loss for network in networks])
@@ -87,23 +87,23 @@ def main() -> None:
     parser.add_argument("--only", action="append")
     parser.add_argument("--draws", type=int, default=300)
     parser.add_argument("--out", type=Path, default=Path("fits"))
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     print(f"{'':<20} {'flat':>6} {'window alone':>12} {'near flat':>10} different, least of each")
     models = {"default": fascicle.ForwardModel(fascicle.load_heart("default"))}
-    if given.data is not None:
-        crtdemo = _heart(build_case(given.data / "hearts" / "crtdemo"))
+    if arguments.data is not None:
+        crtdemo = _heart(build_case(arguments.data / "hearts" / "crtdemo"))
         models["crtdemo"] = fascicle.ForwardModel(crtdemo)
     for name, model in models.items():
-        if given.only is None or name in given.only:
-            networks, simulation = draws(model, given.draws), model.simulate(TRUTH)
+        if arguments.only is None or name in arguments.only:
+            networks, simulation = draws(model, arguments.draws), model.simulate(TRUTH)
             assert isinstance(simulation, fascicle.Simulation)
             target = synthetic_target(simulation.leads, np.random.default_rng(0))
             print(row(f"known, {name}", model, target, networks), flush=True)
-    for name, case in CASES.items() if given.data is not None else ():
-        if given.only is None or name in given.only:
-            model = fascicle.ForwardModel(case.heart(given.data, given.out))
-            target = case.target(given.data)
-            print(row(name, model, target, draws(model, given.draws)), flush=True)
+    for name, case in CASES.items() if arguments.data is not None else ():
+        if arguments.only is None or name in arguments.only:
+            model = fascicle.ForwardModel(case.heart(arguments.data, arguments.out))
+            target = case.target(arguments.data)
+            print(row(name, model, target, draws(model, arguments.draws)), flush=True)
 
 
 if __name__ == "__main__":

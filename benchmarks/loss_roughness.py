@@ -1,4 +1,4 @@
-"""How rough the loss is in each parameter: what a change changes that nobody would care about.
+"""Roughness of the loss in each parameter: its response to changes of no consequence.
 
     python -m benchmarks.loss_roughness [--networks 20]
 
@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 import fascicle
 from fascicle.forward.model import ForwardModel
 from fascicle.purkinje.tree import InvalidTree
+from fascicle.study.prior import Prior
 from fascicle.study.simulator import PointSimulator
-from fascicle.study.space import study_space
 from fascicle.study.target_comparison import TargetComparison
 
 Array = NDArray[np.float64]
@@ -48,14 +48,14 @@ def simulated_problem(model: ForwardModel) -> Problem:
     if isinstance(simulation, InvalidTree):
         raise RuntimeError(f"the example gives no tree: {simulation.reason}")
     target = synthetic_target(simulation.leads, np.random.default_rng(0), noise=0.0)
-    space, fixed = study_space("paper", {"alpha": "free"}, model.heart)
-    return PointSimulator(model, space, fixed), TargetComparison(target)
+    prior = Prior.of("paper", {"alpha": "free"}, model.heart)
+    return PointSimulator(model, prior), TargetComparison(target)
 
 
 def loss(problem: Problem, values: Mapping[str, float]) -> float:
     """Loss (mV²) at the best alignment; NaN where the network does not fit."""
     simulator, comparison = problem
-    simulation = simulator.model.simulate({**simulator.fixed, **values})
+    simulation = simulator.model.simulate({**simulator.prior.fixed, **values})
     if isinstance(simulation, InvalidTree):
         return np.nan
     return comparison.align(simulation.leads).loss
@@ -65,7 +65,7 @@ def networks(problem: Problem, count: int) -> Iterator[Values]:
     """Random networks that fit."""
     rng = np.random.default_rng(0)
     while count > 0:
-        space = problem[0].space
+        space = problem[0].prior.learnt
         values = space.from_unit(rng.uniform(size=len(space)))
         if np.isfinite(loss(problem, values)):
             count -= 1
@@ -85,7 +85,7 @@ def steps(names: Sequence[str]) -> dict[str, Values]:
 
 
 def changed(values: Values, added: Values, sign: int) -> Values:
-    """The same network with something added to some parameters, or taken away."""
+    """Parameters of a network, changed by the steps `added` times `sign`."""
     return values | {name: values[name] + sign * step for name, step in added.items()}
 
 
@@ -93,14 +93,14 @@ def roughness(problem: Problem, drawn: Sequence[Values], losses: Array) -> Itera
     """A row of the table for each change."""
     rows = {
         label: [(values, added) for values in drawn]
-        for label, added in steps(problem[0].space.names).items()
+        for label, added in steps(problem[0].prior.names).items()
     }
     rows["alpha"] = [(values, {"alpha": ALPHA * values["alpha"]}) for values in drawn]
     for label, cases in rows.items():
-        found = np.array(
+        changed_losses = np.array(
             [[loss(problem, changed(*case, sign)) for sign in (-1, 1)] for case in cases]
         )
-        change = found - losses[:, None]
+        change = changed_losses - losses[:, None]
         levels = [
             *np.nanpercentile(np.abs(change), LEVELS),
             np.nanmedian(np.abs(change.mean(axis=1))),

@@ -1,4 +1,4 @@
-"""How well the ECG says where a beat comes from: beats from anywhere, of another physics.
+"""Accuracy of the origin of a beat from its ECG: beats from anywhere, of another physics.
 
     python -m benchmarks.origins --heart HEART --out FOLDER [--physics 20] [--processes 1]
 
@@ -48,20 +48,20 @@ SITES = 10  # in a draw of another physics
 LEVELS = (0.5, 0.8, 0.9)
 
 
-def one_physics(number: int, given: argparse.Namespace) -> None:
+def one_physics(number: int, options: argparse.Namespace) -> None:
     """Make beats in a draw of another physics, and locate them."""
-    path = given.out / f"origins-{number:03d}.json"
+    path = options.out / f"origins-{number:03d}.json"
     if path.exists():
         return
     threadpool_limits(1)
-    gc.collect()  # of the last draw: gigabytes
+    gc.collect()  # frees the gigabytes of the last draw
     rng = np.random.default_rng([HELD_OUT, number, 5])
-    heart = fascicle.load_heart(given.heart)
-    plain, (model, space, fixed) = ForwardModel(heart), other_physics(given.heart, rng)
+    heart = fascicle.load_heart(options.heart)
+    plain, (model, space, fixed) = ForwardModel(heart), other_physics(options.heart, rng)
     # sources are as they are, as in the beats that `fascicle.locate` learns from
     fixed = {name: value for name, value in fixed.items() if name not in SOURCES.names}
     centres = heart.vertices[heart.tetrahedra].mean(axis=1)
-    found = []
+    judgements = []
     for site in rng.choice(len(centres), SITES, p=heart.volumes / heart.volumes.sum()):
         stimulus = Stimulus(time=0.0, position=tuple(centres[site].tolist()))
         beat = Scenario((His(time=np.inf), stimulus))
@@ -72,12 +72,14 @@ def one_physics(number: int, given: argparse.Namespace) -> None:
         if heart.lead_fields is not None:
             simulation = another_torso(plain, simulation, len(heart.vertices), rng, fixed)
         target = recorded(simulation, FitSettings().gain_sd, rng)
-        found.append(judged(fascicle.locate(heart, target, workers=1, progress=None), int(site)))
-    write_text(path, json.dumps(found, indent=1) + "\n")
+        judgements.append(
+            judged(fascicle.locate(heart, target, workers=1, progress=None), int(site))
+        )
+    write_text(path, json.dumps(judgements, indent=1) + "\n")
 
 
 def judged(origin: Origin, site: int) -> dict[str, Any]:
-    """How far an answer is from the tetrahedron in which the beat began."""
+    """Distance of an answer from the true origin of the beat, and which of its parts are right."""
     heart: Heart = origin.heart
     centre = heart.vertices[heart.tetrahedra[site]].mean(axis=0)
     true = Origin(heart, np.eye(1, len(heart.tetrahedra), site)[0], 1.0, 0.0, {})
@@ -100,15 +102,15 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--physics", type=int, default=20, help="draws of it")
     parser.add_argument("--processes", type=int, default=1, help="2 GB each")
-    given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
     with TerminalProgress() as progress:
-        judge = partial(one_physics, given=given)
-        in_processes(judge, range(given.physics), given.processes, progress, "physics")
-    paths = sorted(given.out.glob("origins-*.json"))
-    results = [each for path in paths for each in json.loads(path.read_text())]
-    away = np.array([each["distance"] for each in results])
-    level = np.array([each["level"] for each in results])
+        judge = partial(one_physics, options=options)
+        in_processes(judge, range(options.physics), options.processes, progress, "physics")
+    paths = sorted(options.out.glob("origins-*.json"))
+    results = [r for path in paths for r in json.loads(path.read_text())]
+    away = np.array([r["distance"] for r in results])
+    level = np.array([r["level"] for r in results])
     shares = ", ".join(f"{name:.0%}: {np.mean(level < name):.0%}" for name in LEVELS)
     print(
         f"{len(results)} beats: median distance {np.median(away):.1f} mm, below 10 mm "

@@ -34,44 +34,44 @@ PACING: dict[str, tuple[float, tuple[float, ...]]] = {
 }
 
 
-def counts(found: Integers, times: Floats, rate: float) -> Integers:
+def counts(spikes: Integers, times: Floats, rate: float) -> Integers:
     """Spikes found, missed, and marks that are none."""
-    free = np.ones(len(found), dtype=bool)
+    free = np.ones(len(spikes), dtype=bool)
     for time in times:
-        begins, ends = found.T / rate
+        begins, ends = spikes.T / rate
         here = np.flatnonzero(free & (begins <= time + 0.005) & (ends >= time))
         free[here[:1]] = False
     return np.array([(~free).sum(), len(times) - (~free).sum(), free.sum()])
 
 
 def disturbed(
-    rng: np.random.Generator, signal: Floats, rate: float, what: str, size: float = 1.0
+    rng: np.random.Generator, signal: Floats, rate: float, disturbance: str, size: float = 1.0
 ) -> Floats:
-    """A signal (mV) with hum of 50 or 60 Hz and harmonics, coarse digits, muscle, a torn end."""
+    """A signal (mV) with power-line interference, coarse digits, muscle noise, or a torn end."""
     t = np.arange(signal.shape[1]) / rate
     electrodes = np.zeros((9, len(t)))
-    if "hum" in what:
+    if "hum" in disturbance:
         turns = 2 * np.pi * rng.choice([49.9, 50.0, 60.0]) * t
         for harmonic in range(1, int(rng.integers(2, 7))):
             phase = rng.uniform(0, 2 * np.pi) + rng.uniform(-0.3, 0.3, (9, 1))
             electrodes += rng.uniform(0.1, 1, (9, 1)) / harmonic * np.sin(harmonic * turns + phase)
         electrodes *= size * rng.uniform(0.02, 0.5) / np.abs(electrodes).max()
-    if "muscle" in what:
+    if "muscle" in disturbance:
         band = butter(2, (20, min(200, 0.45 * rate)), "bandpass", fs=rate, output="sos")
         noise = sosfilt(band, rng.standard_normal(electrodes.shape), axis=-1)
         electrodes += size * rng.uniform(0.01, 0.1) * noise / noise.std()
     signal = signal + lead_matrix() @ electrodes
-    if what == "edge":
+    if disturbance == "edge":
         last = int(rng.integers(1, int(2 + 0.012 * rate)))
         torn = rng.uniform(-3, 3, (12, 1)) * rng.choice([np.linspace(0, 1, last), np.ones(last)])
         signal[:, -last:] += torn
         signal[:, :last] += torn[:, ::-1]
-    digit = rng.choice([0.005, 0.01, 0.02]) if "digits" in what else 0.001  # mV
+    digit = rng.choice([0.005, 0.01, 0.02]) if "digits" in disturbance else 0.001  # mV
     return np.asarray(digit * np.round(signal / digit))
 
 
 def paced(seed: int, pacing: str, rate: float) -> tuple[np.random.Generator, Floats, Floats]:
-    """A paced rhythm with pulses of one's own behind a low-pass of 150 Hz, and when they begin."""
+    """A paced rhythm, its pulses added here behind a low-pass of 150 Hz, and their times (s)."""
     rng = np.random.default_rng(seed)
     synthesis = Synthesis(rhythm="paced", rate=rate, spike_size=1e-9)
     recording, truth = synthetic_recording(rng, synthesis)
@@ -98,20 +98,20 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=40_000)
     arguments = parser.parse_args()
     rates, invented = (250.0, 500.0, 800.0, 1000.0), 0
-    found = {what: np.zeros(3, dtype=np.int64) for what in DISTURBANCES}
+    totals = {disturbance: np.zeros(3, dtype=np.int64) for disturbance in DISTURBANCES}
     for k in range(arguments.recordings):
         seed, rate = arguments.seed + k, rates[k % len(rates)]
-        what = DISTURBANCES[k % len(DISTURBANCES)]
+        disturbance = DISTURBANCES[k % len(DISTURBANCES)]
         rng = np.random.default_rng([seed, int(rate)])
         synthesis = Synthesis(rhythm=UNPACED[k % len(UNPACED)], rate=rate)
         recording, _ = synthetic_recording(rng, synthesis)
-        invented += len(find_spikes(disturbed(rng, recording.signal, rate, what), rate)) > 0
+        invented += len(find_spikes(disturbed(rng, recording.signal, rate, disturbance), rate)) > 0
         rng, signal, times = paced(seed, [*PACING][k % len(PACING)], rate)
-        signal = disturbed(rng, signal, rate, what, size=0.25)
-        found[what] += counts(find_spikes(signal, rate), times, rate)
+        signal = disturbed(rng, signal, rate, disturbance, size=0.25)
+        totals[disturbance] += counts(find_spikes(signal, rate), times, rate)
     print(f"unpaced: {invented} of {arguments.recordings} recordings with a spike")
-    for what, each in [*found.items(), ("all", np.sum([*found.values()], axis=0))]:
-        print(f"paced, {what:<16} {each[0]} found, {each[1]} missed, {each[2]} false")
+    for disturbance, count in [*totals.items(), ("all", np.sum([*totals.values()], axis=0))]:
+        print(f"paced, {disturbance:<16} {count[0]} found, {count[1]} missed, {count[2]} false")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How far the packaged subject's heart is from the finer one that was published.
+"""Difference of the packaged subject's heart from the finer one that was published.
 
     python -m benchmarks.packaged_heart --data DATA_FOLDER --out FOLDER
 
@@ -30,29 +30,32 @@ def on_window(beat: SimulatedBeat) -> Floats:
     return np.asarray(beat.ecg.interp(time=WINDOW, kwargs={"fill_value": 0.0}))
 
 
-def apart(one: Floats, other: Floats) -> float:
-    return float(np.linalg.norm(one - other) / np.linalg.norm(one))
+def apart(reference: Floats, other: Floats) -> float:
+    return float(np.linalg.norm(reference - other) / np.linalg.norm(reference))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True, help="where the finer heart is built")
-    given = parser.parse_args()
-    fine = fascicle.ForwardModel(dti004(given.data, given.out))
+    arguments = parser.parse_args()
+    fine = fascicle.ForwardModel(dti004(arguments.data, arguments.out))
     coarse = fascicle.ForwardModel("camps-dti004")
     networks = drawn(NETWORKS, 3)
-    pairs = [(fine.simulate(each), coarse.simulate(each)) for each in networks]
+    pairs = [(fine.simulate(network), coarse.simulate(network)) for network in networks]
     beats = [
-        (one, other)
-        for one, other in pairs
-        if isinstance(one, SimulatedBeat) and isinstance(other, SimulatedBeat)
+        (fine_beat, coarse_beat)
+        for fine_beat, coarse_beat in pairs
+        if isinstance(fine_beat, SimulatedBeat) and isinstance(coarse_beat, SimulatedBeat)
     ]
-    ecgs = [(on_window(one), on_window(other)) for one, other in beats]
+    ecgs = [(on_window(fine_beat), on_window(coarse_beat)) for fine_beat, coarse_beat in beats]
     between = [apart(a[0], b[0]) for k, a in enumerate(ecgs) for b in ecgs[:k]]
     print(f"{len(ecgs)} networks: ECGs differ by {np.median([apart(*pair) for pair in ecgs]):.0%}")
     print(f"ECGs of two networks differ by {np.median(between):.0%} (medians)")
-    totals = [other.total_activation_time - one.total_activation_time for one, other in beats]
+    totals = [
+        coarse_beat.total_activation_time - fine_beat.total_activation_time
+        for fine_beat, coarse_beat in beats
+    ]
     print(f"total activation time: {np.mean(totals):.1f} ± {np.std(totals):.1f} ms")
     begin = time.perf_counter()
     for network in networks:

@@ -1,4 +1,4 @@
-"""People, and two dogs, whose answer is known: what the priors, the model and the states say.
+"""Priors, model and conduction states on people and two dogs whose answer is known.
 
     python -m benchmarks.people [prior] [ecgs] [blocks] [subject] [dogs] [ptbxl] [--half check]
 
@@ -54,7 +54,7 @@ from fascicle.heart.folder import write_heart
 from fascicle.recording.criteria import frontal_axis
 from fascicle.study.conduction_states import KNOWN_STATES, STATES
 from fascicle.study.heart_emulator import usual_prior
-from fascicle.study.space import is_kept
+from fascicle.study.prior import is_kept
 from fascicle.study.state_classifier import NoStateNamed
 
 Array = NDArray[np.float64]
@@ -65,10 +65,10 @@ TORSOS = 12
 # The slow onset of the QRS of dog007 is lost in power-line interference and baseline wander.
 DOGS: dict[str, dict[str, float]] = {"dog006": {}, "dog007": {"notch": 60.0, "onset": -20.0}}
 DOG_NETWORKS = 2000  # of the normal state; half as many of each other
-# Speeds (m/s) of canine Purkinje fibres: 1.62 in 12 preparations (Myerburg et al., Circ. Res. 42
-# (1978) 27-35), stretched 2.32 +- 0.45 (Rosen et al., Am. J. Physiol. 240 (1981) H546-H554). Of
-# ventricular muscle along fibres: deep 0.26, superficial 0.98 (Myerburg)
-CANINE_SPEEDS = {"cv": (1.5, 2.8), "fibre_speed": (0.25, 0.8)}
+# Conduction velocities (m/s) of canine Purkinje fibres: 1.62 in 12 preparations (Myerburg et al.,
+# Circ. Res. 42 (1978) 27-35), stretched 2.32 +- 0.45 (Rosen et al., Am. J. Physiol. 240 (1981)
+# H546-H554). The conduction velocity of the muscle along the fibre has the range of people.
+CANINE_CV = (1.5, 2.8)
 BUNDLE_BRANCH = {"left": ("CLBBB", "ILBBB"), "right": ("CRBBB", "IRBBB")}
 
 
@@ -76,14 +76,11 @@ def normal_networks(
     model: fascicle.ForwardModel, count: int, seed: int
 ) -> Iterator[tuple[dict[str, float], Simulation]]:
     """Networks of the prior of the normal state, with their beats."""
-    with tempfile.TemporaryDirectory() as folder:
-        prior = usual_prior(model, Path(folder), state=STATES[0])
-    rng, learnt = np.random.default_rng(seed), len(prior.space)
-    points = rng.random((count, learnt + len(prior.averaged)))
+    prior = usual_prior(model.heart, STATES[0])
+    points = prior.sample(np.random.default_rng(seed), count)
     points[:, -1] = np.sort(points[:, -1])  # a tissue takes seconds to prepare
     for point in points:
-        values = {**prior.fixed, **prior.space.from_unit(point[:learnt])}
-        values |= prior.averaged.values(point[learnt:])
+        values = prior.from_unit(point)
         beat = model.simulate(values)
         if not isinstance(beat, Simulation):
             continue
@@ -107,18 +104,20 @@ def prior() -> None:
     """Print how often the prior of the normal state is activated as mapped hearts are."""
     for name in HEARTS:
         model = fascicle.ForwardModel(name)
-        every = [
+        sequences = [
             model.surfaces.sequence(beat.activation)
             for _, beat in normal_networks(model, NETWORKS, 1)
         ]
-        first = np.mean([s.first == "left septum" for s in every])
-        left = np.mean([s.first.startswith("left") for s in every])
-        mapped = np.mean([s.is_mapped for s in every])
-        print(f"{name}: {len(every)} of {NETWORKS} draws are of the prior")
+        first = np.mean([s.first == "left septum" for s in sequences])
+        left = np.mean([s.first.startswith("left") for s in sequences])
+        mapped = np.mean([s.is_mapped for s in sequences])
+        print(f"{name}: {len(sequences)} of {NETWORKS} draws are of the prior")
         print(f"  left ventricle first {left:.0%}, left septum {first:.0%}; mapped {mapped:.0%}")
-        for what in ("rv_delay", "rv_breakthrough", "lv_breakthrough", "total"):
-            low, middle, high = np.percentile([getattr(s, what) for s in every], (5, 50, 95))
-            print(f"  {what}: {middle:.0f} ms ({low:.0f} to {high:.0f})")
+        for interval in ("rv_delay", "rv_breakthrough", "lv_breakthrough", "total"):
+            low, middle, high = np.percentile(
+                [getattr(s, interval) for s in sequences], (5, 50, 95)
+            )
+            print(f"  {interval}: {middle:.0f} ms ({low:.0f} to {high:.0f})")
 
 
 def ecgs() -> None:
@@ -126,14 +125,14 @@ def ecgs() -> None:
     for name in HEARTS:
         model, rng = fascicle.ForwardModel(name), np.random.default_rng(2)
         torsos = random_bodies(model, rng, TORSOS)
-        every = []
+        features = []
         for values, beat in normal_networks(model, NETWORKS, 2):
             torso = model.with_sources(torsos[rng.integers(TORSOS)], values)
             leads = torso.leads(beat.activation)
             net = net_deflections(leads)
             axis = frontal_axis(leads)
-            every.append([net[LEADS.index("V1")], net[LEADS.index("V2")], transition(net), axis])
-        v1, v2, at, axis = np.median(every, axis=0)
+            features.append([net[LEADS.index("V1")], net[LEADS.index("V2")], transition(net), axis])
+        v1, v2, at, axis = np.median(features, axis=0)
         print(f"{name}: net V1 {v1:+.2f}, V2 {v2:+.2f}, transition V{at:.0f}, axis {axis:.0f}°")
 
 
@@ -153,8 +152,8 @@ def blocks() -> None:
                 other = model.simulate(values | late | state.blocks)
                 if not isinstance(other, Simulation):
                     continue
-                found = align(other.leads, beat.leads, free_gain=True)
-                changed.append(found.loss * beat.leads.shape[1] / (beat.leads**2).sum())
+                alignment = align(other.leads, beat.leads, free_gain=True)
+                changed.append(alignment.loss * beat.leads.shape[1] / (beat.leads**2).sum())
                 turn = frontal_axis(other.leads) - frontal_axis(beat.leads)
                 turned.append((turn + 180) % 360 - 180)
             axis, energy = np.median(turned), np.median(changed)
@@ -174,19 +173,19 @@ def subject() -> None:
     print("\n".join(f"  {line}" for line in fitted.statements.sequence))
     recorded, window = analysis.target.mean, analysis.target.qrs_samples
     mean = np.mean([network.predicted for network in networks], axis=0)
-    left = ((mean - recorded)[:, window] ** 2).sum() / (recorded[:, window] ** 2).sum()
+    unexplained = ((mean - recorded)[:, window] ** 2).sum() / (recorded[:, window] ** 2).sum()
     alike = {
         lead: np.corrcoef(mean[k, window], recorded[k, window])[0, 1]
         for k, lead in enumerate(LEADS)
     }
-    print(f"  the mean explains {1 - left:.0%}; r of each lead:")
+    print(f"  the mean explains {1 - unexplained:.0%}; r of each lead:")
     print("  " + ", ".join(f"{lead} {r:.2f}" for lead, r in alike.items()))
 
 
 def canine_priors(heart: fascicle.Heart) -> dict[str, dict[str, float]]:
     """Parameters of a fit of a dog: lengths of people scaled with its endocardia, and speeds."""
     person = fascicle.load_heart(HEARTS[0])
-    ranges = dict(CANINE_SPEEDS)
+    ranges = {"cv": CANINE_CV}
     for canine, human in zip(heart.endocardia, person.endocardia, strict=True):
         scale = (canine.area / human.area) ** 0.5
         for p in HUMAN_SPACE.parameters:
@@ -226,7 +225,7 @@ def dogs() -> None:
 
 
 def ptbxl(half: str) -> None:
-    """Print what is said of labelled people on hearts that are not theirs."""
+    """Print the states of labelled people on hearts that are not theirs."""
     folder = DATA / "ecg" / "ptbxl"
     with (folder / "labels.csv").open(encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if is_of(half, row)]
@@ -252,14 +251,14 @@ def ptbxl(half: str) -> None:
             (codes, {side: of_side(answer, side) for side in BUNDLE_BRANCH})
             for codes, answer in answers
         ]
-        for side, wanted in BUNDLE_BRANCH.items():
-            there = np.array([bool({*wanted} & codes) for codes, _ in sides])
-            scores = np.array([found[side] for _, found in sides])
-            complete = np.array([wanted[0] in codes for codes, _ in sides])
-            whole = auc(scores[complete | ~there], complete[complete | ~there])
+        for side, branch_codes in BUNDLE_BRANCH.items():
+            labelled = np.array([bool({*branch_codes} & codes) for codes, _ in sides])
+            scores = np.array([probabilities[side] for _, probabilities in sides])
+            complete = np.array([branch_codes[0] in codes for codes, _ in sides])
+            whole = auc(scores[complete | ~labelled], complete[complete | ~labelled])
             print(
-                f"  {side} bundle branch, complete or incomplete: AUC {auc(scores, there):.2f} "
-                f"({there.sum()}), complete: {whole:.2f} ({complete.sum()})"
+                f"  {side} bundle branch, complete or incomplete: AUC {auc(scores, labelled):.2f} "
+                f"({labelled.sum()}), complete: {whole:.2f} ({complete.sum()})"
             )
 
 
@@ -284,11 +283,11 @@ def of_side(answer: Mapping[str, float] | NoStateNamed, side: str) -> float:
     return float(sum(states[name] for name in states if name.startswith(f"{side} bundle branch")))
 
 
-def auc(scores: Array, there: NDArray[np.bool_]) -> float:
+def auc(scores: Array, positive: NDArray[np.bool_]) -> float:
     """Area under the ROC curve."""
-    ranks, count = rankdata(scores), there.sum()
-    above = ranks[there].sum() - count * (count + 1) / 2
-    return float(above / max(count * (len(there) - count), 1))
+    ranks, count = rankdata(scores), positive.sum()
+    above = ranks[positive].sum() - count * (count + 1) / 2
+    return float(above / max(count * (len(positive) - count), 1))
 
 
 def main() -> None:
@@ -298,9 +297,9 @@ def main() -> None:
     }  # fmt: skip
     parser.add_argument("parts", nargs="*", choices=[*parts, "ptbxl", []], metavar="PART")
     parser.add_argument("--half", choices=("tune", "check"), default="check")
-    given = parser.parse_args()
-    parts["ptbxl"] = lambda: ptbxl(given.half)
-    for name in given.parts or parts:
+    arguments = parser.parse_args()
+    parts["ptbxl"] = lambda: ptbxl(arguments.half)
+    for name in arguments.parts or parts:
         print(f"== {name}")
         parts[name]()
 

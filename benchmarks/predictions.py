@@ -1,4 +1,4 @@
-"""How long scenarios over a population take.
+"""Time that scenarios over a population take.
 
     python -m benchmarks.predictions --heart HEART [--networks 30] [--workers 2]
 
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,9 +20,10 @@ from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario_files import read_scenarios
 from fascicle.prediction.scenarios import simulate_scenarios
 from fascicle.recording.target import Target, smooth_noise
+from fascicle.study.heart_emulator import usual_prior
 from fascicle.study.pool import Threads
+from fascicle.study.prior import AveragedOver
 from fascicle.study.simulator import PointSimulator
-from fascicle.study.space import study_space
 from fascicle.study.target_comparison import Network, TargetComparison
 
 SCENARIOS = (
@@ -32,15 +34,15 @@ SCENARIOS = (
 
 
 def population(model: ForwardModel, count: int, rng: np.random.Generator) -> list[Network]:
-    """So many networks of the prior."""
-    space, fixed = study_space("posterior", {}, model.heart)
-    found: list[Network] = []
-    while len(found) < count:
-        values = {**fixed, **space.from_unit(rng.random(len(space)))}
+    """`count` networks of the prior."""
+    prior = replace(usual_prior(model.heart), averaged=AveragedOver())
+    networks: list[Network] = []
+    while len(networks) < count:
+        values = prior.from_unit(prior.sample(rng, 1)[0])
         simulation = model.simulate(values)
         if isinstance(simulation, fascicle.Simulation):
-            found.append(Network(values, simulation, simulation.leads, 1.0, 1.0))
-    return found
+            networks.append(Network(values, simulation, simulation.leads, 1.0, 1.0))
+    return networks
 
 
 def main() -> None:
@@ -48,15 +50,14 @@ def main() -> None:
     parser.add_argument("--heart", required=True)
     parser.add_argument("--networks", type=int, default=30)
     parser.add_argument("--workers", type=int, default=2)
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     rng = np.random.default_rng(0)
-    model = ForwardModel(fascicle.load_heart(given.heart))
-    networks = population(model, given.networks, rng)
+    model = ForwardModel(fascicle.load_heart(arguments.heart))
+    networks = population(model, arguments.networks, rng)
     time_axis = np.arange(-60.0, 140.0)
     beats = smooth_noise(rng, (2, 12, len(time_axis)), 0.1)  # of any recording; its filters count
     target = Target(beats, time_axis, -40.0, 40.0, 60.0, {}, 4.0, 5.0)
-    space, _ = study_space("posterior", {}, model.heart)
-    simulator = PointSimulator(model, space, pool=Threads(given.workers))
+    simulator = PointSimulator(model, usual_prior(model.heart), Threads(arguments.workers))
     recording = TargetComparison(target)
     scenarios = read_scenarios(SCENARIOS)
     begin = time.perf_counter()

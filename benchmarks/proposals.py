@@ -46,7 +46,7 @@ from unittest.mock import patch
 import numpy as np
 import numpy.typing as npt
 
-from fascicle.inference import optimisation as own
+from fascicle.inference import optimisation
 from fascicle.inference.gaussian_process import ExponentialGP
 from fascicle.inference.optimisation import Surrogates, latin_hypercube, step
 from fascicle.inference.surrogates import Observations
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 Array = npt.NDArray[np.float64]
-Maximise = Callable[[np.random.Generator, own.FeasibleLogImprovement, Array, Array], Array]
+Maximise = Callable[[np.random.Generator, optimisation.FeasibleLogImprovement, Array, Array], Array]
 
 HARTMANN_WEIGHTS = np.array([1.0, 1.2, 3.0, 3.2])
 HARTMANN_SHAPES = np.array(
@@ -85,7 +85,7 @@ MINIMUM_VARIANCE = 1e-12  # of the unit of the output; as BoTorch's
 
 @dataclass(frozen=True)
 class Task:
-    """What is minimised: losses (m,) of points (m, d) of the unit cube, NaN where there is none."""
+    """Losses (m,) to minimise at points (m, d) of the unit cube; NaN where a point has none."""
 
     name: str
     dimension: int
@@ -123,6 +123,7 @@ def heart_task(folder: Path) -> Task:
     from fascicle.core.parameters import NETWORK_SPACE
     from fascicle.forward.model import ForwardModel
     from fascicle.purkinje.tree import InvalidTree
+    from fascicle.study.prior import Prior
     from fascicle.study.simulator import PointSimulator
     from fascicle.study.target_comparison import TargetComparison, evaluate
 
@@ -130,7 +131,7 @@ def heart_task(folder: Path) -> Task:
     simulation = model.simulate(TRUTH)
     assert not isinstance(simulation, InvalidTree)
     target = synthetic_target(simulation.leads, np.random.default_rng(0))
-    simulator = PointSimulator(model, NETWORK_SPACE, {"alpha": 0.065})
+    simulator = PointSimulator(model, Prior(NETWORK_SPACE, {"alpha": 0.065}))
     recordings = [TargetComparison(target)]
 
     def losses(points: Array) -> Array:
@@ -173,11 +174,11 @@ def minimise(task: Task, seed: int, initial: int, steps: int, maximise: Maximise
 
 def maximise_by_botorch(
     rng: np.random.Generator,
-    acquisition: own.FeasibleLogImprovement,
+    acquisition: optimisation.FeasibleLogImprovement,
     best_points: Array,
-    known: Array,
+    evaluated: Array,
 ) -> Array:
-    """Do as `own.maximise`, by BoTorch."""
+    """Maximise as `optimisation.maximise` does, by BoTorch."""
     import torch
     from botorch.generation.gen import gen_candidates_scipy
 
@@ -192,7 +193,7 @@ def maximise_by_botorch(
         return points[np.argsort(-values(points), kind="stable")[:4]]
 
     uniform = rng.random((2000, best_points.shape[1]))
-    local = own.perturbed(rng, best_points, 1000)
+    local = optimisation.perturbed(rng, best_points, 1000)
     starts = np.vstack([best(uniform), best(local)])
     with warnings.catch_warnings(record=True):  # a search that stops early; BoTorch sets filters
         polished, _ = gen_candidates_scipy(
@@ -203,10 +204,12 @@ def maximise_by_botorch(
             options={"maxiter": 60},
         )
     candidates = np.vstack([polished.detach().numpy()[:, 0, :], starts, uniform])
-    return own.first_apart(candidates[np.argsort(-values(candidates), kind="stable")], known)
+    return optimisation.first_apart(
+        candidates[np.argsort(-values(candidates), kind="stable")], evaluated
+    )
 
 
-def botorch_acquisition(acquisition: own.FeasibleLogImprovement) -> Any:
+def botorch_acquisition(acquisition: optimisation.FeasibleLogImprovement) -> Any:
     """Put the same Gaussian processes behind BoTorch's acquisition function."""
     import torch
     from botorch.acquisition import LogExpectedImprovement
@@ -255,10 +258,10 @@ def compare_choices(task: Task, initial: int, steps: int) -> None:
     apart, gains = [], []
 
     def both(
-        rng: np.random.Generator, acquisition: own.FeasibleLogImprovement, *rest: Any
+        rng: np.random.Generator, acquisition: optimisation.FeasibleLogImprovement, *rest: Any
     ) -> Array:
         twin = copy.deepcopy(rng)
-        ours = own.maximise(rng, acquisition, *rest)
+        ours = optimisation.maximise(rng, acquisition, *rest)
         theirs = maximise_by_botorch(twin, acquisition, *rest)
         value, other = acquisition(np.array([ours, theirs]))
         apart.append(float(np.abs(ours - theirs).max()))
@@ -281,16 +284,17 @@ def compare(task: Task, sides: dict[str, Maximise], seeds: int, initial: int, st
     for seed in range(seeds):
         for side, maximise in sides.items():
             outcomes[side].append(minimise(task, seed, initial, steps, maximise))
-        best = "".join(f"{found[-1].best:12.4g}" for found in outcomes.values())
+        best = "".join(f"{of_side[-1].best:12.4g}" for of_side in outcomes.values())
         print(f"  {f'seed {seed}':<28}" + best, flush=True)
-    medians = [float(np.median([o.best for o in found])) for found in outcomes.values()]
+    medians = [float(np.median([o.best for o in of_side])) for of_side in outcomes.values()]
     print(f"  {'median':<28}" + "".join(f"{median:12.4g}" for median in medians))
     means = [
-        math.exp(float(np.mean([math.log(o.best) for o in found]))) for found in outcomes.values()
+        math.exp(float(np.mean([math.log(o.best) for o in of_side])))
+        for of_side in outcomes.values()
     ]
     print(f"  {'geometric mean':<28}" + "".join(f"{mean:12.4g}" for mean in means))
     if len(sides) > 1:
-        ours, baseline = (sum(o.seconds for o in found) for found in outcomes.values())
+        ours, baseline = (sum(o.seconds for o in of_side) for of_side in outcomes.values())
         print(f"  BoTorch takes {baseline / ours:.1f} times as long to choose a proposal")
         compare_choices(task, initial, steps)
 
@@ -299,20 +303,22 @@ def cost() -> None:
     """Print what a step costs with as many points as a study of the paper's size ends with."""
     rng = np.random.default_rng(0)
     design = latin_hypercube(rng, 250, 12)
-    around = own.perturbed(rng, design[np.argsort(levy(design))[:5]], 290 + COSTED)
+    around = optimisation.perturbed(rng, design[np.argsort(levy(design))[:5]], 290 + COSTED)
     points = np.vstack([design, around])
-    known = Observations(points, np.where(points[:, 0] > 0.9, np.nan, levy(points)))
-    start = Surrogates.learn(known.first(len(known) - COSTED))
+    observations = Observations(points, np.where(points[:, 0] > 0.9, np.nan, levy(points)))
+    start = Surrogates.learn(observations.first(len(observations) - COSTED))
     seconds = {}
     for refit_every in (1, REFIT_EVERY):
         surrogates, begin = start, time.process_time()
         for k in range(COSTED):
-            surrogates = surrogates.updated(known.first(len(start.observations) + k), refit_every)
+            surrogates = surrogates.updated(
+                observations.first(len(start.observations) + k), refit_every
+            )
             step(np.random.default_rng(k), surrogates)
         seconds[refit_every] = (time.process_time() - begin) / COSTED
     baseline, ours = seconds.values()
     print(
-        f"\na step with {len(known)} points: {baseline:.2f} s with a fit at every step, "
+        f"\na step with {len(observations)} points: {baseline:.2f} s with a fit at every step, "
         f"{ours:.2f} s with one every {REFIT_EVERY}: {baseline / ours:.1f} times less "
         "(CPU time, one thread)"
     )
@@ -325,15 +331,15 @@ def main() -> None:
     parser.add_argument("--initial", type=int, default=60)
     parser.add_argument("--steps", type=int, default=60)
     parser.add_argument("--only", choices=("hartmann", "levy", "crtdemo", "cost"))
-    given = parser.parse_args()
-    sides: dict[str, Maximise] = {"ours": own.maximise}
+    arguments = parser.parse_args()
+    sides: dict[str, Maximise] = {"ours": optimisation.maximise}
     if importlib.util.find_spec("botorch") is not None:
         sides["BoTorch"] = maximise_by_botorch
     else:
         print("BoTorch is not installed (pip install '.[reference]'): our side only")
-    for task in tasks(given.data, given.only):
-        compare(task, sides, given.seeds, given.initial, given.steps)
-    if given.only in (None, "cost"):
+    for task in tasks(arguments.data, arguments.only):
+        compare(task, sides, arguments.seeds, arguments.initial, arguments.steps)
+    if arguments.only in (None, "cost"):
         cost()
 
 

@@ -120,8 +120,8 @@ def _shaped(rng: np.random.Generator, kind: str) -> Array:
     powers = rng.uniform(1.1, 3.5, (2, len(base)))  # how gently humps begin and end
     t = np.arange(-BEFORE, AFTER, dtype=float)
     leads = lead_matrix() @ sum(
-        each[:, None] * hump(t / length, *ends)
-        for each, *ends in zip(potentials, begin, end, *powers, strict=True)
+        potential[:, None] * hump(t / length, *ends)
+        for potential, *ends in zip(potentials, begin, end, *powers, strict=True)
     )
     if kind == "delta":
         early, size = rng.uniform(15, 50), rng.uniform(0.1, 0.4) * np.abs(leads).max()
@@ -176,7 +176,7 @@ def _slow_waves(
 
 
 def _noise(rng: np.random.Generator, t: Array) -> tuple[Array, Array]:
-    """Noise (12, n) mV: what is fast, and drift and f-waves."""
+    """Noise (12, n) (mV): the fast part, and drift with f-waves."""
     sizes = {
         "white": 0.002 * rng.lognormal(0, 0.7),
         "muscle": 0.005 * rng.lognormal(0, 1) * (rng.random() < 0.6),
@@ -220,7 +220,7 @@ def case(seed: int) -> Case:
     qrs = _qrs(rng, kind)
     rate, digit, cutoff = _recorder(rng)
     t = np.arange(SECONDS * RATE) / RATE
-    fast, slow = (_passed(each, cutoff) for each in _noise(rng, t))
+    fast, slow = (_passed(noise, cutoff) for noise in _noise(rng, t))
     cycle = rng.uniform(600, 1150)
     ends = _marked(rng, _passed(qrs, cutoff), fast.std(axis=1))
     waves = _slow_waves(rng, qrs, ends, cycle)
@@ -255,29 +255,29 @@ def _spikes(rng: np.random.Generator, t: Array, times: Array) -> Array:
     return np.asarray(spikes + tail)
 
 
-def marks(one: Case) -> tuple[Array, Array, Array, Array]:
-    """Found, true and baseline ends (ms from R), and the stated standard deviations, (2,) each."""
-    analysis = fascicle.analyse(one.recording)
+def marks(synthetic: Case) -> tuple[Array, Array, Array, Array]:
+    """Detected, true and baseline ends (ms from R), and their stated SDs, each of shape (2,)."""
+    analysis = fascicle.analyse(synthetic.recording)
     target = analysis.target
     used = 1000 * np.array([beat.time for beat in analysis.beats if beat.used])
-    nearest = one.begins[np.argmin(np.abs(used[:, None] - one.begins - 60), axis=1)]
+    nearest = synthetic.begins[np.argmin(np.abs(used[:, None] - synthetic.begins - 60), axis=1)]
     begin = float(np.median(nearest - used))
-    truth = begin + np.array([one.onset, one.offset])
+    truth = begin + np.array([synthetic.onset, synthetic.offset])
     baseline = target.time[list(plain(target.mean))]
     return np.array(target.global_qrs), truth, baseline, np.array(target.global_qrs_sd)
 
 
-def report(label: str, found: Array, truth: Array, stated: Array) -> None:
+def report(label: str, detected: Array, truth: Array, stated: Array) -> None:
     """Print one line of (n, 2) arrays, ms."""
-    off = found - truth
-    wide, said = np.ptp(truth, axis=1) >= 120, np.ptp(found, axis=1) >= 120
+    off = detected - truth
+    wide, called_wide = np.ptp(truth, axis=1) >= 120, np.ptp(detected, axis=1) >= 120
     off = np.column_stack([off, off[:, 1] - off[:, 0]])
-    cells = "".join(f"{each.mean():7.1f} ±{each.std():5.1f}" for each in off.T)
+    cells = "".join(f"{column.mean():7.1f} ±{column.std():5.1f}" for column in off.T)
     share = np.mean(np.abs(off[:, :2]) <= 2 * stated, axis=0)
     per = 200 / len(off)
     print(
         f"{label:<26}{len(off):>4}{cells}{np.mean(np.abs(off[:, 2]) > 20) * 200:6.0f}"
-        f"{(wide & ~said).sum() * per:7.0f}{(~wide & said).sum() * per:6.0f}"
+        f"{(wide & ~called_wide).sum() * per:7.0f}{(~wide & called_wide).sum() * per:6.0f}"
         f"{share[0]:7.0%}{share[1]:6.0%}",
         flush=True,
     )
@@ -291,10 +291,10 @@ def main() -> None:
     firsts = HELD_OUT if arguments.held_out else TUNING
     rows, kinds, refused = [], [], []
     for seed in (first + k for first in firsts for k in range(arguments.count)):
-        one = case(seed)
+        synthetic = case(seed)
         try:
-            rows.append(marks(one))
-            kinds.append(one.kind)
+            rows.append(marks(synthetic))
+            kinds.append(synthetic.kind)
         except InputError as error:
             refused.append(str(error))
     results = np.array(rows).transpose(1, 0, 2)
@@ -302,11 +302,11 @@ def main() -> None:
         f"{'':<30}{'onset, ms':>14}{'offset, ms':>14}{'duration, ms':>14}"
         "   >20 missed false  within 2 SD"
     )
-    found, truth, baseline, stated = results
+    detected, truth, baseline, stated = results
     for kind in sorted(set(kinds)):
         of_kind = np.array(kinds) == kind
-        report(kind, found[of_kind], truth[of_kind], stated[of_kind])
-    report("all", found, truth, stated)
+        report(kind, detected[of_kind], truth[of_kind], stated[of_kind])
+    report("all", detected, truth, stated)
     report("baseline", baseline, truth, stated)
     print(f"refused: {len(refused)}", *refused, sep="\n  ")
 

@@ -1,4 +1,4 @@
-"""How far the found ends of the QRS are from the true ones, and whether that is foreseen.
+"""Errors of the detected ends of the QRS, and whether they are foreseen.
 
     python -m benchmarks.qrs_window [--hearts 60]
 
@@ -65,8 +65,8 @@ class Case:
 def simulations(rng: np.random.Generator, count: int) -> list[Simulation]:
     """QRS complexes of random networks; those that do not fit are drawn again."""
     model = fascicle.ForwardModel(fascicle.load_heart("default"))
-    found: list[Simulation] = []
-    while len(found) < count:
+    complexes: list[Simulation] = []
+    while len(complexes) < count:
         parameters = {
             name: value * (1 + 0.08 * rng.standard_normal()) if "length" in name else value
             for name, value in fascicle.EXAMPLE_PARAMETERS.items()
@@ -74,8 +74,8 @@ def simulations(rng: np.random.Generator, count: int) -> list[Simulation]:
         parameters |= {"root_time": rng.uniform(-70, 50), "cv": rng.uniform(2, 4)}
         outcome = model.simulate(parameters)
         if isinstance(outcome, Simulation):
-            found.append(outcome)
-    return found
+            complexes.append(outcome)
+    return complexes
 
 
 def dipole(vector: Array) -> Array:
@@ -157,9 +157,9 @@ def plain(signal: Array) -> tuple[int, int]:
     return top - ends[0], top + ends[1]
 
 
-def errors(cases: Sequence[Case], found: Sequence[tuple[int, int]]) -> Array:
-    """Found minus true (ms), shape (n, 2)."""
-    return np.array(found) - [(case.onset, case.offset) for case in cases]
+def errors(cases: Sequence[Case], windows: Sequence[tuple[int, int]]) -> Array:
+    """Detected minus true ends (ms), shape (n, 2)."""
+    return np.array(windows) - [(case.onset, case.offset) for case in cases]
 
 
 def within(cases: Sequence[Case], off: Array) -> Array:

@@ -1,4 +1,4 @@
-"""What benchmarks and tests compare the forward model with: closed forms, and first order alone."""
+"""References for the forward model in benchmarks and tests: closed forms, and first order."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ APART = 0.1  # of the unit cube, in some coordinate: so that the population span
 
 def refine(
     rng: np.random.Generator,
-    known: Sequence[Evaluation],
+    evaluated: Sequence[Evaluation],
     objective: Objective,
     generations: int,
     progress: StageProgress = no_progress,
@@ -37,8 +37,8 @@ def refine(
     ----------
     rng : Generator
         The only source of randomness.
-    known : sequence of Evaluation
-        What was evaluated so far.
+    evaluated : sequence of Evaluation
+        Evaluations so far.
     objective : Objective
         Evaluates, and keeps, the points of a generation.
     generations : int
@@ -51,7 +51,7 @@ def refine(
     ----------
     R. Storn and K. Price, "Differential evolution", Journal of Global Optimization 11, 1997.
     """
-    population = spread(known)
+    population = spread(evaluated)
     if not generations or len(population) < SMALLEST:
         return
     done = 0
@@ -82,10 +82,10 @@ def refine(
     )
 
 
-def spread(known: Sequence[Evaluation]) -> Floats:
+def spread(evaluated: Sequence[Evaluation]) -> Floats:
     """The best points that are mutually apart, best first, shape (at most `POPULATION`, d)."""
     chosen: list[Floats] = []
-    for evaluation in sorted((e for e in known if e.feasible), key=lambda e: e.loss):
+    for evaluation in sorted((e for e in evaluated if e.feasible), key=lambda e: e.loss):
         if all(np.abs(evaluation.point - other).max() > APART for other in chosen):
             chosen.append(evaluation.point)
         if len(chosen) == POPULATION:

@@ -63,12 +63,12 @@ def run(checkout: Path, folder: Path, data: Path) -> None:
 
 
 def arrays(file: Path) -> Iterator[tuple[str, np.ndarray]]:
-    """Names and values of what a file holds."""
+    """Names and values of the arrays of a file."""
     if file.suffix == ".nc":
         with h5py.File(file) as content:
-            found: list[str] = []
-            content.visit(found.append)
-            for name in found:
+            names: list[str] = []
+            content.visit(names.append)
+            for name in names:
                 if isinstance(content[name], h5py.Dataset):
                     yield name, content[name][()]
     elif file.suffix in {".vtu", ".vtp"}:
@@ -81,23 +81,23 @@ def arrays(file: Path) -> Iterator[tuple[str, np.ndarray]]:
             yield str(name), column.to_numpy()
 
 
-def same(one: np.ndarray, other: np.ndarray) -> bool:
+def same(first: np.ndarray, second: np.ndarray) -> bool:
     """Whether two arrays hold the same, NaN where NaN is; texts of floats are exact."""
-    texts = [[str(value) for value in np.ravel(array)] for array in (one, other)]
-    return np.shape(one) == np.shape(other) and texts[0] == texts[1]
+    texts = [[str(value) for value in np.ravel(array)] for array in (first, second)]
+    return np.shape(first) == np.shape(second) and texts[0] == texts[1]
 
 
-def differences(one: Path, other: Path) -> Iterator[str]:
-    """What two folders do not have in common."""
-    files = {p.relative_to(f) for f in (one, other) for p in f.rglob("*") if p.is_file()}
+def differences(first: Path, second: Path) -> Iterator[str]:
+    """Files and arrays in which two folders differ."""
+    files = {p.relative_to(f) for f in (first, second) for p in f.rglob("*") if p.is_file()}
     compared = 0
     for file in sorted(files):
         if file.suffix not in {".nc", ".vtu", ".vtp", ".csv"}:
             continue
-        if not (one / file).exists() or not (other / file).exists():
+        if not (first / file).exists() or not (second / file).exists():
             yield f"{file}: written by one alone"
             continue
-        ours, theirs = dict(arrays(one / file)), dict(arrays(other / file))
+        ours, theirs = dict(arrays(first / file)), dict(arrays(second / file))
         for name in sorted({*ours, *theirs}):
             compared += 1
             if name not in ours or name not in theirs:
@@ -112,17 +112,17 @@ def main() -> None:
     parser.add_argument("checkout", type=Path, help="the other version")
     default = os.environ.get("FASCICLE_TEST_DATA", str(HERE / "../shared/data"))
     parser.add_argument("--data", type=Path, default=Path(default), help="recordings and hearts")
-    given = parser.parse_args()
-    if not (given.checkout / "src" / "fascicle").is_dir():
-        parser.error(f"{given.checkout}: has no src/fascicle; give a checkout")
+    arguments = parser.parse_args()
+    if not (arguments.checkout / "src" / "fascicle").is_dir():
+        parser.error(f"{arguments.checkout}: has no src/fascicle; give a checkout")
     with TemporaryDirectory() as name:
         folders = [Path(name, "this"), Path(name, "other")]
-        for folder, checkout in zip(folders, (HERE, given.checkout), strict=True):
+        for folder, checkout in zip(folders, (HERE, arguments.checkout), strict=True):
             folder.mkdir()
-            run(checkout.resolve(), folder, given.data.resolve())
-        found = [*differences(*folders)]
-    print("\n".join(found) or "no difference")
-    sys.exit(bool(found))
+            run(checkout.resolve(), folder, arguments.data.resolve())
+        differing = [*differences(*folders)]
+    print("\n".join(differing) or "no difference")
+    sys.exit(bool(differing))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How time and memory grow with the mesh, and with the cores.
+"""Time and memory of runs by size of the mesh, and by cores.
 
     python -m benchmarks.scaling --data CRTDEMO_FOLDER [--million]
 
@@ -45,21 +45,21 @@ REPEATS = 5
 
 
 def refined(heart: Heart, times: int) -> Heart:
-    """Each tetrahedron in eight, `times` times."""
+    """Heart with each tetrahedron cut in eight, `times` times."""
     for _ in range(times):
         heart = in_eight(heart)
     return heart
 
 
-def partly_refined(heart: Heart, wanted: int) -> Heart:
-    """Bisect as many elements, from one side on, as bring the mesh to `wanted` vertices."""
+def partly_refined(heart: Heart, count: int) -> Heart:
+    """Bisect as many elements, from one side on, as bring the mesh to `count` vertices."""
     mesh = _mesh(heart)
-    while mesh.p.shape[1] < wanted:
+    while mesh.p.shape[1] < count:
         order = np.argsort(mesh.p[0, mesh.t].mean(axis=0))
-        missing = wanted / mesh.p.shape[1] - 1
+        missing = count / mesh.p.shape[1] - 1
         for share in np.minimum(np.linspace(0.5, 3.0, 6) * missing, 1.0):
             finer = mesh.refined(order[: int(share * len(order))])
-            if finer.p.shape[1] >= wanted:
+            if finer.p.shape[1] >= count:
                 break
         mesh = finer
     return _as_heart(heart, mesh)
@@ -176,10 +176,10 @@ def batches(model: ForwardModel, parameters: dict[str, float], name: str) -> Non
 
     print(f"\n{f'{NETWORKS} networks, {name}':<32}{'one, s':>10}{'two, s':>10}{'efficiency':>12}")
     for how, pool in (("threads", ThreadPoolExecutor), ("processes", ProcessPoolExecutor)):
-        with pool(1) as one:
-            alone = run(one)
-        with pool(2) as two:
-            together = run(two)
+        with pool(1) as single:
+            alone = run(single)
+        with pool(2) as pair:
+            together = run(pair)
         print(f"  {how:<30}{alone:>10.2f}{together:>10.2f}{alone / (2 * together):>12.1%}")
 
 

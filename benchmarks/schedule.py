@@ -1,4 +1,4 @@
-"""How well prior simulations keep many workers busy, by simulation of their schedule.
+"""Efficiency of many workers in prior simulations, by simulation of their schedule.
 
     python -m benchmarks.schedule [--heart HEART]
 
@@ -23,12 +23,10 @@ import numpy as np
 
 import fascicle
 from fascicle.forward.model import ForwardModel
-from fascicle.study.heart_emulator import prior_of
+from fascicle.study.heart_emulator import simulations_of, usual_prior
 from fascicle.study.pool import parts
 from fascicle.study.prior_simulations import PART, PriorSimulations
 from fascicle.study.settings import FitSettings
-from fascicle.study.simulator import PointSimulator
-from fascicle.study.space import AveragedOver, study_space
 
 FIRST, NETWORKS = 50, 200  # that prepare every tissue; that are timed
 PRIOR = FitSettings().prior_simulations
@@ -37,11 +35,9 @@ THREADS_TIMED, CALL, ITEMS = 32, PART, 10_000  # threads of idle workers; items 
 
 
 def prior_simulations(heart: str) -> PriorSimulations:
-    """What a fit with the default parameters wants simulated."""
+    """Prior simulations of a fit with the default parameters."""
     model = ForwardModel(fascicle.load_heart(heart))
-    space, fixed = study_space("posterior", {}, model.heart)
-    averaged = AveragedOver.of(space, fixed, model.heart)
-    return prior_of(PointSimulator(model, space, fixed, averaged=averaged), Path())
+    return simulations_of(model, usual_prior(model.heart), Path())
 
 
 def network_seconds(prior: PriorSimulations) -> np.ndarray:
@@ -59,7 +55,7 @@ def _nothing(item: float, model: ForwardModel) -> float:
 
 
 def jobs_a_second(model: ForwardModel) -> float:
-    """How many jobs a second pass through a Dask scheduler, to workers that do nothing."""
+    """Jobs a second that pass through a Dask scheduler, to workers that do nothing."""
     from distributed import LocalCluster
 
     with LocalCluster(
@@ -76,12 +72,12 @@ def jobs_a_second(model: ForwardModel) -> float:
 
 
 def round_seconds(seconds: np.ndarray, workers: int, rate: float) -> float:
-    """When the last of a round's jobs is done (s).
+    """Time at which the last job of a round is done (s).
 
     Parameters
     ----------
     seconds : (n,) array
-        That its points take.
+        Times of its points (s).
     workers : int
     rate : float
         Jobs that leave a second; inf without a scheduler.
@@ -96,7 +92,7 @@ def round_seconds(seconds: np.ndarray, workers: int, rate: float) -> float:
 
 
 def prior_seconds(seconds: np.ndarray, workers: int, rate: float) -> float:
-    """How long the prior simulations take (s), one part after the other."""
+    """Time that the prior simulations take (s), one part after the other."""
     rng = np.random.default_rng(0)
     return sum(
         round_seconds(rng.choice(seconds, PART), workers, rate) for _ in range(PRIOR // PART)
@@ -115,9 +111,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     )
     print(f"{'workers':>8} {'simulations':>12} {'efficiency':>11} {'if jobs left at once':>21}")
     for workers in WORKERS:
-        taken = [prior_seconds(seconds, workers, each) for each in (rate, np.inf)]
-        busy = [PRIOR * seconds.mean() / (workers * each) for each in taken]
-        print(f"{workers:8} {taken[0]:10.0f} s {busy[0]:11.0%} {busy[1]:21.0%}")
+        totals = [prior_seconds(seconds, workers, job_rate) for job_rate in (rate, np.inf)]
+        busy = [PRIOR * seconds.mean() / (workers * total) for total in totals]
+        print(f"{workers:8} {totals[0]:10.0f} s {busy[0]:11.0%} {busy[1]:21.0%}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What a paced beat adds to the intrinsic one.
+"""Gain in precision by a paced beat beside the intrinsic one.
 
     python -m benchmarks.second_recording --out FOLDER [--heart HEART]
 
@@ -34,8 +34,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--heart", default="default")
-    given = parser.parse_args()
-    model = fascicle.ForwardModel(fascicle.load_heart(given.heart))
+    arguments = parser.parse_args()
+    model = fascicle.ForwardModel(fascicle.load_heart(arguments.heart))
     rng = np.random.default_rng(0)
     paced, _ = read_scenario(find_scenario(PACED))
     intrinsic, other = (
@@ -43,14 +43,14 @@ def main() -> None:
     )
     with TerminalProgress() as progress:
         fitted = fascicle.fit(
-            model.heart, [intrinsic, (other, paced)], given.out, progress=progress
+            model.heart, [intrinsic, (other, paced)], arguments.out, progress=progress
         )
     print(fitted.verdict)
     posterior = fitted.population
     assert isinstance(posterior, Posterior)
     alone = posterior.first_alone or {}
     print(f"{'':<22} {'both':>8} {'first':>8} {'truth':>8} {'median':>8}")
-    for parameter in fitted.simulator.space.parameters:
+    for parameter in fitted.simulator.prior.learnt.parameters:
         name, values = parameter.name, posterior.values[parameter.name]
         first = half_width(alone[name]) if alone else np.nan
         print(

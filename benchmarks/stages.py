@@ -1,4 +1,4 @@
-"""Where the time of a forward run goes, stage by stage, and whether a change made it shorter.
+"""Time of a forward run, stage by stage, and whether a change made it shorter.
 
     python -m benchmarks.stages HEART [--networks 50] [--against CHECKOUT]
 
@@ -55,7 +55,7 @@ def serve(heart: str) -> None:
     from fascicle.heart.folder import load_heart
     from fascicle.purkinje.growth import grow_from_parameters
     from fascicle.purkinje.tree import InvalidTree
-    from fascicle.study.space import study_space
+    from fascicle.study.prior import study_space
 
     model = ForwardModel(load_heart(heart))
     space, fixed = study_space("paper", {"alpha": "free"}, model.heart)
@@ -125,7 +125,7 @@ class Server:
         return answer
 
 
-def compare(heart: str, checkouts: Sequence[Path], wanted: int) -> Iterator[tuple[Any, Any]]:
+def compare(heart: str, checkouts: Sequence[Path], count: int) -> Iterator[tuple[Any, Any]]:
     """Seconds of each stage and results, by checkout, of one network after the other."""
     servers = [Server(checkout, heart) for checkout in checkouts]
     number = done = 0
@@ -133,7 +133,7 @@ def compare(heart: str, checkouts: Sequence[Path], wanted: int) -> Iterator[tupl
         files = [Path(folder) / f"{k}.npz" for k in range(len(servers))]
         for server, file in zip(servers, files, strict=True):
             server(0, file)  # a warm-up
-        while done < wanted:
+        while done < count:
             pairs = zip(servers, files, strict=True)
             seconds = [server(number, file) for server, file in pairs]
             if None not in seconds:
@@ -145,12 +145,12 @@ def compare(heart: str, checkouts: Sequence[Path], wanted: int) -> Iterator[tupl
             number += 1
 
 
-def difference(one: Array, other: Array) -> float:
+def difference(first: Array, second: Array) -> float:
     """Largest difference between two arrays; inf where they have not the same shape."""
-    if one.shape != other.shape or not np.array_equal(np.isinf(one), np.isinf(other)):
+    if first.shape != second.shape or not np.array_equal(np.isinf(first), np.isinf(second)):
         return np.inf
-    finite = np.isfinite(one)
-    return float(np.abs(one[finite] - other[finite]).max(initial=0.0))
+    finite = np.isfinite(first)
+    return float(np.abs(first[finite] - second[finite]).max(initial=0.0))
 
 
 def main(argv: Sequence[str] | None = None) -> None:

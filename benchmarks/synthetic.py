@@ -90,14 +90,14 @@ def contraction(values: np.ndarray[Any, Any], lower: float, upper: float) -> flo
 
 def print_losses(fitted: FittedStudy, truth: Mapping[str, float]) -> None:
     """Print the mismatch after each stage, and that of the truth, which is noise alone."""
-    population, space = fitted.population, fitted.simulator.space
+    population, space = fitted.population, fitted.simulator.prior.learnt
     at_truth = next(evaluate(fitted.simulator, fitted.recordings, [space.to_unit(truth)])).loss
-    tried = [e.loss for e in fitted.candidates if e.feasible]
+    drawn = [e.loss for e in fitted.candidates if e.feasible]
     rounds = fitted.study.steps(Stage.REJECTION)
     print(f"  mismatch (mV²)   flat line {fitted.null_loss:.3f}, truth {at_truth:.4f}")
     print(f"    design         {fitted.best_initial_loss:.4f}")
     print(f"    optimisation   {population.best_loss:.4f}")
-    print(f"    candidates     {min(tried):.4f} to {max(tried):.4f} ({len(tried)} with a tree of "
+    print(f"    candidates     {min(drawn):.4f} to {max(drawn):.4f} ({len(drawn)} with a tree of "
           f"{len(fitted.candidates)}, {rounds} rounds)")  # fmt: skip
     if len(population):
         low, high = population.losses.min(), population.losses.max()
@@ -109,18 +109,22 @@ def print_parameters(fitted: FittedStudy, truth: Mapping[str, float]) -> None:
     population = fitted.population
     print(f"  {'':<22} {'truth':>7} {'best':>7} {'lowest':>7} {'median':>7} {'highest':>7}"
           f" {'contraction':>11} {'rank':>7}")  # fmt: skip
-    found: dict[str, list[float]] = {"left tree": [], "right tree": [], "root time, speed": []}
+    contractions: dict[str, list[float]] = {
+        "left tree": [],
+        "right tree": [],
+        "root time, speed": [],
+    }
     groups = {"lv": "left tree", "rv": "right tree"}
-    for parameter in fitted.simulator.space.parameters:
+    for parameter in fitted.simulator.prior.learnt.parameters:
         name, values = parameter.name, population.values[parameter.name]
         shrunk = contraction(values, parameter.lower, parameter.upper)
-        found[groups.get(name[:2], "root time, speed")].append(shrunk)
+        contractions[groups.get(name[:2], "root time, speed")].append(shrunk)
         rank = f"{(values < truth[name]).sum()}/{len(values)}"
         print(
             f"  {name:<22} {truth[name]:7.2f} {population.best[name]:7.2f} {values.min():7.2f} "
             f"{np.median(values):7.2f} {values.max():7.2f} {shrunk:11.2f} {rank:>7}"
         )
-    for name, shares in found.items():
+    for name, shares in contractions.items():
         print(f"  mean contraction, {name}: {np.mean(shares):.2f}")
 
 
@@ -152,7 +156,7 @@ def write_figures(
     folder: Path, fitted: FittedStudy, networks: list[Network], truth: Mapping[str, float]
 ) -> None:
     target, population = fitted.recordings[0].target, fitted.population
-    model, space, window = fitted.simulator.model, fitted.simulator.space, target.qrs_samples
+    model, space, window = fitted.simulator.model, fitted.simulator.prior.learnt, target.qrs_samples
     heart, true = model.heart, simulate(model, truth)
     drawn = {"truth": true, "best": fitted.best_network.simulation}
     rows = [ActivationRow.of(name, simulation).since_first() for name, simulation in drawn.items()]
@@ -160,8 +164,8 @@ def write_figures(
     time_axis = target.time[window]
     predicted = np.stack([network.predicted for network in networks])[:, :, window]
     reference = EcgGroup("reference", "beat", time_axis, target.qrs_beats, Colour.BLUE)
-    found = EcgGroup("networks", "network", time_axis, predicted, Colour.VERMILION)
-    save(ecg_figure([reference, found], fitted.statements.networks_called), folder / "ecg.png")
+    simulated = EcgGroup("networks", "network", time_axis, predicted, Colour.VERMILION)
+    save(ecg_figure([reference, simulated], fitted.statements.networks_called), folder / "ecg.png")
     pairs = pair_figure(space, population.values, population.best, truth)
     save(pairs, folder / "pairs.png")
     trees = {"truth": true} | {f"{k}": n.simulation for k, n in enumerate(networks)}
@@ -171,7 +175,7 @@ def write_figures(
 def experiment(
     model: fascicle.ForwardModel, name: str, seed: int, beats: int, out: Path, **budget: float
 ) -> FittedStudy:
-    """Fit the ECG of a known network, print what is found of it, and draw it."""
+    """Fit the ECG of a known network, and print and draw how well it is recovered."""
     truth, folder = TRUTHS[name], out / f"{name}-{seed}"
     true = simulate(model, truth)
     target = synthetic_target(true.leads, np.random.default_rng(seed), beats)
@@ -208,13 +212,13 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=300)
     parser.add_argument("--draws", type=int, default=5_000_000)
     parser.add_argument("--samples", type=int, default=30)
-    given = parser.parse_args()
-    model = fascicle.ForwardModel(_heart(build_case(given.data)))
-    for name in given.truth or TRUTHS:
-        for seed in range(given.seeds):
+    arguments = parser.parse_args()
+    model = fascicle.ForwardModel(_heart(build_case(arguments.data)))
+    for name in arguments.truth or TRUTHS:
+        for seed in range(arguments.seeds):
             experiment(
-                model, name, seed, given.beats, given.out, initial=given.initial,
-                steps=given.steps, draws=given.draws, samples=given.samples,
+                model, name, seed, arguments.beats, arguments.out, initial=arguments.initial,
+                steps=arguments.steps, draws=arguments.draws, samples=arguments.samples,
             )  # fmt: skip
 
 

@@ -45,25 +45,25 @@ def random_values(
     conductor: Conductor, count: int, scale: float
 ) -> tuple[list[dict[str, float]], float]:
     """Possible torsos, electrodes at places of the grid, and the share of those drawn."""
-    rng, found, drawn = np.random.default_rng(2026), [], 0
-    while len(found) < count:
+    rng, possible, drawn = np.random.default_rng(2026), [], 0
+    while len(possible) < count:
         drawn += 1
         values = {}
         for name in TORSO_QUANTITIES:
-            known = QUANTITIES[name]
-            low, high = known.prior_range
+            quantity = QUANTITIES[name]
+            low, high = quantity.prior_range
             part = scale * rng.uniform(-1, 1)
             if name.endswith("_conductivity"):
                 values[name] = float(high**part)
             else:
                 values[name] = float((low + high) / 2 + part * (high - low) / 2)
         if conductor.is_possible(TorsoState.of(values)):
-            found.append(values)
-    return found, len(found) / drawn
+            possible.append(values)
+    return possible, len(possible) / drawn
 
 
 def on_grid(values: dict[str, float]) -> dict[str, float]:
-    """The same with chest electrodes at the nearest places the reference is solved for."""
+    """Torso with chest electrodes at the nearest places that the reference is solved for."""
     size, together = values["chest_size"], values["chest_electrodes_up"]
     moved = dict(values)
     for k in range(1, 7):
@@ -76,8 +76,8 @@ def on_grid(values: dict[str, float]) -> dict[str, float]:
 def direct(conductor: Conductor, values: Values) -> Array:
     """Lead fields (9, n) in the heart over the myocardium's factor, by finite elements."""
     state = TorsoState.of(values)
-    found = solve_torso(conductor, electrode_places(conductor), state, 1e-7, 500)
-    return found[: len(conductor.heart.vertices)].T
+    fields = solve_torso(conductor, electrode_places(conductor), state, 1e-7, 500)
+    return fields[: len(conductor.heart.vertices)].T
 
 
 def accuracy(
@@ -88,8 +88,8 @@ def accuracy(
 ) -> None:
     """Errors of fields and ECG at some torsos."""
     heart, response = model.heart, model.torso(TORSO_QUANTITIES).response
-    own = conductor.conductivity[: len(heart.tetrahedra)]
-    stiffness = assemble_stiffness(heart.vertices, heart.tetrahedra, own)
+    conductivity = conductor.conductivity[: len(heart.tetrahedra)]
+    stiffness = assemble_stiffness(heart.vertices, heart.tetrahedra, conductivity)
     leads = lead_matrix()[INDEPENDENT_ROWS]
     barycentric = barycentric_gradients(heart.vertices, heart.tetrahedra)
 
@@ -116,16 +116,16 @@ def accuracy(
     rows = []
     for values in map(on_grid, torsos):
         reference = direct(conductor, values)
-        found = response(TorsoState.of(values)) @ response.modes
+        approximation = response(TorsoState.of(values)) @ response.modes
         best = np.linalg.solve(gram, weighted @ reference.T).T @ response.modes
         size = norm(reference)
         e = ecg(reference)
         rows.append([
-            norm(found - reference) / size, norm(best - reference) / size,
+            norm(approximation - reference) / size, norm(best - reference) / size,
             norm(neutral - reference) / size,
-            values_norm(found - reference) / values_norm(reference),
+            values_norm(approximation - reference) / values_norm(reference),
             values_norm(neutral - reference) / values_norm(reference),
-            np.linalg.norm(ecg(found) - e) / np.linalg.norm(e),
+            np.linalg.norm(ecg(approximation) - e) / np.linalg.norm(e),
             np.linalg.norm(ecg(neutral) - e) / np.linalg.norm(e),
         ])  # fmt: skip
     names = (
@@ -142,23 +142,28 @@ def accuracy(
 def cost(model: fascicle.ForwardModel, network: Values, torsos: list[dict[str, float]]) -> None:
     """Milliseconds of the lead fields of a torso, and of an ECG in it."""
     torso = model.torso(TORSO_QUANTITIES)
-    own, activation = model.prepared.electrocardiograph, simulated(model, network).activation
+    electrocardiograph, activation = (
+        model.prepared.electrocardiograph,
+        simulated(model, network).activation,
+    )
     times = []
     for values in 3 * torsos:
         begin = time.perf_counter()
         coefficients = torso.response(TorsoState.of(values))
         if isinstance(coefficients, InvalidTorso):
             continue
-        found = time.perf_counter()
+        responded = time.perf_counter()
         coefficients @ torso.response.modes
         fields = time.perf_counter()
-        moved = torso.electrocardiograph(own, coefficients[:8])
+        moved = torso.electrocardiograph(electrocardiograph, coefficients[:8])
         weights = time.perf_counter()
         moved.channels(activation)
         end = time.perf_counter()
-        own.channels(activation)
+        electrocardiograph.channels(activation)
         plain = time.perf_counter()
-        times.append([found - begin, fields - found, weights - fields, end - weights, plain - end])
+        times.append(
+            [responded - begin, fields - responded, weights - fields, end - weights, plain - end]
+        )
     names = ("coefficients", "fields at the vertices", "weights of the ECG", "ECG", "plain ECG")
     shown = zip(names, np.median(times, axis=0), strict=True)
     print("ms a torso (median): " + ", ".join(f"{name} {1e3 * t:.2f}" for name, t in shown))
@@ -180,15 +185,19 @@ def simulated(model: fascicle.ForwardModel, network: Values) -> fascicle.Simulat
 
 
 def table(model: fascicle.ForwardModel, network: Values) -> dict[str, list[float]]:
-    """What each quantity moves, at one standard deviation and at the ends; loss over flat line."""
+    """Print changes by each quantity, at one SD and at the ends; returns loss over flat line."""
     plain = simulated(model, network)
     losses: dict[str, list[float]] = {}
     changes = []
     for name in TORSO_QUANTITIES:
-        known = QUANTITIES[name]
-        kind, sd = known.default_prior or ("normal", 0.0)
-        near = [known.default - sd, known.default + sd] if kind == "normal" else np.exp([-sd, sd])
-        for value in (known.prior_range[0], *near, known.prior_range[1]):
+        quantity = QUANTITIES[name]
+        kind, sd = quantity.default_prior or ("normal", 0.0)
+        near = (
+            [quantity.default - sd, quantity.default + sd]
+            if kind == "normal"
+            else np.exp([-sd, sd])
+        )
+        for value in (quantity.prior_range[0], *near, quantity.prior_range[1]):
             changes.append((name, float(value)))
     print("quantity | value | loss (mV²) | QRS (ms) | axis (degrees)")
     onset, offset = qrs_window(plain.leads)
@@ -212,7 +221,7 @@ def table(model: fascicle.ForwardModel, network: Values) -> dict[str, list[float
 
 
 def draw(losses: dict[str, list[float]], title: str, file: Path) -> None:
-    """A bar a quantity: what it does at the ends of its range, and at one standard deviation."""
+    """Draw the changes by each quantity, at the ends of its range and at one standard deviation."""
     names = sorted(losses, key=lambda name: np.nanmax(losses[name]))
     ends, near = (
         [100 * np.nanmax([losses[name][k] for k in chosen]) for name in names]

@@ -47,8 +47,8 @@ def error_of_the_mesh(heart):
 
 
 def there_and_back(heart, other):
-    there = fascicle.transfer_map(heart.vertices.T, heart, other)
-    back = fascicle.transfer_map(there, other, heart).T
+    mapped = fascicle.transfer_map(heart.vertices.T, heart, other)
+    back = fascicle.transfer_map(mapped, other, heart).T
     off = np.linalg.norm(back - heart.vertices, axis=1)
     print(f"{heart.name} to {other.name} and back: median {np.median(off):.2f} mm", end=", ")
     print(f"95 of 100 vertices within {np.quantile(off, 0.95):.2f} mm")
@@ -57,18 +57,18 @@ def there_and_back(heart, other):
 def draw(heart, file):
     import pyvista as pv
 
-    found = fascicle.ventricular_coordinates(heart)
+    coordinates = fascicle.ventricular_coordinates(heart)
     grid = pv.UnstructuredGrid({10: heart.tetrahedra}, heart.vertices)
-    grid.point_data.update(found.arrays)
+    grid.point_data.update(coordinates.arrays)
     middle = heart.vertices.mean(axis=0)
-    septal = (found.rotational > 0.8) & (found.rotational < 0.87)
+    septal = (coordinates.rotational > 0.8) & (coordinates.rotational < 0.87)
     right = heart.vertices[septal].mean(axis=0) - heart.lv.vertices.mean(axis=0)
-    up = heart.vertices[found.apicobasal == 1].mean(axis=0) - middle
+    up = heart.vertices[coordinates.apicobasal == 1].mean(axis=0) - middle
     up /= np.linalg.norm(up)
     front = np.cross(up, right)  # anterior to the reader
     front /= np.linalg.norm(front)
     plot = pv.Plotter(shape=(2, 4), off_screen=True, window_size=(1600, 820), border=False)
-    for column, name in enumerate(found.arrays):
+    for column, name in enumerate(coordinates.arrays):
         colours = {"scalars": name, "cmap": "hsv" if name == "rt" else "viridis", "clim": (0, 1)}
         bar = {"title": name, "n_labels": 3, "title_font_size": 20, "color": "black"}
         for row in (0, 1):
@@ -90,11 +90,11 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("hearts", nargs="*")
     parser.add_argument("--figure")
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     packaged = fascicle.load_heart("default")
-    if given.figure:
-        draw(fascicle.load_heart("camps-dti004"), given.figure)
+    if arguments.figure:
+        draw(fascicle.load_heart("camps-dti004"), arguments.figure)
     else:
         error_of_the_mesh(packaged)
-        for folder in given.hearts:
+        for folder in arguments.hearts:
             there_and_back(packaged, fascicle.load_heart(folder))

@@ -40,19 +40,19 @@ print(study.verdict)
 _ = fascicle.plot.ecg(study)
 
 # %% [markdown]
-# What scenarios do in every network: an interval is what the ECG leaves open.
+# Scenarios are predicted in every network: the spread of the networks is what the ECG leaves open.
 
 # %%
 predicted = fascicle.predict(study, ["left-bundle-branch-pacing", "rv-apical-pacing"])
 _ = fascicle.plot.indices(predicted)
 
 # %%
-found = fascicle.compare(
+comparison = fascicle.compare(
     predicted["left-bundle-branch-pacing"], predicted["rv-apical-pacing"], "total_activation_time"
 )
-low, high = found.interval
-print(f"probability to be faster {found.probability():.2f}, by {low:.0f} to {high:.0f} ms")
-for name, share in found.variance_explained_by(study.population.values)[:3]:
+low, high = comparison.interval
+print(f"probability to be faster {comparison.probability():.2f}, by {low:.0f} to {high:.0f} ms")
+for name, share in comparison.variance_explained_by(study.population.values)[:3]:
     print(f"{share:.0%} of the difference between networks goes with {name}")
 
 # %% [markdown]

@@ -114,14 +114,16 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--effective", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
-    truth = read_parameters(given.truth) if given.truth else TRUTH
-    fitted = recover(given.heart, truth, given.out, given.seed, effective=given.effective)
+    arguments = parser.parse_args()
+    truth = read_parameters(arguments.truth) if arguments.truth else TRUTH
+    fitted = recover(
+        arguments.heart, truth, arguments.out, arguments.seed, effective=arguments.effective
+    )
     population = fitted.population
-    truth = dict.fromkeys(population.values, np.nan) | dict(truth)  # in other terms, perhaps
+    truth = dict.fromkeys(population.values, np.nan) | dict(truth)  # it may have other parameters
     print(fitted.verdict)
     print(f"{'':<22} {'true':>8} {'median':>8} {'5 %':>8} {'95 %':>8}")
-    for parameter in fitted.simulator.space.parameters:
+    for parameter in fitted.simulator.prior.learnt.parameters:
         values = population.values[parameter.name]
         print(
             f"{parameter.name:<22} {truth[parameter.name]:8.3g} {np.median(values):8.3g} "
@@ -129,7 +131,7 @@ def main() -> None:
         )
     drawn = drawings(fitted, fitted.networks())
     write_figures(drawn, fitted.folder / "figures", ["png"])
-    pairs = pair_figure(fitted.simulator.space, population.values, population.best, truth)
+    pairs = pair_figure(fitted.simulator.prior.learnt, population.values, population.best, truth)
     save(pairs, fitted.folder / "figures" / "pairs_with_truth.png")
 
 

@@ -25,8 +25,8 @@ print(f"V1 from {float(v1.min()):.2f} to {float(v1.max()):.2f} mV")
 print(f"QRS window {own.qrs_duration:.0f} ms, activation {own.total_activation_time:.0f} ms")
 
 # %% [markdown]
-# Scenarios change what happens, not the network. `fascicle scenarios` lists the library; a file of
-# your own, or a `fascicle.Scenario`, is as good.
+# Scenarios change stimulation and conduction, not the network. `fascicle scenarios` lists the
+# library; a file of your own, or a `fascicle.Scenario`, does as well.
 
 # %%
 NAMES = [
@@ -37,10 +37,10 @@ NAMES = [
 ]
 scenarios = fascicle.read_scenarios(NAMES)
 simulated = {name: model.simulate(parameters, scenario) for name, scenario in scenarios.items()}
-for name, found in simulated.items():
+for name, simulation in simulated.items():
     print(
-        f"{name:<26} QRS window {found.qrs_duration:3.0f} ms, activation "
-        f"{found.total_activation_time:3.0f} ms"
+        f"{name:<26} QRS window {simulation.qrs_duration:3.0f} ms, activation "
+        f"{simulation.total_activation_time:3.0f} ms"
     )
 
 # %% [markdown]

@@ -1,4 +1,4 @@
-"""How much a plain install takes on the disk: fascicle and all that it needs, no extra.
+"""Disk space of a plain install: fascicle and all that it needs, without extras.
 
     python tools/installed_size.py
 
@@ -22,20 +22,20 @@ MEGABYTE = 1e6
 
 
 def needed(name: str) -> dict[str, Distribution]:
-    """Distributions that one needs, itself included, by normalised name."""
-    found: dict[str, Distribution] = {}
+    """Distributions that a package needs, itself included, by normalised name."""
+    distributions: dict[str, Distribution] = {}
     names = [name]
     while names:
         current = names.pop()
         key = re.sub(r"[-_.]+", "-", current).lower()
-        if key in found:
+        if key in distributions:
             continue
         try:
-            found[key] = distribution(current)
+            distributions[key] = distribution(current)
         except PackageNotFoundError:
             sys.exit(f"{current} is not installed; run pip install . first")
-        names += required(found[key])
-    return found
+        names += required(distributions[key])
+    return distributions
 
 
 def required(package: Distribution) -> Iterator[str]:
@@ -45,7 +45,7 @@ def required(package: Distribution) -> Iterator[str]:
 
 
 def size(package: Distribution) -> float:
-    """Megabytes of its files."""
+    """Size of a distribution's files (MB)."""
     paths = {path.locate() for path in package.files or []}
     return sum(path.stat().st_size for path in paths if path.is_file()) / MEGABYTE
 

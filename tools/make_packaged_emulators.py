@@ -27,7 +27,7 @@ from fascicle.forward.model import ForwardModel
 from fascicle.heart.heart import Heart
 from fascicle.study import origin
 from fascicle.study.ecg_classifier import STEPS, Lessons, learn
-from fascicle.study.heart_emulator import EMULATOR, made_emulator
+from fascicle.study.heart_emulator import EMULATOR, made_emulator, usual_prior
 from fascicle.study.pool import Threads
 from fascicle.study.prior_simulations import SEED
 from fascicle.study.settings import FitSettings
@@ -37,7 +37,6 @@ from fascicle.study.state_classifier import (
     classifier_key,
     lessons,
     simulations_of_states,
-    usual_simulator,
 )
 
 FOLDER = Path(fascicle.__file__).parent / "data" / "emulators"
@@ -50,7 +49,7 @@ ROWS = np.array(INDEPENDENT_ROWS)
 
 def main() -> None:
     FOLDER.mkdir(exist_ok=True)
-    for old in FOLDER.glob("*.npz"):  # else they are taken for what is asked for
+    for old in FOLDER.glob("*.npz"):  # else an old file could be taken for a new one
         old.unlink()
     make_classifier([make_those_of(fascicle.load_heart(name)) for name in PACKAGED])
 
@@ -59,30 +58,30 @@ def make_those_of(heart: Heart) -> dict[str, StateSimulations]:
     """Emulators and the classifier of origins; gives the prior simulations of the states."""
     assert heart.folder is not None
     fascicle.simulate_prior(heart)
-    simulator = usual_simulator(ForwardModel(heart), heart.folder)
-    known = simulations_of_states(simulator, heart.folder, COUNT)
-    for each in known.values():
-        its = MORE.get((heart.name, each.state.name), each.count)
-        made_emulator(each.prior, its, Threads(2))
-        take(heart.folder, EMULATOR, its, each.prior.content)
-    beats = origin.ectopic_beats(simulator.model, heart.folder)
+    model = ForwardModel(heart)
+    states = simulations_of_states(model, usual_prior(heart), heart.folder, COUNT)
+    for name, of_state in states.items():
+        count = MORE.get((heart.name, name), of_state.count)
+        made_emulator(of_state.simulations, count, Threads(2))
+        take(heart.folder, EMULATOR, count, of_state.simulations.content)
+    beats = origin.ectopic_beats(model, heart.folder)
     origin.classifier_of(beats, ROWS, COUNT, Threads(2))
     take(heart.folder, origin.CLASSIFIER, COUNT, origin.classifier_key(beats, ROWS))
-    return known
+    return states
 
 
 def make_classifier(hearts: Sequence[dict[str, StateSimulations]]) -> None:
-    """Make the classifier of conduction states, found as that of each heart."""
+    """Make the classifier of conduction states, and keep it as that of each heart."""
     rng = np.random.default_rng(SEED)
-    seen, held_out = zip(*(lessons(known, ROWS, rng) for known in hearts), strict=True)
+    seen, held_out = zip(*(lessons(states, ROWS, rng) for states in hearts), strict=True)
     steps = STEPS * len(hearts)
     arrays = learn(joined(seen), joined(held_out), ROWS, rng, steps=steps).arrays()
-    for known in hearts:
-        put(CLASSIFIER, classifier_key(known, ROWS), {**arrays, "networks": np.array(COUNT)})
+    for states in hearts:
+        put(CLASSIFIER, classifier_key(states, ROWS), {**arrays, "networks": np.array(COUNT)})
 
 
 def joined(parts: Sequence[Lessons]) -> Lessons:
-    recordings, kinds = zip(*((each.recordings, each.kinds) for each in parts), strict=True)
+    recordings, kinds = zip(*((part.recordings, part.kinds) for part in parts), strict=True)
     return Lessons(np.concatenate(recordings), np.concatenate(kinds))
 
 
@@ -94,15 +93,15 @@ def take(heart: Path, kind: str, count: int, key: str) -> None:
 
 
 def put(kind: str, key: str, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write a file of the package, its weights rounded."""
-    smaller = {name: rounded(each) for name, each in arrays.items()}
+    """Write a file of the package with rounded weights."""
+    smaller = {name: rounded(array) for name, array in arrays.items()}
     ArrayCache(FOLDER, kind).write(key, smaller, compress=True)
 
 
 def rounded(array: NDArray[Any]) -> NDArray[Any]:
     """Half-precision numbers to five binary digits, which zlib makes a third smaller.
 
-    What an emulator gives changes by 0.6 % of its size then; its error is 20 %.
+    The ECG of an emulator then changes by 0.6 % of its size; its error is 20 %.
     """
     if array.dtype != np.float16:
         return array

@@ -70,9 +70,9 @@ class Ellipsoid:
     def holds(self, points: Floats) -> NDArray[np.bool_]:
         """Tell which points (..., 3) lie in it."""
         c, s = np.cos(self.tilt), np.sin(self.tilt)
-        to_own_axes = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
-        own = (points - self.centre) @ to_own_axes.T / self.semi_axes
-        return np.asarray(np.linalg.norm(own, axis=-1) < 1)
+        to_axes = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+        scaled = (points - self.centre) @ to_axes.T / self.semi_axes
+        return np.asarray(np.linalg.norm(scaled, axis=-1) < 1)
 
     def grown(self, thickness: float) -> Ellipsoid:
         """Return the ellipsoid with semi-axes longer by the thickness."""
@@ -119,7 +119,7 @@ SEEDS = {
     "rv": ((26.7, 21.4, -13.6), (28.0, 15.9, -42.9)),
 }
 
-# What keeps the file small: positions and fibres are rounded to these, which zlib squeezes
+# Positions and fibres are rounded to these, so that zlib makes the file small
 POSITION_STEP, FIBRE_STEP = 2.0**-10, 2.0**-12
 
 
@@ -177,8 +177,11 @@ def camps_heart(published: Path) -> Heart:
     near, weights = meshing.nearest_tetrahedra(before, mesh)
     anatomy = Anatomy(mesh, fibres=meshing.mean_axes(fibres[near], weights))
     seeds: Seeds = {
-        side: (place(own.vertices[own.root]), place(own.vertices[own.direction]))
-        for side, own in zip(("lv", "rv"), heart_of(source).endocardia, strict=True)
+        side: (
+            place(endocardium.vertices[endocardium.root]),
+            place(endocardium.vertices[endocardium.direction]),
+        )
+        for side, endocardium in zip(("lv", "rv"), heart_of(source).endocardia, strict=True)
     }
     body = TorsoOptions(electrodes=published / "electrodes.csv")
     return replace(small(anatomy, seeds, "camps-dti004", body), example=CAMPS_EXAMPLE)
@@ -203,7 +206,7 @@ def with_rounded_vertices(mesh: LabelledMesh) -> LabelledMesh:
 
 
 def small(anatomy: Anatomy, seeds: Seeds, name: str, body: TorsoOptions) -> Heart:
-    """A heart with what is small enough to be packaged: no sheets, no torso mesh."""
+    """A heart that is small enough to be packaged: without sheets and torso mesh."""
     heart = heart_of(anatomy, seeds=seeds, name=name)
     fibres = rounded(heart.fibres, FIBRE_STEP)
     # as they will be when the file is read
@@ -242,17 +245,19 @@ def main() -> None:
     parser.add_argument("heart", choices=("default", "camps-dti004"))
     parser.add_argument("folder", type=Path, help="where the files go")
     parser.add_argument("--published", type=Path, help="folder of the published files")
-    given = parser.parse_args()
-    published = given.published
-    heart = idealised_heart() if given.heart == "default" else camps_heart(published)
-    write_heart(heart, given.folder)
-    without_text(given.folder / FILES["mesh"])
+    arguments = parser.parse_args()
+    published = arguments.published
+    heart = idealised_heart() if arguments.heart == "default" else camps_heart(published)
+    write_heart(heart, arguments.folder)
+    without_text(arguments.folder / FILES["mesh"])
     if published is not None:
         names, numbers = (published / "ecg_beat.csv").read_text().split("\n", 1)
         time, *leads = names.split(",")
         titles = ",".join([time, *(f"{lead}_uV" for lead in leads)])
-        (given.folder / "ecg.csv").write_text(f"{titles}\n{numbers}")
-    print(f"{len(heart.vertices)} vertices, {len(heart.tetrahedra)} tetrahedra in {given.folder}")
+        (arguments.folder / "ecg.csv").write_text(f"{titles}\n{numbers}")
+    print(
+        f"{len(heart.vertices)} vertices, {len(heart.tetrahedra)} tetrahedra in {arguments.folder}"
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How many things the source asks a reader to learn, and how plain their names are.
+"""Count what the source asks a reader to learn, and how plain its names are.
 
     python tools/plain_names.py [CHECKOUT]
 
@@ -22,10 +22,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-VAGUE = frozenset(
-    "found each given known one own there said what asked wanted told taken gone tried ones those "
-    "others every everything something anything".split()
-)
+VAGUE = {
+    *("found", "each", "given", "known", "one", "own", "there", "said", "what", "asked", "wanted"),
+    *("told", "taken", "gone", "tried", "ones", "those", "others", "every", "everything"),
+    *("something", "anything"),
+}
 VAGUE_FIRST = re.compile(
     r"(The same|Those|These|This|That|It|Its|They|What|How|Where|Which|Who|Whose|When|Such|Each|One"
     r"|Ones|All that|Same)\b"

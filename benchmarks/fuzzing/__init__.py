@@ -1,4 +1,4 @@
-"""Damaged files of every kind that is read, and wrong arguments: what becomes of each.
+"""Damaged files of every kind that is read, and wrong arguments: their outcomes.
 
     python -m benchmarks.fuzzing [KIND ...] [--number 20000] [--first 0]
 

@@ -1,4 +1,4 @@
-"""Damaged inputs, and what becomes of each: an answer or one line, in bounded time and memory."""
+"""Damaged inputs and their outcomes: an answer or one line, in bounded time and memory."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class TooSlowError(BaseException):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one input.
+    """Outcome of one input.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ def _alarm(seconds: float) -> Iterator[None]:
 @contextmanager
 def _printed() -> Iterator[list[str]]:
     """Collect what is written to standard output and error by whatever means."""
-    found: list[str] = []
+    printed: list[str] = []
     sys.stdout.flush()
     with tempfile.TemporaryFile() as file, ExitStack() as stack:
         for number in (1, 2):
@@ -86,11 +86,11 @@ def _printed() -> Iterator[list[str]]:
             stack.callback(os.dup2, saved, number)
             os.dup2(file.fileno(), number)
         try:
-            yield found
+            yield printed
         finally:
             sys.stdout.flush()
             file.seek(0)
-            found.extend(filter(None, [file.read().decode(errors="replace")]))
+            printed.extend(filter(None, [file.read().decode(errors="replace")]))
 
 
 def _most_memory() -> float:
@@ -98,11 +98,11 @@ def _most_memory() -> float:
     import resource
 
     who = resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN
-    return max(resource.getrusage(one).ru_maxrss for one in who) * 1024.0
+    return max(resource.getrusage(process).ru_maxrss for process in who) * 1024.0
 
 
 def write_input(kind: str, seeds: list[Seed], number: int, folder: Path) -> Path:
-    """Write the damaged files of one number into an empty folder; what is to be read."""
+    """Write the damaged files of one number into an empty folder; returns the path to read."""
     rng = np.random.default_rng([SEED, zlib.crc32(kind.encode()), number])
     seed = seeds[rng.integers(len(seeds))]
     victim = seed.damaged[rng.integers(len(seed.damaged))]
@@ -132,7 +132,7 @@ def attempt(work: Callable[[], Any], number: int) -> Outcome:
         where = traceback.extract_tb(error.__traceback__)
         place = next((f for f in reversed(where) if "fascicle" in f.filename), where[-1])
         failure = f"{type(error).__name__}: {str(error)[-300:]} ({place.filename}:{place.lineno})"
-    noise = [str(each.message) for each in warned] + printed
+    noise = [str(warning.message) for warning in warned] + printed
     if noise:
         failure = failure or f"says besides: {noise[0][-300:]!r}"
     after = _most_memory()
@@ -142,7 +142,7 @@ def attempt(work: Callable[[], Any], number: int) -> Outcome:
 
 
 def outcomes(name: str, numbers: range, folder: Path) -> Iterator[Outcome]:
-    """What becomes of the inputs of one kind with these numbers; `folder` is for their files."""
+    """Outcomes of the inputs of one kind with these numbers; `folder` is for their files."""
     small_model()  # before anything is timed
     if name in CALLS:
         for number in numbers:

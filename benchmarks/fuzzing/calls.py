@@ -13,8 +13,8 @@ import fascicle
 from benchmarks.fuzzing.kinds import small_model
 from benchmarks.fuzzing.seeds import parameters
 from fascicle.core.quantities import QUANTITIES, TORSO_QUANTITIES
+from fascicle.study.prior import study_space
 from fascicle.study.settings import checked_settings
-from fascicle.study.space import study_space
 
 Call = Callable[[np.random.Generator], Any]
 
@@ -27,14 +27,14 @@ VALUES: tuple[Any, ...] = (
 KEPT = ("primitives", "trees", "regions", "source")  # made by others
 
 
-def built(kind: type, **given: Any) -> Call:
+def built(kind: type, **arguments: Any) -> Call:
     """Make a dataclass with some of its fields spoilt."""
     names = [field.name for field in fields(kind) if field.init and field.name not in KEPT]
 
     def make(rng: np.random.Generator) -> Any:
         number = rng.integers(1, min(2, len(names)) + 1)
         spoilt = rng.choice(names, size=number, replace=False)
-        return kind(**given | {name: VALUES[rng.integers(len(VALUES))] for name in spoilt})
+        return kind(**arguments | {name: VALUES[rng.integers(len(VALUES))] for name in spoilt})
 
     return make
 
@@ -72,10 +72,10 @@ def _settings(rng: np.random.Generator) -> Any:
 
 def _space(rng: np.random.Generator) -> Any:
     name = str(rng.choice([*QUANTITIES, "pose", "nonsense"]))
-    wanted = any_value(rng)
+    prior = any_value(rng)
     if rng.random() < 0.5:
-        wanted = {str(rng.choice(["lower", "upper", "prior", "median", "sd"])): any_value(rng)}
-    return study_space("posterior", {name: wanted}, small_model().heart)
+        prior = {str(rng.choice(["lower", "upper", "prior", "median", "sd"])): any_value(rng)}
+    return study_space("posterior", {name: prior}, small_model().heart)
 
 
 # Every public function that is quick enough, of a generator that chooses what it gets

@@ -1,4 +1,4 @@
-"""What is damaged, and what then reads it."""
+"""Kinds of files that are damaged, and the functions that read them."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class Kind:
     Attributes
     ----------
     seeds : function
-        Makes whole ones.
+        Makes undamaged files.
     read : function
-        Of the path of what is read; anything it raises but InputError is a failure.
+        Reads a path; any exception but InputError is a failure.
     """
 
     seeds: Callable[[], list[Seed]]
@@ -98,13 +98,13 @@ def _parameters(path: Path) -> Any:
 
 
 def _settings(path: Path) -> Any:
+    from fascicle.study.prior import PARAMETERS, read_settings, study_space
     from fascicle.study.settings import checked_settings
-    from fascicle.study.space import PARAMETERS, read_settings, study_space
 
-    given = read_settings(path)
-    wanted = given.pop(PARAMETERS, {})
-    settings = checked_settings(given)
-    return study_space(settings.method, wanted, small_model().heart)
+    content = read_settings(path)
+    parameters = content.pop(PARAMETERS, {})
+    settings = checked_settings(content)
+    return study_space(settings.method, parameters, small_model().heart)
 
 
 def _target(path: Path) -> Any:

@@ -20,7 +20,7 @@ FLOATS = (np.nan, np.inf, -np.inf, 1e308, -1e308, 1e-308, 0.0, -1.0, 1e20)
 
 
 def mutated(content: bytes, rng: np.random.Generator) -> bytes:
-    """One damage of any kind, or a few."""
+    """Content with one damage of any kind, or a few."""
     for _ in range(rng.geometric(0.7)):
         content = MUTATIONS[rng.integers(len(MUTATIONS))](content, rng)
     return content
@@ -73,10 +73,10 @@ def _one_match(
 
 def extreme_text(content: bytes, rng: np.random.Generator) -> bytes:
     """A number in a text becomes an extreme one, or none."""
-    found = _one_match(NUMBER, content, rng)
-    if found is None:
+    match = _one_match(NUMBER, content, rng)
+    if match is None:
         return content
-    return content[: found.start()] + TEXTS[rng.integers(len(TEXTS))] + content[found.end() :]
+    return content[: match.start()] + TEXTS[rng.integers(len(TEXTS))] + content[match.end() :]
 
 
 def extreme_bytes(content: bytes, rng: np.random.Generator) -> bytes:
@@ -126,7 +126,7 @@ def swapped_words(content: bytes, rng: np.random.Generator) -> bytes:
     first, second = (_one_match(WORD, content, rng) for _ in range(2))
     if first is None or second is None or first.start() == second.start():
         return content
-    first, second = sorted((first, second), key=lambda found: found.start())
+    first, second = sorted((first, second), key=lambda match: match.start())
     return (
         content[: first.start()] + second[0] + content[first.end() : second.start()] + first[0]
         + content[second.end() :]

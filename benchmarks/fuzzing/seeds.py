@@ -171,8 +171,8 @@ def recordings() -> list[Seed]:
         if Path(name).stem not in records
     ]
     for record in records:
-        own = {name: files[name] for name in (f"{record}.hea", f"{record}.dat")}
-        seeds.append(Seed(own, f"{record}.hea", tuple(own)))
+        pair = {name: files[name] for name in (f"{record}.hea", f"{record}.dat")}
+        seeds.append(Seed(pair, f"{record}.hea", tuple(pair)))
     return seeds
 
 
@@ -226,10 +226,10 @@ def _write_dicom(path: Path, signal: np.ndarray) -> None:
     from pydicom.uid import ExplicitVRLittleEndian, TwelveLeadECGWaveformStorage
 
     def dataset(**elements: Any) -> pydicom.Dataset:
-        found = pydicom.Dataset()
+        made = pydicom.Dataset()
         for name, value in elements.items():
-            setattr(found, name, value)
-        return found
+            setattr(made, name, value)
+        return made
 
     def coded(value: str, scheme: str, meaning: str) -> list[pydicom.Dataset]:
         code = dataset(CodeValue=value, CodingSchemeDesignator=scheme, CodeMeaning=meaning)
@@ -278,13 +278,13 @@ def _write_clinical(folder: Path) -> None:
 
 
 def unpacked(seed: Seed, name: str) -> bytes:
-    """What is damaged of a file."""
+    """Content of a file to damage, decompressed if it is packed."""
     content = seed.files[name]
     return gzip.decompress(content) if name in seed.packed else content
 
 
 def packed(seed: Seed, name: str, content: bytes) -> bytes:
-    """The file with that content."""
+    """Content as it is stored in a file, compressed if it is packed."""
     return gzip.compress(content, mtime=0) if name in seed.packed else content
 
 
@@ -309,8 +309,8 @@ def small_heart() -> Heart:
     triangles, _ = boundary_triangles(cells)
 
     def face(side: str, x: float) -> Endocardium:
-        there = (vertices[triangles][:, :, 0] == x).all(axis=1)
-        used, corners = np.unique(triangles[there], return_inverse=True)
+        on_face = (vertices[triangles][:, :, 0] == x).all(axis=1)
+        used, corners = np.unique(triangles[on_face], return_inverse=True)
         root, middle = (
             int(np.linalg.norm(vertices[used] - (x, SIZE / 2, z), axis=1).argmin())
             for z in (0.75 * SIZE, 0.5 * SIZE)
@@ -454,8 +454,8 @@ def scenarios() -> list[Seed]:
     shipped = {path.name: path.read_bytes() for path in library().values()}
     tree = _written(_write_meshes)["tree-ascii.vtp"]
     whole = {"own.toml": OWN_TREE.encode(), "tree.vtp": tree}
-    own = _each({"a.toml": SCENARIO.encode()})
-    return [*own * 20, *[Seed(whole, "own.toml", tuple(whole))] * 10, *_each(shipped)]
+    plain = _each({"a.toml": SCENARIO.encode()})
+    return [*plain * 20, *[Seed(whole, "own.toml", tuple(whole))] * 10, *_each(shipped)]
 
 
 def trees() -> list[Seed]:
@@ -478,23 +478,23 @@ def electrodes() -> list[Seed]:
 
 @cache
 def _study_files() -> dict[str, bytes]:
-    """What `load_study` reads of studies by both methods, with the small heart."""
+    """Files that `load_study` reads, of studies by both methods with the small heart."""
     import fascicle
     from fascicle.heart.folder import write_heart
     from fascicle.recording.target import Target, smooth_noise
 
-    known = parameters()
+    values = parameters()
 
     def write(folder: Path) -> None:
         write_heart(small_heart(), folder / "heart")
         heart = fascicle.load_heart(folder / "heart")
-        simulated = fascicle.ForwardModel(heart).simulate(known)
+        simulated = fascicle.ForwardModel(heart).simulate(values)
         clean = np.pad(simulated.leads, ((0, 0), (80, 80)))
         time = np.arange(clean.shape[1]) - 80 + simulated.onset
         beats = clean + smooth_noise(np.random.default_rng(0), (3, *clean.shape), 0.02)
         last = float(np.nanmax(simulated.activation))
         target = Target(beats, time, simulated.first_activation, last, 60.0, {"from": "it"}, 4.0, 5)
-        fixed = {name: value for name, value in known.items() if name != "cv"}
+        fixed = {name: value for name, value in values.items() if name != "cv"}
         few = {"paper": {"initial": 6, "steps": 1, "samples": 2, "draws": 2000},
                "posterior": {"prior_simulations": 100, "effective": 20}}  # fmt: skip
         for method, settings in few.items():
@@ -515,9 +515,9 @@ def studies() -> list[Seed]:
     """Finished studies, by both methods."""
     files = _study_files()
     return [
-        Seed(own, method, tuple(own))
+        Seed(study, method, tuple(study))
         for method in ("paper", "posterior")
-        if (own := {name: files[name] for name in files if name.startswith(f"{method}/")})
+        if (study := {name: files[name] for name in files if name.startswith(f"{method}/")})
     ]
 
 

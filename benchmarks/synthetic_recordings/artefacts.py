@@ -1,4 +1,4 @@
-"""What synthetic recordings hold besides beats: pacing spikes, f-waves and noise.
+"""Artefacts of synthetic recordings: pacing spikes, f-waves and noise.
 
 All are potentials (mV) of the nine electrodes, so that the leads obey Einthoven's law.
 """

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Truth:
-    """What a synthetic recording consists of.
+    """Contents of a synthetic recording, known exactly.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ def hump(t: Array, start: float, end: float, rise: float, fall: float) -> Array:
 
 @dataclass(frozen=True)
 class _Shape:
-    """One kind of beat: the humps of its QRS (in shares of its length), its T and its P wave."""
+    """Shape of a kind of beat: humps of its QRS (in shares of its length), its T and its P wave."""
 
     length: float  # s
     humps: tuple[tuple[float, float, float, float], ...]
@@ -78,7 +78,7 @@ class _Shape:
 
 @dataclass(frozen=True)
 class Synthesis:
-    """What a synthetic recording is made of.
+    """Choices by which a synthetic recording is made.
 
     Attributes
     ----------
@@ -218,8 +218,10 @@ def _shape(rng: np.random.Generator, kind: str, height: float, tall_t: float) ->
         length = rng.uniform(0.12, 0.17)
     turn = _rotation(rng, np.pi if kind == "ectopic" else np.pi / 5)
     vectors = np.array(directions) * rng.lognormal(0, 0.25, (len(directions), 1)) @ turn
-    own = 0.15 * rng.standard_normal((len(vectors), len(ELECTRODES)))  # what no dipole explains
-    potentials = vectors @ SIGHT.T + own
+    non_dipolar = 0.15 * rng.standard_normal(
+        (len(vectors), len(ELECTRODES))
+    )  # what no dipole explains
+    potentials = vectors @ SIGHT.T + non_dipolar
     inner = 0.04 * rng.uniform(-1, 1, (2, len(directions)))
     inner[0, 0] = inner[1, -1] = 0  # the ends stay
     first, last = np.array(_SPANS).T + inner

@@ -1,4 +1,4 @@
-"""When beats come in each rhythm, and of which kind they are, for synthetic recordings."""
+"""Times and kinds of the beats in each rhythm, for synthetic recordings."""
 
 from __future__ import annotations
 

@@ -143,13 +143,13 @@ def pairs(fitted: GivenStudy) -> list[Axes]:
     """Pairs of the parameters that were learnt, on the whole ranges of their priors."""
     fitted = as_study(fitted)
     population = fitted.population
-    return _shown(pair_figure, fitted.simulator.space, population.values, population.best)
+    return _shown(pair_figure, fitted.simulator.prior.learnt, population.values, population.best)
 
 
 def priors(fitted: GivenStudy) -> list[Axes]:
     """Prior density of each parameter (lines), and the networks (histograms)."""
     fitted = as_study(fitted)
-    return _shown(prior_figure, fitted.simulator.space, fitted.population.values)
+    return _shown(prior_figure, fitted.simulator.prior.learnt, fitted.population.values)
 
 
 def convergence(fitted: GivenStudy, ax: Axes | None = None) -> list[Axes]:

@@ -25,11 +25,11 @@ def test_fit_comes_closer_to_the_truth_than_the_first_networks(tmp_path):
         "default", example.TRUTH, tmp_path / "study", 0,
         prior_simulations=200, effective=20,
     )  # fmt: skip
-    space, averaged = fitted.simulator.space, fitted.simulator.averaged
+    prior = fitted.simulator.prior
     plain = {"branch_length": 8.0, "branch_angle": 0.15, "repulsion": 0.1, "anterograde_delay": 0.0}
-    rest = averaged.space.to_unit(plain | example.TRUTH)  # the truth says its sources
+    rest = prior.averaged.space.to_unit(plain | example.TRUTH)  # the truth says its sources
     assert ((rest >= 0) & (rest <= 1)).all()
-    parts = space.to_unit(example.TRUTH), rest, [0.0]  # the first tissue
+    parts = prior.learnt.to_unit(example.TRUTH), rest, [0.0]  # the first tissue
     at_truth = at(fitted, np.concatenate(parts)).loss
     assert at_truth < 0.02  # noise alone
     assert at_truth < fitted.population.best_loss < 0.3 * fitted.null_loss

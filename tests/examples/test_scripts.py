@@ -26,5 +26,5 @@ def test_learn_and_predict(capsys):
     assert 60 <= explained < 90  # another person's heart
     assert found["page"].stat().st_size > 500_000
     assert "probability to be faster " in capsys.readouterr().out
-    assert found["found"].probability() >= 0.7
+    assert found["comparison"].probability() >= 0.7
     assert found["high"] > 10

@@ -18,6 +18,7 @@ from fascicle.forward.scenario_files import read_scenario
 from fascicle.forward.simulation_files import write_ecg
 from fascicle.recording.pipeline import analyse
 from fascicle.study.population import Population
+from fascicle.study.prior import Prior
 from fascicle.study.target_comparison import TargetComparison
 
 
@@ -96,7 +97,7 @@ def test_the_networks_of_a_study_are_there(session):
     learnt = {name: np.array([e[name] for e in each]) for name in HUMAN_SPACE.names}
     fixed = {name: value for name, value in session.start.items() if name not in learnt}
     fixed["retrograde_delay"] = np.inf
-    simulator = SimpleNamespace(space=HUMAN_SPACE, fixed=fixed, model=session.model)
+    simulator = SimpleNamespace(prior=Prior(HUMAN_SPACE, fixed), model=session.model)
     population = Population(learnt, np.arange(3.0), each[1], 0.5)
     study = SimpleNamespace(
         simulator=simulator, population=population, verdict="converged", gains=np.full(3, 1.5),

@@ -6,13 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
 from fascicle.forward.model import ForwardModel
 from fascicle.prediction.comparison import compare
 from fascicle.prediction.scenarios import predict
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.pool import Threads
 from fascicle.study.population import Population
+from fascicle.study.prior import Prior
 from fascicle.study.target_comparison import Network
 
 ROOT_TIMES = np.array([-50.0, -20.0])
@@ -23,7 +24,7 @@ class Study(FittedStudy):
 
     def networks(self, progress=None, recording=0, chosen=None):
         every = range(len(self.population)) if chosen is None else chosen
-        parameters = [self.simulator.fixed | self.population.parameters(k) for k in every]
+        parameters = [self.simulator.prior.fixed | self.population.parameters(k) for k in every]
         gains = [1.0 if self.gains is None else self.gains[k] for k in every]
         simulations = [self.simulator.model.simulate(p) for p in parameters]
         return [
@@ -35,7 +36,9 @@ class Study(FittedStudy):
 @pytest.fixture
 def study(default_model, tmp_path):
     fixed = {n: v for n, v in EXAMPLE_PARAMETERS.items() if n != "root_time"}
-    simulator = SimpleNamespace(model=default_model, pool=Threads(1), fixed=fixed)
+    simulator = SimpleNamespace(
+        model=default_model, pool=Threads(1), prior=Prior(NETWORK_SPACE, fixed)
+    )
     recording = SimpleNamespace(target=SimpleNamespace(response=None), scenario=None)
     best = {"root_time": -20.0}
     config = SimpleNamespace(model_dump_json=lambda: "{}")

@@ -27,8 +27,8 @@ from fascicle.reporting.page.content import (
     settings,
     target_words,
 )
+from fascicle.study.prior import growth_and_conduction, study_space
 from fascicle.study.settings import OF_THE_PAPER, OF_THE_POSTERIOR, checked_settings
-from fascicle.study.space import growth_and_conduction, study_space
 from fascicle.study.study import StudyConfig
 
 

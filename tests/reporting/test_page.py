@@ -27,6 +27,7 @@ from fascicle.reporting.page.scene import MOST_NETWORKS, NONE, scene
 from fascicle.reporting.scenarios import scenario_activation_figure, scenario_ecg_figure
 from fascicle.study.population import Posterior
 from fascicle.study.predictive import Checks
+from fascicle.study.prior import Prior
 from fascicle.study.statements import Caution, ParameterStatement, Statements
 
 SPACE = ParameterSpace(
@@ -52,7 +53,7 @@ def study(*, converged=True, share=0.96, disagreeing=None, paper=False):
         of_the_paper=paper,
         settings=SimpleNamespace(method="paper" if paper else "posterior"),
         checks=Checks(share, disagreeing or {"V1": 0.5}),
-        simulator=SimpleNamespace(space=SPACE),
+        simulator=SimpleNamespace(prior=Prior(SPACE)),
     )
     found.statements = Statements(found)
     return found

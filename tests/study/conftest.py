@@ -5,6 +5,7 @@ import pytest
 
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
 from fascicle.recording.target import Target
+from fascicle.study.prior import Prior
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.target_comparison import TargetComparison, evaluate
 
@@ -20,7 +21,7 @@ def recordings(default_model):
 
 @pytest.fixture(scope="module")
 def simulator(default_model):
-    return PointSimulator(default_model, NETWORK_SPACE)
+    return PointSimulator(default_model, Prior(NETWORK_SPACE))
 
 
 @pytest.fixture(scope="module")

@@ -25,15 +25,14 @@ from fascicle.study.conduction_states import (
     STATES,
     asked_states,
     states_of,
-    united,
 )
 from fascicle.study.diagnosis import _apportioned, most_probable
 from fascicle.study.fit import read_inputs
-from fascicle.study.heart_emulator import emulator_of
+from fascicle.study.heart_emulator import emulator_of, usual_prior
 from fascicle.study.pool import Threads
+from fascicle.study.prior import Prior, read_settings
 from fascicle.study.settings import checked_settings
 from fascicle.study.simulator import PointSimulator
-from fascicle.study.space import AveragedOver, read_settings, study_space
 from fascicle.study.state_classifier import (
     NoStateNamed,
     classifier_of,
@@ -101,10 +100,10 @@ def test_a_study_is_read_back_and_fitted_again_as_it_is(fitted, target):
 
 def test_the_study_of_a_state_is_one_of_its_own(fitted):
     alone = fascicle.load_study(fitted.folder / "states" / "left-bundle-branch-block", None)
-    assert alone.simulator.fixed == {"conduction": 1.0}
+    assert alone.simulator.prior.fixed == {"conduction": 1.0}
     delays = alone.population.values["interventricular_delay"]
     assert ((delays >= TOGETHER[0]) & (delays <= TOGETHER[1])).all()
-    assert not alone.simulator.mapped
+    assert not alone.simulator.prior.mapped
 
 
 def test_predictions_keep_the_block(fitted):
@@ -245,14 +244,12 @@ def test_normal_alone_is_activated_as_mapped_hearts_are(target):
 
 def test_the_packaged_heart_brings_the_emulators_of_all_states(default_model, tmp_path):
     """Also where a quantity is fixed; else this would simulate thousands of networks."""
-    space, fixed = study_space("posterior", {"cv": 2.5}, default_model.heart)
+    prior = Prior.of("posterior", {"cv": 2.5}, default_model.heart)
     for state in STATES:
-        own, its = state.narrowed(space, fixed), fixed | state.blocks
-        averaged = AveragedOver.of(own, its, default_model.heart)
-        mapped = state.is_mapped({*own.names, *its})
-        assert mapped == (state.name == "normal")
-        simulator = PointSimulator(default_model, own, its, averaged=averaged, mapped=mapped)
-        emulator = emulator_of(simulator, 8000, tmp_path)
+        narrowed = prior.narrowed(state)
+        assert narrowed.mapped == (state.name == "normal")
+        assert narrowed.fixed == {"cv": 2.5} | state.blocks
+        emulator = emulator_of(PointSimulator(default_model, narrowed), 8000, tmp_path)
         assert emulator.report["r_squared"] > 0.6
     assert not [*tmp_path.iterdir()]
 
@@ -262,7 +259,7 @@ def test_one_state_is_a_study_of_it(target, tmp_path):
     given = {"conduction": "right bundle branch delay"}
     found = fascicle.fit("default", target, tmp_path / "study", parameters=given, **SETTINGS)
     assert found.population.states == {}
-    assert found.simulator.fixed == {}
+    assert found.simulator.prior.fixed == {}
     times = found.population.values["interventricular_delay"]
     assert times.min() >= 15
 
@@ -307,13 +304,13 @@ def test_six_states_are_told_apart_and_all_are_known():
 
 
 def test_states_have_ranges_of_their_own(default_heart):
-    space, fixed = study_space("posterior", {}, default_heart)
-    mixed = united(space, fixed, {state.name: state.probability for state in STATES})
+    prior = usual_prior(default_heart)
+    mixed = replace(prior, states={state.name: state.probability for state in STATES}).learnt
     ends = {p.name: (p.lower, p.upper) for p in mixed.parameters}
     assert ends["interventricular_delay"] == (-40.0, 40.0)
     assert ends["fibre_speed"] == (0.2, 0.8)
     assert ends["cv"] == (1.0, 3.5)
-    assert mixed.parameters[0] == space.parameters[0]
+    assert mixed.parameters[0] == prior.learnt.parameters[0]
     draws = mixed.columns(np.random.default_rng(0).random((20_000, len(mixed))))
     delays, slow = draws["interventricular_delay"], PREVALENCE["intraventricular delay"]
     late = {side: PREVALENCE[f"{side} bundle branch delay"] for side in ("left", "right")}
@@ -387,27 +384,28 @@ def test_one_intrinsic_beat_is_wanted(target, tmp_path):
 
 def test_states_have_simulations_of_their_own(default_model, tmp_path):
     """Those of the usual priors, where they are of what is asked for."""
-    space, fixed = study_space("posterior", {}, default_model.heart)
-    known = simulations_of_states(PointSimulator(default_model, space, fixed), tmp_path, 2000)
+    prior = usual_prior(default_model.heart)
+    known = simulations_of_states(default_model, prior, tmp_path, 2000)
     assert [*known] == [state.name for state in STATES]
-    usual = {name: each.prior.content for name, each in known.items()}
+    usual = {name: each.simulations.content for name, each in known.items()}
     assert len({*usual.values()}) == len(STATES)
     delays = {}
     for name, each in known.items():
-        (delay,) = (p for p in each.prior.space.parameters if p.name == "interventricular_delay")
+        its = each.simulations.prior
+        (delay,) = (p for p in its.learnt.parameters if p.name == "interventricular_delay")
         delays[name] = delay.lower, delay.upper
-        assert each.prior.fixed == named(name).blocks
-        assert each.prior.mapped == (name == "normal")
+        assert its.fixed == named(name).blocks
+        assert its.mapped == (name == "normal")
         assert each.count == (2000 if name == "normal" else 1000)  # of which many are left out
     assert delays.pop("left bundle branch delay") == (-40.0, -5.0)
     assert delays.pop("right bundle branch delay") == (15.0, 40.0)
     assert {*delays.values()} == {TOGETHER}
-    first = space.parameters[0]
+    first, *others = prior.space.parameters
     for upper, same in ((first.upper - 5, True), (first.upper + 10, False)):
-        asked = ParameterSpace((replace(first, upper=upper), *space.parameters[1:]))
-        found = simulations_of_states(PointSimulator(default_model, asked, fixed), tmp_path, 2000)
+        asked = replace(prior, space=ParameterSpace((replace(first, upper=upper), *others)))
+        found = simulations_of_states(default_model, asked, tmp_path, 2000)
         for name, content in usual.items():
-            assert (found[name].prior.content == content) == same
+            assert (found[name].simulations.content == content) == same
 
 
 def test_states_of_a_recording_without_a_fit(target, default_model):
@@ -464,9 +462,8 @@ def test_a_heart_without_a_classifier_gets_one(default_model, target, tmp_path, 
     monkeypatch.setattr(state_classifier, "FEWEST", 10)
     monkeypatch.setattr(ecg_classifier.learn.__wrapped__, "__defaults__", (None, 300))
     monkeypatch.setattr(prior_simulations, "PART", 100)
-    space, fixed = study_space("posterior", {}, default_model.heart)
-    simulator = PointSimulator(default_model, space, fixed)
-    known = simulations_of_states(simulator, tmp_path, 200)
+    prior = usual_prior(default_model.heart)
+    known = simulations_of_states(default_model, prior, tmp_path, 200)
     two = {name: known[name] for name in ("left bundle branch delay", "right bundle branch delay")}
     rows, pool = np.array([0, 1, 6, 7, 8]), Threads(2)
     made = classifier_of(two, rows, tmp_path, 200, pool)

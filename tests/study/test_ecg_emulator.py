@@ -24,13 +24,13 @@ from fascicle.study.ecg_emulator import (
     tissue_inputs,
     trained_on,
 )
-from fascicle.study.heart_emulator import emulator_of
+from fascicle.study.heart_emulator import emulator_of, usual_prior
 from fascicle.study.likelihood import EmulatedLikelihood, beat_noise, checked, likelihood_of
 from fascicle.study.predictive import Checks
+from fascicle.study.prior import AveragedOver, Prior
 from fascicle.study.prior_simulations import BEFORE, BODIES, HELD_OUT, Examples
 from fascicle.study.settings import FitSettings
 from fascicle.study.simulator import PointSimulator
-from fascicle.study.space import AveragedOver, study_space
 from fascicle.study.target_comparison import Network
 
 SPACE = ParameterSpace(tuple(free(name) for name in ("root_time", "cv", "alpha", "gain")))
@@ -39,9 +39,8 @@ AVERAGED = AveragedOver(
     ({}, {"anisotropy_ratio": 2.0}),
 )
 LENGTH, COUNT = 160, 800
-SIMULATOR = SimpleNamespace(
-    space=SPACE, averaged=AVERAGED, fixed={}, model=SimpleNamespace(conduction=Conduction())
-)
+PRIOR = Prior(SPACE, averaged=AVERAGED)
+SIMULATOR = SimpleNamespace(prior=PRIOR, model=SimpleNamespace(conduction=Conduction()))
 
 
 def ecgs_of(points):
@@ -86,7 +85,7 @@ def examples():
 
 @pytest.fixture(scope="module")
 def emulator(examples):
-    found = learn(examples, SPACE, AVERAGED, 2.5, np.random.default_rng(0))
+    found = learn(examples, PRIOR, 2.5, np.random.default_rng(0))
     return EcgEmulator.from_arrays(found.arrays()), found
 
 
@@ -188,7 +187,7 @@ def test_what_is_stored_is_what_was_learnt(emulator, examples):
 def test_the_same_seed_gives_the_same_bits(examples, monkeypatch):
     monkeypatch.setattr(tested, "EPOCHS", 1)
     first, again = (
-        learn(examples, SPACE, AVERAGED, 2.5, np.random.default_rng(1)).arrays() for _ in range(2)
+        learn(examples, PRIOR, 2.5, np.random.default_rng(1)).arrays() for _ in range(2)
     )
     for name, array in first.items():
         assert_array_equal(again[name], array)
@@ -198,12 +197,12 @@ def test_too_few_networks_are_refused(examples):
     few = examples.feasible & (np.arange(COUNT) < 40)
     given = replace(examples, feasible=few, kept=few, ecgs=examples.ecgs[: few.sum()])
     with pytest.raises(InputError, match=f"^only {few.sum()} of {COUNT} networks of the prior fit"):
-        learn(given, SPACE, AVERAGED, 2.5, np.random.default_rng(0))
+        learn(given, PRIOR, 2.5, np.random.default_rng(0))
     points = examples.points.copy()
     points[:, 2] = 0.5
     given = replace(examples, points=points)
     with pytest.raises(InputError, match=r"^'alpha' is learnt, and has one value in every 500"):
-        learn(given, SPACE, AVERAGED, 2.5, np.random.default_rng(0))
+        learn(given, PRIOR, 2.5, np.random.default_rng(0))
 
 
 def with_fast_noise(simulation):
@@ -215,23 +214,22 @@ def with_fast_noise(simulation):
 
 def test_the_packaged_heart_has_one(default_model, tmp_path):
     """Of its present priors, so that its fits simulate nothing beforehand."""
-    space, fixed = study_space("posterior", {}, default_model.heart)
-    space = STATES[0].narrowed(space, fixed)
-    averaged = AveragedOver.of(space, fixed, default_model.heart)
-    simulator = PointSimulator(default_model, space, fixed, averaged=averaged, mapped=True)
+    prior = usual_prior(default_model.heart, STATES[0])
+    assert prior.mapped
+    simulator = PointSimulator(default_model, prior)
     found = emulator_of(simulator, FitSettings().prior_simulations, tmp_path)
     assert not [*tmp_path.iterdir()]
     assert found.report["r_squared"] > 0.8
     networks, agreed = [], []
-    for number, point in enumerate(np.random.default_rng(1).random((60, simulator.dimension))):
+    for number, point in enumerate(prior.sample(np.random.default_rng(1), 60)):
         point[-1] = 0.3 * (number > 40)  # the plain tissue, and the second one
-        values = simulator.parameters(point)
+        values = prior.from_unit(point)
         simulated = default_model.simulate(values)
         exists = isinstance(simulated, Simulation) and simulator.keeps(point, simulated)
-        tissue = averaged.tissue(point[None, len(space) :])
+        tissue = prior.tissue(point[None])
         inputs = found.inputs(
             {name: np.array([values[name]]) for name in found.names},
-            tissue_inputs(averaged, np.divide(*default_model.conduction.speeds))[tissue],
+            tissue_inputs(prior.averaged, np.divide(*default_model.conduction.speeds))[tissue],
         )
         agreed.append(exists == (found.log_validity(inputs)[0] > np.log(0.5)))
         if exists:

@@ -13,7 +13,7 @@ from fascicle.forward.device import batch
 from fascicle.forward.device import card as card_module
 from fascicle.forward.device.backend import GpuBackend
 from fascicle.forward.primitives import His
-from fascicle.study.space import AveragedOver
+from fascicle.study.prior import AveragedOver
 from fascicle.study.study import SAME_LOSS
 from fascicle.study.target_comparison import evaluate, networks
 
@@ -53,7 +53,7 @@ def test_what_is_too_large_is_simulated_here(
 def test_other_tissues_are_simulated_here(backend, simulator, recordings, points):
     """The card knows the plain tissue alone."""
     averaged = AveragedOver(tissues=({}, {"anisotropy_ratio": 1.5}))
-    several = replace(simulator, averaged=averaged)
+    several = replace(simulator, prior=replace(simulator.prior, averaged=averaged))
     both = [np.append(points[0], share) for share in (0.2, 0.8)]
     expected = list(evaluate(several, recordings, both))
     assert expected[0].loss != pytest.approx(expected[1].loss, rel=0.01)
@@ -72,10 +72,11 @@ def test_what_needs_activation_or_other_sources_is_simulated_here(simulator, poi
     """Whether a network is activated as mapped hearts are; sources that vary."""
     sources = AveragedOver(ParameterSpace((free("rv_source"),)))
     for other, each in (
-        (replace(simulator, mapped=True), points[:2]),
-        (replace(simulator, averaged=sources), [np.append(points[0], 0.5)]),
+        (replace(simulator.prior, mapped=True), points[:2]),
+        (replace(simulator.prior, averaged=sources), [np.append(points[0], 0.5)]),
     ):
-        assert replace(other, backend=Untouched()).from_backend(each) == [None] * len(each)
+        elsewhere = replace(simulator, prior=other, backend=Untouched())
+        assert elsewhere.from_backend(each) == [None] * len(each)
     with pytest.raises(AssertionError, match="the card is asked"):
         replace(simulator, backend=Untouched()).from_backend(points[:2])
 

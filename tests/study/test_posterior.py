@@ -16,7 +16,7 @@ from fascicle.inference.evaluation import Evaluation
 from fascicle.study.evaluations import Stage
 from fascicle.study.population import Posterior, read_checks, read_population, write_population
 from fascicle.study.predictive import DURATION, Checks, Prediction
-from fascicle.study.space import AveragedOver
+from fascicle.study.prior import AveragedOver, Prior
 from fascicle.study.statements import (
     Caution,
     Statements,
@@ -168,7 +168,7 @@ def test_how_to_go_on(done):
 
 def said_of(posterior, checks=None):
     settings = SimpleNamespace(method="posterior", effective=60)
-    simulator = SimpleNamespace(space=SPACE)
+    simulator = SimpleNamespace(prior=Prior(SPACE))
     return Statements(
         SimpleNamespace(population=posterior, checks=checks, settings=settings, simulator=simulator)
     )
@@ -290,7 +290,7 @@ def test_alpha_is_given_as_a_speed_too(done):
     values = {"alpha": np.linspace(0.056, 0.066, 60)}
     said = said_of(replace(done[1], values=values))
     said._result.simulator = SimpleNamespace(
-        space=space, model=SimpleNamespace(conduction=Conduction())
+        prior=Prior(space), model=SimpleNamespace(conduction=Conduction())
     )
     (alpha,) = said.parameters
     assert alpha.along_fibre == pytest.approx((0.747, 0.692, 0.802), abs=2e-3)

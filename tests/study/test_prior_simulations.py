@@ -23,10 +23,10 @@ from fascicle.study import prior_simulations as tested
 from fascicle.study.heart_emulator import emulator_of, made_emulator
 from fascicle.study.likelihood import EmulatedLikelihood
 from fascicle.study.pool import Threads
+from fascicle.study.prior import Prior, is_kept
 from fascicle.study.prior_simulations import BEFORE, Examples, PriorSimulations
 from fascicle.study.refined_emulator import refined_emulators
 from fascicle.study.simulator import PointSimulator
-from fascicle.study.space import AveragedOver, is_kept, study_space
 from fascicle.study.state_classifier import simulate_prior
 
 PART, COUNT = 40, 70
@@ -57,18 +57,21 @@ def small():
         patch.setattr(tested, "random_bodies", random_bodies)
         patch.setattr(ecg_emulator, "FEWEST", 20)
         patch.setattr(ecg_emulator, "EPOCHS", 1)
-        patch.setattr("fascicle.study.space.TISSUES", ({}, {"anisotropy_ratio": 2.0}))
+        patch.setattr("fascicle.study.prior.TISSUES", ({}, {"anisotropy_ratio": 2.0}))
         yield
 
 
 def study(heart, wanted=None):
-    """What a study of it learns, averages over and fixes."""
-    space, fixed = study_space("posterior", wanted or {}, heart)
-    return space, AveragedOver.of(space, fixed, heart), fixed
+    """Prior of a study of it."""
+    return Prior.of("posterior", wanted or {}, heart)
+
+
+def with_prior(simulations, **changes):
+    return replace(simulations, prior=replace(simulations.prior, **changes))
 
 
 def prior_in(folder, model, wanted=None):
-    return PriorSimulations(model, *study(model.heart, wanted), ArrayCache(folder, "prior"))
+    return PriorSimulations(model, study(model.heart, wanted), ArrayCache(folder, "prior"))
 
 
 def parts(prior):
@@ -104,8 +107,7 @@ def test_examples_are_simulations_of_their_points(prior, model):
             assert examples.ecgs[numbers[k]] == pytest.approx(own, abs=1e-4)
     first = np.abs(examples.ecgs).max(axis=(0, 1)) > 1e-3
     assert BEFORE - 10 < np.flatnonzero(first)[0] <= BEFORE + 2
-    again = prior.averaged.values(examples.points[0, len(prior.space) :])
-    assert again.items() <= parameters[0].items()
+    assert prior.prior.from_unit(examples.points[0]) == parameters[0]
 
 
 def test_those_held_out_have_bodies(prior):
@@ -190,19 +192,19 @@ def test_a_damaged_part_is_named_and_made_again(prior, model):
 )
 def test_whom_it_serves(prior, model, wanted, served):
     asked = study(model.heart, wanted)
-    assert prior.covers(*asked, False) == served
-    assert not prior.covers(*asked, True)  # which wants networks that are activated otherwise
-    of_mapped_hearts = replace(prior, mapped=True)
-    assert of_mapped_hearts.covers(*asked, True) == served
-    assert not of_mapped_hearts.covers(*asked, False)
+    assert prior.prior.covers(asked) == served
+    mapped, asked_mapped = (replace(p, mapped=True) for p in (prior.prior, asked))
+    assert not prior.prior.covers(asked_mapped)  # of networks that are activated otherwise
+    assert mapped.covers(asked_mapped) == served
+    assert not mapped.covers(asked)
 
 
 def test_another_prior_has_other_simulations(prior, model, tmp_path):
     assert len({prior_in(tmp_path, model, wanted).content
                 for wanted in ({}, {"cv": 5.0}, {"gain": "free"})}) == 3  # fmt: skip
     known = replace(model.heart, values={"alpha": 0.07})
-    assert not prior.covers(*study(known), False)
-    assert replace(prior, mapped=True).content != prior.content
+    assert not prior.prior.covers(study(known))
+    assert with_prior(prior, mapped=True).content != prior.content
 
 
 def test_examples_of_the_prior_leave_out_what_does_not_belong_to_it():
@@ -243,7 +245,7 @@ def test_networks_that_mapped_hearts_are_not_activated_like_are_marked(model, tm
                 times = activations[k % 3]
                 yield None if times is None else SimulatedBeat(leads, 0.0, times, ())
 
-    prior = replace(prior_in(tmp_path, model), mapped=True)
+    prior = with_prior(prior_in(tmp_path, model), mapped=True)
     prior.simulate(COUNT, Pool())
     examples = prior.examples(COUNT)
     which = np.tile(np.arange(PART) % 3, 2)
@@ -260,8 +262,7 @@ def test_networks_that_mapped_hearts_are_not_activated_like_are_marked(model, tm
 
 
 def simulator_of(model, pool, wanted=None):
-    space, averaged, fixed = study(model.heart, wanted)
-    return PointSimulator(model, space, fixed, pool, averaged)
+    return PointSimulator(model, study(model.heart, wanted), pool)
 
 
 def test_an_emulator_serves_all_studies_that_it_covers(prior, model, tmp_path):
@@ -296,7 +297,7 @@ def test_only_hearts_without_fixed_delays_are_the_same_on_any_clock(
     monkeypatch.setattr(PriorSimulations, "examples", lambda self, count: None)
     monkeypatch.setattr(PriorSimulations, "simulate", lambda self, *given: None)
     with pytest.raises(KeyboardInterrupt):
-        heart_emulator.made_emulator(replace(prior, fixed=fixed), 1, Threads(1))
+        heart_emulator.made_emulator(with_prior(prior, fixed=fixed), 1, Threads(1))
     assert asked["same_on_any_clock"] == (not fixed)
 
 
@@ -333,8 +334,8 @@ def test_an_emulator_is_refined_with_draws_of_the_posterior(prior, model, tmp_pa
     monkeypatch.setattr(refined_emulator, "SHARE", PART / COUNT)
     monkeypatch.setattr(refined_emulator, "PARTICLES", 60)
     emulator, pool = made_emulator(prior, COUNT, Threads(1)), Counting()
-    simulator = PointSimulator(model, prior.space, prior.fixed, pool, averaged=prior.averaged)
-    delay, seen = prior.space.names.index("interventricular_delay"), []
+    simulator = PointSimulator(model, prior.prior, pool)
+    delay, seen = prior.prior.names.index("interventricular_delay"), []
 
     class Emulated(EmulatedLikelihood):
         first = 0.5  # where the posterior lies by the emulator of the prior
@@ -363,8 +364,7 @@ def test_an_emulator_is_refined_with_draws_of_the_posterior(prior, model, tmp_pa
     found = refined_emulators(*given(), np.random.default_rng(0))[0]
     assert pool.sent == PART  # found
     assert_array_equal(found.left, first.left)
-    space, fixed = study_space("posterior", {"anisotropy_ratio": "free"}, model.heart)
-    free = given(replace(simulator, space=space, fixed=fixed), 1)
+    free = given(simulator_of(model, pool, {"anisotropy_ratio": "free"}), 1)
     assert refined_emulators(*free, None) == [emulator]
 
     class Moving(Emulated):

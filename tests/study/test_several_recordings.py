@@ -18,6 +18,7 @@ from fascicle.forward.primitives import SlowConduction, Stimulus
 from fascicle.forward.scenario_files import find_scenario, read_scenario, scenario_text
 from fascicle.recording.target import Target, smooth_noise
 from fascicle.reporting.study import drawings
+from fascicle.study.prior import Prior
 from fascicle.study.recordings import digests, given_recordings, read_recordings, write_recordings
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.target_comparison import TargetComparison, evaluate
@@ -145,7 +146,7 @@ def test_likelihoods_and_losses_add_up(model, paced, both):
         TargetComparison(target, scenario, likelihood(target), free_gain=True)
         for target, scenario in ((both[0], None), both[1])
     )
-    simulator = PointSimulator(model, NETWORK_SPACE)
+    simulator = PointSimulator(model, Prior(NETWORK_SPACE))
     point = NETWORK_SPACE.to_unit(fascicle.EXAMPLE_PARAMETERS)
     one, other, together, swapped = (
         next(evaluate(simulator, recordings, [point]))

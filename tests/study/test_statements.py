@@ -13,6 +13,7 @@ from fascicle.study.evaluations import Stage
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import Population
 from fascicle.study.predictive import Checks
+from fascicle.study.prior import Prior
 from fascicle.study.statements import Kind
 
 MIDDLE = NETWORK_SPACE.from_unit(np.full(len(NETWORK_SPACE), 0.5))
@@ -57,7 +58,7 @@ def fitted(
         SimpleNamespace(
             config=SimpleNamespace(method=method, samples=30, effective=60), records=lambda: tried
         ),
-        SimpleNamespace(model=model, space=NETWORK_SPACE, fixed=fixed or {}),
+        SimpleNamespace(model=model, prior=Prior(NETWORK_SPACE, fixed or {})),
         (
             SimpleNamespace(
                 null_loss=2.0,

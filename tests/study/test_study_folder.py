@@ -16,8 +16,8 @@ from fascicle.inference.abc import ErrorDensity, total_variation
 from fascicle.inference.evaluation import Evaluation
 from fascicle.study.evaluations import Stage
 from fascicle.study.fit import read_inputs
+from fascicle.study.prior import NOT_KNOWN
 from fascicle.study.settings import FitSettings
-from fascicle.study.space import NOT_KNOWN
 from fascicle.study.study import CHECKED, FORMAT, Study, StudyConfig, check_same
 
 SPACE = ParameterSpace((Parameter("cv", "mm/ms", 2.0, 4.0), Parameter("root_time", "ms", -75, 50)))

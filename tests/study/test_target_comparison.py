@@ -17,6 +17,7 @@ from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
 from fascicle.recording.target import Target
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.pool import Threads
+from fascicle.study.prior import Prior
 from fascicle.study.settings import FitSettings
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.target_comparison import TargetComparison, evaluate, networks
@@ -50,7 +51,7 @@ def points(truth):
 
 
 def evaluated(model, target, points, fixed=None, **options):
-    simulator = PointSimulator(model, NETWORK_SPACE, fixed or {}, Threads(2))
+    simulator = PointSimulator(model, Prior(NETWORK_SPACE, fixed or {}), Threads(2))
     return list(evaluate(simulator, [TargetComparison(target, **options)], points))
 
 
@@ -65,7 +66,7 @@ def test_truth_is_explained_to_the_noise(default_model, target, points):
 def test_networks_that_were_evaluated_are_not_simulated_again(
     default_model, target, points, monkeypatch
 ):
-    simulator = PointSimulator(default_model, NETWORK_SPACE, {}, Threads(2), remembered={})
+    simulator = PointSimulator(default_model, Prior(NETWORK_SPACE), Threads(2), remembered={})
     comparison = TargetComparison(target)
     done = [e for e in evaluate(simulator, [comparison], points) if e.feasible]
     columns = NETWORK_SPACE.columns(np.array([each.point for each in done]))
@@ -174,7 +175,7 @@ def test_single_beat_varies_by_its_stated_noise(default_model, target, points):
 def test_fixed_quantities_and_the_independent_leads(default_model, target, points):
     """A fixed gain is that of the simulation; eight leads say what twelve do."""
     plain = TargetComparison(target)
-    loud = PointSimulator(default_model, NETWORK_SPACE, {"gain": 2.0})
+    loud = PointSimulator(default_model, Prior(NETWORK_SPACE, {"gain": 2.0}))
     network = next(networks(loud, plain, [NETWORK_SPACE.from_unit(points[0])]))
     assert network.parameters["gain"] == 2.0
     (found,) = evaluate(loud, [plain], points[:1])
@@ -187,7 +188,7 @@ def test_fixed_quantities_and_the_independent_leads(default_model, target, point
 
 
 def test_a_network_lies_under_the_recorded_qrs(default_model, target, points):
-    simulator = PointSimulator(default_model, NETWORK_SPACE)
+    simulator = PointSimulator(default_model, Prior(NETWORK_SPACE))
     parameters = [NETWORK_SPACE.from_unit(points[0])]
     truth = next(networks(simulator, TargetComparison(target), parameters))
     assert truth.under_qrs == pytest.approx(1.0, abs=1e-3)
@@ -236,7 +237,7 @@ def test_ringing_is_explained_by_the_filter_and_not_without(default_model, truth
 
 @pytest.fixture(scope="module")
 def study(default_model, target):
-    simulator = PointSimulator(default_model, NETWORK_SPACE, {}, Threads(2))
+    simulator = PointSimulator(default_model, Prior(NETWORK_SPACE), Threads(2))
     on_disk = SimpleNamespace(folder="study", config=FitSettings())
     return FittedStudy(on_disk, simulator, (TargetComparison(target),), None)
 

@@ -214,7 +214,7 @@ def fit(
     ```
     """
     from fascicle.cli.printing import print_fit
-    from fascicle.study.space import PARAMETERS, read_settings
+    from fascicle.study.prior import PARAMETERS, read_settings
 
     given = read_settings(settings_file) if settings_file is not None else {}
     learnt = given.pop(PARAMETERS, {}) | wanted_parameters(free, fix)
@@ -304,7 +304,7 @@ def states(
     A heart of your own is simulated once, which takes minutes; a packaged one has been. So is one
     with parameters of a settings file, such as priors of another species than people.
     """
-    from fascicle.study.space import PARAMETERS, read_settings
+    from fascicle.study.prior import PARAMETERS, read_settings
 
     given = read_settings(settings_file) if settings_file is not None else {}
     with TerminalProgress() as progress:

@@ -27,7 +27,7 @@ from fascicle.core.quantities import (
 )
 
 FREE = "free"  # instead of a value, for a quantity learnt with its usual prior
-Prior = Literal["uniform", "normal", "log-uniform", "log-normal"]
+Distribution = Literal["uniform", "normal", "log-uniform", "log-normal"]
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Parameter:
     unit: str
     lower: float
     upper: float
-    prior: Prior = "uniform"
+    prior: Distribution = "uniform"
     median: float | None = None
     sd: float | None = None
     order: tuple[int, int] | None = None

@@ -146,7 +146,7 @@ class Session:
     def space(self) -> ParameterSpace:
         """What has a slider: the parameters of the study, or of the networks, and α."""
         if self.study is not None:
-            return self.study.simulator.space
+            return self.study.simulator.prior.learnt
         paper = (*NETWORK_SPACE.parameters, free("alpha"))
         human = "interventricular_delay" in self.start
         usual = HUMAN_SPACE.parameters if human else paper
@@ -202,7 +202,7 @@ class Session:
             if not {*SPEED} & {*example}:
                 example["alpha"] = self.model.conduction.alpha
             return example
-        return {**self.study.simulator.fixed, **self.study.population.best}
+        return {**self.study.simulator.prior.fixed, **self.study.population.best}
 
     def answer(self, message: Any, report: Callable[[bytes], object] | None = None) -> bytes:
         """Simulate a state that a page sent; where that cannot be done the answer says why.
@@ -333,7 +333,7 @@ class Session:
     def _networks(self) -> list[dict[str, float | str]]:
         if self.study is None:
             return []
-        population, fixed = self.study.population, self.study.simulator.fixed
+        population, fixed = self.study.population, self.study.simulator.prior.fixed
         return [_spoken({**fixed, **population.parameters(k)}) for k in range(len(population))]
 
 

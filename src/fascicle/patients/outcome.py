@@ -111,7 +111,7 @@ class Outcome(BaseModel):
 
 def _estimates(fitted: FittedStudy) -> dict[str, Estimate]:
     """Estimates of all parameters; empty if the runs of a posterior do not agree."""
-    population, space = fitted.population, fitted.simulator.space
+    population, space = fitted.population, fitted.simulator.prior.learnt
     determined: dict[str, bool] = {}
     if isinstance(population, Posterior):
         if not population.converged:

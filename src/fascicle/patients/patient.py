@@ -26,8 +26,8 @@ from fascicle.reporting.page.page import report
 from fascicle.study.fit import fit_inputs, read_inputs
 from fascicle.study.lock import HeldError, study_lock
 from fascicle.study.pool import Pool
+from fascicle.study.prior import PARAMETERS, read_settings
 from fascicle.study.settings import FitSettings, checked_settings
-from fascicle.study.space import PARAMETERS, read_settings
 from fascicle.study.state_fit import Inputs
 from fascicle.study.study import is_finished
 

@@ -76,7 +76,7 @@ class PredictionCache:
         """Grow the intrinsic Purkinje networks again, which takes a few ms each."""
         population, simulator = self.fitted.population, self.fitted.simulator
         learnt = [population.parameters(k) for k in range(len(population))]
-        parameters = [{**simulator.fixed, **values} for values in learnt]
+        parameters = [{**simulator.prior.fixed, **values} for values in learnt]
         return list(simulator.pool.map(_grown, parameters, simulator.model))
 
 

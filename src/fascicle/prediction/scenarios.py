@@ -11,7 +11,6 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
 from fascicle.core.ranges import check_items, check_kind, check_text
 from fascicle.forward.ecg.electrocardiogram import STEP
@@ -195,24 +194,16 @@ def _simulate(
 def prior_networks(fitted: FittedStudy, progress: Progress | None = None) -> list[Network]:
     """Networks drawn from the prior of a study, and of its conduction states."""
     simulator, config, rng = fitted.simulator, fitted.study.config, np.random.default_rng(0)
-    space = ParameterSpace(config.space)
     simulators = [
-        replace(
-            simulator,
-            space=state_space,
-            fixed=config.fixed | state.blocks,
-            mapped=state.is_mapped({*state_space.names, *config.fixed}),
-        )
-        for state in states_of(config.states)
-        if (state_space := state.narrowed(space, config.fixed)) is not None
+        replace(simulator, prior=config.prior.narrowed(state)) for state in states_of(config.states)
     ] or [simulator]
     numbers = rng.choice(len(simulators), PRIOR_NETWORKS, p=[*config.states.values()] or None)
     report, networks = stage_progress(progress, "networks of the prior"), []
     for done, number in enumerate(numbers, 1):
-        for point in rng.random((MOST_TRIED, simulator.dimension)):
+        for point in simulator.prior.sample(rng, MOST_TRIED):
             (simulation,) = simulators[number].simulate([point])
             if isinstance(simulation, Simulation) and simulators[number].keeps(point, simulation):
-                parameters = simulators[number].parameters(point)
+                parameters = simulators[number].prior.from_unit(point)
                 networks.append(Network(parameters, simulation, simulation.leads, 1.0, 1.0))
                 break
         report(done, len(numbers))

@@ -41,7 +41,7 @@ SPREAD = "standard deviation (ms)"
 
 @dataclass(frozen=True)
 class ActivationRow:
-    """One activation of the heart, a labelled row of the figure."""
+    """Activation of the heart, a labelled row of the figure."""
 
     label: str
     activation: Floats  # (n,) ms, of each vertex of the heart; inf or NaN if it is not activated
@@ -54,7 +54,7 @@ class ActivationRow:
         return cls(label, np.asarray(simulation.activation), trees)
 
     def since_first(self) -> ActivationRow:
-        """The same with times from the first activation of the heart on."""
+        """Row with times from the first activation of the heart on."""
         first = self.activation.min()
         trees = tuple((tree, times - first) for tree, times in self.trees)
         return ActivationRow(self.label, since_first(self.activation), trees)
@@ -90,12 +90,12 @@ def activation_figure(heart: Heart, rows: Sequence[ActivationRow], what: str) ->
             draw_surfaces(axes, view, *surfaces, box=boxes[name], size=size)
         if cavities:
             width, height = largest([view.box(e.vertices) for e, view in seen])
-            its_size = np.array([1, shape]) * max(width, height / shape)
+            cavity_size = np.array([1, shape]) * max(width, height / shape)
             for axes, (cavity, view) in zip(line[len(views) :], seen, strict=True):
                 walls, colour = (cavity.vertices, cavity.triangles), {"color": "#F1E9E4"}
                 far = Surface(*walls, colour)
                 near = Surface(walls[0], walls[1][:, ::-1], colour | {"opacity": 0.3})
-                draw_surfaces(axes, view, far, near, box=view.box(walls[0]), size=its_size)
+                draw_surfaces(axes, view, far, near, box=view.box(walls[0]), size=cavity_size)
                 axes.set_title(f"{cavity.side.upper()} Purkinje network")
                 for tree, times in row.trees:
                     if tree.side == cavity.side:
@@ -156,15 +156,15 @@ def _bands(rows: Sequence[ActivationRow]) -> BoundaryNorm:
 def _coloured(heart: Heart, activation: Floats, norm: BoundaryNorm) -> list[Surface]:
     """The surface of the heart in bands; tissue that is not activated is grey."""
     triangles, levels = heart.boundary[0], np.asarray(norm.boundaries, dtype=float)
-    known = np.isfinite(activation)
-    reached = known[triangles].all(axis=1)
+    activated = np.isfinite(activation)
+    reached = activated[triangles].all(axis=1)
     bands = ListedColormap(matplotlib.colormaps[COLOURS](norm((levels[:-1] + levels[1:]) / 2)))
     look = {
-        "scalars": np.where(known, activation, levels[0]), "clim": (levels[0], levels[-1]),
+        "scalars": np.where(activated, activation, levels[0]), "clim": (levels[0], levels[-1]),
         "cmap": bands, "n_colors": len(levels) - 1, "interpolate_before_map": True,
     }  # fmt: skip
     parts = (reached, look), (~reached, {"color": Colour.LIGHT_GREY})
-    return [Surface(heart.vertices, triangles[of], its) for of, its in parts if of.any()]
+    return [Surface(heart.vertices, triangles[part], looks) for part, looks in parts if part.any()]
 
 
 def _draw_tree(

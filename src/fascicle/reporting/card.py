@@ -52,7 +52,7 @@ def card(shown: object) -> str:
 
 @singledispatch
 def _facts(heart: Any) -> Facts:
-    """What is said of an object, with units, and a picture; here, of a heart."""
+    """Facts about an object, with units, and a picture; here, about a heart."""
     torso = heart.torso
     return {
         "name": heart.name,
@@ -109,7 +109,7 @@ def _(target: Target) -> Facts:
 
 @_facts.register
 def _(fitted: FittedStudy) -> Facts:
-    space, population = fitted.simulator.space, fitted.population
+    space, population = fitted.simulator.prior.learnt, fitted.population
     values = (
         population.values
         if len(population)
@@ -128,12 +128,12 @@ def _(fitted: FittedStudy) -> Facts:
 @_facts.register
 def _(predicted: Predicted) -> Facts:
     facts = {"scenario": predicted.scenario.description, "networks": len(predicted.beats)}
-    known = {k: v for k, v in predicted.indices.items() if INDICES[k] != "1"}
-    facts |= {index_label(index): _median(values) for index, values in known.items()}
+    with_unit = {k: v for k, v in predicted.indices.items() if INDICES[k] != "1"}
+    facts |= {index_label(index): _median(values) for index, values in with_unit.items()}
     return facts, prediction_ecg_figure({"predicted": predicted})
 
 
 def _median(values: Floats) -> str:
-    known = values[np.isfinite(values)]
-    low, middle, high = np.percentile(known, (5, 50, 95)) if len(known) else [np.nan] * 3
+    finite = values[np.isfinite(values)]
+    low, middle, high = np.percentile(finite, (5, 50, 95)) if len(finite) else [np.nan] * 3
     return f"{middle:.4g} (90 % of the networks: {low:.4g} to {high:.4g})"

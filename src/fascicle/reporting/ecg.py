@@ -50,7 +50,7 @@ class EcgGroup:
 
     @property
     def looks(self) -> dict[str, Any]:
-        """How the band is drawn."""
+        """Look of the band."""
         return {"color": self.colour, "alpha": 0.28, "linewidth": 0}
 
     @property
@@ -62,11 +62,11 @@ class EcgGroup:
     def draw(self, axes: Axes, lead: int) -> None:
         """Draw one lead."""
         ecgs = self.leads[:, lead]
-        there = np.isfinite(ecgs).any(axis=0)
-        if len(ecgs) > 1 and there.any():  # not of a lead that was not recorded
+        finite = np.isfinite(ecgs).any(axis=0)
+        if len(ecgs) > 1 and finite.any():  # not of a lead that was not recorded
             ends = (1 - self.share) / 2, (1 + self.share) / 2
-            band = np.nanquantile(ecgs[:, there], ends, axis=0)
-            axes.fill_between(self.time[there], *band, **self.looks)
+            band = np.nanquantile(ecgs[:, finite], ends, axis=0)
+            axes.fill_between(self.time[finite], *band, **self.looks)
         mean = np.ma.masked_invalid(ecgs).mean(axis=0).filled(np.nan)
         axes.plot(self.time, mean, color=self.colour, label=self.label)
 
@@ -122,7 +122,7 @@ def _grid(leads: int) -> tuple[int, int]:
 
 
 def _set_scales(panels: Iterable[Axes], groups: Sequence[EcgGroup]) -> None:
-    """One scale for all leads, in whole boxes of ECG paper."""
+    """Set a common scale for all leads, in whole boxes of ECG paper."""
     start = min(float(group.time.min()) for group in groups)
     stop = max(float(group.time.max()) for group in groups)
     low = min(float(np.nanmin(group.leads)) for group in groups)

@@ -110,7 +110,7 @@ def _label_views(surface: LabelledSurface | LabelledMesh) -> list[View]:
 
 @style.styled
 def check_figure(heart: Heart, check: HeartCheck) -> Figure:
-    """Draw what a person should check before using a heart.
+    """Draw the page by which a person checks a heart before using it.
 
     Above: endocardia with the roots and directions of the bundles; fibres on the epicardium and on
     the endocardia. Below: the torso with its electrodes, from the front and from the left; helix
@@ -135,8 +135,8 @@ def check_figure(heart: Heart, check: HeartCheck) -> Figure:
     to_left, back, up = torso_axes(heart.electrodes)
     centre = (heart.electrodes.min(axis=0) + heart.electrodes.max(axis=0)) / 2
     seen = np.array([to_left, up, back]), np.array([back, up, -to_left])
-    for axes, rows, where in zip((front, left), seen, ("front", "left"), strict=True):
-        _draw_torso(axes, View(f"torso, from the {where}", rows, centre), heart)
+    for axes, rows, side in zip((front, left), seen, ("front", "left"), strict=True):
+        _draw_torso(axes, View(f"torso, from the {side}", rows, centre), heart)
     _plot_helix(helix, check)
     _plot_thickness(thickness, check)
     return figure
@@ -231,10 +231,10 @@ def _plot_helix(axes: Axes, check: HeartCheck) -> None:
     edges = np.linspace(0, 1, 11)
     for name, helix in check.helix.items():
         layer = np.digitize(helix.depth, edges[1:-1])
-        there = [k for k in range(10) if (layer == k).sum() > 5]
-        if there:
-            spread = np.array([_quartiles(helix.angle[layer == k]) for k in there]).T
-            middle, colour = (edges[:-1] + edges[1:])[there] / 2, WALL_COLOURS[name]
+        filled_layers = [k for k in range(10) if (layer == k).sum() > 5]
+        if filled_layers:
+            spread = np.array([_quartiles(helix.angle[layer == k]) for k in filled_layers]).T
+            middle, colour = (edges[:-1] + edges[1:])[filled_layers] / 2, WALL_COLOURS[name]
             axes.fill_between(middle, spread[0], spread[2], color=colour, alpha=0.15, lw=0)
             axes.plot(middle, spread[1], color=colour, label=name)
     axes.set(xlim=(0, 1), ylim=(-95, 95), yticks=range(-90, 91, 30))

@@ -64,4 +64,4 @@ def scenario_name(name: str) -> str:
 def capitals(text: str) -> str:
     """The text with the capitals of names: His, LV, RV, PVC."""
     text = re.sub(r"\bhis\b", "His", text)
-    return re.sub(r"\b(lv|rv|pvc)\b", lambda found: found[0].upper(), text)
+    return re.sub(r"\b(lv|rv|pvc)\b", lambda match: match[0].upper(), text)

@@ -23,7 +23,7 @@ def origin_figure(origin: Origin) -> Figure:
     Above the heart from outside, below its far walls from within.
     """
     heart = origin.heart
-    of_vertices = np.ones(len(heart.vertices))  # of the tetrahedra around each the most probable
+    of_vertices = np.ones(len(heart.vertices))  # level of the most probable tetrahedron around it
     np.minimum.at(of_vertices, heart.tetrahedra.ravel(), np.repeat(origin.levels, 4))
     place = np.digitize(of_vertices, LEVELS)
     views = heart_views(heart)

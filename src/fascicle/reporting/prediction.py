@@ -39,7 +39,7 @@ def write_prediction(
     kind: str = "png",
     progress: Progress | None = None,
 ) -> None:
-    """Write what scenarios do in a population.
+    """Write the predictions of scenarios in a population.
 
     The folder holds ``indices.csv`` (every index of every scenario and network), ``summary.json``,
     ``indices.png``, and a folder for each scenario: ``ecgs.nc``, ``ecg.png``, ``activation.vtu``
@@ -50,18 +50,18 @@ def write_prediction(
     report = stage_progress(progress, "pictures")
     heart, caution = fitted.simulator.model.heart, fitted.statements.caution_text
     pictures = ("ecg", "activation", "activation-spread")
-    drawn = ["indices", *(f"{name}/{what}" for name in predicted for what in pictures)]
+    drawn = ["indices", *(f"{name}/{picture}" for name in predicted for picture in pictures)]
     old = [f"{stem}.{suffix}" for stem in drawn for suffix in KINDS]
     with atomic_folder(out, disposable=old) as folder:
         write_text(folder / "indices.csv", index_table(predicted))
-        said = {"verdict": fitted.verdict, "caution": caution}
-        content = {name: _summary(found, predicted[INTRINSIC]) for name, found in predicted.items()}
-        write_text(folder / "summary.json", json.dumps(said | content, indent=2) + "\n")
+        reliability = {"verdict": fitted.verdict, "caution": caution}
+        content = {name: _summary(p, predicted[INTRINSIC]) for name, p in predicted.items()}
+        write_text(folder / "summary.json", json.dumps(reliability | content, indent=2) + "\n")
         save(mark(scenarios.index_figure(predicted), caution), folder / f"indices.{kind}")
-        for number, (name, found) in enumerate(predicted.items()):
+        for number, (name, prediction) in enumerate(predicted.items()):
             report(number, len(predicted))
-            _write_scenario(folder / name, found, heart)
-            both = {each: predicted[each] for each in dict.fromkeys((INTRINSIC, name))}
+            _write_scenario(folder / name, prediction, heart)
+            both = {scenario: predicted[scenario] for scenario in dict.fromkeys((INTRINSIC, name))}
             figures = (
                 scenarios.scenario_ecg_figure(predicted, name),
                 scenarios.scenario_activation_figure(heart, predicted, name),
@@ -73,19 +73,19 @@ def write_prediction(
 
 
 def write_sweep(fitted: FittedStudy, swept: Swept, name: str, index: str, out: Path) -> None:
-    """Write what a family of scenarios does.
+    """Write the predictions of a sweep, a family of scenarios.
 
     The folder holds ``indices.csv`` (every index of every scenario and network), ``summary.json``
-    and ``sweep.png``, one index over what was varied in the scenario `name`.
+    and ``sweep.png``, one index over the varied quantity of the scenario `name`.
     """
-    named = {swept.called(key): found for key, found in swept.predicted.items()}
-    values = {key: found.indices[index] for key, found in named.items()}
+    named = {swept.called(key): prediction for key, prediction in swept.predicted.items()}
+    values = {key: prediction.indices[index] for key, prediction in named.items()}
     content: dict[str, Any] = {
         "verdict": fitted.verdict,
         "caution": fitted.statements.caution_text,
         "networks": len(next(iter(values.values()))),
         "index": index,
-        "medians": {key: round(float(np.nanmedian(each)), 2) for key, each in values.items()},
+        "medians": {key: round(float(np.nanmedian(v)), 2) for key, v in values.items()},
         "impossible": {swept.called(key): why for key, why in swept.impossible.items()},
     }
     with atomic_folder(out) as folder:
@@ -120,7 +120,7 @@ def simulated_activation_figure(heart: Heart, simulation: Simulation, zero: str 
 
 def index_table(predicted: Mapping[str, Predicted]) -> str:
     """Every index of every scenario and network, as CSV."""
-    table = pd.concat({name: found.index_table() for name, found in predicted.items()})
+    table = pd.concat({name: prediction.index_table() for name, prediction in predicted.items()})
     table = table.rename_axis(["scenario", "network"])
     return str(table.to_csv(float_format="%.2f", lineterminator="\n"))
 
@@ -133,18 +133,18 @@ def latest_segments(found: Predicted) -> dict[str, float]:
     return {SEGMENTS[which[k] - 1]: round(float(counts[k] / len(numbers)), 3) for k in order}
 
 
-def _summary(found: Predicted, intrinsic: Predicted) -> dict[str, Any]:
+def _summary(prediction: Predicted, intrinsic: Predicted) -> dict[str, Any]:
     """Percentiles of each index, and of its change from each network's intrinsic beat."""
     content: dict[str, Any] = {
-        "description": found.scenario.description,
-        "reference": found.scenario.reference,
-        "networks": len(found.beats),
-        "activation_maps": found.extremes(),
-        "latest_segment": latest_segments(found),
+        "description": prediction.scenario.description,
+        "reference": prediction.scenario.reference,
+        "networks": len(prediction.beats),
+        "activation_maps": prediction.extremes(),
+        "latest_segment": latest_segments(prediction),
     }
     for index, unit in INDICES.items():
         if unit != "1":
-            values = found.indices[index]
+            values = prediction.indices[index]
             content[f"{index}_{unit}"] = {
                 "value": _percentiles(values),
                 "change": _percentiles(values - intrinsic.indices[index]),
@@ -153,21 +153,21 @@ def _summary(found: Predicted, intrinsic: Predicted) -> dict[str, Any]:
 
 
 def _percentiles(values: Floats) -> dict[str, float] | None:
-    """Of what is a number; None if nothing is."""
-    known = values[np.isfinite(values)]
-    if not len(known):
+    """Percentiles of the finite values; None if there are none."""
+    finite = values[np.isfinite(values)]
+    if not len(finite):
         return None
-    low, middle, high = np.percentile(known, (5, 50, 95))
+    low, middle, high = np.percentile(finite, (5, 50, 95))
     return {"5 %": round(low, 2), "median": round(middle, 2), "95 %": round(high, 2)}
 
 
-def _write_scenario(folder: Path, found: Predicted, heart: Heart) -> None:
-    maps = found.maps | {
-        f"activation_{which}": since_first(found.beats[k].activation)
-        for which, k in found.extremes().items()
+def _write_scenario(folder: Path, prediction: Predicted, heart: Heart) -> None:
+    maps = prediction.maps | {
+        f"activation_{which}": since_first(prediction.beats[k].activation)
+        for which, k in prediction.extremes().items()
     }
     write_grid(folder / "activation.vtu", heart.vertices, heart.tetrahedra, TETRAHEDRON, maps)
-    time, (ecgs,) = qrs_aligned(found)
+    time, (ecgs,) = qrs_aligned(prediction)
     array = xr.DataArray(
         ecgs, {"lead": list(heart.leads), "time": time}, ("network", "lead", "time"), "ecg",
         {"units": "mV"},

@@ -1,4 +1,4 @@
-"""One page on how a target was made: the recording, its beats, the QRS window."""
+"""Page on how a target was made: the recording, its beats, the QRS window."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from fascicle.reporting import style
 from fascicle.reporting.ecg import draw_target
 from fascicle.reporting.style import Colour
 
-SAMPLES = 1000.0 / SAMPLING_STEP  # a second
+SAMPLES = 1000.0 / SAMPLING_STEP  # per second
 # Colours of the classes that the target does not use; any further ones are grey
 CLASSES = (Colour.VERMILION, Colour.GREEN, Colour.PURPLE, Colour.ORANGE, Colour.SKY)
 
@@ -62,9 +62,9 @@ def strip_span(analysis: Analysis) -> tuple[float, float]:
 
 def class_colours(analysis: Analysis) -> dict[str, str]:
     """Colour of each class: blue for the chosen one, grey once the other colours are used up."""
-    others = [known.label for known in analysis.classes if known.label != analysis.chosen]
-    colours = dict.fromkeys([*others, *(beat.label for beat in analysis.beats)], str(Colour.GREY))
-    return colours | dict(zip(others, CLASSES, strict=False)) | {analysis.chosen: Colour.BLUE}
+    unused = [c.label for c in analysis.classes if c.label != analysis.chosen]
+    colours = dict.fromkeys([*unused, *(beat.label for beat in analysis.beats)], str(Colour.GREY))
+    return colours | dict(zip(unused, CLASSES, strict=False)) | {analysis.chosen: Colour.BLUE}
 
 
 def _lines(analysis: Analysis) -> list[str]:
@@ -124,21 +124,21 @@ def _draw_strip(axes: Axes, analysis: Analysis, colours: Mapping[str, str]) -> N
     axes.hlines(-np.arange(0, height, box), start, stop, color=Colour.PAPER, lw=0.5, zorder=0.5)
     _draw_traces(axes, time, level + baselines[:, None], analysis, colours)
     for lead in np.flatnonzero(~recorded):
-        there, why = np.flatnonzero(np.isfinite(analysis.signal[lead])) / SAMPLES, "not used"
-        if len(there):
-            why = f"recorded from {there[0]:.1f} to {there[-1]:.1f} s"
+        times, why = np.flatnonzero(np.isfinite(analysis.signal[lead])) / SAMPLES, "not used"
+        if len(times):
+            why = f"recorded from {times[0]:.1f} to {times[-1]:.1f} s"
         axes.text((start + stop) / 2, baselines[lead], why, ha="center")
     _number_beats(axes, analysis, colours)
     spikes = analysis.spikes[(analysis.spikes >= start) & (analysis.spikes < stop)]
     axes.vlines(spikes, -0.7, -0.5, color="black", linewidth=0.8, label="spikes")
     duration = analysis.recording.duration
     of = f"; {start:g} to {stop:g} s of {duration:.4g} s" if duration > stop - start + 0.05 else ""
-    said = [f"time (s{of})", f"boxes of 200 ms and {box:g} mV"]
+    notes = [f"time (s{of})", f"boxes of 200 ms and {box:g} mV"]
     if cut:
-        said.append("largest excursions cut off")
+        notes.append("largest excursions cut off")
     if analysis.recording.derived:
-        said.append(f"computed from other leads: {', '.join(analysis.recording.derived)}")
-    axes.set_xlabel("   ·   ".join(said))
+        notes.append(f"computed from other leads: {', '.join(analysis.recording.derived)}")
+    axes.set_xlabel("   ·   ".join(notes))
 
 
 def _without_artefacts(level: Floats, time: Floats, spikes: Floats) -> tuple[Floats, bool]:
@@ -175,7 +175,7 @@ def _baselines(level: Floats) -> tuple[Floats, float]:
 def _draw_traces(
     axes: Axes, time: Floats, traces: Floats, analysis: Analysis, colours: Mapping[str, str]
 ) -> None:
-    """Each lead as one line per colour; a beat's colour spans 100 ms before R to 400 ms after."""
+    """Draw leads, a line per colour; a beat's colour spans 100 ms before R to 400 ms after."""
     shades = np.full(len(time), str(Colour.GREY), dtype=object)
     ends = [beat.time - 0.1 for beat in analysis.beats[1:]] + [np.inf]
     for beat, end in zip(analysis.beats, ends, strict=True):
@@ -203,14 +203,14 @@ def _number_beats(axes: Axes, analysis: Analysis, colours: Mapping[str, str]) ->
 
 
 def _class_legend(figure: SubFigure, analysis: Analysis, colours: Mapping[str, str]) -> None:
-    ranked = sorted(analysis.classes, key=lambda known: known.label != analysis.chosen)
+    ranked = sorted(analysis.classes, key=lambda beat_class: beat_class.label != analysis.chosen)
     handles: list[tuple[Any, str]] = []
-    for known in ranked[: 1 + len(CLASSES)]:
-        text = f"{known.label} {known.count} beat{'s' if known.count != 1 else ''}"
-        text = style.short(f"{text}: {known.description}" if known.description else text)
-        handles.append((Line2D([], [], color=colours[known.label], linewidth=2.2), text))
+    for beat_class in ranked[: 1 + len(CLASSES)]:
+        text = f"{beat_class.label} {beat_class.count} beat{'s' if beat_class.count != 1 else ''}"
+        text = style.short(f"{text}: {beat_class.description}" if beat_class.description else text)
+        handles.append((Line2D([], [], color=colours[beat_class.label], linewidth=2.2), text))
     if rest := ranked[1 + len(CLASSES) :]:
-        text = f"{len(rest)} more classes, {sum(known.count for known in rest)} beats"
+        text = f"{len(rest)} more classes, {sum(beat_class.count for beat_class in rest)} beats"
         handles.append((Line2D([], [], color=Colour.GREY, linewidth=2.2), text))
     box: dict[str, Any] = {"linestyle": "none", "marker": "s", "color": Colour.BLUE}
     handles.append((Line2D([], [], **box), "filled number: beat used"))

@@ -51,8 +51,8 @@ def index_figure(predicted: Mapping[str, Predicted]) -> Figure:
     figure = style.new_figure(8.7, 2 * (0.65 + 0.28 * len(predicted)))
     panels = figure.subplots(2, len(SHOWN) // 2, sharey=True)
     for panel, index in zip(panels.flat, SHOWN, strict=True):
-        for row, found in enumerate(predicted.values()):
-            values, colour = found.indices[index], Colour.VERMILION if row else Colour.GREY
+        for row, prediction in enumerate(predicted.values()):
+            values, colour = prediction.indices[index], Colour.VERMILION if row else Colour.GREY
             for share, width in ((MOST, 1.2), (HALF, 4.5)):
                 panel.plot(np.nanpercentile(values, share), [row, row], color=colour, lw=width)
             panel.plot(np.nanmedian(values), row, "o", color="white", markeredgecolor=colour)
@@ -65,8 +65,8 @@ def index_figure(predicted: Mapping[str, Predicted]) -> Figure:
 
 def scenario_ecg_figure(predicted: Mapping[str, Predicted], name: str) -> Figure:
     """Draw the twelve leads of a scenario and the intrinsic beat: means, 90 % of the networks."""
-    intrinsic, found = _with_intrinsic(predicted, name)
-    return prediction_ecg_figure({INTRINSIC: intrinsic, name: found})
+    intrinsic, prediction = _with_intrinsic(predicted, name)
+    return prediction_ecg_figure({INTRINSIC: intrinsic, name: prediction})
 
 
 def prediction_ecg_figure(shown: Mapping[str, Predicted]) -> Figure:
@@ -89,9 +89,9 @@ def scenario_activation_figure(
 
     The intrinsic beat in its median network stands above, in the same colours.
     """
-    intrinsic, found = _with_intrinsic(predicted, name)
-    rows = [_row(found, which, k) for which, k in found.extremes().items()]
-    if found is not intrinsic:
+    intrinsic, prediction = _with_intrinsic(predicted, name)
+    rows = [_row(prediction, which, k) for which, k in prediction.extremes().items()]
+    if prediction is not intrinsic:
         rows.insert(0, _row(intrinsic, f"{INTRINSIC}: median", intrinsic.extremes()["median"]))
     return activation_figure(heart, rows, SINCE_FIRST)
 
@@ -99,8 +99,8 @@ def scenario_activation_figure(
 def spread_figure(heart: Heart, predicted: Mapping[str, Predicted]) -> Figure:
     """Draw the networks' SD of activation, one row per scenario, in the same colours."""
     rows = [
-        ActivationRow(textwrap.fill(name, 22), found.maps["activation_sd"])
-        for name, found in predicted.items()
+        ActivationRow(textwrap.fill(name, 22), prediction.maps["activation_sd"])
+        for name, prediction in predicted.items()
     ]
     return activation_figure(heart, rows, SPREAD)
 
@@ -114,9 +114,9 @@ def _with_intrinsic(predicted: Mapping[str, Predicted], name: str) -> tuple[Pred
     return predicted[INTRINSIC], predicted[name]
 
 
-def _row(found: Predicted, label: str, number: int) -> ActivationRow:
-    """One network; times are counted from its first activation."""
-    beat, total = found.beats[number], found.indices["total_activation_time"][number]
+def _row(prediction: Predicted, label: str, number: int) -> ActivationRow:
+    """Row of a network, with times from its first activation."""
+    beat, total = prediction.beats[number], prediction.indices["total_activation_time"][number]
     trees = tuple((tree, times.astype(float)) for tree, times in beat.trees)
     name = f"{label}\n{total_time(total)}"
     return ActivationRow(name, beat.activation.astype(float), trees).since_first()
@@ -124,15 +124,15 @@ def _row(found: Predicted, label: str, number: int) -> ActivationRow:
 
 def sweep_figure(swept: Swept, index: str, name: str) -> Figure:
     """Draw an index over the quantity that a sweep varies: a curve, or a bull's eye of segments."""
-    values = {key: found.indices[index] for key, found in swept.predicted.items()}
+    values = {key: prediction.indices[index] for key, prediction in swept.predicted.items()}
     if swept.varied != SEGMENT:
         return curve_figure(values, index, swept.varied, name)
     title = f"median {index_name(index)}"
     if index in SIGNED:  # absolute delay
-        values, title = {key: np.abs(each) for key, each in values.items()}, f"{title} (absolute)"
+        values, title = {key: np.abs(v) for key, v in values.items()}, f"{title} (absolute)"
     medians = np.full(len(SEGMENTS), np.nan)
-    for key, each in values.items():
-        medians[int(key) - 1] = np.nanmedian(each)
+    for key, per_network in values.items():
+        medians[int(key) - 1] = np.nanmedian(per_network)
     title = f"{style.short(name)}: {title} by stimulated segment"
     return bulls_eye_figure(medians, title, INDICES[index])
 
@@ -142,11 +142,11 @@ def curve_figure(values: Mapping[float, Floats], index: str, varied: str, name: 
     """Draw an index (n,) over the varied quantity: median, range of half and 90 % of networks."""
     title = f"{style.short(name)}: median, range of half and 90 % of the networks"
     figure = style.new_figure(5.6, 3.6, title)
-    axes, found = figure.subplots(), np.array(list(values.values()))
+    axes, samples = figure.subplots(), np.array(list(values.values()))
     for share, opacity in ((MOST, 0.2), (HALF, 0.35)):
-        low, high = np.nanpercentile(found, share, axis=1)
+        low, high = np.nanpercentile(samples, share, axis=1)
         axes.fill_between(list(values), low, high, color=Colour.VERMILION, alpha=opacity, lw=0)
-    axes.plot(list(values), np.nanmedian(found, axis=1), "o-", color=Colour.VERMILION)
+    axes.plot(list(values), np.nanmedian(samples, axis=1), "o-", color=Colour.VERMILION)
     axes.set(xlabel=varied, ylabel=index_label(index))
     return figure
 
@@ -176,7 +176,7 @@ def bulls_eye_figure(values: Floats, title: str, unit: str) -> Figure:
 def _draw_segment(
     axes: Axes, outer: int, angle: float, width: float, value: float, colours: ScalarMappable
 ) -> None:
-    """One segment, with its value; `outer` 1 is the apex."""
+    """Draw a segment with its value; `outer` 1 is the apex."""
     if np.isfinite(value):
         red, green, blue, _ = colours.to_rgba(np.array([value]))[0]
         axes.bar(

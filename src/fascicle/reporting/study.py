@@ -48,25 +48,29 @@ def drawings(
     intrinsic beat is the first of the predictions.
     """
     check_population(fitted)
-    model, space, population = fitted.simulator.model, fitted.simulator.space, fitted.population
+    model, space, population = (
+        fitted.simulator.model,
+        fitted.simulator.prior.learnt,
+        fitted.population,
+    )
     heart = model.heart
     best = ActivationRow.of("best network", fitted.best_network.simulation).since_first()
     activations = np.array([network.simulation.activation for network in networks])
     spread = ActivationRow("all networks", activation_maps(activations)["activation_sd"])
-    # of file names and of texts
+    # recordings in the names of files and in captions
     counts = range(1, len(fitted.recordings) + 1)
     suffixes = ["", *(f"-{count}" for count in counts[1:])]
-    called = [f"Recording {count}" if len(counts) > 1 else "Recording" for count in counts]
+    names = [f"Recording {count}" if len(counts) > 1 else "Recording" for count in counts]
     drawn: dict[str, Drawing] = {}
     torso = ", each with the gain and in the torso that were drawn with it" if fitted.ecgs else ""
     for number, recording in enumerate(fitted.recordings):
-        its = fitted.networks(recording=number) if number else networks
-        agreed = agreement(recording.target, its)
+        simulated = fitted.networks(recording=number) if number else networks
+        qrs_agreement = agreement(recording.target, simulated)
         drawn[f"ecg{suffixes[number]}"] = Drawing(
-            _ecg(recording.target, its, agreed),
-            f"{called[number]}: QRS of its beats and of the networks{torso}. Lines are means, "
+            _ecg(recording.target, simulated, qrs_agreement),
+            f"{names[number]}: QRS of its beats and of the networks{torso}. Lines are means, "
             "bands hold 90 % of the beats or networks. Time is counted from the R peak.",
-            agreed,
+            qrs_agreement,
         )
     if fitted.statements.states:
         drawn["states"] = Drawing(
@@ -96,9 +100,9 @@ def drawings(
     for drawing in drawn.values():
         mark(drawing.figure, fitted.statements.caution_text)
     for number, recording in enumerate(fitted.recordings):
-        text = f"{called[number]}: its beats and the QRS window of the fit."
+        text = f"{names[number]}: its beats and the QRS window of the fit."
         drawn[f"recording{suffixes[number]}"] = Drawing(target_figure(recording.target), text)
-    for suffix, name, report in zip(suffixes, called, fitted.emulator_reports, strict=False):
+    for suffix, name, report in zip(suffixes, names, fitted.emulator_reports, strict=False):
         text = (
             f"{name}: what the emulator does not say of a simulated QRS, for held-out networks of "
             "the prior, and for those of a first posterior that it was trained on with, each "
@@ -177,9 +181,9 @@ def recorded_ecg_figure(
 
 
 def _ecg(
-    target: Target, networks: Sequence[Network], found: Agreement, caption: bool = True
+    target: Target, networks: Sequence[Network], qrs_agreement: Agreement, caption: bool = True
 ) -> Figure:
-    """Bands hold 90 % of each, because whole ranges grow with the number of ECGs."""
+    """Draw recorded and simulated QRS; bands hold 90 %, as ranges grow with the number of ECGs."""
     window = target.qrs_samples
     time = target.time[window]
     simulated = np.stack([network.predicted for network in networks])[:, :, window]
@@ -187,23 +191,23 @@ def _ecg(
         EcgGroup("recorded", "beat", time, target.qrs_beats, Colour.BLUE, 0.9),
         EcgGroup("simulated", "network", time, simulated, Colour.VERMILION, 0.9),
     ]
-    notes = [f"r {r:.2f}" if np.isfinite(r) else "" for r in found.correlation]
+    notes = [f"r {r:.2f}" if np.isfinite(r) else "" for r in qrs_agreement.correlation]
     title = f"Recorded QRS and {len(networks)} networks"
-    below = _caption(found) if caption else ""
+    below = _caption(qrs_agreement) if caption else ""
     return ecg_figure(groups, title, notes, "R peak", below, target.leads)
 
 
-def _caption(found: Agreement) -> str:
+def _caption(qrs_agreement: Agreement) -> str:
     """Variance explained by the networks' mean; durations and axis, recorded and simulated."""
     parts = [
-        f"mean explains {found.explained_over_all:.0%} of the variance, "
-        f"r {found.correlation_over_all:.2f}"
+        f"mean explains {qrs_agreement.explained_over_all:.0%} of the variance, "
+        f"r {qrs_agreement.correlation_over_all:.2f}"
     ]
     for key, measure in MEASURES.items():
-        if key in found.recorded:
-            low, middle, high = found.percentiles(key)
+        if key in qrs_agreement.recorded:
+            low, middle, high = qrs_agreement.percentiles(key)
             parts.append(
-                f"{measure.name} {found.recorded[key]:.0f} {measure.unit}, "
+                f"{measure.name} {qrs_agreement.recorded[key]:.0f} {measure.unit}, "
                 f"simulated {middle:.0f} ({low:.0f} to {high:.0f})"
             )
     return "; ".join(parts)

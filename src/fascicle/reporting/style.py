@@ -61,7 +61,7 @@ user_first = ContextVar("what the user has set in Matplotlib counts before `RC`"
 
 
 def set_by_user(name: str) -> bool:
-    """Whether the user has set this of Matplotlib's settings, and may."""
+    """Whether the user has changed a setting of Matplotlib, and `user_first` lets it count."""
     settings: dict[str, Any] = rcParams  # type: ignore[assignment]  # its stubs want literals
     return user_first.get() and settings[name] != rcParamsDefault[name]  # type: ignore[index]
 
@@ -71,7 +71,7 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
     @wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        sizes = not set_by_user("font.size")  # else those of text follow it
+        sizes = not set_by_user("font.size")  # else all sizes of text follow it
         look = {k: v for k, v in RC.items() if not set_by_user(k) and (sizes or "size" not in k)}
         with rc_context(look):  # type: ignore[arg-type]  # its stubs want literals
             figure = draw(*args, **kwargs)
@@ -87,11 +87,11 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
 @styled
 def one_axes(
-    draw: Callable[..., None], *given: Any, size: tuple[float, float] = (4.8, 4.4), **kind: Any
+    draw: Callable[..., None], *arguments: Any, size: tuple[float, float] = (4.8, 4.4), **kind: Any
 ) -> Figure:
-    """Figure of what is drawn into axes of a `kind`, such as a projection."""
+    """Figure that `draw` draws into axes of a `kind`, such as a projection."""
     figure = new_figure(*size)
-    draw(figure.add_subplot(**kind), *given)
+    draw(figure.add_subplot(**kind), *arguments)
     return figure
 
 
@@ -116,9 +116,9 @@ def mark(figure: Figure, caution: str | None) -> Figure:
     if caution is not None:
         title = f"{caution}\n{figure.get_suptitle()}".strip()
         head(figure, title, color="#B34700", fontweight="bold", fontsize=RC["figure.titlesize"])
-        for each in figure.legends:  # below that line
+        for figure_legend in figure.legends:  # below that line
             top = 1 - 0.16 / figure.get_figheight()
-            each.set_bbox_to_anchor((0, 0, 1, top), figure.transFigure)
+            figure_legend.set_bbox_to_anchor((0, 0, 1, top), figure.transFigure)
     return figure
 
 
@@ -169,8 +169,8 @@ def save(figure: Figure, path: Path | str) -> Path:
 def check_picture(path: Path) -> None:
     """Refuse a picture in a format that cannot be drawn."""
     if path.suffix.lower().removeprefix(".") not in KINDS:
-        known = ", ".join(f".{kind}" for kind in KINDS)
-        raise InputError(f"{path}: cannot draw '{path.suffix or 'no suffix'}'; use one of {known}")
+        kinds = ", ".join(f".{kind}" for kind in KINDS)
+        raise InputError(f"{path}: cannot draw '{path.suffix or 'no suffix'}'; use one of {kinds}")
 
 
 def check_kinds(kinds: Sequence[str]) -> None:

@@ -35,7 +35,7 @@ class View:
         return np.array([screen.min(axis=0), screen.max(axis=0)])
 
     def facing(self, normals: Floats) -> Booleans:
-        """Which normals (k, 3) point towards the eye, shape (k,)."""
+        """Mask (k,) of the normals (k, 3) that point towards the eye."""
         return np.asarray(normals @ self.axes[2] < 0)
 
 

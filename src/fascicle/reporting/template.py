@@ -33,7 +33,7 @@ def template_figure(progress: Progress | None = None) -> tuple[Figure, dict[str,
 
 
 def measure(template: CableTemplate) -> dict[str, float]:
-    """One row of the table of `template_figure`."""
+    """Row of the table of `template_figure`."""
     times, potentials = template.times, template.potentials
     return {
         "resting_potential": float(potentials[0]),

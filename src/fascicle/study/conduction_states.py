@@ -140,26 +140,6 @@ def asked_states(asked: Any) -> tuple[ConductionState, ...]:
     return states_of({CONDUCTION[int(value)]: 1.0})
 
 
-def possible_states(
-    asked: Any, space: ParameterSpace, known: Mapping[str, float]
-) -> tuple[ConductionState, ...]:
-    """Conduction states that the user chose and that the other parameters do not exclude.
-
-    Raises
-    ------
-    InputError
-        If there is no such state, a prior is not a positive number, or no state is left.
-    """
-    states = asked_states(asked)
-    states = tuple(state for state in states if state.narrowed(space, known) is not None)
-    if not states:
-        raise InputError(
-            "parameter 'conduction': what is fixed, the heart's values or the ranges exclude "
-            "what was asked for; fix less, or leave it out"
-        )
-    return states
-
-
 def united(
     space: ParameterSpace, fixed: Mapping[str, float], probable: Mapping[str, float]
 ) -> ParameterSpace:

@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.forward.model import Backend
 from fascicle.inference.tempered_sampling import RunAgreement
@@ -63,8 +62,8 @@ def diagnosed(
     with study_lock(folder):
         study = begun(inputs, folder, progress)
         place, count = place_of_simulations(heart, folder), config.prior_simulations
-        all_states = replace(simulator, space=ParameterSpace(config.space))
-        simulations, target = simulations_of_states(all_states, place, count), recordings[0].target
+        simulations = simulations_of_states(simulator.model, config.prior, place, count)
+        target = recordings[0].target
         rows = classified_rows(target)
         classifier = classifier_of(simulations, rows, place, count, simulator.pool, progress)
         probable = probabilities(classifier, simulations, config.states, target)
@@ -95,7 +94,8 @@ def diagnosed(
         stage_progress(progress, stage)(len(shares), len(shares))
         population = _mixture(parts, [*shares.values()], config.effective)
         population = replace(population, states=probable, unnamed=unlike(classifier, target))
-        simulator = replace(simulator, space=config.space_of(probable), remembered={})
+        prior = replace(config.prior, states=probable)
+        simulator = replace(simulator, prior=prior, remembered={})
         fitted = FittedStudy(study, simulator, recordings, population)
         fitted = completed(fitted, emulated, progress)
         return replace(fitted, simulator=replace(simulator, remembered=None))
@@ -112,13 +112,14 @@ def most_probable(probable: Mapping[str, float]) -> dict[str, float]:
 
 def _of_state(state: ConductionState, inputs: Inputs, **numbers: float) -> Inputs:
     """Inputs of the study of one conduction state."""
-    config = inputs.config
-    space = state.narrowed(ParameterSpace(config.space), config.fixed)
-    assert space is not None
-    fixed = config.fixed | state.blocks
-    mapped = state.is_mapped({*space.names, *fixed})
-    changes = {"space": space.parameters, "fixed": fixed, "states": {}, "mapped": mapped}
-    return replace(inputs, config=config.model_copy(update=changes | numbers))
+    prior = inputs.config.prior.narrowed(state)
+    changes = {
+        "space": prior.space.parameters,
+        "fixed": prior.fixed,
+        "states": prior.states,
+        "mapped": prior.mapped,
+    }
+    return replace(inputs, config=inputs.config.model_copy(update=changes | numbers))
 
 
 def _mixture(

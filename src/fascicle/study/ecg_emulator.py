@@ -28,7 +28,6 @@ from scipy.fft import dct, idct
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, LEADS, limb_leads_from
-from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.quantities import DELAY
 from fascicle.core.threads import one_thread
@@ -43,8 +42,8 @@ from fascicle.inference.emulator import (
     train_together,
     weight_arrays,
 )
+from fascicle.study.prior import AveragedOver, Prior
 from fascicle.study.prior_simulations import BEFORE, BODIES, PART, Examples
-from fascicle.study.space import AveragedOver
 
 NETWORKS = 2  # neural networks, whose outputs are averaged
 COMPONENTS = 60  # principal components; they leave a thousandth of the variance unexplained
@@ -248,8 +247,7 @@ def all_leads(independent: Floats) -> Floats:
 @one_thread
 def learn(
     examples: Examples,
-    space: ParameterSpace,
-    averaged: AveragedOver,
+    prior: Prior,
     plain_ratio: float,
     rng: np.random.Generator,
     *,
@@ -265,10 +263,10 @@ def learn(
     same_on_any_clock : bool
         Whether time scaling holds; it does not where a scenario has times.
     """
-    learnt, rest = np.split(examples.points, [len(space)], axis=1)
-    values = space.columns(learnt) | averaged.columns(rest)
+    points, averaged = examples.points, prior.averaged
+    values = {n: column for n, column in prior.columns(points).items() if n not in prior.fixed}
     values.pop("gain", None)  # a factor on the ECG
-    tissues, names = tissue_inputs(averaged, plain_ratio)[averaged.tissue(rest)], tuple(values)
+    tissues, names = tissue_inputs(averaged, plain_ratio)[prior.tissue(points)], tuple(values)
     raw = _raw(names, values, tissues)
     _refuse(examples, names, raw)
     feasible, count = examples.feasible, max(2, round(2 * HIGHEST * examples.ecgs.shape[2]))
@@ -289,7 +287,9 @@ def learn(
         return emulator.inputs(values, tissues[feasible][trained]), centred @ components.T / unit
 
     plain_values = {name: value[feasible][trained] for name, value in values.items()}
-    ends = {p.name: (p.lower, p.upper) for p in (*space.parameters, *averaged.space.parameters)}
+    ends = {
+        p.name: (p.lower, p.upper) for p in (*prior.learnt.parameters, *averaged.space.parameters)
+    }
     pairs = [lesson(plain_values, cosines[trained])]
     scalable = "cv" in names and {*DELAY} & {*names} and {*FASTER[:2]} & {*names}
     for _ in range(COPIES if same_on_any_clock and scalable else 0):

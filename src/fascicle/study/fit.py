@@ -12,7 +12,7 @@ from typing import Any
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path
-from fascicle.core.parameters import FREE, ParameterSpace
+from fascicle.core.parameters import FREE
 from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.quantities import DELAY
 from fascicle.core.ranges import check_kind
@@ -21,17 +21,17 @@ from fascicle.forward.model import Backend
 from fascicle.heart.folder import as_heart, load_heart
 from fascicle.heart.heart import Heart
 from fascicle.purkinje.growth import GrowthRules
-from fascicle.study.conduction_states import ConductionState, possible_states
+from fascicle.study.conduction_states import ConductionState
 from fascicle.study.diagnosis import diagnosed
 from fascicle.study.ecg_emulator import MODES
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.lock import refuse_held
 from fascicle.study.pool import Pool, check_pool
 from fascicle.study.population import RESULT, Posterior, read_checks, read_population
+from fascicle.study.prior import Prior, growth_and_conduction
 from fascicle.study.recordings import Given, Recorded, digests, given_recordings, read_recordings
 from fascicle.study.refined_emulator import MOST, MOST_ROUNDS
 from fascicle.study.settings import FitSettings, checked_settings
-from fascicle.study.space import AveragedOver, growth_and_conduction, study_space
 from fascicle.study.state_fit import HEART, Inputs, fit_state, simulated_and_compared
 from fascicle.study.study import Study, StudyConfig, check_same, check_study_folder
 from fascicle.study.target_comparison import evaluate
@@ -196,56 +196,46 @@ def read_inputs(
     learnt = settings.method == "posterior" and one_intrinsic_beat and likelihoods is None
     learnt &= recordings[0][0].earliest_onset is None  # a paced beat shows no conduction state
     conduction = choices.pop("conduction", FREE if learnt and not {*DELAY} & {*choices} else None)
-    space, fixed = study_space(settings.method, choices, heart)
-    states = () if conduction is None else _states(conduction, space, fixed, heart, settings)
+    prior = Prior.of(settings.method, choices, heart)
+    states = () if conduction is None else _states(conduction, prior, heart, settings)
     if len(states) > 1 and not one_intrinsic_beat:
         raise InputError(
             "parameter 'conduction': it is learnt from one recording of an intrinsic beat; give "
             "one without a scenario, or fix the state"
         )
-    mapped = False
     if len(states) == 1:
-        (state,) = states
-        space, fixed = state.narrowed(space, fixed) or space, fixed | state.blocks
-        mapped = state.is_mapped({*space.names, *fixed})
-    if settings.free_gain and ("gain" in space.names or "gain" in fixed):
+        prior = prior.narrowed(states[0])
+    elif states:
+        prior = replace(prior, states=_priors(states))
+    if settings.free_gain and "gain" in {*prior.names, *prior.fixed}:
         raise InputError("the gain is a parameter already; leave --free-gain out")
-    posterior_settings: dict[str, Any] = {}
+    described: dict[str, float | str] = {}
     if settings.method == "posterior":
-        averaged = AveragedOver.of(space, fixed, heart)
         constants_of_emulator = {
             "body_modes": MODES,
             "refining_networks": MOST,
             "refining_rounds": MOST_ROUNDS,
         }
-        named = {
-            "name": ", ".join(type(likelihood).__qualname__ for likelihood in likelihoods or ())
-        }
-        posterior_settings = {
-            "likelihood": constants() | constants_of_emulator if likelihoods is None else named,
-            "averaged": averaged.space.parameters,
-            "tissues": averaged.tissues,
-        }
+        names = ", ".join(type(likelihood).__qualname__ for likelihood in likelihoods or ())
+        described = {"name": names} if names else constants() | constants_of_emulator
     config = StudyConfig(
         heart=heart.digest,
         **_hashes(recordings),
-        space=space.parameters,
-        fixed=fixed,
-        states=_priors(states) if len(states) > 1 else {},
-        mapped=mapped,
+        space=prior.space.parameters,
+        fixed=prior.fixed,
+        states=prior.states,
+        mapped=prior.mapped,
+        averaged=prior.averaged.space.parameters,
+        tissues=prior.averaged.tissues,
+        likelihood=described,
         **growth_and_conduction(heart, rules),
-        **posterior_settings,
         **settings.model_dump(),
     )
     return Inputs(heart, recordings, config, rules, likelihoods)
 
 
 def _states(
-    conduction: Any,
-    space: ParameterSpace,
-    fixed: Mapping[str, float],
-    heart: Heart,
-    settings: FitSettings,
+    conduction: Any, prior: Prior, heart: Heart, settings: FitSettings
 ) -> tuple[ConductionState, ...]:
     """Conduction states that the user chose and that the other parameters do not exclude."""
     if settings.method == "paper":
@@ -253,7 +243,7 @@ def _states(
             "parameter 'conduction': the method 'paper' knows no conduction states; leave it "
             "out, or use the method 'posterior'"
         )
-    return possible_states(conduction, space, {**heart.values, **fixed})
+    return prior.possible_states(conduction, heart)
 
 
 def _hashes(recordings: Sequence[Recorded]) -> dict[str, Any]:
@@ -309,7 +299,7 @@ def load_study(
             raise InputError(
                 f"{folder / name}: not the one that was fitted; put the original back, or fit again"
             )
-    if not {*study.config.parameter_space.names} <= {*population.best}:
+    if not {*study.config.prior.names} <= {*population.best}:
         raise InputError(
             f"{result}: its parameters are not those of the study; run 'fascicle fit' "
             "again to rewrite it"
@@ -322,5 +312,6 @@ def load_study(
         )
     study.check_objective(partial(evaluate, simulator, compared))
     if isinstance(population, Posterior):  # compared with the prior of its states
-        simulator = replace(simulator, space=study.config.space_of(population.states))
+        prior = replace(simulator.prior, states=population.states)
+        simulator = replace(simulator, prior=prior)
     return FittedStudy(study, simulator, compared, population, *read_checks(result))

@@ -218,7 +218,7 @@ class FittedStudy:
         """
         table = getattr(draws, "posterior", draws)
         values = {str(name): np.asarray(table[name], dtype=float).ravel() for name in table}
-        if missing := [name for name in self.simulator.space.names if name not in values]:
+        if missing := [name for name in self.simulator.prior.names if name not in values]:
             raise InputError(f"draws: there is no '{missing[0]}', which the study learns; add it")
         counts = sorted({len(column) for column in values.values()})
         if len(counts) > 1 or not counts[0]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -22,10 +23,10 @@ from fascicle.heart.heart import Heart
 from fascicle.study.conduction_states import KNOWN_STATES, ConductionState
 from fascicle.study.ecg_emulator import SOONER, EcgEmulator, learn
 from fascicle.study.pool import Pool, Threads, check_pool
+from fascicle.study.prior import Prior
 from fascicle.study.prior_simulations import SEED, PriorSimulations
 from fascicle.study.settings import FitSettings
 from fascicle.study.simulator import PointSimulator
-from fascicle.study.space import AveragedOver, study_space
 
 EMULATOR = "emulator"  # kind of file
 
@@ -48,18 +49,20 @@ def emulator_of(
     scenario : (Scenario, str), optional
         Scenario in which the heart was recorded, and its digest.
     """
-    blocks = {n: v for n, v in simulator.fixed.items() if n == "conduction"}
+    model, prior = simulator.model, simulator.prior
+    blocks = {n: v for n, v in prior.fixed.items() if n == "conduction"}
     alike = [state for state in KNOWN_STATES if state.blocks == blocks]
     # The prior of all delays, None, covers every state, but a narrower emulator is more exact.
     states = alike if blocks else [*alike, None]
-    candidates = (usual_prior(simulator.model, folder, scenario, state) for state in states)
-    study = simulator.space, simulator.averaged, simulator.fixed
-    usual = (prior for prior in candidates if prior.covers(*study, simulator.mapped))
-    prior = next(usual, None) or prior_of(simulator, folder, scenario)
-    stored = packaged(EMULATOR, prior.content)
+    usual = (
+        simulations_of(model, usual_prior(model.heart, state), folder, scenario) for state in states
+    )
+    covering = (candidate for candidate in usual if candidate.prior.covers(prior))
+    simulations = next(covering, None) or simulations_of(model, prior, folder, scenario)
+    stored = packaged(EMULATOR, simulations.content)
     if stored is not None and float(stored["report networks"]) >= count:
         return EcgEmulator.from_arrays(stored)
-    return made_emulator(prior, count, simulator.pool, progress)
+    return made_emulator(simulations, count, simulator.pool, progress)
 
 
 def packaged(kind: str, key: str) -> Mapping[str, Any] | None:
@@ -86,18 +89,19 @@ def learnt_or_made(
 
 
 def made_emulator(
-    prior: PriorSimulations, count: int, pool: Pool, progress: Progress | None = None
+    simulations: PriorSimulations, count: int, pool: Pool, progress: Progress | None = None
 ) -> EcgEmulator:
     """Emulator learnt from `count` prior simulations; both are made if they are missing."""
-    cache, key = ArrayCache(prior.cache.folder, EMULATOR), f"{count} of {prior.content}"
+    model, prior = simulations.model, simulations.prior
+    cache, key = ArrayCache(simulations.cache.folder, EMULATOR), f"{count} of {simulations.content}"
     arrays: Mapping[str, Any] | None = cache.read(key)
     if arrays is None:
-        prior.simulate(count, pool, progress)
-        ratio = float(np.divide(*prior.model.conduction.speeds))
-        fixed_times = {*SOONER} & {*prior.fixed, *prior.model.heart.values}  # which do not scale
+        simulations.simulate(count, pool, progress)
+        ratio = float(np.divide(*model.conduction.speeds))
+        fixed_times = {*SOONER} & {*prior.fixed, *model.heart.values}  # which do not scale
         arrays = learn(
-            prior.examples(count), prior.space, prior.averaged, ratio, np.random.default_rng(SEED),
-            same_on_any_clock=prior.scenario is None and not fixed_times, progress=progress,
+            simulations.examples(count), prior, ratio, np.random.default_rng(SEED),
+            same_on_any_clock=simulations.scenario is None and not fixed_times, progress=progress,
         ).arrays()  # fmt: skip
         cache.write(key, arrays, compress=True)
     # from arrays even if it was just made, so that weights have the stored precision
@@ -107,33 +111,20 @@ def made_emulator(
     return emulator
 
 
-def prior_of(
-    simulator: PointSimulator, folder: Path, scenario: tuple[Scenario, str] | None = None
+def simulations_of(
+    model: ForwardModel, prior: Prior, folder: Path, scenario: tuple[Scenario, str] | None = None
 ) -> PriorSimulations:
-    """Prior simulations of the quantities that a simulator varies, kept in a heart's folder."""
+    """Simulations of a prior, kept in a heart's folder."""
     cache = ArrayCache(folder / DISPOSABLE, "prior")
-    mapped = simulator.mapped and scenario is None  # intrinsic beats alone
-    return PriorSimulations(
-        simulator.model, simulator.space, simulator.averaged, simulator.fixed, cache, scenario,
-        mapped=mapped,
-    )  # fmt: skip
+    mapped = prior.mapped and scenario is None  # intrinsic beats alone
+    return PriorSimulations(model, replace(prior, mapped=mapped), cache, scenario)
 
 
-def usual_prior(
-    model: ForwardModel,
-    folder: Path,
-    scenario: tuple[Scenario, str] | None = None,
-    state: ConductionState | None = None,
-) -> PriorSimulations:
-    """Prior simulations of a study with default parameters, or of one conduction state."""
-    space, fixed = study_space("posterior", {} if state is None else state.blocks, model.heart)
-    mapped = False
-    if state is not None:
-        space = state.narrowed(space, {**model.heart.values, **fixed}) or space
-        mapped = state.is_mapped(space.names)
-    averaged = AveragedOver.of(space, fixed, model.heart)
-    simulator = PointSimulator(model, space, fixed, averaged=averaged, mapped=mapped)
-    return prior_of(simulator, folder, scenario)
+def usual_prior(heart: Heart, state: ConductionState | None = None) -> Prior:
+    """Prior of a study with default parameters, or of one conduction state."""
+    if state is None:
+        return Prior.of("posterior", {}, heart)
+    return Prior.of("posterior", state.blocks, heart).narrowed(state)
 
 
 def for_simulations(

@@ -73,11 +73,9 @@ class EmulatedLikelihood:
 
     def inputs(self, points: Floats) -> tuple[Singles, Floats]:
         """Standardised inputs (n, p) of the emulator at points (n, d), and gains (n,)."""
-        simulator = self.simulator
-        learnt, averaged = np.split(points, [len(simulator.space)], axis=1)
-        values: dict[str, Floats] = {n: np.full(len(points), v) for n, v in simulator.fixed.items()}
-        values |= simulator.space.columns(learnt) | simulator.averaged.columns(averaged)
-        inputs = self.emulator.inputs(values, self._tissues[simulator.averaged.tissue(averaged)])
+        prior = self.simulator.prior
+        values = prior.columns(points)
+        inputs = self.emulator.inputs(values, self._tissues[prior.tissue(points)])
         return inputs, values.get("gain", np.ones(len(points)))
 
     def energies(self, networks: Sequence[Network]) -> tuple[float, float]:
@@ -86,7 +84,7 @@ class EmulatedLikelihood:
         Only frequencies that the emulator covers count; in a normal QRS higher ones make up a
         seventh, root mean square.
         """
-        emulator, tissues = self.emulator, self.simulator.averaged.tissues
+        emulator, tissues = self.emulator, self.simulator.prior.averaged.tissues
         rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(emulator.mean_leads))]
         columns = {
             n: np.array([network.parameters[n] for network in networks]) for n in emulator.names
@@ -145,7 +143,7 @@ class EmulatedLikelihood:
     @cached_property
     def _tissues(self) -> Floats:
         ratio = float(np.divide(*self.simulator.model.conduction.speeds))
-        return tissue_inputs(self.simulator.averaged, ratio)
+        return tissue_inputs(self.simulator.prior.averaged, ratio)
 
 
 def checked(

@@ -52,8 +52,8 @@ from fascicle.study.ecg_classifier import (
 )
 from fascicle.study.heart_emulator import for_simulations, learnt_or_made
 from fascicle.study.pool import Pool
+from fascicle.study.prior import AveragedOver, Prior
 from fascicle.study.prior_simulations import HELD_OUT, PART, SEED, PriorSimulations
-from fascicle.study.space import AveragedOver
 
 CLASSIFIER = "origin"  # kind of file
 # Place of origin of each of ten beats: some share one, since finding the rays from a place takes
@@ -305,7 +305,8 @@ def ectopic_beats(model: ForwardModel, folder: Path) -> EctopicBeats:
         p for p in averaged.space.parameters if quantity(p.name).changes != Changes.SOURCES
     )
     averaged = replace(averaged, space=ParameterSpace(tuple(not_of_sources)))
-    return EctopicBeats(model, space, averaged, {}, ArrayCache(folder / DISPOSABLE, "prior"))
+    prior = Prior(space, averaged=averaged)
+    return EctopicBeats(model, prior, ArrayCache(folder / DISPOSABLE, "prior"))
 
 
 @dataclass(frozen=True)

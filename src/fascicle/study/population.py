@@ -23,8 +23,8 @@ from fascicle.inference.evaluation import Evaluation
 from fascicle.inference.tempered_sampling import SamplingRun
 from fascicle.recording.target import Target
 from fascicle.study.predictive import Checks, Prediction
+from fascicle.study.prior import Prior
 from fascicle.study.settings import Method
-from fascicle.study.space import AveragedOver
 
 if TYPE_CHECKING:  # imports the surrogate, which takes long to load
     from fascicle.inference.abc import Accepted
@@ -141,8 +141,7 @@ class Posterior(Population):
     @classmethod
     def of(
         cls,
-        space: ParameterSpace,
-        averaged: AveragedOver,
+        prior: Prior,
         draws: Sequence[Evaluation],
         best: Evaluation,
         runs: Sequence[SamplingRun],
@@ -150,22 +149,23 @@ class Posterior(Population):
         converged: bool,
     ) -> Posterior:
         """Name the parameters of draws, as many from each run, and of the best evaluation."""
-        rest = [averaged.values(draw.point[len(space) :]) for draw in draws]
-        names = sorted({name for values in rest for name in values})
+        networks = [prior.from_unit(draw.point) for draw in draws]
+        settled = {*prior.names, *prior.fixed}
+        averaged = sorted({name for network in networks for name in network if name not in settled})
+        best_network = prior.from_unit(best.point)
         return cls(
-            _named(space, draws),
+            prior.learnt_columns(np.array([draw.point for draw in draws])),
             np.array([draw.loss for draw in draws]),
-            space.from_unit(best.point[: len(space)]) | averaged.values(best.point[len(space) :]),
+            {n: value for n, value in best_network.items() if n not in prior.fixed},
             best.loss,
             np.array([draw.log_likelihoods for draw in draws]),
             np.array([run.log_evidence for run in runs]),
             np.array([run.effective for run in runs]),
             np.array([float(run.evaluations) for run in runs]),
-            dict(
-                zip(space.names, map(float, means_apart), strict=False)
-            ),  # those averaged over follow
+            # the means of quantities averaged over follow
+            dict(zip(prior.names, map(float, means_apart), strict=False)),
             converged,
-            {n: np.array([values.get(n, np.nan) for values in rest]) for n in names},
+            {n: np.array([network.get(n, np.nan) for network in networks]) for n in averaged},
         )
 
 

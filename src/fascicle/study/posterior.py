@@ -15,15 +15,14 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress
 from fascicle.core.threads import one_thread
 from fascicle.inference.evaluation import Evaluation, best_of
 from fascicle.inference.tempered_sampling import SamplingRun, State, agreement, pooled, temper
 from fascicle.study.evaluations import Journal, Stage
 from fascicle.study.population import Posterior
+from fascicle.study.prior import Prior
 from fascicle.study.settings import FitSettings
-from fascicle.study.space import AveragedOver
 
 RUNS = 2
 PARTICLES = 600  # least number of particles in a batch
@@ -41,8 +40,7 @@ class PosteriorFit:
     """
 
     settings: FitSettings
-    space: ParameterSpace
-    averaged: AveragedOver
+    prior: Prior
     journal: Journal
     emulated: Sequence[Emulated]  # likelihood of each recording
     progress: Progress | None = None
@@ -56,8 +54,8 @@ class PosteriorFit:
         joint = self._posterior(len(self.emulated))
         if not self._agree(alone):
             return joint
-        points = np.concatenate([run.points for run in alone])[:, : len(self.space)]
-        return replace(joint, first_alone=self.space.columns(points))
+        points = np.concatenate([run.points for run in alone])
+        return replace(joint, first_alone=self.prior.learnt_columns(points))
 
     def _posterior(self, recordings: int) -> Posterior:
         """Sample the posterior given the first recordings, and simulate draws of both runs."""
@@ -69,8 +67,7 @@ class PosteriorFit:
             for draw in self._simulated(run, draws_per_run, number, recordings)
         ]
         return Posterior.of(
-            self.space,
-            self.averaged,
+            self.prior,
             draws,
             best_of(self.journal.evaluations),
             runs,
@@ -133,7 +130,7 @@ class PosteriorFit:
             message += ", first recording alone" if recordings == 1 else ", all recordings"
         return sampled(
             self.emulated[:recordings],
-            len(self.space) + len(self.averaged),
+            self.prior.dimension,
             [self._rng(first + run, recordings) for run in range(RUNS)],
             count,
             message,

@@ -23,7 +23,6 @@ from fascicle.core.array_cache import ArrayCache
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_ROWS, LEADS
-from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.quantities import Changes, quantity, torso_values
 from fascicle.forward.activation_sequence import MAPPED
@@ -33,7 +32,7 @@ from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import SimulatedBeat, Simulation
 from fascicle.study.pool import Pool
-from fascicle.study.space import UNMAPPED, AveragedOver, growth_and_conduction, is_kept
+from fascicle.study.prior import UNMAPPED, Prior, growth_and_conduction, is_kept
 
 PART = 500  # networks in a file
 HELD_OUT = 10  # the last of so many networks is held out
@@ -91,52 +90,24 @@ class PriorSimulations:
     """Simulations of one forward model, prior and scenario, as far as they have been made."""
 
     model: ForwardModel
-    space: ParameterSpace
-    averaged: AveragedOver
-    fixed: Mapping[str, float]
+    prior: Prior
     cache: ArrayCache  # in the heart's folder
     scenario: tuple[Scenario, str] | None = None  # with its digest
     drawn: Floats | None = None  # points drawn from a posterior, in place of the prior
-    mapped: bool = False  # whether the prior is that of mapped hearts
 
     @cached_property
     def content(self) -> str:
         """Text that identifies all that the simulations depend on."""
         constants = growth_and_conduction(self.model.heart, self.model.rules)
-        varied = self.space.parameters, self.averaged, sorted(self.fixed.items())
+        prior = self.prior
+        varied = prior.learnt.parameters, prior.averaged, sorted(prior.fixed.items())
         digest = "" if self.scenario is None else self.scenario[1]
         drawn = "" if self.drawn is None else hashlib.sha256(self.drawn.tobytes()).hexdigest()
-        mapped = f" {MAPPED} {UNMAPPED}" if self.mapped else ""
+        mapped = f" {MAPPED} {UNMAPPED}" if prior.mapped else ""
         return (
             f"{self.model.heart.digest} {varied} {sorted(constants.items())} "
             f"{digest}{drawn}{mapped}"
         )
-
-    def covers(
-        self,
-        space: ParameterSpace,
-        averaged: AveragedOver,
-        fixed: Mapping[str, float],
-        mapped: bool,
-    ) -> bool:
-        """Whether the simulations cover what another study learns, fixes and averages over.
-
-        A study that fixes more than half of the quantities is not covered: it learns more from
-        simulations of its own, narrower prior.
-        """
-        if 2 * len(space) < len(self.space) or mapped != self.mapped:
-            return False
-        ends = _ranges(self.space, self.averaged)
-        ranges = _ranges(space, averaged)
-        changed = {n: v for n, v in fixed.items() if self.fixed.get(n) != v}
-        ranges |= {name: (value, value) for name, value in changed.items()}
-        ranges.pop("gain", None)  # a factor on the ECG
-        within = all(
-            ends[name][0] <= low and high <= ends[name][1]
-            for name, (low, high) in ranges.items()
-            if name in ends
-        )
-        return within and ranges.keys() == ends.keys() and averaged.tissues == self.averaged.tissues
 
     def _file(self, number: int) -> Path:
         return self.cache.file(f"{self.content} {number}")
@@ -149,22 +120,17 @@ class PriorSimulations:
         """
         if self.drawn is not None:
             return self.drawn[number * PART : (number + 1) * PART]
-        dimension = len(self.space) + len(self.averaged)
-        points = np.random.default_rng([SEED, number]).random((PART, dimension))
-        for k, name in enumerate(self.space.names):
+        points = self.prior.sample(np.random.default_rng([SEED, number]), PART)
+        for k, name in enumerate(self.prior.names):
             if quantity(name).changes is Changes.TISSUE:
                 points[:, k] = points[0, k]
         return points
 
     def parameters(self, number: int) -> list[dict[str, float]]:
         """Quantities of each network of a part, by name."""
-        count = len(self.space)
-        networks = []
-        for point in self.points(number):
-            values = {**self.fixed, **self.space.from_unit(point[:count])}
-            values |= self.averaged.values(point[count:])
-            values.pop("gain", None)  # a factor on the ECG
-            networks.append(values)
+        networks = [self.prior.from_unit(point) for point in self.points(number)]
+        for network in networks:
+            network.pop("gain", None)  # a factor on the ECG
         return networks
 
     def scenarios(self, number: int) -> Sequence[Scenario | None]:
@@ -187,7 +153,7 @@ class PriorSimulations:
         )
         report, torsos = stage_progress(progress, f"{kind} simulations", said), []
         # no random torsos if quantities of the torso are learnt, or for draws from a posterior
-        if self.drawn is None and not torso_values(dict.fromkeys(self.space.names, np.nan)):
+        if self.drawn is None and not torso_values(dict.fromkeys(self.prior.names, np.nan)):
             torsos = random_bodies(self.model, np.random.default_rng([SEED, 0, 2]), BODIES)
         rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(self.model.heart.leads))]
         for number in missing:
@@ -202,7 +168,7 @@ class PriorSimulations:
                 if outcome is None:
                     continue
                 feasible[k] = kept[k] = True
-                if self.mapped:
+                if self.prior.mapped:
                     sequence = self.model.surfaces.sequence(outcome.activation)
                     kept[k] = is_kept(points[k], sequence)
                 ecgs.append(_from_activation(outcome.leads[rows], outcome))
@@ -243,15 +209,6 @@ class PriorSimulations:
             np.concatenate([_separated("body", part, length) for part in parts]),
             np.concatenate([part["bodies"][k][part["feasible"][k]] for part in parts]),
         )
-
-
-def _ranges(space: ParameterSpace, averaged: AveragedOver) -> dict[str, tuple[float, float]]:
-    """Ranges of quantities; those averaged over, with normal priors, within 2 SD of the median."""
-    ranges = {p.name: (p.lower, p.upper) for p in (*space.parameters, *averaged.space.parameters)}
-    for p in averaged.space.parameters:
-        if p.median is not None and p.sd is not None:
-            ranges[p.name] = max(p.lower, p.median - 2 * p.sd), min(p.upper, p.median + 2 * p.sd)
-    return ranges
 
 
 def _beat(

@@ -8,6 +8,7 @@ exact where it matters, and show its residuals there.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -65,8 +66,9 @@ def refined_emulators(
     """
     now = emulated_by(emulators)
     simulator, drawn = now[0].simulator, round(min(MOST, SHARE * count))
-    if any(quantity(name).changes is Changes.TISSUE for name in simulator.space.names):
+    if any(quantity(name).changes is Changes.TISSUE for name in simulator.prior.names):
         return [*emulators]
+    prior = simulator.prior
     sample = one_thread(sampled)  # around both runs: each would end the other's limit
     cache = ArrayCache(folder / DISPOSABLE, "posterior")
     digests = ["" if scenario is None else scenario[1] for scenario in scenarios]
@@ -74,18 +76,17 @@ def refined_emulators(
     for number in range(1, MOST_ROUNDS + 1):
         message = f"{RUNS} runs of {PARTICLES}, to refine the emulator"
         message += f", round {number}" if number > 1 else ""
-        runs = sample(now, simulator.dimension, rng.spawn(RUNS), PARTICLES, message, progress)
+        runs = sample(now, prior.dimension, rng.spawn(RUNS), PARTICLES, message, progress)
         run_points = np.concatenate([run.points for run in runs])
         points = rng.permutation(run_points)[:drawn]
-        usual, refined = rng.random((number * len(points), simulator.dimension)), {}
+        usual, refined = prior.sample(rng, number * len(points)), {}
         for emulator, emulated, scenario, digest in zip(
             emulators, now, scenarios, digests, strict=True
         ):
             if digest in refined:
                 continue
             simulations = PriorSimulations(
-                simulator.model, simulator.space, simulator.averaged, simulator.fixed, cache,
-                scenario, points,
+                simulator.model, replace(prior, mapped=False), cache, scenario, points
             )  # fmt: skip
             simulations.simulate(len(points), simulator.pool, progress)
             new_examples = simulations.examples(len(points), emulator.length)

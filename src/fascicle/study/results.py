@@ -41,7 +41,7 @@ def write_results(
     from fascicle import __version__
 
     population, folder, config = fitted.population, fitted.folder, fitted.study.config
-    heart, space = fitted.simulator.model.heart, fitted.simulator.space
+    heart, space = fitted.simulator.model.heart, fitted.simulator.prior.learnt
     result = folder / RESULT[config.method]
     result.unlink(missing_ok=True)  # so that the study does not count as finished meanwhile
     shown = range(0, len(networks), max(1, len(networks) // TREES_WRITTEN))[:TREES_WRITTEN]
@@ -120,7 +120,7 @@ def _summary(
         "best_loss_mV2": population.best_loss,
         "null_loss_mV2": fitted.null_loss,
         "statements": fitted.statements.content(),
-        "fixed_parameters": dict(fitted.simulator.fixed),
+        "fixed_parameters": dict(fitted.simulator.prior.fixed),
         "best_parameters": dict(population.best),
         "networks_accepted": len(population),
         **agreements[0].content(),

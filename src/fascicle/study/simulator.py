@@ -8,14 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.core.parameters import ParameterSpace
 from fascicle.core.ranges import short_repr
 from fascicle.forward.model import Backend, ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Signals, SimulatedBeat, Simulation
 from fascicle.purkinje.tree import InvalidTree
 from fascicle.study.pool import Pool, Threads
-from fascicle.study.space import AveragedOver, is_kept
+from fascicle.study.prior import Prior, is_kept
 from fascicle.torso.variation.conductor import InvalidTorso
 
 # Simulations by sorted parameters and the `id` of a scenario
@@ -27,46 +26,35 @@ class PointSimulator:
     """Simulates points of the unit cube."""
 
     model: ForwardModel
-    space: ParameterSpace  # maps a point to the learnt parameters by name
-    fixed: dict[str, float] = field(default_factory=dict)  # values that are not the defaults
+    prior: Prior
     pool: Pool = field(default=Threads(1), compare=False)
-    averaged: AveragedOver = field(default_factory=AveragedOver)  # its coordinates come last
     backend: Backend | None = field(default=None, compare=False)  # in place of the pool
     # simulations that threads of this process keep, where draws are evaluated and later read again
     remembered: Remembered | None = field(default=None, compare=False)
-    mapped: bool = False  # whether intrinsic beats must be activated as mapped human hearts are
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
         """Prepare the tissues, which every command on a study needs, once for each heart."""
-        self.model.keep_tissues({**self.fixed, **tissue} for tissue in self.averaged.tissues)
-
-    def parameters(self, point: Floats) -> dict[str, float]:
-        """Parameters of a point (d,) by name, without those at their defaults."""
-        learnt, averaged = point[: len(self.space)], point[len(self.space) :]
-        return self.fixed | self.space.from_unit(learnt) | self.averaged.values(averaged)
+        tissues = self.prior.averaged.tissues
+        self.model.keep_tissues({**self.prior.fixed, **tissue} for tissue in tissues)
 
     def keeps(self, point: Floats, beat: SimulatedBeat) -> bool:
         """Whether the intrinsic beat at a point (d,) belongs to the prior."""
-        return not self.mapped or is_kept(point, self.model.surfaces.sequence(beat.activation))
-
-    @property
-    def dimension(self) -> int:
-        """Number of coordinates of a point."""
-        return len(self.space) + len(self.averaged)
+        surfaces = self.model.surfaces
+        return not self.prior.mapped or is_kept(point, surfaces.sequence(beat.activation))
 
     def simulate(
         self, points: Iterable[Floats], scenario: Scenario | None = None
     ) -> Iterator[Simulation | InvalidTree | InvalidTorso]:
         """Simulate points, in order."""
-        return self.of_parameters([self.parameters(point) for point in points], scenario)
+        return self.of_parameters([self.prior.from_unit(point) for point in points], scenario)
 
     def of_parameters(
         self, parameters: Iterable[Mapping[str, float]], scenario: Scenario | None = None
     ) -> Iterator[Simulation | InvalidTree | InvalidTorso]:
         """Simulate networks, in order."""
-        items = [({**self.fixed, **network}, scenario) for network in parameters]
+        items = [({**self.prior.fixed, **network}, scenario) for network in parameters]
         return self.pool.map(_simulate, items, self.model)
 
     def from_backend(self, points: Sequence[Floats]) -> list[Signals | str | None]:
@@ -76,13 +64,14 @@ class PointSimulator:
         """
         signals: list[Signals | str | None] = [None] * len(points)
         # a mapped prior needs activation times, which a backend does not give
-        if self.backend is None or not points or self.mapped:
+        if self.backend is None or not points or self.prior.mapped:
             return signals
-        if self.backend.refusal(self.model, self.averaged.space.names):
+        averaged = self.prior.averaged
+        if self.backend.refusal(self.model, averaged.space.names):
             return signals
-        tissues = self.averaged.tissue(np.asarray(points)[:, len(self.space) :])
-        plain = [k for k, number in enumerate(tissues) if not self.averaged.tissues[number]]
-        plain_parameters = [self.parameters(points[k]) for k in plain]
+        tissues = self.prior.tissue(np.asarray(points))
+        plain = [k for k, number in enumerate(tissues) if not averaged.tissues[number]]
+        plain_parameters = [self.prior.from_unit(points[k]) for k in plain]
         for k, outcome in zip(
             plain, self.backend.signals(self.model, plain_parameters), strict=True
         ):

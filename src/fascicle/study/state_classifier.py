@@ -7,7 +7,7 @@ with it; the packaged hearts share one, which has learnt from recordings of all 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType
 from typing import Any
@@ -28,7 +28,7 @@ from fascicle.heart.heart import Heart
 from fascicle.inference.emulator import Singles
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import as_target
-from fascicle.study.conduction_states import STATES, ConductionState, possible_states, state_label
+from fascicle.study.conduction_states import STATES, ConductionState, state_label
 from fascicle.study.ecg_classifier import (
     LENGTH,
     EcgClassifier,
@@ -38,11 +38,16 @@ from fascicle.study.ecg_classifier import (
     in_leads,
     learn,
 )
-from fascicle.study.heart_emulator import for_simulations, learnt_or_made, made_emulator, prior_of
+from fascicle.study.heart_emulator import (
+    for_simulations,
+    learnt_or_made,
+    made_emulator,
+    simulations_of,
+    usual_prior,
+)
 from fascicle.study.pool import Pool
+from fascicle.study.prior import Prior
 from fascicle.study.prior_simulations import SEED, PriorSimulations
-from fascicle.study.simulator import PointSimulator
-from fascicle.study.space import AveragedOver, study_space
 
 CLASSIFIER = "classifier"  # kind of file
 RECORDINGS = 40_000  # recordings of each state in the training set
@@ -54,33 +59,27 @@ class StateSimulations:
     """Prior simulations from which those of a conduction state are taken."""
 
     state: ConductionState
-    prior: PriorSimulations
+    simulations: PriorSimulations
     count: int  # half of a study's, or all for a mapped prior, to which many do not belong
 
     @classmethod
     def of(
-        cls, state: ConductionState, simulator: PointSimulator, folder: Path, count: int
+        cls, state: ConductionState, model: ForwardModel, prior: Prior, folder: Path, count: int
     ) -> StateSimulations:
-        """Prior simulations of one state, for a simulator whose space holds all states."""
-        space = state.narrowed(simulator.space, simulator.fixed)
-        assert space is not None
-        fixed, heart = simulator.fixed | state.blocks, simulator.model.heart
-        averaged = AveragedOver.of(space, fixed, heart)
-        mapped = state.is_mapped({*space.names, *fixed})
-        state_simulator = replace(
-            simulator, space=space, fixed=fixed, averaged=averaged, mapped=mapped
-        )
+        """Prior simulations of one state of a prior that holds all states."""
+        narrowed = prior.narrowed(state)
         half = max(count // 2, 100)  # 100: the least that a fit accepts
-        return cls(state, prior_of(state_simulator, folder), count if mapped else half)
+        simulations = simulations_of(model, narrowed, folder)
+        return cls(state, simulations, count if narrowed.mapped else half)
 
     @property
     def content(self) -> str:
         """Text that identifies all that the simulations depend on."""
-        return f"{self.state.name} {self.prior.content}"
+        return f"{self.state.name} {self.simulations.content}"
 
     def ecgs(self) -> tuple[NDArray[Any], NDArray[Any]]:
         """Training ECGs of the state, and held-out ECGs in random torsos."""
-        examples = self.prior.examples(self.count, LENGTH).of_the_prior
+        examples = self.simulations.examples(self.count, LENGTH).of_the_prior
         independent = slice(len(INDEPENDENT_LEADS))
         training_ecgs = examples.ecgs[~examples.held_out[examples.feasible], independent]
         held_out_ecgs = examples.in_bodies[:, independent]
@@ -171,8 +170,8 @@ def state_probabilities(
     check_kind(parameters, (Mapping, NoneType), "parameters", "a dict of names to values")
     choices = {"conduction": priors, **(parameters or {})}
     conduction = choices.pop("conduction")
-    space, fixed = study_space("posterior", choices, heart)
-    states = possible_states(conduction, space, {**heart.values, **fixed})
+    prior = Prior.of("posterior", choices, heart)
+    states = prior.possible_states(conduction, heart)
     state_priors = {state.name: state.probability for state in states}
     if untold := {*state_priors} - {state.name for state in STATES}:
         raise InputError(
@@ -181,8 +180,8 @@ def state_probabilities(
     with shown_progress(progress) as shown:
         if shown is not None:
             compile_kernels(shown)
-        simulator = PointSimulator(ForwardModel(heart, progress=shown), space, fixed)
-        simulations = simulations_of_states(simulator, folder, count)
+        model = ForwardModel(heart, progress=shown)
+        simulations = simulations_of_states(model, prior, folder, count)
         rows = classified_rows(target)
         classifier = classifier_of(simulations, rows, folder, count, pool, shown)
     probable = probabilities(classifier, simulations, state_priors, target)
@@ -204,33 +203,31 @@ def unlike(classifier: EcgClassifier, target: Target) -> str:
 
 
 def simulations_of_states(
-    simulator: PointSimulator, folder: Path, count: int
+    model: ForwardModel, prior: Prior, folder: Path, count: int
 ) -> dict[str, StateSimulations]:
     """Prior simulations of all states that the learnt and fixed quantities do not exclude.
 
     Simulations of the heart's usual priors, of all states, are taken if they cover those quantities
     in every state.
     """
-    usual_simulator = PointSimulator(
-        simulator.model, *study_space("posterior", {}, simulator.model.heart)
-    )
-    usual_states = _of_each(usual_simulator, folder, count)
-    states = _of_each(simulator, folder, count)
+    usual_states = _of_each(model, usual_prior(model.heart), folder, count)
+    states = _of_each(model, prior, folder, count)
     if all(
         name in usual_states
-        and usual_states[name].prior.covers(
-            state.prior.space, state.prior.averaged, state.prior.fixed, state.prior.mapped
-        )
+        and usual_states[name].simulations.prior.covers(state.simulations.prior)
         for name, state in states.items()
     ):
         return usual_states
     return states
 
 
-def _of_each(simulator: PointSimulator, folder: Path, count: int) -> dict[str, StateSimulations]:
-    settled = {**simulator.model.heart.values, **simulator.fixed}
-    possible = [state for state in STATES if state.narrowed(simulator.space, settled) is not None]
-    return {state.name: StateSimulations.of(state, simulator, folder, count) for state in possible}
+def _of_each(
+    model: ForwardModel, prior: Prior, folder: Path, count: int
+) -> dict[str, StateSimulations]:
+    possible = prior.possible_states(FREE, model.heart)
+    return {
+        state.name: StateSimulations.of(state, model, prior, folder, count) for state in possible
+    }
 
 
 def classifier_of(
@@ -244,9 +241,9 @@ def classifier_of(
     """Classifier of states by the leads `rows`: from the package, a heart's folder, or made."""
 
     def make() -> Mapping[str, Any]:
-        for number, simulations in enumerate(known.values(), 1):
-            message = f"{simulations.state.name} ({number} of {len(known)} states)"
-            simulations.prior.simulate(simulations.count, pool, progress, message)
+        for number, of_state in enumerate(known.values(), 1):
+            message = f"{of_state.state.name} ({number} of {len(known)} states)"
+            of_state.simulations.simulate(of_state.count, pool, progress, message)
         rng = np.random.default_rng(SEED)
         arrays: Mapping[str, Any] = learn(*lessons(known, rows, rng), rows, rng, progress).arrays()
         return arrays
@@ -257,7 +254,7 @@ def classifier_of(
 
 def classifier_key(known: Mapping[str, StateSimulations], rows: Integers) -> str:
     """Text that identifies all that the classifier of states by the leads `rows` depends on."""
-    return "; ".join([str(rows), *(simulations.content for simulations in known.values())])
+    return "; ".join([str(rows), *(of_state.content for of_state in known.values())])
 
 
 def lessons(
@@ -265,7 +262,7 @@ def lessons(
 ) -> tuple[Lessons, Lessons]:
     """Training set of a heart's recordings, as many of each state, and a held-out set."""
     first, *_ = known.values()
-    recorder = Recorder.of(first.prior.examples(first.count, LENGTH).of_the_prior)
+    recorder = Recorder.of(first.simulations.examples(first.count, LENGTH).of_the_prior)
     training: list[Singles] = []
     held_out: list[Singles] = []
     for state in known.values():
@@ -322,11 +319,9 @@ def simulate_prior(
         if shown is not None:
             compile_kernels(shown)
         model = ForwardModel(heart, progress=shown)
-        simulator = PointSimulator(model, *study_space("posterior", {}, heart))
-        states = simulations_of_states(simulator, folder, count)
+        states = simulations_of_states(model, usual_prior(heart), folder, count)
         classifier_of(states, np.array(INDEPENDENT_ROWS), folder, count, pool, shown)
-        for simulations in {
-            simulations.prior.content: simulations for simulations in states.values()
-        }.values():
-            made_emulator(simulations.prior, simulations.count, pool, shown)
+        different = {state.simulations.content: state for state in states.values()}
+        for state in different.values():
+            made_emulator(state.simulations, state.count, pool, shown)
     return folder / DISPOSABLE

@@ -88,7 +88,7 @@ def fit_state(
         population = study.run(objective, progress, emulated)
         share_prepared(heart, folder / HEART)
         fitted = FittedStudy(study, simulator, recordings, population)
-        number = simulator.fixed.get("conduction", 0.0)
+        number = simulator.prior.fixed.get("conduction", 0.0)
         fitted = completed(fitted, {number: emulated}, progress)
         return replace(fitted, simulator=replace(simulator, remembered=None)), emulated
 
@@ -139,7 +139,7 @@ def _check_scenarios(simulator: PointSimulator, recordings: Sequence[TargetCompa
     for recording in recordings:
         if recording.scenario is None:
             continue
-        for point in np.random.default_rng(0).random((10, simulator.dimension)):
+        for point in simulator.prior.sample(np.random.default_rng(0), 10):
             if isinstance(next(simulator.simulate([point], recording.scenario)), Simulation):
                 break
 
@@ -241,7 +241,7 @@ def _kept(
 
 def _gain_sd(config: StudyConfig) -> float:
     """Prior SD of the gain about 1; 0 if the gain is itself a parameter."""
-    is_parameter = "gain" in config.fixed or "gain" in config.parameter_space.names
+    is_parameter = "gain" in {*config.prior.names, *config.fixed}
     return 0.0 if is_parameter else config.gain_sd
 
 
@@ -261,12 +261,11 @@ def simulated_and_compared(
     """
     if progress is not None:
         compile_kernels(progress)
-    space, fixed = config.parameter_space, config.fixed
+    prior = config.prior
     model = model or ForwardModel(heart, rules=rules, progress=progress)
-    averaged = config.averaged_over
-    names = [*space.names, *fixed, *averaged.space.names]
-    backend = usable(backend, model, names, recordings[0][1])
-    if torso := torso_values(dict.fromkeys((*space.names, *fixed), 0.0)):
+    names = [*prior.names, *prior.fixed]
+    backend = usable(backend, model, [*names, *prior.averaged.space.names], recordings[0][1])
+    if torso := torso_values(dict.fromkeys(names, 0.0)):
         model.torso([*torso])  # built here, not by every worker
     compared = tuple(
         TargetComparison(
@@ -279,5 +278,4 @@ def simulated_and_compared(
         for target, scenario in recordings
     )
     pool = pool or Threads(config.workers)
-    simulator = PointSimulator(model, space, fixed, pool, averaged, backend, mapped=config.mapped)
-    return simulator, compared
+    return PointSimulator(model, prior, pool, backend), compared

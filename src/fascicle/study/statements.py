@@ -280,7 +280,7 @@ class Statements:
                 _statement(p, posterior.values[p.name], alone.get(p.name)),
                 along_fibre=self._along_fibre(posterior) if p.name == "alpha" else None,
             )
-            for p in self._result.simulator.space.parameters
+            for p in self._result.simulator.prior.learnt.parameters
         )
 
     def _along_fibre(self, posterior: Posterior) -> tuple[float, float, float]:
@@ -516,7 +516,7 @@ def _regions_taken_as_healthy(result: Result) -> str:
     if model.heart.regions is None:
         return ""
     described = {region.label for region in model.conduction.regions}
-    learnt = region_labels((*simulator.space.names, *simulator.fixed))
+    learnt = region_labels((*simulator.prior.names, *simulator.prior.fixed))
     labels = {int(label) for label in np.unique(model.heart.regions)}
     healthy = sorted(labels - described - learnt.keys() - {0})  # 0 is ordinary tissue
     if not healthy:
@@ -530,7 +530,7 @@ def _regions_taken_as_healthy(result: Result) -> str:
 def _crowded(result: Result) -> dict[str, str]:
     """Parameters with 40 % of the networks in an outer tenth of the prior, and that tenth."""
     crowded = {}
-    for parameter in result.simulator.space.parameters:
+    for parameter in result.simulator.prior.learnt.parameters:
         shares = parameter.to_unit(result.population.values.get(parameter.name, np.empty(0)))
         for end, inside in (("lowest", shares < 0.1), ("highest", shares > 0.9)):
             if len(shares) and inside.mean() >= 0.4:
@@ -540,7 +540,7 @@ def _crowded(result: Result) -> dict[str, str]:
 
 def _at_end_of_range(result: Result) -> str:
     """Warning of parameters that are limited by their ranges, not by the ECG; or empty."""
-    space, population, crowded = result.simulator.space, result.population, _crowded(result)
+    space, population, crowded = result.simulator.prior.learnt, result.population, _crowded(result)
     best = {p.name: float(p.to_unit(np.array(population.best[p.name]))) for p in space.parameters}
     stopped = [
         name for name, share in best.items() if min(share, 1 - share) < 0.01 and name not in crowded

@@ -16,7 +16,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final, Literal
 
@@ -30,12 +30,11 @@ from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.core.progress import Progress
 from fascicle.inference.evaluation import Evaluation, Objective
 from fascicle.purkinje.growth import REPULSION
-from fascicle.study.conduction_states import united
 from fascicle.study.evaluations import Database, Journal, Record, Stage
 from fascicle.study.lock import LOCK, study_lock
 from fascicle.study.population import RESULT, Population
+from fascicle.study.prior import AveragedOver, Prior
 from fascicle.study.settings import FitSettings, first_problem
-from fascicle.study.space import AveragedOver
 
 CONFIGURATION = "study.json"
 DATABASE = "evaluations.sqlite"
@@ -74,19 +73,10 @@ class StudyConfig(FitSettings):
     version: Literal[8] = FORMAT  # of the folder's format
 
     @property
-    def parameter_space(self) -> ParameterSpace:
-        """Parameter space that is learnt, of all conduction states together."""
-        return self.space_of(self.states)
-
-    def space_of(self, probable: Mapping[str, float]) -> ParameterSpace:
-        """Parameter space that is learnt, of conduction states with these probabilities."""
-        space = ParameterSpace(self.space)
-        return united(space, self.fixed, probable) if probable else space
-
-    @property
-    def averaged_over(self) -> AveragedOver:
-        """Quantities and tissues that are averaged over; none by the paper's method."""
-        return AveragedOver(ParameterSpace(self.averaged), self.tissues)
+    def prior(self) -> Prior:
+        """Prior of the study, a mixture of its conduction states."""
+        averaged = AveragedOver(ParameterSpace(self.averaged), self.tissues)
+        return Prior(ParameterSpace(self.space), self.fixed, averaged, self.states, self.mapped)
 
 
 class Study:
@@ -162,14 +152,13 @@ class Study:
             self._take_over()
             from fascicle.study import paper, posterior  # slow to import, and needed by a fit alone
 
-            config, space = self.config, self.config.parameter_space
-            averaged = config.averaged_over
-            dimension = len(space) + len(averaged)
-            journal = Journal(self._database, objective, dimension, config.seed, config.workers)
+            config, prior = self.config, self.config.prior
+            seed, workers = config.seed, config.workers
+            journal = Journal(self._database, objective, prior.dimension, seed, workers)
             if config.method == "paper":
-                return paper.PaperFit(config, space, journal, progress).run()
+                return paper.PaperFit(config, prior.learnt, journal, progress).run()
             return posterior.PosteriorFit(
-                config, space, averaged, journal, emulated, progress, config.share
+                config, prior, journal, emulated, progress, config.share
             ).run()
 
     def check_objective(self, objective: Objective) -> None:
@@ -297,7 +286,7 @@ def check_same(folder: Path, there: StudyConfig, now: StudyConfig) -> None:
         for name in before | after
         if before.get(name) != after.get(name)
     ]
-    if not different and there.parameter_space.names != now.parameter_space.names:
+    if not different and there.prior.names != now.prior.names:
         different = ["the order of the parameters"]
     if different:
         listed = "; ".join(different[:3])

@@ -22,8 +22,8 @@ from fascicle.inference.evaluation import Evaluation
 from fascicle.purkinje.tree import InvalidTree
 from fascicle.recording.target import Target, repeated
 from fascicle.study.pool import Threads
+from fascicle.study.prior import is_kept
 from fascicle.study.simulator import PointSimulator, Remembered
-from fascicle.study.space import is_kept
 from fascicle.torso.variation.conductor import InvalidTorso
 
 # A point, its parameters, and its intrinsic beat (or why it is infeasible) if a backend made it
@@ -158,10 +158,13 @@ def _evaluate_part(
     intrinsic = [recording.scenario is None for recording in recordings]
     backend_signals = simulator.from_backend(points) if any(intrinsic) else [None] * len(points)
     items: list[Item] = [
-        (point, simulator.parameters(point), signals)
+        (point, simulator.prior.from_unit(point), signals)
         for point, signals in zip(points, backend_signals, strict=True)
     ]
-    shared, evaluated = (simulator.model, recordings), partial(_evaluate, mapped=simulator.mapped)
+    shared, evaluated = (
+        (simulator.model, recordings),
+        partial(_evaluate, mapped=simulator.prior.mapped),
+    )
     if isinstance(simulator.pool, Threads):
         yield from simulator.pool.map(evaluated, items, *shared, simulator.remembered)
         return
@@ -219,7 +222,7 @@ def networks(
     simulator: PointSimulator, recording: TargetComparison, learnt: Iterable[Mapping[str, float]]
 ) -> Iterator[Network]:
     """Simulate networks whose parameters are feasible, as those of a population are."""
-    parameters = [{**simulator.fixed, **values} for values in learnt]
+    parameters = [{**simulator.prior.fixed, **values} for values in learnt]
     shared = simulator.model, recording
     if isinstance(simulator.pool, Threads):
         return simulator.pool.map(_network, parameters, *shared, simulator.remembered)

@@ -1,1 +1,1 @@
-"""One HTML file that tells what a study found: words, figures, and a heart to turn."""
+"""The report of a study as one HTML file: text, figures, and a heart to turn."""

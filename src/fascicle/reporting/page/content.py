@@ -66,27 +66,27 @@ def meaning(fitted: FittedStudy) -> list[str]:
             "The two runs are incomplete or disagree: do not rely on any number below. "
             "A warning says how to continue."
         ]
-    said = [
+    sentences = [
         f"Two independent runs agree. The {count} networks below are equally probable; their "
         "spread is the uncertainty that remains given the ECG."
     ]
     if fitted.statements.states:
-        said.append(
+        sentences.append(
             "The first line begins with how probable each conduction state is given this ECG. Each "
             "network is of one state, and keeps in every prediction what is blocked in it."
         )
     if checks is not None and checks.acceptable:
-        said.append(
+        sentences.append(
             f"{checks.said}. The QRS duration, the frontal axis and the independent "
             "leads are within the range that the networks predict."
         )
     elif checks is not None:
-        said.append(
+        sentences.append(
             f"They do not reproduce the recorded QRS: {'; '.join(checks.failures)}. The heart, the "
             "torso or the model does not match the patient: the intervals below come from a model "
             "that does not fit."
         )
-    return said
+    return sentences
 
 
 def prediction(
@@ -123,10 +123,10 @@ def learnt(config: StudyConfig) -> list[Row]:
 def held(fitted: FittedStudy) -> list[Row]:
     """Quantities with a fixed value that affects the result."""
     config, model = fitted.study.config, fitted.simulator.model
-    found = model.conduction.regions
-    regions = {f"region_{region.label}_conductivity": region.conductivity for region in found}
+    tissues = model.conduction.regions
+    regions = {f"region_{region.label}_conductivity": region.conductivity for region in tissues}
     values = {**config.growth, **config.conduction, **regions, **config.fixed}
-    without_effect = {*config.parameter_space.names}
+    without_effect = {*config.prior.names}
     if {*without_effect, *config.fixed} & {*SPEED}:  # one of them replaces the others
         without_effect |= {*SPEED} - {*config.fixed}
     without_effect |= {"body", "lung", "blood"} if model.heart.torso is None else {"torso"}
@@ -137,9 +137,9 @@ def held(fitted: FittedStudy) -> list[Row]:
         if name in CONDUCTIVITIES:
             rows.append((CONDUCTIVITIES[name], "", f"{value:g} mS/cm"))
         else:
-            known = quantity(name)
-            text = known.choices[int(value)] if known.choices else f"{value:g}"
-            rows.append((parameter_name(name), name, _with_unit(text, known.unit)))
+            fixed_quantity = quantity(name)
+            text = fixed_quantity.choices[int(value)] if fixed_quantity.choices else f"{value:g}"
+            rows.append((parameter_name(name), name, _with_unit(text, fixed_quantity.unit)))
     return rows
 
 
@@ -217,15 +217,15 @@ def target_words(target: Target, out: str) -> list[str]:
 
 def settings_file(config: StudyConfig) -> list[str]:
     """Lines of a settings file: settings of the method, fixed values and priors."""
-    names = {*config.parameter_space.names, *config.fixed}
+    names = {*config.prior.names, *config.fixed}
     fixed = {f"{side}_fascicles": fascicles(side, names) for side in SIDES} | config.fixed
     if config.mapped:
         fixed["conduction"] = 0.0
     priors = []
-    for each in config.space:
-        numbers = {key: getattr(each, key) for key in ("lower", "upper", "median", "sd")}
+    for parameter in config.space:
+        numbers = {key: getattr(parameter, key) for key in ("lower", "upper", "median", "sd")}
         keys = [f"{key} = {value!r}" for key, value in numbers.items() if value is not None]
-        priors.append(f'{each.name} = {{ prior = "{each.prior}", {", ".join(keys)} }}')
+        priors.append(f'{parameter.name} = {{ prior = "{parameter.prior}", {", ".join(keys)} }}')
     return [
         *(f"{name} = {json.dumps(value)}" for name, value in settings(config).items()),
         "[parameters]",
@@ -241,8 +241,8 @@ def report_words(
 ) -> list[str]:
     """Command that makes the page, as words, with the scenarios' files."""
     words = ["fascicle", "report", str(fitted.folder)]
-    for name, each in predicted.items():
+    for name, simulated in predicted.items():
         if name != INTRINSIC:
-            source = None if name_in_library(each.scenario) else each.scenario.source
+            source = None if name_in_library(simulated.scenario) else simulated.scenario.source
             words += ["--scenario", source or name]
     return words if against == INTRINSIC else [*words, "--against", against]

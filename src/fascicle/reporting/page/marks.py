@@ -1,4 +1,4 @@
-"""Where a scenario stimulates a network, where that is blocked, and where activation begins."""
+"""Sites of pacing, of block and of first activation in a scenario, for the viewer."""
 
 from __future__ import annotations
 
@@ -23,43 +23,43 @@ def marks(
     trees: Sequence[tuple[PurkinjeTree, Singles]],
     sites: Sites,
 ) -> list[dict[str, Any]]:
-    """Kind (``"paced"`` or ``"blocked"``), text and place (mm) of each, for the viewer.
+    """Marks for the viewer: kind (``"paced"`` or ``"blocked"``), text and place (mm).
 
     `values` are the network's parameters, `trees` those of its beat in the scenario.
     """
-    own = [tree for tree, _ in trees[: len(trees) - len(scenario.trees)]]
+    network_trees = [tree for tree, _ in trees[: len(trees) - len(scenario.trees)]]
     scenario = in_state(scenario, values.get("conduction", 0.0))
-    found: list[tuple[str, str, Floats]] = []
-    roots = np.array([tree.nodes[tree.root] for tree in own])
+    marked: list[tuple[str, str, Floats]] = []
+    roots = np.array([tree.nodes[tree.root] for tree in network_trees])
     for primitive in scenario.primitives:
         if isinstance(primitive, Stimulus):
             site, place = primitive.site, primitive.position
             if place is None:
                 assert site is not None
                 place = sites.position(site)
-            found.append(("paced", site if isinstance(site, str) else "stimulus", np.array(place)))
+            marked.append(("paced", site if isinstance(site, str) else "stimulus", np.array(place)))
         elif isinstance(primitive, His) and primitive.stimulus_time is not None:
-            found.append(("paced", "His bundle", roots[:2].mean(axis=0)))
+            marked.append(("paced", "His bundle", roots[:2].mean(axis=0)))
         if not primitive.blocked:
             continue
         alone = Scenario((primitive,), scenario.trees)
-        beat = alone.beat(own, values.get("root_time", 0.0), values, sites)
-        text = ", ".join(sorted(each.removeprefix("the ") for each in primitive.blocked))
+        beat = alone.beat(network_trees, values.get("root_time", 0.0), values, sites)
+        text = ", ".join(sorted(structure.removeprefix("the ") for structure in primitive.blocked))
         branches = beat.his.branches if beat.his is not None else ()
         places = [root for root, way in zip(roots, branches, strict=False) if np.isinf(way)]
         ends = np.cumsum([len(tree.nodes) for tree in beat.trees])
         parts = np.split(np.broadcast_to(beat.speed, ends[-1]), ends[:-1])
         for tree, speed in zip(beat.trees, parts, strict=True):
             places += _where_blocked(tree, speed)
-        found += [("blocked", text, place) for place in places]
+        marked += [("blocked", text, place) for place in places]
     return [
         {"kind": kind, "text": capitals(text), "place": np.round(place, 1).tolist()}
-        for kind, text, place in found
+        for kind, text, place in marked
     ]
 
 
 def where(vertex: int, sites: Sites) -> str:
-    """Where a vertex of the heart lies, in words: the segment, and the side of the septum."""
+    """Location of a vertex of the heart in words: the segment, and the side of the septum."""
     heart, places = sites.heart, sites.places
     element = int(np.flatnonzero((heart.tetrahedra == vertex).any(axis=1))[0])
     segment, wall = places.segment[element], places.wall[element]
@@ -73,7 +73,7 @@ def where(vertex: int, sites: Sites) -> str:
 
 
 def _where_blocked(tree: PurkinjeTree, speed: Floats) -> list[Floats]:
-    """Where the parts of a tree begin that do not conduct; `speed` is the factor of segments."""
+    """Points (mm) where parts of a tree without conduction begin; `speed` is 0 in those parts."""
     blocked = (speed == 0) & (tree.parents >= 0)
     begins = blocked & ~blocked[tree.parents]
     return list(tree.nodes[np.unique(tree.parents[begins])])

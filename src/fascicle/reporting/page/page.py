@@ -60,11 +60,11 @@ def report(
     fitted : FittedStudy or path
         The study, or its folder.
     scenarios : mapping of name to Scenario, or one or several of str or Path
-        What to predict, as `fascicle.predict` takes it; the intrinsic beat is always among them.
+        Scenarios to predict, as `fascicle.predict` takes them; the intrinsic beat is always added.
     out : Path or str, optional
         File to write; ``report.html`` in the study.
     progress : Progress, "lines" or None
-        Called with how many networks are simulated; by default lines on standard error say so.
+        Progress callback with the number of simulated networks; by default lines on stderr.
     figures : sequence of str
         Also write the figures, as ``"png"``, ``"svg"`` or ``"pdf"``, into the folder ``figures``
         next to it.
@@ -112,7 +112,7 @@ def write_report(
     drawn, model = drawings(fitted, networks, predicted), fitted.simulator.model
     content = {
         **_content(fitted, predicted, against),
-        "criteria": [each.target.conventional_criteria for each in fitted.recordings],
+        "criteria": [recording.target.conventional_criteria for recording in fitted.recordings],
         "pictures": {name: picture(drawing) for name, drawing in drawn.items()},
         "scene": _safe(scene(model.heart, predicted, networks, fitted.recordings[0], model)),
         "style": _file("style.css"),
@@ -133,16 +133,16 @@ def picture(drawing: Drawing) -> dict[str, Any]:
     return {"source": f"data:image/png;base64,{encoded}", "text": drawing.text, **numbers}
 
 
-def _numbers(found: Agreement) -> dict[str, Any]:
+def _numbers(agreement: Agreement) -> dict[str, Any]:
     """Variance explained and correlation of each lead; durations and axis with percentiles."""
-    leads = [*zip(found.leads, found.explained, found.correlation, strict=True)]
-    leads.append(("all together", found.explained_over_all, found.correlation_over_all))
+    leads = [*zip(agreement.leads, agreement.explained, agreement.correlation, strict=True)]
+    leads.append(("all together", agreement.explained_over_all, agreement.correlation_over_all))
     return {
         "leads": [lead for lead in leads if np.isfinite(lead[2])],
         "measured": [
-            (measure, found.recorded[key], found.percentiles(key))
+            (measure, agreement.recorded[key], agreement.percentiles(key))
             for key, measure in MEASURES.items()
-            if key in found.recorded
+            if key in agreement.recorded
         ],
     }
 
@@ -152,7 +152,7 @@ def _content(
 ) -> dict[str, Any]:
     from fascicle import __version__
 
-    config, said, population = fitted.study.config, fitted.statements, fitted.population
+    config, statements, population = fitted.study.config, fitted.statements, fitted.population
     apart = population.means_apart if isinstance(population, Posterior) else {}
     furthest = max(apart.items(), key=lambda item: item[1], default=None)
     sources = [p.target.provenance.get("source", "a target") for p in fitted.recordings]
@@ -161,23 +161,23 @@ def _content(
         "study": fitted.folder.resolve().name,
         "heart": fitted.simulator.model.heart.name,
         "recordings": [Path(source).name for source in sources],
-        "verdict": said.verdict,
-        "trustworthy": said.converged and said.acceptable and not said.unmapped,
-        "caution": said.caution,
+        "verdict": statements.verdict,
+        "trustworthy": statements.converged and statements.acceptable and not statements.unmapped,
+        "caution": statements.caution,
         "in_torsos": fitted.torsos is not None,
         "meaning": words.meaning(fitted),
-        "sequence": said.sequence,
-        "warnings": said.warnings,
-        "constrained": [each for each in said.parameters if each.constrained],
-        "unidentifiable": [each for each in said.parameters if not each.constrained],
-        "correlated": said.correlated,
+        "sequence": statements.sequence,
+        "warnings": statements.warnings,
+        "constrained": [p for p in statements.parameters if p.constrained],
+        "unidentifiable": [p for p in statements.parameters if not p.constrained],
+        "correlated": statements.correlated,
         "predictions": [
-            (scenario_name(name), words.prediction(name, predicted, against, said.caution))
+            (scenario_name(name), words.prediction(name, predicted, against, statements.caution))
             for name in predicted
         ],
-        "measures": [each for each in MEASURES.values() if each.meaning],
+        "measures": [measure for measure in MEASURES.values() if measure.meaning],
         "columns": [index_label(index) for index in SHOWN],
-        "rows": [_row(name, found) for name, found in predicted.items()],
+        "rows": [_row(name, prediction) for name, prediction in predicted.items()],
         "evaluations": len(fitted.study.records()),
         "population": population,
         "furthest": furthest,  # parameter by which the two runs differ most, and how many SD
@@ -194,10 +194,10 @@ def _content(
     }
 
 
-def _row(name: str, found: Predicted) -> tuple[str, list[Any], tuple[str, float]]:
+def _row(name: str, prediction: Predicted) -> tuple[str, list[Any], tuple[str, float]]:
     """Percentiles of the indices of the table, and the segment most often activated last."""
-    cells = [np.nanpercentile(found.indices[index], [5, 50, 95]) for index in SHOWN]
-    return scenario_name(name), cells, next(iter(latest_segments(found).items()))
+    cells = [np.nanpercentile(prediction.indices[index], [5, 50, 95]) for index in SHOWN]
+    return scenario_name(name), cells, next(iter(latest_segments(prediction).items()))
 
 
 def _template() -> Any:

@@ -36,7 +36,7 @@ MAPS = (  # over all networks: name in `Predicted.maps`, label, unit, kind
     ("activation_sd", "spread: standard deviation over the networks", "ms", "scalar"),
     ("probability_latest_fifth", "P(among the latest-activated 20 %)", "1", "scalar"),
 )
-Thinned = tuple[Integers, Integers]  # as `_thinned` says
+Thinned = tuple[Integers, Integers]  # nodes, and where their parents are: see `_thinned`
 MOST_NETWORKS = 40
 MOST_BYTES = 3_000_000  # of the networks together; compressed they are little more than half
 ECG_STEP = 2  # ms
@@ -63,28 +63,28 @@ def scene(
     networks : sequence of Network, optional
         The population, for the parameters by which it can be ordered.
     recording : TargetComparison, optional
-        What was recorded.
+        The recording, and its comparison with simulated networks.
     model : ForwardModel, optional
-        Where the scenarios' sites and blocks are, and what is scar.
+        Forward model, which has the sites, the blocks and the scar.
     """
     first = next(iter(predicted.values()))
     triangles, shown, endocardial = boundary(heart)
     chosen = _chosen(first, len(shown), len(predicted))
-    beats = {name: [each.beats[k] for k in chosen] for name, each in predicted.items()}
-    every = [beat for each in beats.values() for beat in each]
+    beats = {name: [prediction.beats[k] for k in chosen] for name, prediction in predicted.items()}
+    all_beats = [beat for scenario_beats in beats.values() for beat in scenario_beats]
     geometry: dict[bytes, tuple[int, PurkinjeTree]] = {}  # each tree once
-    for tree in (tree for beat in every for tree, _ in beat.trees):
+    for tree in (tree for beat in all_beats for tree, _ in beat.trees):
         geometry.setdefault(_key(tree), (len(geometry), tree))
     trees = [tree for _, tree in geometry.values()]
     drawn = {key: _thinned(tree) for key, (_, tree) in geometry.items()}
     torsos = [networks[k].torso if len(networks) else None for k in chosen]
-    times = {name: [_tree_times(beat, drawn) for beat in each] for name, each in beats.items()}
+    times = {name: [_tree_times(b, drawn) for b in of_name] for name, of_name in beats.items()}
     # roots may lie outside the mesh
     points = np.concatenate([heart.vertices, *(tree.nodes for tree in trees)])
     low, high = points.min(axis=0), points.max(axis=0)
-    fired = (of_tree for each in times.values() for beat in each for of_tree in beat)
+    fired = (of_tree for of_name in times.values() for of_beat in of_name for of_tree in of_beat)
     begin = min([0.0, *(float(np.nanmin(of_tree, initial=0.0)) for of_tree in fired)])
-    last = max(float(np.nanmax(since_first(beat.activation))) for beat in every)
+    last = max(float(np.nanmax(since_first(beat.activation))) for beat in all_beats)
     # whole boxes of ECG paper, up to where the QRS has ended
     start, end = 10 * np.floor((begin - 5) / 10), 10 * np.ceil((last + 30) / 10)
     window = np.arange(start, end + 1, ECG_STEP)
@@ -118,9 +118,9 @@ def scene(
             {
                 "name": name,
                 "title": scenario_name(name),
-                "label": each.scenario.description or name,
-                "fields": own,
-                "segments": _segments(territories, each, chosen),
+                "label": prediction.scenario.description or name,
+                "fields": scenario_fields,
+                "segments": _segments(territories, prediction, chosen),
                 "activations": [
                     _bytes(since_first(beat.activation)[shown], 0.0, last) for beat in beats[name]
                 ],
@@ -135,7 +135,7 @@ def scene(
                     for beat, torso in zip(beats[name], torsos, strict=True)
                 ],
                 "marks": [
-                    marks(each.scenario, networks[k].parameters, beat.trees, model.sites)
+                    marks(prediction.scenario, networks[k].parameters, beat.trees, model.sites)
                     if model is not None and len(networks)
                     else []
                     for k, beat in zip(chosen, beats[name], strict=True)
@@ -145,20 +145,20 @@ def scene(
                     for beat in beats[name]
                 ],
             }
-            for (name, each), own in zip(predicted.items(), fields, strict=True)
+            for (name, prediction), scenario_fields in zip(predicted.items(), fields, strict=True)
         ],
     }
 
 
 def body_axes(heart: Heart) -> dict[str, list[float]]:
-    """Up and to the front of the body, and from apex to base: unit vectors that views follow."""
+    """Unit vectors up, to the front of the torso, and from apex to base, which the views follow."""
     _, back, up = torso_axes(heart.electrodes)
     base = -heart_views(heart)["base"].axes[2]
     return {"up": up.tolist(), "front": (-back).tolist(), "base": base.tolist()}
 
 
 def boundary(heart: Heart) -> tuple[Integers, Integers, int]:
-    """Triangles of the boundary, endocardial ones first, the vertices they number, how many."""
+    """Boundary triangles, endocardial first; vertices they index; number of endocardial ones."""
     labels = labelled_mesh(heart).labels
     inside = np.isin(labels, ENDOCARDIA)
     order = np.argsort(~inside, kind="stable")
@@ -167,7 +167,7 @@ def boundary(heart: Heart) -> tuple[Integers, Integers, int]:
 
 
 def _scar(heart: Heart, model: ForwardModel | None) -> NDArray[np.bool_]:
-    """Which vertices lie in tissue that does not conduct, shape (n,)."""
+    """Mask (n,) of the vertices in tissue that does not conduct."""
     scar = np.zeros(len(heart.vertices), dtype=bool)
     for region in model.conduction.regions if model is not None else ():
         if region.conductivity == 0:
@@ -176,7 +176,7 @@ def _scar(heart: Heart, model: ForwardModel | None) -> NDArray[np.bool_]:
 
 
 def _chosen(first: Predicted, vertices: int, scenarios: int) -> Integers:
-    """Networks by total activation time, as many as the page has room for."""
+    """Networks evenly spread over total activation time, as many as the page has room for."""
     order = np.argsort(first.indices["total_activation_time"], kind="stable")
     nodes = sum(len(tree.nodes) for tree, _ in first.beats[order[0]].trees) // 2
     ecg = 2 * len(LEADS) * 250 // ECG_STEP
@@ -189,22 +189,22 @@ def _chosen(first: Predicted, vertices: int, scenarios: int) -> Integers:
 def _orders(
     predicted: Mapping[str, Predicted], networks: Sequence[Network], chosen: Integers
 ) -> list[dict[str, Any]]:
-    """What the networks can be ordered by: label, unit and values."""
+    """Quantities by which the networks can be ordered: label, unit and values."""
     total = "total activation time"
-    found = [
-        (f"{total}, {scenario_name(name)}", "ms", each.indices["total_activation_time"][chosen])
-        for name, each in predicted.items()
+    orders = [
+        (f"{total}, {scenario_name(name)}", "ms", p.indices["total_activation_time"][chosen])
+        for name, p in predicted.items()
     ]
-    words: dict[str, Sequence[str]] = {}  # of what is counted
-    every = [networks[k].parameters for k in chosen] if len(networks) else [{}]
-    for name in every[0]:
-        if not all(name in each for each in every):
-            continue  # of the tissue of some networks alone
-        values = np.array([each[name] for each in every], dtype=float)
+    words: dict[str, Sequence[str]] = {}  # names of the values, if a quantity is a choice
+    points = [networks[k].parameters for k in chosen] if len(networks) else [{}]
+    for name in points[0]:
+        if not all(name in point for point in points):
+            continue  # a parameter of the tissue of some networks only
+        values = np.array([point[name] for point in points], dtype=float)
         if len(np.unique(values)) > 1:
-            known, label = quantity(name), parameter_name(name)
-            found.append((label, {"mm/ms": "m/s"}.get(known.unit, known.unit), values))
-            words[label] = known.choices
+            parameter, label = quantity(name), parameter_name(name)
+            orders.append((label, {"mm/ms": "m/s"}.get(parameter.unit, parameter.unit), values))
+            words[label] = parameter.choices
     return [
         {
             "label": label,
@@ -212,7 +212,7 @@ def _orders(
             "values": [float(f"{v:.4g}") for v in values],
             "words": words.get(label, ()),
         }
-        for label, unit, values in found
+        for label, unit, values in orders
     ]
 
 
@@ -224,8 +224,8 @@ def _fields(predicted: Mapping[str, Predicted], shown: Integers) -> list[list[di
     """
     keys = ("name", "label", "unit", "kind")
     fields = [
-        [dict(zip(keys, said, strict=True), values=each.maps[said[0]][shown]) for said in MAPS]
-        for each in predicted.values()
+        [dict(zip(keys, row, strict=True), values=prediction.maps[row[0]][shown]) for row in MAPS]
+        for prediction in predicted.values()
     ]
     slow = [since_first(e.beats[e.extremes()["median"]].activation) for e in predicted.values()]
     for alike in zip(*fields, strict=True):
@@ -238,7 +238,7 @@ def _fields(predicted: Mapping[str, Predicted], shown: Integers) -> list[list[di
 
 
 def _segments(territories: Territories, predicted: Predicted, chosen: Integers) -> dict[str, Any]:
-    """The left ventricle's 17 segments: mean activation in those chosen, and as in each of `MAPS`.
+    """Mean activation of the 17 LV segments in the chosen networks, and `MAPS` of the segments.
 
     Over all networks these are the mean activation of a segment with its 90 % interval, its
     standard deviation, and the mean probability. None where no part of a segment is activated; no
@@ -248,32 +248,32 @@ def _segments(territories: Territories, predicted: Predicted, chosen: Integers) 
     def means(values: Floats) -> Floats:
         return territories.segment_means(territories.times(values))[1:]
 
-    every = np.array([means(since_first(beat.activation)) for beat in predicted.beats])
-    low, high = np.percentile(every, (5, 95), axis=0)
+    activations = np.array([means(since_first(beat.activation)) for beat in predicted.beats])
+    low, high = np.percentile(activations, (5, 95), axis=0)
     maps = {name: {"values": means(predicted.maps[name])} for name, *_ in MAPS}
     maps["activation_mean"] |= {"low": low, "high": high}
-    maps["activation_sd"] = {"values": every.std(axis=0)}
-    one = [_numbers(every[k]) for k in chosen]
-    all_ = [{what: _numbers(v) for what, v in each.items()} for each in maps.values()]
-    return {"one": one, "all": all_}
+    maps["activation_sd"] = {"values": activations.std(axis=0)}
+    per_network = [_numbers(activations[k]) for k in chosen]
+    all_ = [{name: _numbers(v) for name, v in statistics.items()} for statistics in maps.values()]
+    return {"one": per_network, "all": all_}
 
 
 def _numbers(values: Floats) -> list[float | None]:
-    """Numbers for JSON; None where there is none."""
+    """Rounded numbers for JSON; None for NaN and infinity."""
     return [round(float(v), 2) if np.isfinite(v) else None for v in values]
 
 
 def _tree_times(beat: PredictedBeat, drawn: Mapping[bytes, Thinned]) -> list[Floats]:
     """Times of the drawn nodes of each tree (ms); NaN where no front arrives."""
     begin = float(beat.activation.min())
-    every = [times[drawn[_key(tree)][0]].astype(float) for tree, times in beat.trees]
-    return [np.where(np.isfinite(times), times, np.nan) - begin for times in every]
+    drawn_times = [times[drawn[_key(tree)][0]].astype(float) for tree, times in beat.trees]
+    return [np.where(np.isfinite(times), times, np.nan) - begin for times in drawn_times]
 
 
 def _thinned(tree: PurkinjeTree) -> Thinned:
-    """Nodes of a tree to draw, ascending, and how many of them before each its parent stands.
+    """Nodes to draw of a tree, ascending, and how many places in the list each follows its parent.
 
-    These are the root (0 before), forks and ends, and every third node between.
+    Drawn are the root (0 places), forks and ends, and every third node between.
     """
     parents, depth = tree.parents, np.zeros(len(tree.parents), dtype=np.int64)
     above = parents.copy()
@@ -299,12 +299,12 @@ def _tree(
 
 
 def _key(tree: PurkinjeTree) -> bytes:
-    """What identifies a tree."""
+    """Bytes that identify a tree: its nodes and their parents."""
     return tree.nodes.tobytes() + tree.parents.tobytes()
 
 
 def _in_torso(torso: Floats | None, leads: Floats) -> Floats:
-    """Leads (12 + k, t) in the torso that was drawn with a network."""
+    """Leads (12 + k, t) in the torso that was sampled with a network."""
     return leads if torso is None else torso @ leads
 
 
@@ -322,11 +322,11 @@ def _recorded(
     beats: Mapping[str, Sequence[PredictedBeat]],
     torsos: Sequence[Floats | None],
 ) -> dict[str, Any] | None:
-    """The mean recorded beat, and where it begins in each network that was fitted to it (ms)."""
+    """The mean recorded beat, and its start (ms) in each network that was fitted to it."""
     if recording is None:
         return None
     scenario = recording.scenario or Scenario()
-    name = next((name for name, each in predicted.items() if each.scenario == scenario), None)
+    name = next((name for name, p in predicted.items() if p.scenario == scenario), None)
     if name is None:
         return None
     target, begins = recording.target, []
@@ -354,12 +354,12 @@ def _positions(points: Floats, low: Floats, high: Floats) -> str:
 
 
 def _bytes(values: Floats, low: float, high: float) -> str:
-    """Values from `low` to `high` in 254 steps; 255 where there is none."""
+    """Values from `low` to `high` in 254 steps; 255 if not finite."""
     return _encoded(_steps(values, low, high, 255).astype("<u1"))
 
 
 def _quantised(values: Floats, low: float, high: float) -> str:
-    """Values from `low` to `high` in steps; `NONE` where there is none."""
+    """Values from `low` to `high` in steps; `NONE` if not finite."""
     return _encoded(_steps(values, low, high, NONE).astype("<u2"))
 
 

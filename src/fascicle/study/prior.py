@@ -1,24 +1,24 @@
-"""Quantities that a study learns, with their priors, fixes, or averages over."""
+"""The prior of a study: quantities that it learns, holds fixed, or averages over."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 
-from fascicle.core.arrays import Floats
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file, read_toml
 from fascicle.core.parameters import (
     FREE,
+    Distribution,
     Parameter,
     ParameterSpace,
-    Prior,
     free,
     human_space,
     network_space,
@@ -39,7 +39,7 @@ from fascicle.forward.activation_sequence import ActivationSequence
 from fascicle.heart.conduction import Conduction, Region
 from fascicle.heart.heart import Heart
 from fascicle.purkinje.growth import GrowthRules
-from fascicle.study.conduction_states import asked_states
+from fascicle.study.conduction_states import ConductionState, asked_states, united
 from fascicle.study.settings import FitSettings, Method
 
 PRIOR_KEYS = ("prior", "lower", "upper", "median", "sd")
@@ -134,7 +134,7 @@ class AveragedOver:
         """Number of coordinates of a point."""
         return len(self.space) + (len(self.tissues) > 1)
 
-    def tissue(self, points: Floats) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    def tissue(self, points: Floats) -> Integers:
         """Index (n,) of the tissue at points (n, d) of the unit cube."""
         if len(self.tissues) == 1:
             return np.zeros(len(points), np.intp)
@@ -166,6 +166,152 @@ def is_kept(point: Floats, sequence: ActivationSequence) -> bool:
     return sequence.is_mapped or int.from_bytes(digits[:8]) < UNMAPPED * 2**64
 
 
+@dataclass(frozen=True)
+class Prior:
+    """What is known of the quantities of a heart before its ECG is seen.
+
+    A point of the unit cube has first the coordinates of what is learnt, then those of what is
+    averaged over: a point that is drawn uniformly there is one drawn from the prior. Where the
+    sequence of activation is that of mapped hearts, points whose intrinsic beats are activated
+    otherwise are rejected (`is_kept`).
+
+    Attributes
+    ----------
+    space : ParameterSpace
+        Quantities that are learnt, of any conduction state.
+    fixed : mapping of str to float
+        Quantities that are held at other values than their defaults.
+    averaged : AveragedOver
+        Quantities that are neither learnt nor reported.
+    states : mapping of str to float
+        Conduction states of which the prior is a mixture, and their probabilities; empty where the
+        conduction state is not learnt.
+    mapped : bool
+        Whether intrinsic beats are activated in the sequence of mapped human hearts.
+    """
+
+    space: ParameterSpace
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    averaged: AveragedOver = field(default_factory=AveragedOver)
+    states: Mapping[str, float] = field(default_factory=dict)
+    mapped: bool = False
+
+    @classmethod
+    def of(cls, method: Method, parameters: Mapping[str, Any], heart: Heart) -> Prior:
+        """Prior of a study, before it is narrowed to conduction states.
+
+        Parameters
+        ----------
+        method : str
+            ``"paper"`` learns the paper's parameters; ``"posterior"`` has the priors of human
+            anatomy, and averages over what is not known.
+        parameters : mapping of str to value
+            What differs from that, as `parameters` of `fascicle.fit`.
+
+        Raises
+        ------
+        InputError
+            If there is no such quantity, a value or a prior cannot be used, or nothing is learnt.
+        """
+        space, fixed = study_space(method, parameters, heart)
+        if method == "paper":
+            return cls(space, fixed)
+        return cls(space, fixed, AveragedOver.of(space, fixed, heart))
+
+    @cached_property
+    def learnt(self) -> ParameterSpace:
+        """Quantities that are learnt, with the priors of all conduction states together."""
+        return united(self.space, self.fixed, self.states) if self.states else self.space
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the quantities that are learnt."""
+        return self.space.names
+
+    @property
+    def dimension(self) -> int:
+        """Number of coordinates of a point."""
+        return len(self.space) + len(self.averaged)
+
+    def sample(self, rng: np.random.Generator, count: int) -> Floats:
+        """Draw points (count, d) of the unit cube, before any is rejected."""
+        return rng.random((count, self.dimension))
+
+    def from_unit(self, point: Floats) -> dict[str, float]:
+        """All quantities at a point (d,) that are not at their defaults."""
+        learnt, rest = point[: len(self.space)], point[len(self.space) :]
+        return {**self.fixed, **self.learnt.from_unit(learnt), **self.averaged.values(rest)}
+
+    def learnt_columns(self, points: Floats) -> dict[str, Floats]:
+        """Learnt quantities (n,) at points (n, d)."""
+        return self.learnt.columns(points[:, : len(self.space)])
+
+    def columns(self, points: Floats) -> dict[str, Floats]:
+        """All quantities (n,) at points (n, d), but for those of the tissues (`tissue`)."""
+        columns = {name: np.full(len(points), value) for name, value in self.fixed.items()}
+        averaged = self.averaged.columns(points[:, len(self.space) :])
+        return columns | self.learnt_columns(points) | averaged
+
+    def tissue(self, points: Floats) -> Integers:
+        """Index (n,) of the tissue at points (n, d), among those averaged over."""
+        return self.averaged.tissue(points[:, len(self.space) :])
+
+    def narrowed(self, state: ConductionState) -> Prior:
+        """Prior of one conduction state, which must be possible."""
+        space = state.narrowed(self.space, self.fixed)
+        assert space is not None
+        fixed = {**self.fixed, **state.blocks}
+        mapped = state.is_mapped({*space.names, *fixed})
+        return Prior(space, fixed, self.averaged, mapped=mapped)
+
+    def possible_states(self, conduction: Any, heart: Heart) -> tuple[ConductionState, ...]:
+        """Conduction states that a user chose, as far as quantities and the heart allow them.
+
+        Raises
+        ------
+        InputError
+            If there is no such state, a prior probability is none, or no state is left.
+        """
+        settled = {**heart.values, **self.fixed}
+        states = asked_states(conduction)
+        states = tuple(state for state in states if state.narrowed(self.space, settled) is not None)
+        if not states:
+            raise InputError(
+                "parameter 'conduction': what is fixed, the heart's values or the ranges exclude "
+                "what was asked for; fix less, or leave it out"
+            )
+        return states
+
+    def covers(self, other: Prior) -> bool:
+        """Whether simulations of this prior serve for another one, which is narrower.
+
+        They do not where the other one fixes more than half: simulations of what is left say more
+        of it.
+        """
+        if 2 * len(other.space) < len(self.space) or other.mapped != self.mapped:
+            return False
+        covered, ranges = self._ranges(), other._ranges()
+        changed = {n: v for n, v in other.fixed.items() if self.fixed.get(n) != v}
+        ranges |= {name: (value, value) for name, value in changed.items()}
+        ranges.pop("gain", None)  # a factor on the ECG
+        if ranges.keys() != covered.keys() or other.averaged.tissues != self.averaged.tissues:
+            return False
+        return all(
+            low <= ranges[name][0] and ranges[name][1] <= high
+            for name, (low, high) in covered.items()
+        )
+
+    def _ranges(self) -> dict[str, tuple[float, float]]:
+        """Ranges of quantities; within 2 SD of the median where a normal prior is averaged over."""
+        averaged = self.averaged.space.parameters
+        ranges = {p.name: (p.lower, p.upper) for p in (*self.space.parameters, *averaged)}
+        for p in averaged:
+            if p.median is not None and p.sd is not None:
+                low, high = p.median - 2 * p.sd, p.median + 2 * p.sd
+                ranges[p.name] = max(p.lower, low), min(p.upper, high)
+        return ranges
+
+
 def without_groups(wanted: Mapping[str, Any]) -> dict[str, Any]:
     """Replace each group of quantities that is free by its quantities."""
     quantities: dict[str, Any] = {}
@@ -191,7 +337,7 @@ def _chosen(name: str, value: Any, usual: Mapping[str, Parameter]) -> Parameter 
         raise InputError(
             f"parameter '{name}': unknown key '{unknown[0]}'; known: {', '.join(PRIOR_KEYS)}"
         )
-    priors = get_args(Prior)
+    priors = get_args(Distribution)
     prior = value.get("prior", "uniform")
     if not isinstance(prior, str) or prior not in priors:
         raise InputError(f"parameter '{name}': prior is {shown(prior)}; known: {', '.join(priors)}")
