@@ -40,7 +40,7 @@ from fascicle.forward.ecg.lead_field import unbounded_gradients
 from fascicle.forward.scenario_files import find_scenario, read_scenario
 from fascicle.forward.simulation import Simulation
 from fascicle.mesh.measures import barycentric_gradients
-from fascicle.recording.quality.checks import CHEST, SPEED, check_chest_leads, check_mean_beat
+from fascicle.recording.quality.checks import CHEST, FASTEST_QRS, check_chest_leads, check_mean_beat
 from fascicle.recording.recording import Recording
 from fascicle.recording.window import qrs_window
 
@@ -171,7 +171,7 @@ def report(label: str, cases: list[Array], figure: Callable[[Array], tuple[float
 
 def report_speed(label: str, beats: list[Array]) -> None:
     """Print how many of some beats are slower than any QRS."""
-    slow = [not check_mean_beat(qrs)[0].value >= SPEED.limit for qrs in beats]
+    slow = [not check_mean_beat(qrs)[0].value >= FASTEST_QRS.limit for qrs in beats]
     print(f"{label:<22}{len(beats):>5}, too slow for a QRS: {sum(slow)} ({np.mean(slow):.1%})")
 
 

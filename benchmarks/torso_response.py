@@ -26,7 +26,7 @@ import fascicle
 from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
 from fascicle.core.parameters import read_parameters
 from fascicle.core.quantities import QUANTITIES, TORSO_QUANTITIES
-from fascicle.forward.ecg.electrocardiogram import STEP, build_electrocardiograph
+from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP, build_electrocardiograph
 from fascicle.forward.ecg.lead_field import nodal_gradients
 from fascicle.forward.loss import align
 from fascicle.mesh.measures import barycentric_gradients
@@ -216,7 +216,8 @@ def table(model: fascicle.ForwardModel, network: Values) -> dict[str, list[float
         begin, end = qrs_window(leads)
         loss = align(leads, recorded).loss
         shares.append(loss / flat)
-        print(f"{name} | {value:.3g} | {loss:.3f} | {(end - begin) * STEP:.0f} | {axis(leads):.0f}")
+        length = (end - begin) * SAMPLE_STEP
+        print(f"{name} | {value:.3g} | {loss:.3f} | {length:.0f} | {axis(leads):.0f}")
     return losses
 
 

@@ -26,7 +26,7 @@ from fascicle.core.leads import INDEPENDENT_ROWS
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.heart import Heart
 from fascicle.study import origin
-from fascicle.study.ecg_classifier import STEPS, Lessons, learn
+from fascicle.study.ecg_classifier import TRAINING_STEPS, Lessons, learn
 from fascicle.study.heart_emulator import EMULATOR, made_emulator, usual_prior
 from fascicle.study.pool import Threads
 from fascicle.study.prior_simulations import SEED
@@ -66,7 +66,7 @@ def make_those_of(heart: Heart) -> dict[str, StateSimulations]:
         take(heart.folder, EMULATOR, count, of_state.simulations.content)
     beats = origin.ectopic_beats(model, heart.folder)
     origin.classifier_of(beats, ROWS, COUNT, Threads(2))
-    take(heart.folder, origin.CLASSIFIER, COUNT, origin.classifier_key(beats, ROWS))
+    take(heart.folder, origin.ORIGIN_CLASSIFIER, COUNT, origin.classifier_key(beats, ROWS))
     return states
 
 
@@ -74,7 +74,7 @@ def make_classifier(hearts: Sequence[dict[str, StateSimulations]]) -> None:
     """Make the classifier of conduction states, and keep it as that of each heart."""
     rng = np.random.default_rng(SEED)
     seen, held_out = zip(*(lessons(states, ROWS, rng) for states in hearts), strict=True)
-    steps = STEPS * len(hearts)
+    steps = TRAINING_STEPS * len(hearts)
     arrays = learn(joined(seen), joined(held_out), ROWS, rng, steps=steps).arrays()
     for states in hearts:
         put(CLASSIFIER, classifier_key(states, ROWS), {**arrays, "networks": np.array(COUNT)})

@@ -49,7 +49,7 @@ from fascicle.reporting.study import draw_losses, recorded_ecg_figure
 from fascicle.reporting.style import P, one_axes, user_first
 from fascicle.study.fit import GivenStudy, as_study
 from fascicle.study.fitted import FittedStudy
-from fascicle.study.state_fit import HEART
+from fascicle.study.state_fit import HEART_FOLDER
 from fascicle.study.study import CONFIGURATION
 
 
@@ -179,7 +179,7 @@ def _heart(given: Heart | GivenStudy, predicted: Mapping[str, Predicted]) -> Hea
         heart = given
     else:
         folder = as_path(given, "heart", "a heart, a fitted study, or the folder of either")
-        heart = load_heart(folder / HEART if (folder / CONFIGURATION).exists() else folder)
+        heart = load_heart(folder / HEART_FOLDER if (folder / CONFIGURATION).exists() else folder)
     for name, each in predicted.items():
         _check_vertices(heart, f"'{name}'", each.beats[0].activation)
     return heart

@@ -10,7 +10,7 @@ from shapes import ellipsoid, read_labelled_surface
 from fascicle.build.borders import cut_along_borders, cut_at_zero
 from fascicle.build.classify import classify_surface
 from fascicle.core.errors import InputError
-from fascicle.heart.labelled_surface import NEEDED, Label
+from fascicle.heart.labelled_surface import NEEDED_LABELS, Label
 from fascicle.mesh.measures import closed_volume, loop_length, triangle_areas
 from fascicle.mesh.topology import boundary_loops, boundary_triangles, unique_edges
 
@@ -149,7 +149,7 @@ def test_tetrahedral_hearts(which, flat, request):
     base -= base.mean(axis=0)
     assert np.abs(base @ np.linalg.svd(base, full_matrices=False)[2][2]).max() < flat
     assert_clean(found)
-    assert set(found.labels) == set(NEEDED)
+    assert set(found.labels) == set(NEEDED_LABELS)
 
 
 def test_open_surface_is_refused_and_where():

@@ -12,7 +12,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.electrodes import read_electrodes
 from fascicle.heart.heart import LeadFields
-from fascicle.heart.labelled_surface import NEEDED, labelled_mesh
+from fascicle.heart.labelled_surface import NEEDED_LABELS, labelled_mesh
 from fascicle.mesh.formats.mesh_file import GROUP, TETRAHEDRON, TRIANGLE
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.purkinje.tree_files import read_tree
@@ -97,7 +97,7 @@ def test_what_goes_out_has_every_label(tmp_path, default_heart, kind):
     same = [np.sort(mesh.triangles)[at] for mesh, at in zip((read, known), order, strict=True)]
     np.testing.assert_array_equal(*same)
     np.testing.assert_array_equal(read.labels[order[0]], known.labels[order[1]])
-    assert np.unique(read.labels).tolist() == sorted(NEEDED)
+    assert np.unique(read.labels).tolist() == sorted(NEEDED_LABELS)
     np.testing.assert_array_equal(read.tetrahedra, default_heart.tetrahedra)
     assert anatomy.notes == ()
 

@@ -6,7 +6,7 @@ import pytest
 
 from fascicle.build.meshing import subdivided
 from fascicle.build.read_anatomy import Source, read_anatomy
-from fascicle.heart.labelled_surface import NEEDED, LabelledSurface
+from fascicle.heart.labelled_surface import NEEDED_LABELS, LabelledSurface
 from fascicle.mesh.measures import (
     mean_edge_length,
     quality,
@@ -63,7 +63,7 @@ def test_smooth_and_of_the_same_volume(fine, coarse):
 def test_each_part_keeps_its_label_and_nearly_its_area(coarse):
     finer, _ = subdivided(coarse, EDGE)
     areas = [
-        [triangle_areas(s.vertices, s.having(label)).sum() for label in NEEDED]
+        [triangle_areas(s.vertices, s.having(label)).sum() for label in NEEDED_LABELS]
         for s in (coarse, finer)
     ]
     assert np.allclose(*areas, rtol=0.1)
@@ -82,4 +82,4 @@ def test_it_becomes_a_mesh_with_a_note(tmp_path, coarse, labelled):
     volume = signed_volumes(mesh.vertices, mesh.tetrahedra).sum()
     assert volume == pytest.approx(volume_of(coarse), rel=0.01)
     assert quality(mesh.vertices, mesh.tetrahedra).angles.min() > 8.0
-    assert set(mesh.labels) == set(NEEDED)
+    assert set(mesh.labels) == set(NEEDED_LABELS)

@@ -11,7 +11,7 @@ from fascicle.forward import likelihood as tested
 from fascicle.forward.likelihood import (
     MARGIN,
     SHARES,
-    STEP,
+    SHIFT_STEP,
     QrsLikelihood,
     cosines,
     matern,
@@ -19,7 +19,7 @@ from fascicle.forward.likelihood import (
 )
 from fascicle.forward.loss import placed
 from fascicle.forward.simulation import Signals
-from fascicle.kernels.gaussian import BLOCK
+from fascicle.kernels.gaussian import MODELS_AT_ONCE
 from fascicle.recording.target import Target
 
 QRS = 60  # samples
@@ -86,7 +86,7 @@ def brute_force(likelihood: QrsLikelihood, simulated: np.ndarray, scale: float) 
 def test_against_brute_force(noise, scale, monkeypatch):
     likelihood = example(noise=noise)
     monkeypatch.setattr(tested, "SHARES", scale * SHARES[:1] / likelihood.scales[0])
-    monkeypatch.setattr(tested, "STEP", 1)
+    monkeypatch.setattr(tested, "SHIFT_STEP", 1)
     likelihood = example(noise=noise)
     assert likelihood.scales == pytest.approx([scale])
     expected = brute_force(likelihood, signal(), scale)
@@ -95,14 +95,14 @@ def test_against_brute_force(noise, scale, monkeypatch):
     left = 0.2 * np.linalg.norm(likelihood.target.qrs[6:8]) / np.sqrt(len(likelihood.known))
     likelihood = example(noise=np.hypot(noise, left))
     expected = brute_force(likelihood, signal(), scale)
-    monkeypatch.setattr(tested, "STEP", STEP)
+    monkeypatch.setattr(tested, "SHIFT_STEP", SHIFT_STEP)
     likelihood = example(noise=np.hypot(noise, left))
     assert likelihood.log_likelihood(ecg(signal())) == pytest.approx(expected, abs=0.1)
 
 
 def test_the_sizes_of_the_discrepancy_are_averaged(monkeypatch):
     monkeypatch.setattr(tested, "SHARES", SHARES[[0, 2, 3]])
-    monkeypatch.setattr(tested, "STEP", 1)
+    monkeypatch.setattr(tested, "SHIFT_STEP", 1)
     likelihood = example()
     each = [brute_force(likelihood, signal(), scale) for scale in likelihood.scales]
     fit = likelihood.fit(ecg(signal()))
@@ -115,7 +115,7 @@ def test_sums_are_compared_as_simulations_are(gain_sd):
     """ECGs that are sums of a mean and of parts, many at a time, in single precision, too."""
     likelihood, rng = example(gain_sd), np.random.default_rng(0)
     mean, *parts = (np.pad(signal(width), ((6, 4), (0, 0))) for width in (8.0, 5.0, 13.0))
-    count = 2 * BLOCK + 5
+    count = 2 * MODELS_AT_ONCE + 5
     scores, gains = rng.standard_normal((count, 2)), rng.uniform(0.5, 2, count)
     each = gains[:, None, None] * (mean + np.tensordot(scores, parts, 1))
     expected = [likelihood.log_likelihood(Signals(leads, ONSET, (1, 1))) for leads in each]

@@ -12,7 +12,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward import compile_kernels, preparation
-from fascicle.forward.compile_kernels import STEPS
+from fascicle.forward.compile_kernels import COMPILED_PARTS
 from fascicle.forward.eikonal import myocardium
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.preparation import KEPT, prepare
@@ -244,7 +244,7 @@ class TestCompilation:
         monkeypatch.setattr(compile_kernels, "_steps", slow_steps)
         compile_kernels.compile_kernels(lambda *what: reports.append(what))
         assert [what[:3] for what in reports] == [
-            ("compilation", done, STEPS) for done in range(STEPS + 1)
+            ("compilation", done, COMPILED_PARTS) for done in range(COMPILED_PARTS + 1)
         ]
 
     def test_leaves_no_timer_behind_when_it_fails(self, monkeypatch):

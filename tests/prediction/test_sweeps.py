@@ -10,9 +10,9 @@ from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.primitives import His, Stimulus
 from fascicle.prediction.sweeps import (
-    DELAY,
     RADIUS,
     SEGMENT,
+    STIMULUS_DELAY,
     delays,
     radii,
     segments,
@@ -27,7 +27,7 @@ PAIR = case((Stimulus(5.0, site="rv apex"), Stimulus(10.0, (1.0, 2.0, 3.0))), hi
 
 def test_delays_move_the_last_stimulus():
     found = delays(PAIR, "-20:20:10")
-    assert found.varied == DELAY
+    assert found.varied == STIMULUS_DELAY
     assert list(found.scenarios) == [-20, -10, 0, 10, 20]
     for delay, scenario in found.scenarios.items():
         assert scenario.of(Stimulus)[0] == PAIR.of(Stimulus)[0]

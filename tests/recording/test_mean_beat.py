@@ -14,14 +14,14 @@ from fascicle.core.leads import CHEST_LEADS
 from fascicle.recording.detection import r_peaks
 from fascicle.recording.pipeline import analyse, make_target
 from fascicle.recording.quality.check_result import CheckResult, Severity
-from fascicle.recording.quality.checks import CHEST, SPEED, check_chest_leads, check_mean_beat
+from fascicle.recording.quality.checks import CHEST, FASTEST_QRS, check_chest_leads, check_mean_beat
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Recording
 
 
 def checks(recording: Recording) -> list[CheckResult]:
     """Both checks of the mean beat."""
-    return [one for one in analyse(recording).findings if one.check in (SPEED, CHEST)]
+    return [one for one in analyse(recording).findings if one.check in (FASTEST_QRS, CHEST)]
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def test_nothing_against_real_recordings(data_folder: Path, name: str) -> None:
     file = REAL.get(name, "philips/129DYPRG.XML")
     speed, chest = checks(read_recording(data_folder / "ecg" / file))
     assert speed.severity is chest.severity is Severity.FINE
-    assert speed.value > 2 * SPEED.limit
+    assert speed.value > 2 * FASTEST_QRS.limit
     assert chest.value < 0.8 * CHEST.limit
 
 
@@ -85,7 +85,7 @@ def test_t_waves_alone(good: Recording, qrs: Floats) -> None:
         beat = slice(peak - 150, peak + 40)  # P wave and QRS
         signal[:, beat] = np.linspace(signal[:, beat.start], signal[:, beat.stop], 190, axis=1)
     speed, chest = checks(replace(good, signal=signal))
-    assert speed.value < 0.5 * SPEED.limit
+    assert speed.value < 0.5 * FASTEST_QRS.limit
     assert "a T or P wave was probably taken for the beat" in speed.message
     assert chest.message == "not checked: no QRS"
     slow = np.repeat(qrs, 3, axis=1)  # as slow as the slowest QRS

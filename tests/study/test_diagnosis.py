@@ -459,7 +459,7 @@ def test_what_has_no_states_is_refused(target):
 def test_a_heart_without_a_classifier_gets_one(default_model, target, tmp_path, monkeypatch):
     """Of its own simulations, in the leads that were recorded; it is then kept."""
     monkeypatch.setattr(state_classifier, "RECORDINGS", 2000)
-    monkeypatch.setattr(state_classifier, "FEWEST", 10)
+    monkeypatch.setattr(state_classifier, "FEWEST_OF_STATE", 10)
     monkeypatch.setattr(ecg_classifier.learn.__wrapped__, "__defaults__", (None, 300))
     monkeypatch.setattr(prior_simulations, "PART", 100)
     prior = usual_prior(default_model.heart)

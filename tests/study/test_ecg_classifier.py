@@ -10,10 +10,10 @@ from fascicle.core.leads import INDEPENDENT_ROWS
 from fascicle.recording.target import Target
 from fascicle.study.ecg_classifier import (
     CHUNK,
+    COSINES,
     FAMILIAR,
     GAIN_SD,
     LENGTH,
-    MODES,
     EcgClassifier,
     Lessons,
     Recorder,
@@ -31,7 +31,7 @@ ROWS = np.array(INDEPENDENT_ROWS)
 def normal(rng, means, count):
     """Recordings whose first coefficient is normal about a mean, which none else depends on."""
     kinds = np.repeat(np.arange(len(means)), count)
-    recordings = rng.normal(0, 0.2, (len(kinds), 8, MODES)).astype(np.float32)
+    recordings = rng.normal(0, 0.2, (len(kinds), 8, COSINES)).astype(np.float32)
     recordings[:, 0, 0] = rng.normal(np.asarray(means)[kinds], 1.0)
     return Lessons(recordings, np.eye(len(means), dtype=np.float32)[kinds])
 
@@ -45,7 +45,7 @@ def classifier():
 def test_probabilities_are_those_of_bayes(classifier):
     """Three normal kinds of equal SD: the exact posterior is known."""
     values = np.linspace(-2.5, 3.5, 13)
-    recordings = np.zeros((len(values), 8, MODES))
+    recordings = np.zeros((len(values), 8, COSINES))
     recordings[:, 0, 0] = values
     density = np.exp(-0.5 * (values[:, None] - np.array([-1.0, 0.0, 2.0])) ** 2)
     exact = density / density.sum(axis=1, keepdims=True)
@@ -61,7 +61,7 @@ def test_it_is_stored_as_it_is(classifier):
     arrays = classifier.arrays()
     again = EcgClassifier.from_arrays(arrays)
     assert again.right == classifier.right
-    recordings = np.random.default_rng(1).normal(0, 1, (20, 8, MODES))
+    recordings = np.random.default_rng(1).normal(0, 1, (20, 8, COSINES))
     np.testing.assert_allclose(
         again.of_cosines(recordings), classifier.of_cosines(recordings), atol=0.01
     )
@@ -75,11 +75,11 @@ def test_it_is_stored_as_it_is(classifier):
 def test_what_lies_outside_the_components(classifier):
     """Nothing of a sum of components, all of what is orthogonal to them, whatever the size."""
     flat = classifier.components[:3].sum(axis=0)
-    inside = flat.reshape(1, 8, MODES)
+    inside = flat.reshape(1, 8, COSINES)
     np.testing.assert_allclose(classifier.outside(7 * inside), 0, atol=1e-5)
     other = np.random.default_rng(6).normal(size=flat.shape)
     other -= classifier.components.T @ (classifier.components @ other)
-    np.testing.assert_allclose(classifier.outside(other.reshape(1, 8, MODES)), 1, atol=1e-5)
+    np.testing.assert_allclose(classifier.outside(other.reshape(1, 8, COSINES)), 1, atol=1e-5)
     held_out = normal(np.random.default_rng(3), (-1.0, 0.0, 2.0), 2000).recordings
     familiar = (classifier.outside(held_out) <= classifier.most_outside).mean()
     assert familiar == pytest.approx(FAMILIAR, abs=0.01)
@@ -96,9 +96,9 @@ def target_of(cosines):
 def test_what_is_unlike_all_simulated_recordings_is_said(classifier):
     """A recording of components alone is like them; noise is unlike them."""
     of_few = replace(classifier, most_outside=0.1)
-    like = classifier.components[:3].sum(axis=0).reshape(8, MODES)
+    like = classifier.components[:3].sum(axis=0).reshape(8, COSINES)
     assert unlike(of_few, target_of(like)) == ""
-    strange = target_of(3 * np.random.default_rng(8).normal(size=(8, MODES)))
+    strange = target_of(3 * np.random.default_rng(8).normal(size=(8, COSINES)))
     (outside,) = of_few.outside(of_few.cosines(strange))
     assert unlike(of_few, strange) == (
         f"the recording is unlike all simulated ones of this heart ({outside:.0%} of its QRS, "
@@ -119,8 +119,8 @@ def test_a_target_is_seen_from_its_onset_on(classifier):
 
 @pytest.fixture(scope="module")
 def recorder():
-    discrepancy = np.eye(8 * MODES) * np.sqrt(LENGTH / MODES)  # of unit size in time
-    return Recorder(np.zeros((2, 8, 8)), np.zeros((1, 8, MODES)), discrepancy)
+    discrepancy = np.eye(8 * COSINES) * np.sqrt(LENGTH / COSINES)  # of unit size in time
+    return Recorder(np.zeros((2, 8, 8)), np.zeros((1, 8, COSINES)), discrepancy)
 
 
 def pulses(count):
@@ -138,7 +138,7 @@ def test_recordings_have_other_gains_places_and_discrepancies(recorder):
     # with shifts undone, what is left are gain and discrepancy
     still = recorder.recorded(ecgs, rng)[:, :, -1]  # a mode without signal
     size = np.sqrt((ecgs[0] ** 2).mean() * LENGTH / 99)
-    shares = still.std() / np.sqrt(LENGTH / MODES) / size
+    shares = still.std() / np.sqrt(LENGTH / COSINES) / size
     assert 0.2 < shares < 0.35  # root mean square of 10 to 40 %, in spread gains
 
 
@@ -146,7 +146,7 @@ def test_each_ecg_is_taken_as_often(recorder):
     ecgs = pulses(7)
     count = CHUNK + 3
     recordings, chosen = recorder.recordings(ecgs, ROWS, count, np.random.default_rng(4))
-    assert recordings.shape == (count, 8, MODES)
+    assert recordings.shape == (count, 8, COSINES)
     assert np.ptp(np.bincount(chosen, minlength=7)) <= 1
 
 
@@ -159,7 +159,7 @@ def test_other_leads_are_those_of_the_potentials():
 
 def test_what_is_most_alike_whatever_its_size():
     rng = np.random.default_rng(5)
-    reference = rng.normal(0, 1, (30, 8, MODES))
+    reference = rng.normal(0, 1, (30, 8, COSINES))
     found = most_alike(3 * reference[4:6], reference)
     np.testing.assert_allclose(found, 1)
     assert most_alike(-reference[:1], reference[:1]) == 0

@@ -20,7 +20,7 @@ from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.opencarp import read_opencarp_mesh, read_vtx
 from fascicle.purkinje.tree_files import read_tree
 from fascicle.study.activation_maps import nearest_to_median
-from fascicle.study.export import STEP, tissue_table, tissue_tags, write_networks
+from fascicle.study.export import STIMULUS_STEP, tissue_table, tissue_tags, write_networks
 from fascicle.study.target_comparison import Network
 
 LATE_LEFT = EXAMPLE_PARAMETERS | {"root_time": -50.0}  # whose left junctions the tissue reaches
@@ -123,12 +123,12 @@ class TestOpenCarp:
         heart = replace(default_heart, vertices=mesh.points, fibres=fibres)
         along, across = (float(par[f"gregion[0].dream.vel_{k}"]) / 1000 for k in "lt")
         vertices, times = stimulated(folder, par)
-        assert np.abs(times - simulation.activation[vertices]).max() <= STEP / 2
+        assert np.abs(times - simulation.activation[vertices]).max() <= STIMULUS_STEP / 2
         start = np.full(len(mesh.points), np.inf)
         start[vertices] = times
         solved = solve_from_vertices(build_myocardium(heart, conduction_for(along, across)), start)
         late = solved - simulation.activation
-        assert late.min() >= -STEP / 2 - 1e-6
+        assert late.min() >= -STIMULUS_STEP / 2 - 1e-6
         assert np.abs(late).mean() < 2.0  # 1.3: point sources, of which the model has none
         assert late.max() < 10.0
         read = np.loadtxt(folder / "activation.dat")

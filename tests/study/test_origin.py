@@ -27,8 +27,8 @@ def small():
         patch.setattr(prior_simulations, "PART", 150)
         patch.setattr(origin_module, "PART", 150)
         patch.setattr(heart_emulator, "packaged", lambda *_: None)
-        patch.setattr(origin_module, "STEPS", 600)
-        patch.setattr(origin_module, "RECORDINGS", 6000)
+        patch.setattr(origin_module, "ORIGIN_STEPS", 600)
+        patch.setattr(origin_module, "ORIGIN_RECORDINGS", 6000)
         yield
 
 

@@ -17,7 +17,7 @@ from fascicle.forward.loss import placed
 from fascicle.forward.simulation import Signals, SimulatedBeat
 from fascicle.recording.criteria import frontal_axis
 from fascicle.recording.target import Target
-from fascicle.study.predictive import BEST, LEVEL, Checks, predict_recording
+from fascicle.study.predictive import BEST, LEAST_PROBABLE, Checks, predict_recording
 from fascicle.study.target_comparison import Network
 
 QRS, TIME = 80, np.arange(-100.0, 160.0)
@@ -147,7 +147,7 @@ def test_another_duration_and_another_axis_are_named(recorded):
     recorded_ms, low, middle, high = checks.measured["QRS duration"]
     assert recorded_ms - middle == pytest.approx(37, abs=5)  # slow ends are hidden by noise
     assert low == middle == high
-    assert checks.probabilities["QRS duration"] < LEVEL
+    assert checks.probabilities["QRS duration"] < LEAST_PROBABLE
     assert checks.failures[0] == (
         f"QRS duration {recorded_ms:.0f} ms recorded, {middle:.0f} ({low:.0f}–{high:.0f}) simulated"
     )

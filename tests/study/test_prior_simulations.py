@@ -55,7 +55,7 @@ def small():
         patch.setattr(tested, "BODIES", 2)
         patch.setattr(tested, "SEED", 1)  # bodies that are not at the far end of their prior
         patch.setattr(tested, "random_bodies", random_bodies)
-        patch.setattr(ecg_emulator, "FEWEST", 20)
+        patch.setattr(ecg_emulator, "FEWEST_NETWORKS", 20)
         patch.setattr(ecg_emulator, "EPOCHS", 1)
         patch.setattr("fascicle.study.prior.TISSUES", ({}, {"anisotropy_ratio": 2.0}))
         yield
@@ -332,7 +332,7 @@ def test_an_emulator_is_refined_with_draws_of_the_posterior(prior, model, tmp_pa
     Not where each has a tissue of its own.
     """
     monkeypatch.setattr(refined_emulator, "SHARE", PART / COUNT)
-    monkeypatch.setattr(refined_emulator, "PARTICLES", 60)
+    monkeypatch.setattr(refined_emulator, "REFINING_PARTICLES", 60)
     emulator, pool = made_emulator(prior, COUNT, Threads(1)), Counting()
     simulator = PointSimulator(model, prior.prior, pool)
     delay, seen = prior.prior.names.index("interventricular_delay"), []

@@ -18,7 +18,7 @@ from fascicle.study.evaluations import Stage
 from fascicle.study.fit import read_inputs
 from fascicle.study.prior import NOT_KNOWN
 from fascicle.study.settings import FitSettings
-from fascicle.study.study import CHECKED, FORMAT, Study, StudyConfig, check_same
+from fascicle.study.study import CHECKED, STUDY_FORMAT, Study, StudyConfig, check_same
 
 SPACE = ParameterSpace((Parameter("cv", "mm/ms", 2.0, 4.0), Parameter("root_time", "ms", -75, 50)))
 NOISE = np.linspace(-1, 1, 6) ** 3
@@ -277,7 +277,7 @@ def test_study_of_another_format_is_refused(tmp_path):
     """Losses of earlier formats are not those of this one."""
     Study.create_or_resume(tmp_path / "s", make_config())
     path = tmp_path / "s" / "study.json"
-    path.write_text(path.read_text().replace(f'"version": {FORMAT}', '"version": 1'))
+    path.write_text(path.read_text().replace(f'"version": {STUDY_FORMAT}', '"version": 1'))
     with pytest.raises(InputError, match=r"study\.json: a study of format 1, ") as caught:
         Study.open(tmp_path / "s")
     assert "\n" not in str(caught.value)

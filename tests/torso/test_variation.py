@@ -18,7 +18,7 @@ from fascicle.torso.variation.conductor import (
     pulled_back,
     torso_axes,
 )
-from fascicle.torso.variation.response import LEFT, UP, TorsoResponse, at_electrodes, near_field
+from fascicle.torso.variation.response import LEFT, UPWARD, TorsoResponse, at_electrodes, near_field
 from fascicle.torso.variation.training import (
     build_response,
     currents,
@@ -193,14 +193,14 @@ def test_near_field_is_that_of_an_insulated_plane(conductor):
 def test_places_along_a_sphere(conductor, places):
     """Distances along the skin are arcs."""
     points = places.points(conductor.torso.vertices)
-    grid = points[3:].reshape(6, len(LEFT), len(UP), 3)
+    grid = points[3:].reshape(6, len(LEFT), len(UPWARD), 3)
     middle = len(LEFT) // 2
     elevation = np.degrees(
         np.arcsin(grid[0, middle, :, 2] / np.linalg.norm(grid[0, middle], axis=1))
     )
     # the skin is a polyhedron, a little smaller than the sphere
-    np.testing.assert_allclose(elevation, 5 + np.degrees(UP / RADIUS), atol=2.5)
-    east = grid[2, :, len(UP) // 2]
+    np.testing.assert_allclose(elevation, 5 + np.degrees(UPWARD / RADIUS), atol=2.5)
+    east = grid[2, :, len(UPWARD) // 2]
     azimuth = np.degrees(np.arctan2(east[:, 0], -east[:, 1]))
     np.testing.assert_allclose(azimuth, 25 + np.degrees(LEFT / RADIUS), atol=2.0)
 

@@ -22,7 +22,7 @@ from fascicle.torso.electrode_sites import electrode_warnings
 from fascicle.torso.lead_fields import is_up_to_date
 
 DISTORTED = 12.0  # ratio of a chart's stretches in two directions, above which a check warns
-LAYERS = 5  # from endocardium to epicardium, in which helix angles are reported
+WALL_LAYERS = 5  # from endocardium to epicardium, in which helix angles are reported
 WALLS = ("LV free wall", "septum", "RV free wall")
 
 
@@ -38,12 +38,12 @@ class HelixAngles:
     angle: Floats
 
     def in_layers(self) -> Floats:
-        """Mean axis of the angles in `LAYERS` layers (degrees); NaN where there is no fibre."""
-        layer = np.minimum((self.depth * LAYERS).astype(int), LAYERS - 1)
+        """Mean axis of the angles in each of the `WALL_LAYERS` (degrees); NaN without fibres."""
+        layer = np.minimum((self.depth * WALL_LAYERS).astype(int), WALL_LAYERS - 1)
         # fibres have no sign: angles are averaged on the doubled circle
         doubled = np.exp(2j * np.radians(self.angle))
         with np.errstate(invalid="ignore", divide="ignore"):
-            mean = np.array([doubled[layer == k].sum() for k in range(LAYERS)])
+            mean = np.array([doubled[layer == k].sum() for k in range(WALL_LAYERS)])
             mean = np.where(mean == 0, np.nan, mean)
         return np.asarray(np.degrees(np.angle(mean)) / 2)
 

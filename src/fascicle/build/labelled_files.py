@@ -20,7 +20,7 @@ from fascicle.heart.fibres import is_placeholder
 from fascicle.heart.labelled_surface import (
     ENDOCARDIA,
     LABEL_NAMES,
-    NEEDED,
+    NEEDED_LABELS,
     Label,
     LabelledMesh,
     LabelledSurface,
@@ -324,7 +324,7 @@ def _from_surface_files(
 
 def _elected(votes: Booleans, boundary: Integers) -> Integers:
     """Label (b,) of most corners of each triangle, by the votes (points, labels) of points."""
-    valves = sorted(set(Label) - set(NEEDED))
+    valves = sorted(set(Label) - set(NEEDED_LABELS))
     order = np.array([*ENDOCARDIA, Label.EPICARDIUM, *valves, Label.BASE], dtype=np.int64)
     # argmax takes the first label of a tie
     return np.asarray(order[np.argmax(votes[boundary].sum(axis=1)[:, order], axis=1)])

@@ -36,7 +36,7 @@ from fascicle.torso.lead_fields import (
 )
 from fascicle.torso.mesh import mesh_torso, torso_of
 from fascicle.torso.surfaces import Surface, TorsoSurfaces, read_torso_surfaces
-from fascicle.torso.trunk import SHAPE, TrunkSize, outside_trunk
+from fascicle.torso.trunk import TRUNK_SHAPE, TrunkSize, outside_trunk
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ def _notes_on_fit(heart: Heart, fitted: FittedTrunk, pose: Pose) -> list[str]:
     lv, rv = (Surface(e.vertices, e.triangles) for e in heart.endocardia)
     left, back, up = -fitted.frame.rotation.T @ heart_axes(lv, rv)[:, 2]  # of the apex
     azimuth, descent = np.degrees(np.arctan2(left, -back)), np.degrees(np.arcsin(-up))
-    shape = ", ".join(f"{name} {getattr(size, name):.2f}" for name in SHAPE)
+    shape = ", ".join(f"{name} {getattr(size, name):.2f}" for name in TRUNK_SHAPE)
     axes = "from the electrodes" if pose == "standard" else f"{pose.upper()}, tilted to fit them"
     off = fitted.electrodes - fitted.sites
     return [

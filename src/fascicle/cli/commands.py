@@ -258,7 +258,7 @@ def locate(
     from fascicle.core.files import check_folder
     from fascicle.reporting.origin import origin_figure
     from fascicle.reporting.style import save
-    from fascicle.study.origin import PICTURE
+    from fascicle.study.origin import ORIGIN_PICTURE
 
     check_folder(out)
     with TerminalProgress() as progress:
@@ -267,7 +267,7 @@ def locate(
             progress=progress, pool=pool_at(scheduler, progress),
         )  # fmt: skip
         found.save(out)
-        save(origin_figure(found), out / PICTURE)
+        save(origin_figure(found), out / ORIGIN_PICTURE)
     print(found.verdict)
     summary = found.summary()
     print_row("region", f"{summary['region_ml']:.0f} ml of tissue hold the origin with 90 %")
@@ -657,7 +657,7 @@ def demo(
     bundle branch block simulated on the same heart, so that the truth is known: by how much each
     pacing shortens activation is printed with what is found. It takes three minutes.
     """
-    from fascicle.cli.demo import BLOCK, fit_own_beat, treat_block
+    from fascicle.cli.demo import DEMO_BLOCK, fit_own_beat, treat_block
     from fascicle.cli.printing import print_fit, print_prediction, print_reductions
 
     own = out / "own-beat"
@@ -668,7 +668,7 @@ def demo(
         print(f"warning: {warning}")
     with resumable(out), TerminalProgress() as progress:
         fitted, predicted, reductions = treat_block(out, progress)
-    print(f"\n{BLOCK}, simulated on the same heart")
+    print(f"\n{DEMO_BLOCK}, simulated on the same heart")
     print_fit(fitted, written_summary(out / "study"))
     print_prediction(predicted)
     print_reductions(predicted, "intrinsic")

@@ -19,8 +19,8 @@ from fascicle.reporting.prediction import write_prediction
 from fascicle.reporting.recording import recording_figure
 from fascicle.reporting.style import save
 
-HEART = "camps-dti004"
-BLOCK = "left bundle branch block"  # what the pacing of the demonstration treats
+DEMO_HEART = "camps-dti004"
+DEMO_BLOCK = "left bundle branch block"  # what the pacing of the demonstration treats
 
 
 def fit_own_beat(out: Path, progress: Progress) -> FittedStudy:
@@ -28,9 +28,11 @@ def fit_own_beat(out: Path, progress: Progress) -> FittedStudy:
 
     The subject is healthy: nothing is blocked. The study resumes.
     """
-    analysis = _analysed(HEART, out)
+    analysis = _analysed(DEMO_HEART, out)
     fixed = {"conduction": 0.0}
-    return fascicle.fit(HEART, analysis.target, out / "study", parameters=fixed, progress=progress)
+    return fascicle.fit(
+        DEMO_HEART, analysis.target, out / "study", parameters=fixed, progress=progress
+    )
 
 
 def treat_block(
@@ -42,15 +44,18 @@ def treat_block(
     ``report.html``; run again, the study resumes. The last of what is returned is by how much each
     pacing shortens the total activation time (ms) in truth.
     """
-    model = fascicle.ForwardModel(HEART, progress=progress)
-    truth = {**fascicle.example_parameters(model), "conduction": float(CONDUCTION.index(BLOCK))}
+    model = fascicle.ForwardModel(DEMO_HEART, progress=progress)
+    truth = {
+        **fascicle.example_parameters(model),
+        "conduction": float(CONDUCTION.index(DEMO_BLOCK)),
+    }
     scenarios = fascicle.read_scenarios(PACINGS)
     beat, *paced = (_simulated(model, truth, case) for case in (None, *scenarios.values()))
     reductions = [beat.total_activation_time - each.total_activation_time for each in paced]
     out.mkdir(parents=True, exist_ok=True)
     write_ecg(out / "ecg.csv", beat.ecg)
     analysis = _analysed(out / "ecg.csv", out)
-    fitted = fascicle.fit(HEART, analysis.target, out / "study", progress=progress)
+    fitted = fascicle.fit(DEMO_HEART, analysis.target, out / "study", progress=progress)
     networks = fitted.networks(progress)
     predicted = fascicle.predict(fitted, scenarios, progress, networks)
     write_prediction(fitted, predicted, out / "pacings", progress=progress)

@@ -23,8 +23,12 @@ FRANK: dict[str, dict[str, float]] = {
     "Z": {"A": 0.133, "M": 0.736, "I": -0.264, "E": -0.374, "C": -0.231},
 }
 FRANK_ELECTRODES = tuple(sorted({name for lead in FRANK.values() for name in lead}))
-POSTERIOR, RIGHT = ("V7", "V8", "V9"), ("V2R", "V3R", "V4R", "V5R", "V6R")
-ADDITIONAL_LEADS: tuple[str, ...] = (*POSTERIOR, *RIGHT, *FRANK)  # that have a standard name
+POSTERIOR_LEADS, RIGHT_LEADS = ("V7", "V8", "V9"), ("V2R", "V3R", "V4R", "V5R", "V6R")
+ADDITIONAL_LEADS: tuple[str, ...] = (
+    *POSTERIOR_LEADS,
+    *RIGHT_LEADS,
+    *FRANK,
+)  # that have a standard name
 
 
 def additional_leads(electrodes: Sequence[str]) -> dict[str, Mapping[str, float]]:

@@ -30,7 +30,7 @@ from fascicle.core.quantities import (
     quantity,
     torso_values,
 )
-from fascicle.forward.ecg.electrocardiogram import STEP
+from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP
 from fascicle.forward.example import example_parameters
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.primitives import His, SlowConduction, Stimulus
@@ -278,7 +278,7 @@ class Session:
             target, alignment = self.recording.target, self.recording.align(found.leads)
             under = self.recording.predicted(found.leads, alignment)
             first = alignment.shift - target.qrs_samples.start - found.first_activation
-            said["ecg_start"] = first * STEP
+            said["ecg_start"] = first * SAMPLE_STEP
             said["explained"] = 1 - alignment.loss / self.recording.null_loss
             arrays["simulated"] = under[: len(LEADS)].astype("<f4")
             arrays["recorded"] = target.mean[: len(LEADS)].astype("<f4")

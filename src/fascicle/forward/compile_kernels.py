@@ -19,7 +19,7 @@ from fascicle.purkinje.growth import GrowthRules, grow_from_parameters
 from fascicle.purkinje.tree import InvalidTree
 
 SILENCE = 1.0  # s before the first report of progress; kernels that were ran before take less
-STEPS = 4
+COMPILED_PARTS = 4
 
 _compiled = False  # in this process
 
@@ -38,7 +38,7 @@ def compile_kernels(progress: Progress) -> None:
     def report() -> None:
         nonlocal is_slow
         is_slow = True
-        progress("compilation", finished, STEPS, "once on this machine")
+        progress("compilation", finished, COMPILED_PARTS, "once on this machine")
 
     timer = Timer(SILENCE, report)
     timer.start()

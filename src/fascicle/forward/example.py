@@ -12,7 +12,7 @@ from fascicle.purkinje.tree import FEW_JUNCTIONS, InvalidTree
 
 SUBJECT = "camps-dti004"  # whose network is of human anatomy, and whose ECG is normal
 SHORTER = 0.9  # of what fits
-SHORTEST = 0.1  # mm
+SHORTEST_LENGTH = 0.1  # mm
 MOST_TRIES = 40
 
 
@@ -54,7 +54,7 @@ def example_parameters(model: ForwardModel) -> dict[str, float]:
         grown = model.grow(found)
         if isinstance(grown, InvalidTree):
             part = "initial_length" if grown.branch == 0 else f"fascicle_length_{grown.branch}"
-            found[f"{grown.side}_{part}"] = max(SHORTER * grown.grown, SHORTEST)
+            found[f"{grown.side}_{part}"] = max(SHORTER * grown.grown, SHORTEST_LENGTH)
             continue
         junctions = {tree.side: len(tree.junctions) for tree in grown}
         if min(junctions.values()) > most:

@@ -47,11 +47,11 @@ from fascicle.kernels.gaussian import integrated
 from fascicle.recording.target import Target, residual_covariance
 
 MARGIN = 40  # samples (ms) of silence on either side of the QRS
-STEP = 3  # ms between shifts
+SHIFT_STEP = 3  # ms between shifts
 HALF_PERIOD = 20.0  # ms; of the fastest cosine
 AFTER_ONSET = 3.0  # ms; SD of the first activation about the onset, besides the onset's own
 CORRELATED = (12.0, 4.0)  # ms; of the smooth and the rough half of the discrepancy
-OWN = 0.5  # share of the discrepancy that is each lead's own
+LEAD_SHARE = 0.5  # share of the discrepancy that is each lead's own
 SHARES = np.geomspace(0.1, 0.4, 4)  # of the recorded QRS (root mean square): the discrepancy's
 
 
@@ -113,8 +113,8 @@ class Fit:
     log_likelihood : float
         Of V̂, in coefficients (1/mV each).
     shifts : (n_shifts,) array
-        Samples of the simulation at which the window of the cosines may begin, `STEP` apart: the
-        cosines are so slow that the sum over them is as good as the integral.
+        Samples of the simulation at which the window of the cosines may begin, `SHIFT_STEP` apart:
+        the cosines are so slow that the sum over them is as good as the integral.
     weights : (n_scales, n_shifts) array
         Posterior probability of each pair of discrepancy and shift; they add up to 1.
     """
@@ -215,7 +215,7 @@ class QrsLikelihood:
         """
         begin, end = first_activation - MARGIN + self._steps[[0, -1]]
         samples = placed(leads, begin, self.length + round(end - begin), self.target.response)
-        windows = sliding_window_view(samples, self.length, axis=1)[:, ::STEP]
+        windows = sliding_window_view(samples, self.length, axis=1)[:, ::SHIFT_STEP]
         found = np.ascontiguousarray(windows) @ self.modes  # (12 + k, n_shifts, n_modes)
         mixed = [found, *np.tensordot(self.bodies, found, 1)]
         basis = self._diagonal[0]
@@ -237,8 +237,8 @@ class QrsLikelihood:
     @cached_property
     def _steps(self) -> Floats:
         """Shifts (ms) about the first activation at the recorded onset."""
-        reach = math.ceil(3.0 * self._onset_sd / STEP) * STEP
-        return np.arange(-reach, reach + 1.0, STEP)
+        reach = math.ceil(3.0 * self._onset_sd / SHIFT_STEP) * SHIFT_STEP
+        return np.arange(-reach, reach + 1.0, SHIFT_STEP)
 
     @cached_property
     def _log_priors(self) -> Floats:
@@ -308,11 +308,11 @@ def constants() -> dict[str, float | str]:
         "name": QrsLikelihood.__name__,
         "margin_ms": MARGIN,
         "half_period_ms": HALF_PERIOD,
-        "shift_step_ms": STEP,
+        "shift_step_ms": SHIFT_STEP,
         "first_activation_sd_ms": AFTER_ONSET,
         "discrepancy_shares": " ".join(f"{share:.3g}" for share in SHARES),
         "discrepancy_correlations_ms": " ".join(f"{each:g}" for each in CORRELATED),
-        "discrepancy_of_each_lead": OWN,
+        "discrepancy_of_each_lead": LEAD_SHARE,
     }
 
 
@@ -361,7 +361,7 @@ def separable(leads: Floats, time: Floats, modes: Floats) -> Floats:
     return np.asarray(np.kron(leads, modes.T @ time @ modes))
 
 
-def lead_pattern(signals: Sequence[Floats], own: float = OWN) -> Floats:
+def lead_pattern(signals: Sequence[Floats], own: float = LEAD_SHARE) -> Floats:
     """Correlation of leads of differences between simulations (n_leads, n), of unit mean.
 
     `own` is the share of the variance that is each lead's own, such as by its electrode's place.

@@ -19,7 +19,7 @@ from fascicle.core.arrays import Complexes, Floats
 
 UPSAMPLING = 4  # of the correlation, before its highest point is refined
 NEWTON_STEPS = 4  # that refine it; three reach rounding
-RINGING = 200  # samples before and after a simulation for what filters spread
+FILTER_PADDING = 200  # samples before and after a simulation for what filters spread
 
 # Gain of filters at frequencies of shape (k,), in cycles per sample
 Response = Callable[[Floats], Floats]
@@ -92,7 +92,7 @@ def align(
     size = 2 * (spectrum.shape[1] - 1)
     product = (np.conj(rfft(recorded, size)) * spectrum).sum(axis=0)
     shift = _highest(product)
-    if shift > simulated.shape[1] + RINGING:  # stands for the time before the simulation
+    if shift > simulated.shape[1] + FILTER_PADDING:  # stands for the time before the simulation
         shift -= size
     shifted = _shifted(spectrum, shift)
     gain = 1.0
@@ -125,7 +125,7 @@ def _mean_square(leads: Floats) -> Floats:
 
 def _spectrum(simulated: Floats, length: int, response: Response | None) -> Complexes:
     """Filtered spectrum, of so many samples that no shift wraps it onto `length` of them."""
-    size = 2 * next_fast_len((simulated.shape[1] + length) // 2 + RINGING)
+    size = 2 * next_fast_len((simulated.shape[1] + length) // 2 + FILTER_PADDING)
     spectrum = rfft(simulated, size)
     if response is not None:
         spectrum *= response(_frequencies(spectrum))

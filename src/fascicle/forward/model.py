@@ -55,7 +55,7 @@ from fascicle.torso.variation.conductor import InvalidTorso
 from fascicle.torso.variation.response import TorsoResponse
 
 REMEMBERED = 8  # grown networks that are kept, in case only speeds and times change next
-TISSUES = 6  # tissues that are kept; each takes the memory of a heart, or half of it on disk
+TISSUES_KEPT = 6  # tissues that are kept; each takes the memory of a heart, or half of it on disk
 
 SCENARIO = "a fascicle.Scenario; fascicle.read_scenarios reads them"  # what to give
 
@@ -152,7 +152,7 @@ class ForwardModel:
         self.myocardium = prepared.myocardium
         self._grow = lru_cache(REMEMBERED)(partial(_grow_trees, prepared))
         self._kept: set[Conduction] = set()
-        self._tissue = made_once(self._made_tissue, TISSUES)
+        self._tissue = made_once(self._made_tissue, TISSUES_KEPT)
         self.sites = Sites(heart)
         self._progress = progress
         self._torso: TorsoModel | None = None
@@ -346,7 +346,7 @@ class ForwardModel:
                 build,
                 lambda made: made.travel_times._asdict(),  # nine tenths of the work
                 lambda arrays: build(table=TravelTimeTable(**arrays)),
-                most=TISSUES,
+                most=TISSUES_KEPT,
             )
         else:
             myocardium = build()

@@ -50,7 +50,7 @@ def tables() -> dict[str, type[Table]]:
 
 
 # Abbreviations for scenarios of the library, as `plain_name` gives them
-ALIASES = {
+SCENARIO_ALIASES = {
     "lbbb": "left-bundle-branch-block", "rbbb": "right-bundle-branch-block",
     "lafb": "left-anterior-fascicular-block", "lpfb": "left-posterior-fascicular-block",
     "crt": "biventricular-pacing", "biv": "biventricular-pacing", "bivp": "biventricular-pacing",
@@ -88,7 +88,7 @@ def find_scenario(name: str) -> Path:
     if name in known:
         return known[name]
     if not path.exists() and path.name == name and not path.suffix:
-        hint = did_you_mean(name, known, ALIASES.items())
+        hint = did_you_mean(name, known, SCENARIO_ALIASES.items())
         raise InputError(
             f"there is no scenario '{name}'; {hint + ' ' if hint else ''}'fascicle scenarios' "
             "lists them; a file of your own ends in .toml"

@@ -17,14 +17,14 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import as_path
 from fascicle.core.leads import LEADS
 from fascicle.core.ranges import check_kind, short_repr
-from fascicle.forward.ecg.electrocardiogram import STEP
+from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP
 from fascicle.forward.eikonal.activation import Activation
 from fascicle.heart.heart import Heart
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.recording.criteria import Criterion, conventional_criteria, frontal_axis
 from fascicle.recording.window import QrsWindows, qrs_windows
 
-LONGEST = 100_000.0  # ms that an activation may take; more is a mistake, and much memory
+LONGEST_ACTIVATION = 100_000.0  # ms that an activation may take; more is a mistake, and much memory
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class SimulatedBeat:
     @cached_property
     def ecg(self) -> xr.DataArray:
         """All leads (mV) with their names: dimensions ``lead`` and ``time`` (ms)."""
-        time = self.onset + np.arange(self.leads.shape[1]) * STEP
+        time = self.onset + np.arange(self.leads.shape[1]) * SAMPLE_STEP
         coords = {"lead": list(self.lead_names), "time": time}
         ecg = xr.DataArray(
             self.leads, coords=coords, dims=("lead", "time"), name="ecg", attrs={"units": "mV"}
@@ -67,7 +67,7 @@ class SimulatedBeat:
     @property
     def first_activation(self) -> float:
         """Sample of `leads` at which the first vertex activates; may lie between samples."""
-        return float((self.activation.min() - self.onset) / STEP)
+        return float((self.activation.min() - self.onset) / SAMPLE_STEP)
 
     @property
     def total_activation_time(self) -> float:
@@ -90,13 +90,13 @@ class SimulatedBeat:
         That of the window that all leads together decide; clinics measure `global_qrs_duration`.
         """
         onset, offset = self._qrs_windows.window
-        return (offset - onset) * STEP
+        return (offset - onset) * SAMPLE_STEP
 
     @property
     def global_qrs_duration(self) -> float:
         """Global QRS duration (ms), that of the outermost leads, by the rule for recordings."""
         onset, offset = self._qrs_windows.global_window
-        return (offset - onset) * STEP
+        return (offset - onset) * SAMPLE_STEP
 
     @property
     def frontal_axis(self) -> float:
@@ -197,8 +197,8 @@ def check_activation(times: Floats) -> None:
         raise InputError(
             "nothing activates the myocardium; let a root fire, unblock a bundle, or add a stimulus"
         )
-    if np.ptp(reached) > LONGEST:
+    if np.ptp(reached) > LONGEST_ACTIVATION:
         raise InputError(
             f"activation takes {np.ptp(reached):.3g} ms from first to last, more than "
-            f"{LONGEST:g}; check speeds, delays and times of stimuli"
+            f"{LONGEST_ACTIVATION:g}; check speeds, delays and times of stimuli"
         )

@@ -25,7 +25,7 @@ from fascicle.torso.variation.conductor import InvalidTorso, build_conductor
 from fascicle.torso.variation.response import TorsoResponse
 from fascicle.torso.variation.training import build_response
 
-SEED = 0  # of the torsos that are solved: the same in every run
+TORSO_SEED = 0  # of the torsos that are solved: the same in every run
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def prepare_response(
         torso = torso_of(heart, stage_progress(progress, "torso", ONCE))
         conductor = build_conductor(heart, torso, conduction)
         report = stage_progress(progress, "torso response", ONCE)
-        return build_response(conductor, np.random.default_rng(SEED), report)
+        return build_response(conductor, np.random.default_rng(TORSO_SEED), report)
 
     return cached(
         heart, conduction, "body", make, TorsoResponse.arrays, lambda a: TorsoResponse(**a)

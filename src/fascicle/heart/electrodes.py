@@ -13,7 +13,14 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file, write_text
-from fascicle.core.leads import ELECTRODES, FRANK, FRANK_ELECTRODES, LEADS, POSTERIOR, RIGHT
+from fascicle.core.leads import (
+    ELECTRODES,
+    FRANK,
+    FRANK_ELECTRODES,
+    LEADS,
+    POSTERIOR_LEADS,
+    RIGHT_LEADS,
+)
 from fascicle.core.ranges import check_position, shown
 
 Electrodes = dict[str, Floats]  # positions (3,) by name, mm
@@ -35,7 +42,8 @@ def read_electrodes(path: Path | str) -> tuple[Floats, Electrodes]:
         raise InputError(f"{path}: not a text file; give electrodes as CSV or JSON") from None
     rows = _rows_of_json(path, text) if path.suffix.lower() == ".json" else _rows_of_csv(path, text)
     canonical = {
-        name.upper(): name for name in (*ELECTRODES, *FRANK_ELECTRODES, *POSTERIOR, *RIGHT)
+        name.upper(): name
+        for name in (*ELECTRODES, *FRANK_ELECTRODES, *POSTERIOR_LEADS, *RIGHT_LEADS)
     }
     of_leads = {name.upper() for name in (*LEADS[:6], *FRANK)} - set(FRANK_ELECTRODES)
     positions: dict[str, list[float]] = {}

@@ -45,13 +45,13 @@ class Label(IntEnum):
 
 BASAL = (Label.BASE, Label.MITRAL, Label.AORTIC, Label.TRICUSPID, Label.PULMONARY)
 ENDOCARDIA = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
-NEEDED = (Label.BASE, Label.EPICARDIUM, Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
+NEEDED_LABELS = (Label.BASE, Label.EPICARDIUM, Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
 
 
 def missing_parts(labels: Integers) -> list[str]:
     """Names of the parts that no triangle is labelled as; a valve opening counts as base."""
     present = {Label.BASE if label in BASAL else label for label in np.unique(labels)}
-    return [label.words for label in NEEDED if label not in present]
+    return [label.words for label in NEEDED_LABELS if label not in present]
 
 
 class _Labelled:

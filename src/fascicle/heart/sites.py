@@ -47,7 +47,7 @@ RIGHT_SITES = ("rv apex", "rv septum", "rv outflow tract", "rv free wall")
 # mm below the left root, on the endocardium
 LEFT_SITES = {"left bundle": 5.0, "left septum": 15.0}
 # Other names of sites, as `plain_name` gives them
-ALIASES = {
+SITE_ALIASES = {
     "rvot": "rv outflow tract", "rvoutflow": "rv outflow tract", "rightventricularapex": "rv apex",
     "rightseptum": "rv septum", "lbb": "left bundle", "leftbundlebranch": "left bundle",
     "lvseptum": "left septum",
@@ -185,7 +185,7 @@ class Sites:
             return self._on_the_right(name)
         names = [*LEFT_SITES, *RIGHT_SITES, *(f"{segment} {LAYERS[0]}" for segment in SEGMENTS)]
         layers = [(plain_name(s), f"{s} {layer}") for s in SEGMENTS for layer in LAYERS]
-        hint = did_you_mean(name, names, [*ALIASES.items(), *layers])
+        hint = did_you_mean(name, names, [*SITE_ALIASES.items(), *layers])
         raise InputError(
             f"there is no site '{spelling}'; {f'{hint} Sites' if hint else 'sites'} are "
             f"{', '.join((*LEFT_SITES, *RIGHT_SITES))}, and segments with a layer, such as "

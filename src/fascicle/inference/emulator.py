@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 Singles = NDArray[np.float32]
 
-BATCH = 256  # examples in a step
+BATCH_EXAMPLES = 256  # examples in a step
 RATE, DECAY = 2e-3, 0.01  # largest learning rate; weight decay relative to it
 MOMENTS = (0.9, 0.99)  # Adam's memory of gradients and of their squares
 
@@ -153,7 +153,7 @@ def train(
     width, blocks : int
         Size of the hidden layers, and how many of them are residual.
     steps : int
-        Number of steps, of `BATCH` examples each.
+        Number of steps, of `BATCH_EXAMPLES` examples each.
     begin : Network, optional
         Network to train further; by default the weights are drawn at random.
     rate : float
@@ -173,9 +173,9 @@ def train(
     means, squares = ([np.zeros_like(w) for w in weights] for _ in range(2))
     order = np.empty(0, int)
     for step in range(1, steps + 1):
-        if len(order) < BATCH:
+        if len(order) < BATCH_EXAMPLES:
             order = np.concatenate([order, rng.permutation(len(inputs))])
-        batch, order = order[:BATCH], order[BATCH:]
+        batch, order = order[:BATCH_EXAMPLES], order[BATCH_EXAMPLES:]
         kept = [*_forward(weights, inputs[batch])]
         raw_outputs = kept[-1][0] @ weights[-2] + weights[-1]
         slope = link(raw_outputs) - outputs[batch]  # of the link's loss in `raw_outputs`

@@ -7,7 +7,7 @@ import numpy as np
 
 from fascicle.kernels.jit import allocating_kernel
 
-BLOCK = 64  # models at once: in single precision their sums stay in the first-level cache
+MODELS_AT_ONCE = 64  # models at once: in single precision their sums stay in the first-level cache
 
 fused_kernel = partial(allocating_kernel, fastmath={"contract"}, error_model="numpy")
 
@@ -36,11 +36,11 @@ def integrated(models, first_sd, data, weights, constants, logs):
     """
     count, length, model_count = models.shape
     scales = len(weights)
-    rows = np.zeros((count + 1, BLOCK), models.dtype)  # columns of X, and the residual
-    sums = np.empty(((count + 1) * (count + 2) // 2, scales, BLOCK), models.dtype)
-    work, determinant = np.empty((2, BLOCK), models.dtype), np.empty(BLOCK)
-    for begin in range(0, model_count, BLOCK):
-        size = min(BLOCK, model_count - begin)
+    rows = np.zeros((count + 1, MODELS_AT_ONCE), models.dtype)  # columns of X, and the residual
+    sums = np.empty(((count + 1) * (count + 2) // 2, scales, MODELS_AT_ONCE), models.dtype)
+    work, determinant = np.empty((2, MODELS_AT_ONCE), models.dtype), np.empty(MODELS_AT_ONCE)
+    for begin in range(0, model_count, MODELS_AT_ONCE):
+        size = min(MODELS_AT_ONCE, model_count - begin)
         sums[:] = 0
         for i in range(length):
             for j in range(size):
@@ -59,15 +59,15 @@ def integrated(models, first_sd, data, weights, constants, logs):
 
 @fused_kernel()
 def _add_products(rows, weights, work, sums):
-    """Add weighted products of each pair of rows (r, BLOCK), the upper triangle row by row."""
+    """Add weighted products of pairs of rows (r, MODELS_AT_ONCE), the upper triangle by rows."""
     place = 0
     for row in range(len(rows)):
         for other in range(row, len(rows)):
-            for j in range(BLOCK):
+            for j in range(MODELS_AT_ONCE):
                 work[j] = rows[row, j] * rows[other, j]
             for scale in range(len(weights)):
                 weight = weights[scale]
-                for j in range(BLOCK):
+                for j in range(MODELS_AT_ONCE):
                     sums[place, scale, j] += weight * work[j]
             place += 1
 
@@ -83,15 +83,15 @@ def _eliminate(sums, count, work, determinant):
     start = 0
     for column in range(count):
         width = count + 1 - column
-        for j in range(BLOCK):
+        for j in range(MODELS_AT_ONCE):
             pivot[j] = 1 + sums[start, j]
             determinant[j] *= pivot[j]
         place = start + width
         for other in range(1, width):
-            for j in range(BLOCK):
+            for j in range(MODELS_AT_ONCE):
                 ratio[j] = sums[start + other, j] / pivot[j]
             for last in range(other, width):
-                for j in range(BLOCK):
+                for j in range(MODELS_AT_ONCE):
                     sums[place, j] -= ratio[j] * sums[start + last, j]
                 place += 1
         start += width

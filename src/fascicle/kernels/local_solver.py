@@ -17,14 +17,14 @@ from fascicle.kernels.jit import kernel
 
 # A determinant below this fraction of the product of the diagonal: the point lies in the face, the
 # inside of which is then not used. Meshes with flat elements are refused when they are read.
-FLAT = 1e-14
+FLAT_ELEMENT = 1e-14
 
 
 @kernel(inline="always")
 def from_edge(a11, a12, a22, t1, t2):
     """Earliest arrival (ms) through the inside of an edge; inf where the minimum is at an end."""
     det = a11 * a22 - a12 * a12
-    if det <= FLAT * a11 * a22:
+    if det <= FLAT_ELEMENT * a11 * a22:
         return np.inf
     q11, q12, q22 = a22, -a12, a11  # det·Q, so that a, b, c carry a factor det
     s1, s2 = q11 + q12, q12 + q22
@@ -55,7 +55,7 @@ def from_inside_face(gram, times):
     q12 = a13 * a23 - a12 * a33
     q13 = a12 * a23 - a13 * a22
     det = a11 * q11 + a12 * q12 + a13 * q13
-    if det <= FLAT * a11 * a22 * a33:
+    if det <= FLAT_ELEMENT * a11 * a22 * a33:
         return np.inf
     q22 = a11 * a33 - a13 * a13
     q23 = a12 * a13 - a11 * a23
@@ -105,7 +105,7 @@ def _along_edge(ss, jj, sj, tj):
     det = ss * jj - aj * aj
     mu = ((ss - aj) * tj + math.sqrt(det * (sj - tj * tj))) / sj
     inside = ((jj - aj) * mu + aj * tj >= 0.0) & ((ss - aj) * mu - ss * tj >= 0.0)
-    return mu if inside & (det > FLAT * ss * jj) else np.inf
+    return mu if inside & (det > FLAT_ELEMENT * ss * jj) else np.inf
 
 
 @kernel(inline="always", error_model="numpy")

@@ -20,7 +20,7 @@ SETTLED = 1e-10
 # A slope of the times in an element that exceeds 1 by less is rounding.
 STEEP = 1.0 + 1e-12
 
-BATCH = 8  # vertices worked on at a time, at most; a power of 2
+VERTICES_AT_ONCE = 8  # vertices worked on at a time, at most; a power of 2
 
 # Cache lines prefetched: as many as most vertices' lists take. A loop as long as a list is dearer.
 LINK_LINES, STAR_LINES = 4, 8
@@ -32,10 +32,10 @@ PAIRS = np.array(
     [[0, 1, 2, 3, 4, 5], [0, 3, 4, 1, 2, 5], [1, 3, 5, 0, 2, 4], [2, 4, 5, 0, 1, 3]], np.uint32
 )
 
-# COLUMNS[s, k]: the columns of `EikonalMesh.solver` with what `from_new_corner` is given for the
-# face of corner s opposite to a, b or c: products, and all squares but the one of the far edge
+# SOLVER_COLUMNS[s, k]: the columns of `EikonalMesh.solver` with what `from_new_corner` is given for
+# the face of corner s opposite to a, b or c: products, and all squares but the one of the far edge
 _PAIRS_FROM = PAIRS[:, PAIRS[1:]]
-COLUMNS = np.ascontiguousarray(
+SOLVER_COLUMNS = np.ascontiguousarray(
     np.concatenate([_PAIRS_FROM, _PAIRS_FROM[:, :, :5] + np.uint32(SQUARES)], axis=2)
 )
 
@@ -48,17 +48,20 @@ LANES = 8  # in a block: as many as the widest registers hold
 
 # Rows of a block of faces s, j, k opposite to a corner: what `from_new_corner` is given, products
 # and squares first, and its result
-SHAPE = COLUMNS.shape[2]  # how many products and squares
-TJ, TK, DELAY = SHAPE * LANES, (SHAPE + 1) * LANES, (SHAPE + 2) * LANES
-FACES_BLOCK = (SHAPE + 3) * LANES
+TERMS = SOLVER_COLUMNS.shape[2]  # how many products and squares
+TJ, TK, FROM_CORNER = TERMS * LANES, (TERMS + 1) * LANES, (TERMS + 2) * LANES
+FACES_BLOCK = (TERMS + 3) * LANES
 
 # A chosen element in one number: from the lowest bits on, which corners may be lowered (the sum of
 # 1, 2 and 4), the vertex's place in the batch, and the element's place in `EikonalMesh.star`
 CORNERS_MASK, SLOT_BITS = np.uint64(7), np.uint64(3)
-SLOT_MASK, ITEM_BITS = np.uint64(BATCH - 1), np.uint64(3 + (BATCH - 1).bit_length())
+SLOT_MASK, ITEM_BITS = (
+    np.uint64(VERTICES_AT_ONCE - 1),
+    np.uint64(3 + (VERTICES_AT_ONCE - 1).bit_length()),
+)
 
 # Raised by this share of its size, a number rounded to single precision is no less than before
-UP = np.float32(2.0**-22)
+ROUNDING = np.float32(2.0**-22)
 
 
 @kernel()
@@ -106,7 +109,7 @@ def _through_edges(node, at, mesh, front, size):
             size = lower(other, nodes, front.queue, size)
         later = np.float32(time - now)
         around.time[at + k] = time
-        around.near[at + k].later = later + abs(later) * UP
+        around.near[at + k].later = later + abs(later) * ROUNDING
         around.near[at + k].lends = nodes[other].bucket == NOT_QUEUED
     return size
 
@@ -189,8 +192,8 @@ def _lay_out_faces(n, room, mesh, around):
         at = slot * room
         t, s = row.item >> PLACE_BITS, row.item & PLACE_MASK
         lane = (i // LANES) * FACES_BLOCK + i % LANES
-        for m in range(SHAPE):
-            f[lane + m * LANES] = mesh.solver[t, COLUMNS[s, k, m]]
+        for m in range(TERMS):
+            f[lane + m * LANES] = mesh.solver[t, SOLVER_COLUMNS[s, k, m]]
         now = around.now[slot]
         at_j = at + (row.b if k == 0 else row.a)
         at_k = at + (row.b if k == 2 else row.c)
@@ -210,7 +213,7 @@ def _delays(f):
             f[9 * LANES + i], f[10 * LANES + i],
         )  # fmt: skip
         tj, tk = f[TJ + i], f[TK + i]
-        f[DELAY + i] = from_new_corner(products, squares, tj, tk, tj < np.inf, tk < np.inf)
+        f[FROM_CORNER + i] = from_new_corner(products, squares, tj, tk, tj < np.inf, tk < np.inf)
 
 
 @kernel(inline="always")
@@ -222,7 +225,7 @@ def _take(n, mesh, front, size):
         row, slot = _unpacked(element, mesh)
         node = around.batch[slot]
         lane = (i // LANES) * FACES_BLOCK + i % LANES
-        arrival = around.now[slot] + around.faces[lane + DELAY]
+        arrival = around.now[slot] + around.faces[lane + FROM_CORNER]
         first = mesh.link_start[node]
         place = row.a if k == 0 else (row.b if k == 1 else row.c)
         other = np.int64(mesh.link[first + place].vertex)

@@ -33,7 +33,7 @@ from fascicle.study.study import is_finished
 
 PATIENTS, STUDIES = "patients", "studies"  # folders of a cohort
 OUTCOME = "outcome.json"  # in a patient's folder
-NEEDED = ("patient", "heart", "recording")  # columns
+NEEDED_COLUMNS = ("patient", "heart", "recording")  # columns
 
 
 @dataclass(frozen=True)
@@ -186,13 +186,13 @@ def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
         raise FileError(
             f"{path}: is not a table in text ({one_line(error)}); save it as CSV (UTF-8)"
         ) from None
-    allowed = (*NEEDED, "scenario", "settings", *FitSettings.model_fields)
+    allowed = (*NEEDED_COLUMNS, "scenario", "settings", *FitSettings.model_fields)
     wrong = [name for name in columns if name not in allowed or columns.count(name) > 1]
-    wrong += [name for name in NEEDED if name not in columns]
+    wrong += [name for name in NEEDED_COLUMNS if name not in columns]
     if wrong:
         raise FileError(
             f"{path}, line 1: column {shown(wrong[0])} is unknown, missing or there twice; name "
-            f"each column there, such as {','.join(NEEDED)}; known are {', '.join(allowed)}"
+            f"each column there, such as {','.join(NEEDED_COLUMNS)}; known are {', '.join(allowed)}"
         )
     for number, cells in lines:
         if None in cells or None in cells.values():  # one too many, or too few
@@ -205,7 +205,7 @@ def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
 
 
 def _patient(folder: Path, cells: Mapping[str, str], cohort: Path) -> Patient:
-    for name in NEEDED:
+    for name in NEEDED_COLUMNS:
         if name not in cells:
             raise FileError(f"no {name} is given; fill the cell")
     # valid as a folder name on every system, and unescaped in a link

@@ -18,7 +18,7 @@ from fascicle.prediction.scenarios import INTRINSIC
 from fascicle.recording.window import OFFSET_ERROR, ONSET_ERROR
 
 SIGNED = ("lv_rv_delay",)
-FEWEST = 20  # independent networks below which no correlation is reported
+FEWEST_INDEPENDENT = 20  # independent networks below which no correlation is reported
 # Further measurements, with their standard deviations: an ECG during right ventricular pacing, with
 # the uncertainty of its QRS window; electrograms of the intrinsic beat, with some 5 ms for the
 # activation time within them.
@@ -100,10 +100,10 @@ class Comparison:
         """Share of the reduction's variance, in ranks, that each parameter alone explains.
 
         Squared rank correlations, adjusted for the effective number of networks, the largest first;
-        empty below `FEWEST`. Strongly correlated parameters each have the shared part; joint
-        effects of several parameters are in none. `parameters` has the values (n,) in the networks.
+        empty below `FEWEST_INDEPENDENT`. Strongly correlated parameters each have the shared part;
+        joint effects of several are in none. `parameters` has the values (n,) in the networks.
         """
-        if self.effective < FEWEST:
+        if self.effective < FEWEST_INDEPENDENT:
             return []
         shares = {name: self._explained_by(values) for name, values in parameters.items()}
         return sorted(shares.items(), key=lambda item: -item[1])
@@ -119,7 +119,7 @@ class Comparison:
         """
         measurements = []
         for (scenario, index), error in MEASURABLE.items():
-            if scenario in predicted and self.effective >= FEWEST:
+            if scenario in predicted and self.effective >= FEWEST_INDEPENDENT:
                 values = predicted[scenario].indices[index]
                 seen = float(np.var(values) / (np.var(values) + error**2))
                 measurements.append((scenario, index, seen * self._explained_by(values)))

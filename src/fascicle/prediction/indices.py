@@ -15,7 +15,7 @@ from fascicle.core import above
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.leads import LEADS
 from fascicle.core.ranges import check_kind
-from fascicle.forward.ecg.electrocardiogram import STEP
+from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP
 from fascicle.forward.simulation import Simulation
 from fascicle.heart.fibres import Wall
 from fascicle.heart.heart import Heart
@@ -129,18 +129,18 @@ def _of_ecg(simulation: Simulation, stimulus: float | None) -> dict[str, float]:
     onset, offset = qrs_window(leads)
     loop = vectorcardiogram(leads[:, onset : offset + 1])
     v6, v1 = (_r_peak(leads[LEADS.index(name), onset : offset + 1]) for name in ("V6", "V1"))
-    since = np.nan if stimulus is None else simulation.onset + onset * STEP - stimulus
+    since = np.nan if stimulus is None else simulation.onset + onset * SAMPLE_STEP - stimulus
     return {
-        "qrs_duration": (offset - onset) * STEP,
+        "qrs_duration": (offset - onset) * SAMPLE_STEP,
         "global_qrs_duration": simulation.global_qrs_duration,
-        "qrs_from_stimulus": since + (offset - onset) * STEP,
+        "qrs_from_stimulus": since + (offset - onset) * SAMPLE_STEP,
         "v6_r_wave_peak_time": since + v6,
         "v6_v1_interpeak_interval": v1 - v6,
-        "qrs_area": float(np.linalg.norm(loop.sum(axis=1)) * STEP),  # 1 mV ms is 1 µVs
+        "qrs_area": float(np.linalg.norm(loop.sum(axis=1)) * SAMPLE_STEP),  # 1 mV ms is 1 µVs
     }
 
 
 def _r_peak(potential: Floats) -> float:
     """Time of the largest potential of a lead (ms), from its first sample; NaN without R wave."""
     peak = int(np.argmax(potential))
-    return peak * STEP if potential[peak] >= SMALLEST_R else np.nan
+    return peak * SAMPLE_STEP if potential[peak] >= SMALLEST_R else np.nan

@@ -13,7 +13,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
 from fascicle.core.ranges import check_items, check_kind, check_text
-from fascicle.forward.ecg.electrocardiogram import STEP
+from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP
 from fascicle.forward.loss import Response, placed
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
@@ -229,4 +229,4 @@ def qrs_aligned(*predicted: Predicted) -> tuple[Floats, list[Floats]]:
         ):
             begin = RINGING + onset - LEAD_IN
             ecg[:] = np.pad(beat.filtered, ((0, 0), (0, length)))[:, begin : begin + length]
-    return np.asarray((np.arange(length) - LEAD_IN) * STEP, dtype=np.float64), ecgs
+    return np.asarray((np.arange(length) - LEAD_IN) * SAMPLE_STEP, dtype=np.float64), ecgs

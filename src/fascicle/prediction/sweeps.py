@@ -17,9 +17,9 @@ from fascicle.prediction.scenarios import check_population, simulate_scenarios
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import evenly_spread
 
-MOST = 200  # scenarios in a sweep
+MOST_SCENARIOS = 200  # scenarios in a sweep
 SEGMENT = "segment"
-DELAY = "delay of the last stimulus after the first (ms)"
+STIMULUS_DELAY = "delay of the last stimulus after the first (ms)"
 RADIUS = "capture radius (mm)"
 
 
@@ -81,7 +81,9 @@ def delays(scenario: Scenario, given: str) -> Sweep:
         raise InputError(f"{_called(scenario)}: {len(stimuli)} stimuli; a delay needs two of them")
     begin = min(stimulus.time for stimulus in stimuli[:-1])
     last = stimuli[-1:]
-    return Sweep(DELAY, {d: _changed(scenario, last, time=begin + d) for d in _numbers(given)})
+    return Sweep(
+        STIMULUS_DELAY, {d: _changed(scenario, last, time=begin + d) for d in _numbers(given)}
+    )
 
 
 def segments(scenario: Scenario, layer: str) -> Sweep:
@@ -127,6 +129,8 @@ def _numbers(text: str) -> list[float]:
         count = int((last - first) / step + 1e-9) + 1
     except (ValueError, ZeroDivisionError, OverflowError):
         raise InputError(f"'{text}' is no sweep; give first:last:step, as -60:60:10") from None
-    if step <= 0 or not 2 <= count <= MOST:
-        raise InputError(f"'{text}' has {count} steps; give 2 to {MOST} that go up, as -60:60:10")
+    if step <= 0 or not 2 <= count <= MOST_SCENARIOS:
+        raise InputError(
+            f"'{text}' has {count} steps; give 2 to {MOST_SCENARIOS} that go up, as -60:60:10"
+        )
     return [first + k * step for k in range(count)]

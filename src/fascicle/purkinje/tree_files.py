@@ -39,7 +39,7 @@ from fascicle.mesh.topology import components_of, merged_vertices
 from fascicle.purkinje.tree import PurkinjeTree
 
 FURTHEST_ROOT = 2.0  # mm, between the place given for a root and the tree's nearest node
-SAME_POINT = 1e-4  # mm; ends of polylines closer than this are one node (single precision)
+SAME_NODE = 1e-4  # mm; ends of polylines closer than this are one node (single precision)
 
 
 def write_tree(path: Path, tree: PurkinjeTree, activation: Floats | None = None) -> None:
@@ -120,7 +120,7 @@ def read_tree(
     segments, lengths = _segments(mesh)
     used, compact = np.unique(segments, return_inverse=True)
     nodes, segments = mesh.points[used], compact.reshape(-1, 2)
-    if np.ptp(nodes, axis=0).max() < SAME_POINT:
+    if np.ptp(nodes, axis=0).max() < SAME_NODE:
         raise InputError(f"{path}: every line has length zero; give a tree with branches, in mm")
     if _why_no_tree(segments, len(nodes)):
         nodes, segments, lengths = _merged(nodes, segments, lengths)
@@ -208,7 +208,7 @@ def _merged(points: Floats, segments: Integers, lengths: Floats) -> tuple[Floats
     Only for lines that do not form a tree as they are: polylines often repeat shared points. Two
     nodes of a tree may well lie in one place and be different nodes.
     """
-    kept, number = np.unique(merged_vertices(points, SAME_POINT), return_inverse=True)
+    kept, number = np.unique(merged_vertices(points, SAME_NODE), return_inverse=True)
     segments = number[segments]
     real = segments[:, 0] != segments[:, 1]  # a point repeated along a polyline gives no segment
     return points[kept], segments[real], lengths[real]

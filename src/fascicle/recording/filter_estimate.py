@@ -33,7 +33,7 @@ from fascicle.recording.target_options import TargetOptions
 # Electrocardiographs state where they are 3 dB down (ANSI/AAMI EC11, IEC 60601-2-25), not how
 # steeply they fall from there; an analogue stage of second order is usual.
 RECORDER_ORDER = 2.0
-RESOLUTION, BAND = 0.5, 2.0  # Hz; of the spectrum, by padding, and of one value of the fit
+RESOLUTION, BANDWIDTH = 0.5, 2.0  # Hz; of the spectrum, by padding, and of one value of the fit
 CUTOFFS = (0.7, 1.4)  # range of a fitted cut-off, as shares of the centre of its search
 KNEE = 0.7  # share of that centre at which the line is pinned
 
@@ -122,11 +122,11 @@ def _taper(peak: int, size: int, rate: float) -> Floats:
 def _levels(frequency: Floats, energy: Floats, sampling_rate: float) -> tuple[Floats, Floats]:
     """Middle (Hz) and level (dB) of bands, without those of power-line interference."""
     # below 10 Hz are P and T waves
-    starts = np.arange(10.0, 0.36 * sampling_rate - BAND, BAND)
-    middles = starts + BAND / 2
+    starts = np.arange(10.0, 0.36 * sampling_rate - BANDWIDTH, BANDWIDTH)
+    middles = starts + BANDWIDTH / 2
     lines = np.outer(MAINS, np.arange(1, 11)).ravel()  # with harmonics
     kept = (np.abs(middles[:, None] - lines) > 3.0).all(axis=1)
-    width = round(BAND / RESOLUTION)
+    width = round(BANDWIDTH / RESOLUTION)
     first = np.searchsorted(frequency, starts - RESOLUTION / 2)
     means = np.array([energy[k : k + width].mean() for k in first])
     return middles[kept], 10 * np.log10(means[kept] + 1e-30)

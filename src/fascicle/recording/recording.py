@@ -17,7 +17,7 @@ from fascicle.core.ranges import RANGES, check_array, number, short_repr
 CHECKSUMS_AGREE = "agree"  # provenance "checksums" where those of the file are right
 # ms; longest gap that is interpolated: where a QRS is steepest, it moves the mean of ten beats by
 # 0.02 mV, less than beats vary
-GAP = 10.0
+BRIDGED_GAP = 10.0
 SHORTEST, LONGEST = 0.4, 1800.0  # s; less does not hold a beat, more takes much memory
 
 
@@ -166,9 +166,9 @@ def check_extent(samples: int, sampling_rate: float, source: str) -> None:
 def bridge_gaps(signal: Floats, rate: float, leads: Sequence[str]) -> tuple[Floats, list[str]]:
     """Interpolate a few lost samples of leads (n_leads, n), and cut off ragged ends.
 
-    A cubic spline bridges gaps of at most `GAP` where no more than 1 % of the lead is lost. Where
-    leads begin or end at different times, the time that they share is kept if it is 90 % of the
-    recording. Returned are the leads, and a line for each of these changes.
+    A cubic spline bridges gaps of at most `BRIDGED_GAP` where no more than 1 % of the lead is lost.
+    Where leads begin or end at different times, the time that they share is kept if it is 90 % of
+    the recording. Returned are the leads, and a line for each of these changes.
     """
     from scipy.interpolate import CubicSpline
 
@@ -177,7 +177,7 @@ def bridge_gaps(signal: Floats, rate: float, leads: Sequence[str]) -> tuple[Floa
         recorded = np.flatnonzero(np.isfinite(values))
         lengths = np.diff(recorded) - 1
         lost = int(lengths.sum())
-        if not 0 < lost <= 0.01 * len(recorded) or lengths.max() * 1000.0 > GAP * rate:
+        if not 0 < lost <= 0.01 * len(recorded) or lengths.max() * 1000.0 > BRIDGED_GAP * rate:
             continue
         missing = np.setdiff1d(np.arange(recorded[0], recorded[-1]), recorded)
         values[missing] = CubicSpline(recorded, values[recorded])(missing)

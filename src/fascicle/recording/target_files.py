@@ -22,7 +22,7 @@ from fascicle.recording.target import Target, residual_covariance
 if TYPE_CHECKING:
     import xarray as xr
 
-FORMAT = "fascicle target"
+TARGET_FORMAT = "fascicle target"
 FORMAT_VERSION = 3
 NUMBERS = {  # attribute of the file: field of the target, and whether it is always there
     "qrs_onset_ms": ("qrs_onset", True),
@@ -160,7 +160,7 @@ def _attributes(target: Target) -> dict[str, str | float | int]:
     return {
         "Conventions": "CF-1.11",
         "title": "QRS target: aligned beats of one electrocardiogram",
-        "format": FORMAT,
+        "format": TARGET_FORMAT,
         "format_version": FORMAT_VERSION,
         "software": f"fascicle {version('fascicle')}",
         "comment": (
@@ -210,7 +210,7 @@ def _filters_from(text: object) -> tuple[Filter, ...]:
 def _problems(dataset: xr.Dataset) -> Iterator[str]:
     """Problems of a file; each check may rely on the absence of the problems before it."""
     attributes = dataset.attrs
-    if attributes.get("format") != FORMAT:
+    if attributes.get("format") != TARGET_FORMAT:
         yield f"not a target (format is {attributes.get('format')!r})"
     if (number := attributes.get("format_version")) != FORMAT_VERSION:
         yield f"target of format version {number}, this fascicle reads {FORMAT_VERSION}"

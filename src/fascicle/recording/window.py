@@ -31,7 +31,7 @@ ESCALATION = 1.1  # factor by which a level rises that is too low for noise
 WINDOWS = 50  # mean beats, changed by noise, in which the window is found again
 MOVING = 0.001  # mV/ms from which the leads are not at rest
 VISIBLE = 0.02  # mV from which the QRS is seen to differ from the PR or ST segment
-NOISE = 3.0  # limit of visibility, too, in standard deviations of the noise of a mean beat
+VISIBLE_NOISE = 3.0  # limit of visibility, too, in standard deviations of the noise of a mean beat
 # ms by which the window begins earlier and ends later than the QRS is seen in two leads, and by
 # which the global QRS does, which experts mark in the outermost lead
 FIRST_ACTIVATION, EXPERT = (4, 4), (17, 11)
@@ -209,7 +209,7 @@ def _marks(signal: Floats, not_before: int, smoothing: float) -> _Marks:
         rest = _isoelectric_from(moving, start, search, level)
         away = _away_from_segment(outward, rest, search, smoothing)
         noise = np.sqrt((away[:, rest : rest + search.trend] ** 2).mean(axis=1))
-        least = np.maximum(visible, NOISE * np.maximum(noise, np.median(noise)))
+        least = np.maximum(visible, VISIBLE_NOISE * np.maximum(noise, np.median(noise)))
         seen = np.abs(away[:, inside : rest + 1]) > least[:, None]
         until = np.where(seen.any(axis=1), seen.shape[1] - 1 - np.argmax(seen[:, ::-1], axis=1), 0)
         ends.append(

@@ -34,7 +34,7 @@ from fascicle.reporting.surfaces import (
 )
 from fascicle.study.activation_maps import since_first
 
-COLOURS = "viridis_r"  # perceptually uniform; early is light, late is dark
+TIME_COLOURS = "viridis_r"  # perceptually uniform; early is light, late is dark
 SINCE_FIRST = "time since the first activation (ms)"
 SPREAD = "standard deviation (ms)"
 
@@ -111,7 +111,7 @@ def activation_figure(heart: Heart, rows: Sequence[ActivationRow], what: str) ->
         scale_bar(axes, 20)
     levels = norm.boundaries
     bar = figure.colorbar(
-        ScalarMappable(norm, COLOURS), ax=panels, fraction=0.02, pad=0.01, aspect=28,
+        ScalarMappable(norm, TIME_COLOURS), ax=panels, fraction=0.02, pad=0.01, aspect=28,
         ticks=levels[:: 1 + len(levels) // 10],
     )  # fmt: skip
     bar.set_label(what, wrap=True)
@@ -150,7 +150,7 @@ def _bands(rows: Sequence[ActivationRow]) -> BoundaryNorm:
     nodes = nodes[np.isfinite(nodes)]
     early, late = (nodes < levels[0]).any(), (nodes > levels[-1]).any()
     ends: Any = ("both" if late else "min") if early else ("max" if late else "neither")
-    return BoundaryNorm(levels, matplotlib.colormaps[COLOURS].N, extend=ends)
+    return BoundaryNorm(levels, matplotlib.colormaps[TIME_COLOURS].N, extend=ends)
 
 
 def _coloured(heart: Heart, activation: Floats, norm: BoundaryNorm) -> list[Surface]:
@@ -158,7 +158,7 @@ def _coloured(heart: Heart, activation: Floats, norm: BoundaryNorm) -> list[Surf
     triangles, levels = heart.boundary[0], np.asarray(norm.boundaries, dtype=float)
     activated = np.isfinite(activation)
     reached = activated[triangles].all(axis=1)
-    bands = ListedColormap(matplotlib.colormaps[COLOURS](norm((levels[:-1] + levels[1:]) / 2)))
+    bands = ListedColormap(matplotlib.colormaps[TIME_COLOURS](norm((levels[:-1] + levels[1:]) / 2)))
     look = {
         "scalars": np.where(activated, activation, levels[0]), "clim": (levels[0], levels[-1]),
         "cmap": bands, "n_colors": len(levels) - 1, "interpolate_before_map": True,
@@ -176,7 +176,7 @@ def _draw_tree(
     child = np.flatnonzero(tree.parents >= 0)
     far = view.facing(normals[centres.query(tree.nodes[child])[1]])
     ends = view.project(tree.nodes[np.stack([tree.parents[child], child], axis=1)])[..., :2]
-    colours = matplotlib.colormaps[COLOURS].with_extremes(bad=Colour.LIGHT_GREY)
+    colours = matplotlib.colormaps[TIME_COLOURS].with_extremes(bad=Colour.LIGHT_GREY)
     seam = LineCollection(list(ends[far]), colors=Colour.GREY, linewidths=1.5)
     axes.add_collection(seam, autolim=False)  # light, early colours stand out from the wall
     for here, width, opacity in ((far, 0.9, 1.0), (~far, 0.6, 0.35)):

@@ -23,7 +23,7 @@ from fascicle.reporting.style import Colour
 
 ROWS = 3  # I II III | aVR aVL aVF | V1 V2 V3 | V4 V5 V6
 # Looks of a target's parts, in panels and legend
-BAND: dict[str, Any] = {"color": Colour.BLUE, "alpha": 0.25, "linewidth": 0}
+BAND_STYLE: dict[str, Any] = {"color": Colour.BLUE, "alpha": 0.25, "linewidth": 0}
 WINDOW: dict[str, Any] = {"color": "#EFEFEF", "linewidth": 0}
 UNCERTAIN: dict[str, Any] = {"color": "#C9C9C9", "linewidth": 0}
 GLOBAL_END: dict[str, Any] = {"color": "black", "linewidth": 0.7, "linestyle": (0, (4, 3))}
@@ -172,7 +172,7 @@ def draw_target(figure: Figure | SubFigure, target: Target) -> None:
         _draw_window(axes, target)
         if target.used[lead]:
             band = mean[lead] - spread[lead], mean[lead] + spread[lead]
-            axes.fill_between(target.time, *band, **BAND)
+            axes.fill_between(target.time, *band, **BAND_STYLE)
             if count > 1:  # thinner lines for many beats
                 width, opacity = (0.45, 0.8) if len(drawn) <= 15 else (0.25, 0.5)
                 lines = [np.stack([target.time, beat], 1) for beat in target.beats[drawn, lead]]
@@ -192,7 +192,7 @@ def draw_target(figure: Figure | SubFigure, target: Target) -> None:
 
 def _handles(target: Target, drawn: int) -> list[tuple[Any, str]]:
     count = len(target.beats)
-    mean, band = Line2D([], [], color="black"), Patch(**BAND)
+    mean, band = Line2D([], [], color="black"), Patch(**BAND_STYLE)
     handles: list[tuple[Any, str]] = [(mean, "mean"), (band, "± 1 SD from beat to beat")]
     if target.noise is not None:
         name = "the beat" if count == 1 else f"mean of {count} beats"

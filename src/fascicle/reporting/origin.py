@@ -13,7 +13,7 @@ from fascicle.reporting.surfaces import Surface, draw_surfaces, heart_views, lar
 from fascicle.study.origin import Origin
 
 LEVELS = (0.5, 0.9, 0.99)  # of the regions that are drawn
-COLOURS = ("#B2182B", "#EF8A62", "#FDDBC7", Colour.LIGHT_GREY)
+REGION_COLOURS = ("#B2182B", "#EF8A62", "#FDDBC7", Colour.LIGHT_GREY)
 
 
 @style.styled
@@ -33,8 +33,8 @@ def origin_figure(origin: Origin) -> Figure:
     panels = figure.subplots(2, len(views), squeeze=False)
     triangles = heart.boundary[0]
     look = {
-        "scalars": place, "clim": (-0.5, len(LEVELS) + 0.5), "cmap": ListedColormap(COLOURS),
-        "n_colors": len(COLOURS),
+        "scalars": place, "clim": (-0.5, len(LEVELS) + 0.5), "cmap": ListedColormap(REGION_COLOURS),
+        "n_colors": len(REGION_COLOURS),
     }  # fmt: skip
     # seen from the front, only the far walls of a surface turned inside out are visible
     rows = {"outside": triangles, "far walls, from within": triangles[:, ::-1]}
@@ -50,6 +50,8 @@ def origin_figure(origin: Origin) -> Figure:
         axes.set_title("")
     scale_bar(panels[-1][0], 20)
     names = [f"{level:.0%} region" for level in LEVELS] + ["elsewhere"]
-    handles = [(Patch(color=colour), name) for colour, name in zip(COLOURS, names, strict=True)]
+    handles = [
+        (Patch(color=colour), name) for colour, name in zip(REGION_COLOURS, names, strict=True)
+    ]
     style.legend(figure, handles, loc="outside lower center", ncols=len(handles))
     return style.mark(figure, None if origin.caution is None else "no origin is named")

@@ -34,7 +34,7 @@ from fascicle.study.state_classifier import (
     unlike,
 )
 from fascicle.study.state_fit import (
-    HEART,
+    HEART_FOLDER,
     Inputs,
     begun,
     completed,
@@ -42,7 +42,7 @@ from fascicle.study.state_fit import (
     place_of_simulations,
     simulated_and_compared,
 )
-from fascicle.study.study import STATES, Study
+from fascicle.study.study import STATES_FOLDER, Study
 
 COVERED = 0.9  # least total probability of the states that are fitted
 
@@ -75,7 +75,10 @@ def diagnosed(
         for (name, share), draws in zip(shares.items(), counts, strict=True):
             message = f"{name}, probability {probable[name]:.2f}"
             stage_progress(progress, stage, message)(len(parts), len(shares))
-            state, state_folder = simulations[name].state, folder / STATES / name.replace(" ", "-")
+            state, state_folder = (
+                simulations[name].state,
+                folder / STATES_FOLDER / name.replace(" ", "-"),
+            )
             state_inputs = _of_state(
                 state,
                 inputs,
@@ -85,8 +88,10 @@ def diagnosed(
             )
             # before the link to the heart, since a folder that is not empty and no study is refused
             Study.create_or_resume(state_folder, state_inputs.config)
-            if not (state_folder / HEART).exists():
-                (state_folder / HEART).symlink_to(Path("..", "..", HEART), target_is_directory=True)
+            if not (state_folder / HEART_FOLDER).exists():
+                (state_folder / HEART_FOLDER).symlink_to(
+                    Path("..", "..", HEART_FOLDER), target_is_directory=True
+                )
             fitted, emulated[state.number] = fit_state(
                 state_inputs, state_folder, progress, pool, backend, simulator.model
             )

@@ -45,12 +45,12 @@ from fascicle.study.prior_simulations import BEFORE, Examples
 from fascicle.study.settings import FitSettings
 
 LENGTH = 300  # samples (ms) of an ECG, of which `BEFORE` are before the first activation
-MODES = round(LENGTH / HALF_PERIOD)  # cosines of each lead, as in the likelihood
+COSINES = round(LENGTH / HALF_PERIOD)  # cosines of each lead, as in the likelihood
 CHUNK = 4_000  # recordings that are made at once
-COMPONENTS = 80  # principal components
-NETWORKS, WIDTH, STEPS = 2, 128, 8000
+CLASSIFIER_COMPONENTS = 80  # principal components
+CLASSIFIERS, WIDTH, TRAINING_STEPS = 2, 128, 8000
 ONSET_SD = 6.0  # ms; SD of the first activation about the recorded QRS onset
-NOISE = 0.01  # mV; SD of each coefficient
+COEFFICIENT_NOISE = 0.01  # mV; SD of each coefficient
 FAMILIAR = 0.98  # share of held-out recordings that count as like the training set
 GAIN_SD = float(FitSettings.model_fields["gain_sd"].default)
 
@@ -64,9 +64,9 @@ class Recorder:
     bodies : (k, 8, 8) array
         Torso modes: matrices that a torso adds to the independent leads, each times a standard
         normal factor.
-    left : (h, 8, MODES) array
+    left : (h, 8, COSINES) array
         Residuals of the torso modes in simulated ECGs in random torsos, over the norms of the ECGs.
-    discrepancy : (8 · MODES, 8 · MODES) array
+    discrepancy : (8 · COSINES, 8 · COSINES) array
         Square root of the discrepancy's covariance, of unit size.
     """
 
@@ -86,14 +86,14 @@ class Recorder:
         residuals = (in_bodies - mixing @ plain) / _norms(plain)[:, None, None]
         first_half, second_half = np.array_split(examples.ecgs[:CHUNK, :count].astype(float), 2)
         pattern = lead_pattern(first_half[: len(second_half)] - second_half)
-        modes = idct(np.eye(LENGTH)[:, :MODES], axis=0, norm="ortho")
+        modes = idct(np.eye(LENGTH)[:, :COSINES], axis=0, norm="ortho")
         values, vectors = np.linalg.eigh(separable(pattern, discrepancy_in_time(LENGTH), modes))
         return cls(bodies, residuals, vectors * np.sqrt(np.maximum(values, 0)))
 
     def recordings(
         self, ecgs: NDArray[Any], rows: Integers, count: int, rng: np.random.Generator
     ) -> tuple[Singles, Integers]:
-        """Make recordings (count, r, MODES) in the leads `rows`, with the index of each one's ECG.
+        """Make recordings (count, r, COSINES) in the leads `rows`, with the index of their ECGs.
 
         ECGs (n, 8, LENGTH) are used equally often.
         """
@@ -105,7 +105,7 @@ class Recorder:
     def recorded(
         self, ecgs: NDArray[Any], rng: np.random.Generator, *, in_bodies: bool = False
     ) -> Singles:
-        """Make recordings (n, 8, MODES) of ECGs (n, 8, LENGTH), which may be in torsos already."""
+        """Make recordings (n, 8, COSINES) of ECGs (n, 8, LENGTH), perhaps in torsos already."""
         count, norms = len(ecgs), _norms(ecgs)
         recordings = in_cosines(_shifted(ecgs, rng))
         if not in_bodies:
@@ -119,7 +119,7 @@ class Recorder:
         recordings += size[:, None, None] * drawn.reshape(recordings.shape)
         recordings *= rng.normal(1, GAIN_SD, count)[:, None, None]
         return np.asarray(
-            recordings + NOISE * rng.standard_normal(recordings.shape), dtype=np.float32
+            recordings + COEFFICIENT_NOISE * rng.standard_normal(recordings.shape), dtype=np.float32
         )
 
 
@@ -155,20 +155,20 @@ class EcgClassifier:
         return np.asarray(self.of_cosines(self.cosines(target))[0])
 
     def cosines(self, target: Target) -> Floats:
-        """Cosines (1, r, MODES) of a recording."""
+        """Cosines (1, r, COSINES) of a recording."""
         samples = np.zeros((1, len(self.rows), LENGTH))
         recorded = target.qrs[self.rows, : LENGTH - BEFORE]
         samples[0, :, BEFORE : BEFORE + recorded.shape[1]] = recorded
         return in_cosines(samples)
 
     def of_cosines(self, recordings: NDArray[Any]) -> Floats:
-        """Probabilities (n, c) of kinds, given recordings (n, r, MODES)."""
+        """Probabilities (n, c) of kinds, given recordings (n, r, COSINES)."""
         inputs = _inputs(recordings, self.mean, self.components, self.scale)
         by_network = [softmax(network(inputs)) for network in self.networks]
         return np.asarray(np.mean(by_network, axis=0), dtype=float)
 
     def outside(self, recordings: NDArray[Any]) -> Floats:
-        """Share (n,) of the energy of recordings (n, r, MODES) outside the components."""
+        """Share (n,) of the energy of recordings (n, r, COSINES) outside the components."""
         flat = recordings.reshape(len(recordings), -1).astype(float)
         inside = ((flat @ self.components.T) ** 2).sum(axis=1)
         return np.asarray(1 - inside / (flat**2).sum(axis=1))
@@ -194,7 +194,7 @@ class EcgClassifier:
 
 @dataclass(frozen=True)
 class Lessons:
-    """Training or held-out set: recordings (n, r, MODES), and probabilities of kinds (n, c)."""
+    """Training or held-out set: recordings (n, r, COSINES), and probabilities of kinds (n, c)."""
 
     recordings: Singles
     kinds: Singles
@@ -207,21 +207,21 @@ def learn(
     rows: Integers,
     rng: np.random.Generator,
     progress: Progress | None = None,
-    steps: int = STEPS,
+    steps: int = TRAINING_STEPS,
 ) -> EcgClassifier:
     """Train a classifier of recordings in the leads `rows` (`fascicle.core.leads.LEADS`)."""
     training = seen.recordings.reshape(len(seen.kinds), -1)
     mean = training.mean(axis=0, dtype=float)
     sample = training[rng.integers(len(training), size=6000)] - mean
-    components = np.linalg.svd(sample, full_matrices=False)[2][:COMPONENTS]
+    components = np.linalg.svd(sample, full_matrices=False)[2][:CLASSIFIER_COMPONENTS]
     # scaled by the root of the SD: small components matter, too, but are noisier
     sds = (sample @ components.T).std(axis=0)
     scale = np.sqrt(sds * sds.max())
     inputs = _inputs(training, mean, components, scale)
     of_kinds = partial(train, inputs, seen.kinds, width=WIDTH, steps=steps, link=softmax)
     report = stage_progress(progress, "training")
-    total = NETWORKS * steps
-    networks = train_together([of_kinds] * NETWORKS, rng, lambda done: report(done, total))
+    total = CLASSIFIERS * steps
+    networks = train_together([of_kinds] * CLASSIFIERS, rng, lambda done: report(done, total))
     classifier = EcgClassifier(rows, mean, components, scale, tuple(networks), 0.0)
     guessed = classifier.of_cosines(held_out.recordings).argmax(axis=1)
     classifier = replace(
@@ -235,9 +235,9 @@ def learn(
 
 
 def most_alike(recordings: NDArray[Any], reference: NDArray[Any]) -> Floats:
-    """Share (n,) of the energy of recordings (n, r, MODES) that the best reference ECG explains.
+    """Share (n,) of the energy of recordings (n, r, COSINES) that the best reference ECG explains.
 
-    Reference ECGs (m, r, MODES) are scaled by the best factor that is not negative.
+    Reference ECGs (m, r, COSINES) are scaled by the best factor that is not negative.
     """
     flat, unit = (ecgs.reshape(len(ecgs), -1).astype(float) for ecgs in (recordings, reference))
     unit = unit / np.linalg.norm(unit, axis=1, keepdims=True)
@@ -256,8 +256,8 @@ def classified_rows(target: Target) -> Integers:
 
 
 def in_cosines(ecgs: NDArray[Any]) -> Floats:
-    """ECGs (n, r, LENGTH) as cosines (n, r, MODES)."""
-    return np.asarray(dct(ecgs, axis=2, norm="ortho")[:, :, :MODES], dtype=float)
+    """ECGs (n, r, LENGTH) as cosines (n, r, COSINES)."""
+    return np.asarray(dct(ecgs, axis=2, norm="ortho")[:, :, :COSINES], dtype=float)
 
 
 def _inputs(recordings: NDArray[Any], mean: Floats, components: Floats, scale: Floats) -> Singles:

@@ -32,7 +32,7 @@ from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.quantities import DELAY
 from fascicle.core.threads import one_thread
 from fascicle.inference.emulator import (
-    BATCH,
+    BATCH_EXAMPLES,
     RATE,
     Network,
     Singles,
@@ -48,8 +48,8 @@ from fascicle.study.prior_simulations import BEFORE, BODIES, PART, Examples
 NETWORKS = 2  # neural networks, whose outputs are averaged
 COMPONENTS = 60  # principal components; they leave a thousandth of the variance unexplained
 HIGHEST = 0.04  # highest frequency (cycles per ms); the likelihood uses lower ones alone
-MODES = 4  # torso modes
-FEWEST = 50  # least number of Purkinje networks to learn from
+TORSO_MODES = 4  # torso modes
+FEWEST_NETWORKS = 50  # least number of Purkinje networks to learn from
 COPIES = 4  # copies of a simulation at other conduction velocities, in the training set
 EPOCHS = 12  # times that every example of the prior is seen
 EPOCHS_ON = 20  # times that every example of a posterior is seen
@@ -312,7 +312,7 @@ def learn(
 def _refuse(examples: Examples, names: tuple[str, ...], raw: Floats) -> None:
     """Refuse too few examples, and those in which a learnt quantity does not vary."""
     feasible, held_out = examples.feasible, examples.held_out[examples.feasible]
-    if (~held_out).sum() < FEWEST or not held_out.any():
+    if (~held_out).sum() < FEWEST_NETWORKS or not held_out.any():
         raise InputError(
             f"only {feasible.sum()} of {len(feasible)} networks of the prior fit this heart; check "
             "the heart, narrow the ranges of the lengths, or give more prior_simulations"
@@ -333,7 +333,7 @@ def _trained(
     progress: Progress | None,
 ) -> list[Network]:
     """Train the neural networks of the components, and the last one, of feasibility."""
-    steps = max(200, EPOCHS * len(inputs) // BATCH)
+    steps = max(200, EPOCHS * len(inputs) // BATCH_EXAMPLES)
     of_components = partial(train, inputs, outputs, steps=steps)
     of_validity = partial(train, all_inputs, validity_outputs, width=64, steps=steps, link=logistic)
     trainings, report = (
@@ -433,7 +433,7 @@ def trained_on(
     def on(network: Network, chosen: Booleans, rng: np.random.Generator) -> Network:
         all_inputs = np.concatenate([inputs[chosen], usual])
         outputs = np.concatenate([scores[chosen].astype(np.float32), network(usual)])
-        steps = EPOCHS_ON * len(all_inputs) // BATCH
+        steps = EPOCHS_ON * len(all_inputs) // BATCH_EXAMPLES
         return train(all_inputs, outputs, rng, steps=steps, begin=network, rate=RATE / 2)
 
     fold = np.arange(len(inputs)) % FOLDS
@@ -490,6 +490,6 @@ def body_modes(plain: Floats, in_bodies: Floats, numbers: Integers) -> tuple[Flo
     # in uncorrelated leads of unit power, so that the largest modes add the most energy
     flat = (differences @ root).reshape(BODIES, -1)
     factors, sizes, modes = np.linalg.svd(flat, full_matrices=False)
-    sds = sizes[:MODES] / np.sqrt(BODIES)
-    bodies = sds[:, None, None] * modes[:MODES].reshape(-1, rows, rows) @ np.linalg.inv(root)
-    return bodies, factors[:, :MODES] * np.sqrt(BODIES)
+    sds = sizes[:TORSO_MODES] / np.sqrt(BODIES)
+    bodies = sds[:, None, None] * modes[:TORSO_MODES].reshape(-1, rows, rows) @ np.linalg.inv(root)
+    return bodies, factors[:, :TORSO_MODES] * np.sqrt(BODIES)

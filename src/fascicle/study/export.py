@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 Format = Literal["opencarp", "vtu", "csv"]
-STEP = 0.5  # ms; vertices that are stimulated within one step share a stimulus of openCARP
+STIMULUS_STEP = 0.5  # ms; vertices that are stimulated within one step share a stimulus of openCARP
 AFTER = 20.0  # ms that openCARP simulates after the last activation
 S_PER_M = 0.1  # in 1 mS/cm
 MM_PER_S = 1000.0  # in 1 mm/ms
@@ -124,8 +124,8 @@ def _write_opencarp_network(
     """Write openCARP's input for one network, with times shifted so that none is negative."""
     vertices, times = fired_vertices(model, simulation)
     start = min(0.0, float(times.min()))
-    steps, which = np.unique(np.rint((times - start) / STEP), return_inverse=True)
-    stimuli = {f"stimuli/{k:03d}.vtx": float(step * STEP) for k, step in enumerate(steps)}
+    steps, which = np.unique(np.rint((times - start) / STIMULUS_STEP), return_inverse=True)
+    stimuli = {f"stimuli/{k:03d}.vtx": float(step * STIMULUS_STEP) for k, step in enumerate(steps)}
     for k, name in enumerate(stimuli):
         write_vtx(folder / name, vertices[which == k])
     activation = simulation.activation - start

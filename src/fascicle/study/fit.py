@@ -23,16 +23,16 @@ from fascicle.heart.heart import Heart
 from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.conduction_states import ConductionState
 from fascicle.study.diagnosis import diagnosed
-from fascicle.study.ecg_emulator import MODES
+from fascicle.study.ecg_emulator import TORSO_MODES
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.lock import refuse_held
 from fascicle.study.pool import Pool, check_pool
 from fascicle.study.population import RESULT, Posterior, read_checks, read_population
 from fascicle.study.prior import Prior, growth_and_conduction
 from fascicle.study.recordings import Given, Recorded, digests, given_recordings, read_recordings
-from fascicle.study.refined_emulator import MOST, MOST_ROUNDS
+from fascicle.study.refined_emulator import MOST_ROUNDS, REFINING_NETWORKS
 from fascicle.study.settings import FitSettings, checked_settings
-from fascicle.study.state_fit import HEART, Inputs, fit_state, simulated_and_compared
+from fascicle.study.state_fit import HEART_FOLDER, Inputs, fit_state, simulated_and_compared
 from fascicle.study.study import Study, StudyConfig, check_same, check_study_folder
 from fascicle.study.target_comparison import evaluate
 
@@ -212,8 +212,8 @@ def read_inputs(
     described: dict[str, float | str] = {}
     if settings.method == "posterior":
         constants_of_emulator = {
-            "body_modes": MODES,
-            "refining_networks": MOST,
+            "body_modes": TORSO_MODES,
+            "refining_networks": REFINING_NETWORKS,
             "refining_rounds": MOST_ROUNDS,
         }
         names = ", ".join(type(likelihood).__qualname__ for likelihood in likelihoods or ())
@@ -291,10 +291,13 @@ def load_study(
     study = Study.open(folder)
     result = folder / RESULT[study.config.method]
     population = read_population(result)
-    heart = load_heart(folder / HEART)
+    heart = load_heart(folder / HEART_FOLDER)
     recordings = read_recordings(folder, len(study.config.scenarios))
     same = all(getattr(study.config, k) == value for k, value in _hashes(recordings).items())
-    for name, unchanged in ((HEART, heart.digest == study.config.heart), ("target.nc", same)):
+    for name, unchanged in (
+        (HEART_FOLDER, heart.digest == study.config.heart),
+        ("target.nc", same),
+    ):
         if not unchanged:
             raise InputError(
                 f"{folder / name}: not the one that was fitted; put the original back, or fit again"

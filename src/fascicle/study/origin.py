@@ -55,20 +55,20 @@ from fascicle.study.pool import Pool
 from fascicle.study.prior import AveragedOver, Prior
 from fascicle.study.prior_simulations import HELD_OUT, PART, SEED, PriorSimulations
 
-CLASSIFIER = "origin"  # kind of file
+ORIGIN_CLASSIFIER = "origin"  # kind of file
 # Place of origin of each of ten beats: some share one, since finding the rays from a place takes
 # long; the beat that is held out has a place of its own
 SAME_ORIGIN = [0, 0, 0, 1, 1, 1, 2, 2, 2, 3]
 PATCH = 600.0  # mm³ of tissue
 BLUR = 4.0  # mm; SD with which an origin is shared among patches
-STEPS = 4000
-RECORDINGS = 240_000  # in the training set
+ORIGIN_STEPS = 4000
+ORIGIN_RECORDINGS = 240_000  # in the training set
 TRIED = 300  # held-out beats that are located
 REFERENCE = 2000  # simulated beats with which a recording is compared
 REGION = 0.9  # probability of the credible region
 UNLIKE = 0.02  # share of simulated recordings that count as unlike simulated beats
-PICTURE = "origin.png"  # picture that the command draws beside the files
-LEAST_NAMED = 0.05  # least probability of a part that is named
+ORIGIN_PICTURE = "origin.png"  # picture that the command draws beside the files
+LEAST_NAMED_PART = 0.05  # least probability of a part that is named
 
 
 @dataclass(frozen=True)
@@ -224,7 +224,7 @@ class Origin:
     def save(self, folder: Path | str) -> Path:
         """Write ``origin.json`` and, for ParaView, ``origin.vtu`` into a folder of their own."""
         folder = as_path(folder, "folder")
-        with atomic_folder(folder, disposable=[PICTURE]) as temporary:
+        with atomic_folder(folder, disposable=[ORIGIN_PICTURE]) as temporary:
             text = json.dumps(self.summary(), indent=2)
             (temporary / "origin.json").write_text(text + "\n", encoding="utf-8")
             data = {
@@ -341,7 +341,7 @@ def classifier_of(
         return _learnt(beats, rows, count, progress)
 
     folder = beats.cache.folder.parent
-    stored = learnt_or_made(CLASSIFIER, classifier_key(beats, rows), count, folder, make)
+    stored = learnt_or_made(ORIGIN_CLASSIFIER, classifier_key(beats, rows), count, folder, make)
     return OriginClassifier(
         EcgClassifier.from_arrays(stored),
         stored["patches"],
@@ -371,13 +371,13 @@ def _learnt(
     patches = kmeans2(drawn, number, minit="++", rng=rng)[0]
     recorder, independent = Recorder.of(examples), slice(len(INDEPENDENT_LEADS))
     ecgs = examples.ecgs[~held_out[feasible], independent]
-    recordings, chosen = recorder.recordings(ecgs, rows, RECORDINGS, rng)
+    recordings, chosen = recorder.recordings(ecgs, rows, ORIGIN_RECORDINGS, rng)
     in_torsos = examples.in_bodies[:, independent]
     held_out_recordings = leads @ recorder.recorded(in_torsos, rng, in_bodies=True)
     classifier = learn(
         Lessons(recordings, _near(patches, centres[training_origins])[chosen]),
         Lessons(held_out_recordings, _near(patches, centres[held_out_origins])),
-        rows, rng, progress, STEPS,
+        rows, rng, progress, ORIGIN_STEPS,
     )  # fmt: skip
     reference = leads @ in_cosines(ecgs[rng.permutation(len(ecgs))[:REFERENCE]])
     distance, region = _held_out(
@@ -409,7 +409,9 @@ def _held_out(
 def _ranked(parts: Mapping[str, float]) -> str:
     """Probable parts in words, the most probable first."""
     ranked = sorted(parts, key=lambda name: -parts[name])
-    return ", ".join(f"{name} {parts[name]:.2f}" for name in ranked if parts[name] >= LEAST_NAMED)
+    return ", ".join(
+        f"{name} {parts[name]:.2f}" for name in ranked if parts[name] >= LEAST_NAMED_PART
+    )
 
 
 def _near(patches: Floats, points: Floats) -> Singles:

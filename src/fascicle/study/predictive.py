@@ -30,7 +30,7 @@ from fascicle.study.target_comparison import Network
 # A fit is poor if the recording would be rare among those that the model predicts, or if not even
 # the best networks explain the QRS. The share that the other networks explain shows how wide the
 # posterior is, not how well the model fits.
-LEVEL = (
+LEAST_PROBABLE = (
     0.1  # nominal probability that a recording of the model is called rare; the true one is less
 )
 BEST = 0.05  # share of the networks that count as the best
@@ -112,7 +112,7 @@ class Checks:
     @property
     def disagreeing(self) -> list[str]:
         """Leads and quantities in which the recording would be rare under the model."""
-        return [name for name, p in self.probabilities.items() if p < LEVEL]
+        return [name for name, p in self.probabilities.items() if p < LEAST_PROBABLE]
 
     @property
     def acceptable(self) -> bool:

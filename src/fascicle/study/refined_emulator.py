@@ -26,8 +26,11 @@ from fascicle.study.likelihood import EmulatedLikelihood
 from fascicle.study.posterior import RUNS, of_all, sampled
 from fascicle.study.prior_simulations import PriorSimulations
 
-MOST, SHARE = 500, 1 / 32  # networks simulated in a round: at most, and per prior simulation
-PARTICLES = 300  # of each run of a round; some of them are simulated
+REFINING_NETWORKS, SHARE = (
+    500,
+    1 / 32,
+)  # networks simulated in a round: at most, and per prior simulation
+REFINING_PARTICLES = 300  # of each run of a round; some of them are simulated
 MOST_ROUNDS = 3
 MOVED = 0.02  # effective share of a round's draws for the next posterior; if less, that has moved
 
@@ -65,7 +68,7 @@ def refined_emulators(
         Emulator of each recording; recordings of one scenario share an emulator.
     """
     now = emulated_by(emulators)
-    simulator, drawn = now[0].simulator, round(min(MOST, SHARE * count))
+    simulator, drawn = now[0].simulator, round(min(REFINING_NETWORKS, SHARE * count))
     if any(quantity(name).changes is Changes.TISSUE for name in simulator.prior.names):
         return [*emulators]
     prior = simulator.prior
@@ -74,9 +77,9 @@ def refined_emulators(
     digests = ["" if scenario is None else scenario[1] for scenario in scenarios]
     seen: dict[str, list[tuple[Singles, Singles]]] = {digest: [] for digest in digests}
     for number in range(1, MOST_ROUNDS + 1):
-        message = f"{RUNS} runs of {PARTICLES}, to refine the emulator"
+        message = f"{RUNS} runs of {REFINING_PARTICLES}, to refine the emulator"
         message += f", round {number}" if number > 1 else ""
-        runs = sample(now, prior.dimension, rng.spawn(RUNS), PARTICLES, message, progress)
+        runs = sample(now, prior.dimension, rng.spawn(RUNS), REFINING_PARTICLES, message, progress)
         run_points = np.concatenate([run.points for run in runs])
         points = rng.permutation(run_points)[:drawn]
         usual, refined = prior.sample(rng, number * len(points)), {}

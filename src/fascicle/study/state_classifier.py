@@ -51,7 +51,7 @@ from fascicle.study.prior_simulations import SEED, PriorSimulations
 
 CLASSIFIER = "classifier"  # kind of file
 RECORDINGS = 40_000  # recordings of each state in the training set
-FEWEST = 100  # least number of simulations of a state to learn from
+FEWEST_OF_STATE = 100  # least number of simulations of a state to learn from
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class StateSimulations:
         independent = slice(len(INDEPENDENT_LEADS))
         training_ecgs = examples.ecgs[~examples.held_out[examples.feasible], independent]
         held_out_ecgs = examples.in_bodies[:, independent]
-        if len(training_ecgs) < FEWEST or not len(held_out_ecgs):
+        if len(training_ecgs) < FEWEST_OF_STATE or not len(held_out_ecgs):
             raise InputError(
                 f"only {len(training_ecgs)} networks of the prior of '{self.state.name}' fit this "
                 "heart; give more prior_simulations, or a prior of the other states"

@@ -41,7 +41,7 @@ from fascicle.study.simulator import PointSimulator
 from fascicle.study.study import MAY_CHANGE, Study, StudyConfig
 from fascicle.study.target_comparison import TargetComparison, evaluate
 
-HEART = "heart"  # in the study's folder
+HEART_FOLDER = "heart"  # in the study's folder
 PREDICTION, REFINEMENT = 2, 3  # numbers of the random generators
 
 
@@ -86,7 +86,7 @@ def fit_state(
             simulator = replace(simulator, remembered={})
         objective = partial(evaluate, simulator, recordings)
         population = study.run(objective, progress, emulated)
-        share_prepared(heart, folder / HEART)
+        share_prepared(heart, folder / HEART_FOLDER)
         fitted = FittedStudy(study, simulator, recordings, population)
         number = simulator.prior.fixed.get("conduction", 0.0)
         fitted = completed(fitted, {number: emulated}, progress)
@@ -96,8 +96,8 @@ def fit_state(
 def begun(inputs: Inputs, folder: Path, progress: Progress | None) -> Study:
     """Create or resume a study in its folder, with copies of the heart and the recordings."""
     study = Study.create_or_resume(folder, inputs.config, progress)
-    if not _holds(folder / HEART, inputs.heart):
-        write_heart(inputs.heart, folder / HEART)
+    if not _holds(folder / HEART_FOLDER, inputs.heart):
+        write_heart(inputs.heart, folder / HEART_FOLDER)
     write_recordings(folder, inputs.recordings)
     return study
 
@@ -207,7 +207,7 @@ def _likelihoods(
 def place_of_simulations(heart: Heart, folder: Path) -> Path:
     """Folder to keep simulations in: the heart's if it is writable, else its copy's in a study."""
     writable = heart.folder is not None and os.access(heart.folder, os.W_OK)
-    return heart.folder if writable and heart.folder is not None else folder / HEART
+    return heart.folder if writable and heart.folder is not None else folder / HEART_FOLDER
 
 
 def _emulators(

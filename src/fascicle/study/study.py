@@ -38,8 +38,8 @@ from fascicle.study.settings import FitSettings, first_problem
 
 CONFIGURATION = "study.json"
 DATABASE = "evaluations.sqlite"
-STATES = "states"  # folder of the studies of conduction states
-FORMAT: Final = 8  # version of the folder's format
+STATES_FOLDER = "states"  # folder of the studies of conduction states
+STUDY_FORMAT: Final = 8  # version of the folder's format
 MAY_CHANGE = ("workers", "steps", "samples", "effective", "share")  # when a study is resumed
 CHECKED = 4  # stored evaluations that are made again
 SAME_LOSS = 1e-6  # relative tolerance: above rounding on other machines, below changes of the model
@@ -70,7 +70,7 @@ class StudyConfig(FitSettings):
     states: dict[str, float] = Field(default_factory=dict)  # priors of conduction states, if learnt
     mapped: bool = False  # whether intrinsic beats are activated as mapped human hearts are
     share: float = 1.0  # of this state's study in the draws of the whole study
-    version: Literal[8] = FORMAT  # of the folder's format
+    version: Literal[8] = STUDY_FORMAT  # of the folder's format
 
     @property
     def prior(self) -> Prior:
@@ -126,7 +126,7 @@ class Study:
 
         Each conduction state has a unit cube of its own.
         """
-        databases = sorted(self.folder.glob(f"{STATES}/*/{DATABASE}"))
+        databases = sorted(self.folder.glob(f"{STATES_FOLDER}/*/{DATABASE}"))
         all_databases = (self._database, *(Database(path) for path in databases))
         return [record for database in all_databases for record in database.records()]
 
@@ -257,11 +257,12 @@ def _read(folder: Path) -> StudyConfig:
         content = json.loads(text)
     except ValueError:  # of UTF-8, of JSON
         raise InputError(f"{path}: not JSON, so no configuration of a study; {remedy}") from None
-    version = content.get("version", FORMAT) if isinstance(content, dict) else FORMAT
-    if version != FORMAT:
+    version = content.get("version", STUDY_FORMAT) if isinstance(content, dict) else STUDY_FORMAT
+    if version != STUDY_FORMAT:
         raise InputError(
             f"{path}: a study of format {version}, made by another version of fascicle, with which "
-            f"losses cannot be compared (this one has format {FORMAT}); fit it again: {remedy}"
+            f"losses cannot be compared (this one has format {STUDY_FORMAT}); fit it again: "
+            f"{remedy}"
         )
     try:
         return StudyConfig.model_validate_json(text)

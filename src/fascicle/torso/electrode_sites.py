@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.leads import ELECTRODES, RIGHT
+from fascicle.core.leads import ELECTRODES, RIGHT_LEADS
 from fascicle.heart.electrodes import Electrodes
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import unit
@@ -79,8 +79,8 @@ def additional_sites(heart: Heart, axes: Floats, skin: Surface, names: Sequence[
     al. 2007, Circulation 115:1306-1324.
 
     The columns of `axes` (3, 3) point to the left, to the back and up in the heart's coordinates;
-    the skin is closed. Names are those of Frank's electrodes, of `fascicle.core.leads.POSTERIOR`
-    and `RIGHT`.
+    the skin is closed. Names are those of Frank's electrodes, and of `POSTERIOR_LEADS` and
+    `RIGHT_LEADS` of `fascicle.core.leads`.
     """
     nine = heart.electrodes @ axes
     x = float(nine[[Electrode.RA, Electrode.LA, Electrode.V1, Electrode.V2], 0].mean())
@@ -107,7 +107,7 @@ def additional_sites(heart: Heart, axes: Floats, skin: Surface, names: Sequence[
     # on the back in the midline, 2 cm below the top of the torso
     top = float(ray((x, y, level), (0.0, 0.0, 1.0)) @ axes[:, 2])
     places["H"] = ray((x, y, top - 20.0), (0.0, 1.0, 0.0))
-    for name in RIGHT:  # nearest to the mirror image of the left one
+    for name in RIGHT_LEADS:  # nearest to the mirror image of the left one
         image = axes @ (nine[Electrode[name.removesuffix("R")]] * [-1, 1, 1] + [2 * x, 0, 0])
         places[name] = np.asarray(igl.point_mesh_squared_distance(image[None], *skin)[2][0])
     return {name: places[name] for name in names}

@@ -61,12 +61,14 @@ from fascicle.torso.trunk import (
 
 FITTED = "fitted to the electrodes"  # key of lead fields whose torso is not in the heart's folder
 SKIN_MARGIN = 5.0  # mm that must remain between heart and skin
-FARTHEST = 60.0  # mm from the fitted skin to an electrode, most that the deformation can close
+FARTHEST_ELECTRODE = (
+    60.0  # mm from the fitted skin to an electrode, most that the deformation can close
+)
 # Standard deviations of the fitted quantities: tilt (rad), position of the heart to the left, back
 # and up (mm), and the logarithms of the measures
 TILT = np.radians(10)
 POSITION = np.array([12.0, 12.0, 20.0])
-MEASURES = {"height": 0.09, "girth": 0.15, "depth": 0.1, "shoulders": 0.1, "hips": 0.1}
+BODY_MEASURES = {"height": 0.09, "girth": 0.15, "depth": 0.1, "shoulders": 0.1, "hips": 0.1}
 
 
 def idealised_torso(
@@ -120,7 +122,7 @@ def fitted_torso(
         of_trunk[near] = -smooth_max(-of_trunk[near], -of_heart, SKIN_MARGIN)
         return of_trunk
 
-    skin = skin_of(outside, trunk_box(fitted.size, FARTHEST))
+    skin = skin_of(outside, trunk_box(fitted.size, FARTHEST_ELECTRODE))
     return _with_lungs(mesh, fitted.size, fitted.frame, skin, electrodes, fitted.undeformed), fitted
 
 
@@ -199,12 +201,12 @@ def fit_trunk(
     """
     hull = heart[ConvexHull(heart).vertices]
     fixed = set(known) | ({"girth"} if {"chest", "weight"} & set(known) else set())
-    unknown = [measure for measure in MEASURES if measure not in fixed]
+    unknown = [measure for measure in BODY_MEASURES if measure not in fixed]
 
     def trunk_of(x: Floats) -> tuple[TrunkSize, TorsoFrame]:
         """Measures and frame of a trunk: tilted about its axes, then moved around the heart."""
         steps = zip(unknown, x[6:], strict=True)
-        factors = {measure: float(np.exp(MEASURES[measure] * step)) for measure, step in steps}
+        factors = {measure: float(np.exp(BODY_MEASURES[measure] * step)) for measure, step in steps}
         girth = factors.pop("girth", None)
         values = {"height": TrunkSize.height, **known}
         values |= {measure: values.get(measure, 1.0) * f for measure, f in factors.items()}
@@ -246,7 +248,7 @@ def fit_trunk(
     placed, outside = frame.to_torso(electrodes), outside_trunk(size)
     fitted = FittedTrunk(size, frame, placed, leaving(outside, size), _nearest(outside, placed))
     worst = int(np.argmax(fitted.moved))
-    if fitted.moved[worst] > FARTHEST:
+    if fitted.moved[worst] > FARTHEST_ELECTRODE:
         raise InputError(
             f"{name}: electrode {ELECTRODES[worst]} is {fitted.moved[worst]:.0f} mm from the skin "
             "of any adult's trunk that fits the others; check its position (limb electrodes: where "

@@ -42,7 +42,7 @@ Outside = Callable[[Floats], Floats]
 # Positions in the undeformed trunk of points (n, 3) of a deformed one
 Deformation = Callable[[Floats], Floats]
 
-SHAPE = ("depth", "shoulders", "hips")
+TRUNK_SHAPE = ("depth", "shoulders", "hips")
 SQUARENESS = 2.4  # exponent of the superellipse that is the outline; 2 is an ellipse
 WIDEST = 1.2  # half-widths of the chest beyond which no section of the trunk reaches
 # Sections of the trunk: level (of the height), half-width and half-depth of the outline (of those
@@ -92,7 +92,7 @@ class TrunkSize:
     def __post_init__(self) -> None:
         # girth comes last, as it is a number only if height and weight are possible
         limits = {"height": (1.2, 2.3, "m"), "weight": (25.0, 250.0, "kg")}
-        limits |= dict.fromkeys(SHAPE, (0.5, 2.0, "times"))
+        limits |= dict.fromkeys(TRUNK_SHAPE, (0.5, 2.0, "times"))
         for name, (low, high, unit) in (limits | {"girth": (50.0, 180.0, "cm")}).items():
             if not low <= (value := getattr(self, name)) <= high:
                 raise InputError(

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from fascicle.core.arrays import Floats
 from fascicle.core.parameters import complete
 from fascicle.core.quantities import SIDES, Changes, fascicles, quantity
-from fascicle.forward.device.batch import NETWORKS, Device, Results, Simulator
+from fascicle.forward.device.batch import BATCH_SIZE, Device, Results, Simulator
 from fascicle.forward.device.card import Card
 from fascicle.forward.device.source import BEAT, PLAN
-from fascicle.forward.ecg.electrocardiogram import STEP, leads_from_independent
+from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP, leads_from_independent
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import root_times
 from fascicle.forward.simulation import Signals, SimulatedBeat
@@ -44,7 +44,7 @@ class GpuBackend:
     """
 
     def __init__(self, device: str = "cuda") -> None:
-        self._use(Card(device), NETWORKS)
+        self._use(Card(device), BATCH_SIZE)
 
     @classmethod
     def on(cls, device: Device, networks: int) -> GpuBackend:
@@ -78,7 +78,7 @@ class GpuBackend:
         def made(number: int, values: Mapping[str, float], results: Results) -> Signals:
             leads = _leads(results.channels[number], values)
             junctions = tuple(int(count) for count in results.junctions[number])
-            return Signals(leads, float(results.first[number] / STEP), junctions)
+            return Signals(leads, float(results.first[number] / SAMPLE_STEP), junctions)
 
         return self._each(model, parameters, made)
 

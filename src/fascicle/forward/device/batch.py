@@ -15,15 +15,15 @@ from fascicle.core.errors import InputError
 from fascicle.core.quantities import SIDES
 from fascicle.forward.device.packing import packed_heart
 from fascicle.forward.device.source import (
-    BATCH,
-    HEART,
+    BATCH_FIELDS,
+    HEART_FIELDS,
     MOVE_BYTES,
     SITE,
     SPROUT_BYTES,
     Bytes,
     structure,
 )
-from fascicle.forward.ecg.electrocardiogram import STEP, Electrocardiograph
+from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP, Electrocardiograph
 from fascicle.forward.preparation import Prepared
 from fascicle.kernels.arrays import CORNERS
 from fascicle.kernels.growth import NODE
@@ -35,9 +35,9 @@ MOST_GROWN = 16_384
 MOST_SPROUTS = 2048
 MOST_SITES = 2048
 MOST_TREE_NODES = 2 * MOST_SITES + 2  # sites, forks and two roots
-NETWORKS = 512  # at a time: 3 MB each, and several for each of a card's processors
+BATCH_SIZE = 512  # at a time: 3 MB each, and several for each of a card's processors
 # ms; where activation ends later, or never begins, the processor says whether that can be
-LATEST = 2000.0
+LATEST_ACTIVATION = 2000.0
 BITS = 64  # a bit of a word says that a node waits
 SPARE_BINS = 8  # of a histogram, in addition to those between the first activation and the last
 
@@ -82,7 +82,7 @@ class Results:
     first, last : (b,) arrays
         When the first and the last vertex of those that are reached are activated (ms).
     channels : list of (8, n_time) arrays
-        Potentials (mV), every `STEP` ms from 0; empty where a network was not simulated.
+        Potentials (mV), every `SAMPLE_STEP` ms from 0; empty where a network was not simulated.
     """
 
     simulated: Booleans
@@ -114,7 +114,7 @@ class Simulator:
         device: Device,
         prepared: Prepared,
         electrocardiograph: Electrocardiograph,
-        networks: int = NETWORKS,
+        networks: int = BATCH_SIZE,
     ) -> None:
         self.device = device
         self._quiet = electrocardiograph.action_potential.span[1]
@@ -127,7 +127,9 @@ class Simulator:
                 "out"
             )
         self._heart_buffers = self._uploaded(heart)
-        self._heart = device.upload(structure(HEART, heart | self._addresses(self._heart_buffers)))
+        self._heart = device.upload(
+            structure(HEART_FIELDS, heart | self._addresses(self._heart_buffers))
+        )
         sizes = _bytes(self._vertices + MOST_TREE_NODES)
         self._buffers = {name: device.room(networks * size) for name, size in sizes.items()}
 
@@ -146,7 +148,7 @@ class Simulator:
         shared = both <= self.device.shared_bytes  # times are if they fit
         self._launch("solve", count, both if shared else waiting, given, times_are_shared=shared)
         first, last = (self._array(name, np.float64, count) for name in ("first", "last"))
-        simulated &= (first < np.inf) & (last < LATEST)
+        simulated &= (first < np.inf) & (last < LATEST_ACTIVATION)
         return Results(
             simulated,
             self._array("status", np.int32, count, 2),
@@ -173,7 +175,9 @@ class Simulator:
     ) -> list[Floats]:
         """The ECG of those that were simulated."""
         samples = np.zeros(len(last), np.int32)
-        samples[simulated] = np.ceil((last[simulated] + self._quiet) / STEP).astype(np.int32) + 1
+        samples[simulated] = (
+            np.ceil((last[simulated] + self._quiet) / SAMPLE_STEP).astype(np.int32) + 1
+        )
         most = int(samples.max(initial=1))
         latest = last.max(where=simulated, initial=0.0)
         bins = int(latest / self._bin_width) + SPARE_BINS
@@ -210,7 +214,7 @@ class Simulator:
     ) -> None:
         """Run a kernel on what is given, in the batch's buffers and the room for its results."""
         uploaded = self._uploaded(given)
-        members = dict.fromkeys(BATCH, 0) | {
+        members = dict.fromkeys(BATCH_FIELDS, 0) | {
             "most_grown": MOST_GROWN,
             "most_sprouts": MOST_SPROUTS,
             "most_sites": MOST_SITES,
@@ -218,7 +222,7 @@ class Simulator:
             "most_nodes": self._vertices + MOST_TREE_NODES,
         }
         members |= self._addresses({**self._buffers, **uploaded, **(room or {})}) | numbers
-        batch = self.device.upload(structure(BATCH, members))
+        batch = self.device.upload(structure(BATCH_FIELDS, members))
         self.device.launch(kernel, blocks, shared, self._heart, batch)
 
     def _uploaded(self, values: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.forward.ecg.electrocardiogram import STEP, Electrocardiograph
+from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP, Electrocardiograph
 from fascicle.forward.eikonal.myocardium import Myocardium
 from fascicle.forward.eikonal.ray_travel_times import grouped
 from fascicle.forward.preparation import Prepared
@@ -17,14 +17,14 @@ from fascicle.mesh.topology import TETRAHEDRON_EDGES
 
 # Nodes that wait are taken together if they are later than the earliest by up to so many times the
 # mean travel time of an edge: more work for the threads, and more of it in vain.
-BAND = 2.0
+FRONT_WIDTH = 2.0
 
 # The other corners of each corner of a tetrahedron
 OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
 def packed_heart(prepared: Prepared, electrocardiograph: Electrocardiograph) -> dict[str, Any]:
-    """Numbers and arrays of `fascicle.forward.device.source.HEART`.
+    """Numbers and arrays of `fascicle.forward.device.source.HEART_FIELDS`.
 
     The ECG integral is without what does not conduct.
     """
@@ -55,7 +55,7 @@ def _mesh(myocardium: Myocardium) -> dict[str, Any]:
         "link": _ints(link["vertex"]),
         "link_time": _doubles(link["time"]),
         "slowness": mesh.slowness,
-        "band": BAND * float(link["time"].mean()),
+        "band": FRONT_WIDTH * float(link["time"].mean()),
     }
 
 
@@ -110,7 +110,7 @@ def _ecg(electrocardiograph: Electrocardiograph, order: Integers) -> dict[str, A
         "response_first": first,
         "response_length": len(response),
         "bins_per_step": electrocardiograph.bins_per_step,
-        "bin_width": STEP / electrocardiograph.bins_per_step,
+        "bin_width": SAMPLE_STEP / electrocardiograph.bins_per_step,
     }
 
 

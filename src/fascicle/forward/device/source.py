@@ -15,11 +15,11 @@ from fascicle.kernels.growth import NODE
 Bytes = NDArray[np.uint8]
 
 # Files, each after those that it uses; `block.cuh`, which a test replaces, comes before all
-FILES = ("local_solver", "network", "rays", "growth", "attach", "solve", "ecg")
+KERNEL_FILES = ("local_solver", "network", "rays", "growth", "attach", "solve", "ecg")
 
 # The members of the two structures that every kernel gets. Each takes eight bytes, so that the
 # layout is the same on both sides.
-HEART = {
+HEART_FIELDS = {
     # the mesh: `fascicle.kernels.arrays.EikonalMesh`
     "vertices": "long long",
     **dict.fromkeys(("positions", "cells", "solver", "link_time"), "const double*"),
@@ -52,7 +52,7 @@ HEART = {
     **dict.fromkeys(("response_first", "response_length", "bins_per_step"), "long long"),
     "bin_width": "double",
 }
-BATCH = {
+BATCH_FIELDS = {
     # room of each tree or network
     **dict.fromkeys(("most_grown", "most_sprouts", "most_sites", "most_tree_nodes"), "long long"),
     **dict.fromkeys(("most_nodes", "most_bins", "most_samples"), "long long"),
@@ -115,8 +115,8 @@ def source(block: str | None = None) -> str:
     here = files(__package__)
     parts = [block if block is not None else (here / "block.cuh").read_text(encoding="utf-8")]
     parts += [f"struct {name};" for name in SIZES]
-    parts += [_declared("Heart", HEART), _declared("Batch", BATCH)]
-    parts += [(here / f"{name}.cuh").read_text(encoding="utf-8") for name in FILES]
+    parts += [_declared("Heart", HEART_FIELDS), _declared("Batch", BATCH_FIELDS)]
+    parts += [(here / f"{name}.cuh").read_text(encoding="utf-8") for name in KERNEL_FILES]
     parts += [f'static_assert(sizeof({n}) == {size}, "{n}");' for n, size in SIZES.items()]
     return "\n".join(parts) + "\n"
 

@@ -17,7 +17,7 @@ from fascicle.forward.ecg.lead_field import MM_PER_CM
 from fascicle.kernels.deposit import deposit, respond, reweight
 from fascicle.kernels.jit import CHANNELS
 
-STEP = 1.0  # sampling of the ECG (ms)
+SAMPLE_STEP = 1.0  # sampling of the ECG (ms)
 
 
 @runtime_checkable
@@ -37,7 +37,7 @@ class ActionPotential(Protocol):
 
 def first_sample(activation: Floats) -> float:
     """Time of the first sample of the ECG (ms): 0, or the whole ms before an earlier activation."""
-    return float(np.floor(min(0.0, activation.min()) / STEP) * STEP)
+    return float(np.floor(min(0.0, activation.min()) / SAMPLE_STEP) * SAMPLE_STEP)
 
 
 @dataclass(frozen=True)
@@ -73,10 +73,10 @@ class Electrocardiograph:
     @cached_property
     def response(self) -> tuple[int, Floats]:
         """Response to a bin of the histogram; see `bin_response`."""
-        return bin_response(self.action_potential, STEP / self.bins_per_step)
+        return bin_response(self.action_potential, SAMPLE_STEP / self.bins_per_step)
 
     def channels(self, activation: Floats) -> Floats:
-        """Potential of each channel, every `STEP` ms from `first_sample` until all is quiet.
+        """Potential of each channel, every `SAMPLE_STEP` ms from `first_sample` until all is quiet.
 
         The channels are the `INDEPENDENT_LEADS`, then the additional leads.
 
@@ -108,9 +108,9 @@ class Electrocardiograph:
             raise ValueError("activation: no vertex is ever activated, so there is no ECG")
         start = first_sample(activation)
         end = activation.max(where=activated, initial=-np.inf) + self.action_potential.span[1]
-        samples = int(np.ceil((end - start) / STEP)) + 1
+        samples = int(np.ceil((end - start) / SAMPLE_STEP)) + 1
         first, kernel = self.response
-        width = STEP / self.bins_per_step
+        width = SAMPLE_STEP / self.bins_per_step
         # sample 0 draws on the bins from the first, `last` before it, to the one `-first` after it
         last = first + len(kernel) - 1
         bins = (samples - 1) * self.bins_per_step + len(kernel)

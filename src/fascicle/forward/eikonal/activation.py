@@ -32,7 +32,7 @@ from fascicle.kernels.arrays import (
 )
 from fascicle.kernels.coupled import solve_trees, sweep
 from fascicle.kernels.queue import LAST, NOT_QUEUED, RING
-from fascicle.kernels.star import BATCH, FACES_BLOCK, LANES
+from fascicle.kernels.star import FACES_BLOCK, LANES, VERTICES_AT_ONCE
 from fascicle.purkinje.tree import PurkinjeTree
 
 FROM_ROOT = -1  # origin of what no site has fired: a tree's own root, or nothing at all
@@ -306,12 +306,12 @@ def empty_queue() -> Queue:
 
 def _room_around(mesh: EikonalMesh) -> Surroundings:
     """Room for what is around any batch of vertices, and for one item that is written over."""
-    neighbours = BATCH * int(np.diff(mesh.link_start).max(initial=0))
-    elements = BATCH * int(np.diff(mesh.star_start).max(initial=0)) + 1
+    neighbours = VERTICES_AT_ONCE * int(np.diff(mesh.link_start).max(initial=0))
+    elements = VERTICES_AT_ONCE * int(np.diff(mesh.star_start).max(initial=0)) + 1
     faces = (CORNERS - 1) * elements
     return Surroundings(
-        batch=np.empty(BATCH, dtype=np.int64),
-        now=np.empty(BATCH),
+        batch=np.empty(VERTICES_AT_ONCE, dtype=np.int64),
+        now=np.empty(VERTICES_AT_ONCE),
         time=np.empty(neighbours),
         near=np.empty(neighbours, NEAR),
         chosen=np.empty(elements, np.uint64),

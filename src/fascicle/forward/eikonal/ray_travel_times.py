@@ -23,7 +23,7 @@ from fascicle.kernels.arrays import (
 )
 from fascicle.kernels.ray_travel_times import POINTS, rays_to_sites, rays_to_vertices, trace_rays
 
-LONGEST = 50.0  # ms: what takes longer along a ray is left to the elements
+LONGEST_RAY = 50.0  # ms: what takes longer along a ray is left to the elements
 
 
 def build_travel_time_table(
@@ -68,7 +68,7 @@ def build_travel_time_table(
     row[triangles] = np.arange(len(triangles))
     sizes, vertex, square = (np.concatenate(parts) for parts in zip(*found, strict=True))
     start, opposite = np.cumsum(sizes), opposite.astype(np.int8)
-    return TravelTimeTable(row, opposite, start, vertex, square, reach, LONGEST)
+    return TravelTimeTable(row, opposite, start, vertex, square, reach, LONGEST_RAY)
 
 
 def _how_far(centres: Floats, vertices: KDTree) -> float:
@@ -97,7 +97,7 @@ def _rows(
     row, vertex = pairs["i"][order], pairs["j"][order].astype(np.int32)
     start = np.searchsorted(row, np.arange(len(elements) + 1))
     square = np.full((len(vertex), len(POINTS)), np.inf)
-    trace_rays(POINTS @ at, elements, start, vertex, LONGEST, mesh, square)
+    trace_rays(POINTS @ at, elements, start, vertex, LONGEST_RAY, mesh, square)
     known = np.isfinite(square).all(axis=1)
     known &= (vertex[:, None] != mesh.corners[elements[row]]).all(axis=1)
     size = np.bincount(row[known], minlength=len(elements))

@@ -23,7 +23,7 @@ from fascicle.core.netcdf import DAMAGED
 from fascicle.mesh.formats.mesh_file import GROUP, LINE, TETRAHEDRON, TRIANGLE, MeshFile, damaged
 
 # Gmsh's number of an element type: its name and how many nodes it has
-ELEMENTS = {
+GMSH_ELEMENTS = {
     1: ("line", 2), 2: ("triangle", 3), 3: ("quadrangle", 4), 4: ("tetra", 4),
     5: ("hexahedron", 8), 6: ("wedge", 6), 7: ("pyramid", 5), 8: ("line3", 3), 9: ("triangle6", 6),
     10: ("quadrangle9", 9), 11: ("tetrahedron10", 10), 15: ("vertex", 1),
@@ -128,7 +128,7 @@ def _parsed(path: Path, content: bytes) -> MeshFile:
     ids = nodes[:, 0].astype(np.int64)
     cells, cell_data, other_cells = {}, {}, {}
     for kind in sorted({kind for kind, _ in elements}):
-        type_name = ELEMENTS[kind][0]
+        type_name = GMSH_ELEMENTS[kind][0]
         rows = np.concatenate([rows for of, rows in elements if of == kind])
         if type_name in USED:
             places = _places(rows[:, 2:], ids)
@@ -201,7 +201,7 @@ def _text_elements(count: int, body: bytes) -> list[tuple[int, Integers]]:
     parts = []
     for (of, n), rows in by_shape.items():
         numbers = np.array(" ".join(rows).split(), dtype=np.int64)
-        table = numbers.reshape(len(rows), 3 + n + ELEMENTS[of][1])
+        table = numbers.reshape(len(rows), 3 + n + GMSH_ELEMENTS[of][1])
         parts.append((of, _untagged(np.delete(table, (1, 2), axis=1), n)))
     return parts
 
@@ -212,7 +212,7 @@ def _binary_elements(count: int, body: bytes) -> list[tuple[int, Integers]]:
         kind, rows, tags = map(int, np.frombuffer(body, "<i4", 3, at))
         if not 0 < rows <= count or tags < 0:
             raise ValueError(f"a block of {rows} elements with {tags} tags")
-        columns = 1 + tags + ELEMENTS[kind][1]
+        columns = 1 + tags + GMSH_ELEMENTS[kind][1]
         table = np.frombuffer(body, "<i4", rows * columns, at + 12).reshape(rows, columns)
         parts.append((kind, _untagged(table, tags)))
         at += 12 + table.nbytes

@@ -25,7 +25,7 @@ from fascicle.mesh.formats.mesh_file import (
 )
 
 # Names of elements: VTK's number of those that are used here, and how many nodes they have
-ELEMENTS = {"Ln": (LINE, 2), "Tr": (TRIANGLE, 3), "Tt": (TETRAHEDRON, 4)}
+OPENCARP_ELEMENTS = {"Ln": (LINE, 2), "Tr": (TRIANGLE, 3), "Tt": (TETRAHEDRON, 4)}
 OTHER_ELEMENTS = {
     "Cx": "connections", "Qd": "quadrangles", "Py": "pyramids", "Pr": "prisms", "Hx": "hexahedra",
     "Oc": "octahedra",
@@ -61,12 +61,13 @@ def read_opencarp_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
         if code in OTHER_ELEMENTS:
             other_cells[OTHER_ELEMENTS[code]] = len(rows_of_type)
             continue
-        if code not in ELEMENTS:
+        if code not in OPENCARP_ELEMENTS:
+            types = ", ".join((*OPENCARP_ELEMENTS, *OTHER_ELEMENTS))
             raise InputError(
                 f"{elements}: line {rows_of_type[0] + 2} is of an unknown element type "
-                f"'{printable(code)}'; the types are {', '.join((*ELEMENTS, *OTHER_ELEMENTS))}"
+                f"'{printable(code)}'; the types are {types}"
             )
-        kind, corners = ELEMENTS[code]
+        kind, corners = OPENCARP_ELEMENTS[code]
         text = [lines[row].lstrip()[2:] for row in rows_of_type]
         numbers = _indices(elements, text, corners, len(points))
         cells[kind] = np.ascontiguousarray(numbers[:, :corners])
@@ -74,9 +75,11 @@ def read_opencarp_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
         cell_data[kind] = {"region": tags[:, 0]} if tags.size else {}
     if opencarp_file(path, ".lon").exists():
         directions = _read_directions(opencarp_file(path, ".lon"), len(lines))
-        for code in by_type.keys() & ELEMENTS.keys():
+        for code in by_type.keys() & OPENCARP_ELEMENTS.keys():
             rows = by_type[code]
-            cell_data[ELEMENTS[code][0]] |= {name: v[rows] for name, v in directions.items()}
+            cell_data[OPENCARP_ELEMENTS[code][0]] |= {
+                name: v[rows] for name, v in directions.items()
+            }
     return MeshFile(elements, points, cells, {}, cell_data, other_cells)
 
 

@@ -27,7 +27,7 @@ DUPLICATED = Check("duplicated leads, correlation", "", 0.9999)
 # for adults, of P. Kligfield et al., Recommendations for the standardization and interpretation of
 # the electrocardiogram, part I, Circulation 115:1306 (2007)
 LOWPASS = Check("recorder's low-pass", "Hz", 150.0)
-SPEED = Check("fastest part of the QRS", "mV/ms", 0.01)
+FASTEST_QRS = Check("fastest part of the QRS", "mV/ms", 0.01)
 CHEST = Check("chest leads, misfit ratio", "", 1.5)
 # V1 to V6 of a heart vector (left, down, back) in Frank's torso: G. E. Dower, H. Bastos Machado, J.
 # A. Osborne, On deriving the electrocardiogram from vectorcardiographic leads, Clin. Cardiol. 3:87
@@ -40,7 +40,7 @@ DOWER = np.array(
 )  # fmt: skip
 # Standard deviations of the rest of a chest lead over those of the heart vector: of the part that
 # its neighbours share, and of its own; tuned, as the limits, on benchmarks/chest_leads.py
-SHARED, OWN = 0.6, 0.3
+SHARED, ELECTRODE_NOISE = 0.6, 0.3
 
 
 @dataclass(frozen=True)
@@ -305,14 +305,16 @@ def check_mean_beat(qrs: Floats, simultaneous: bool = True) -> tuple[CheckResult
     leads were recorded at the same time.
     """
     fastest = float(spatial_velocity(qrs).max())
-    if not fastest < SPEED.limit:
-        return SPEED.found(fastest), check_chest_leads(qrs, simultaneous)
+    if not fastest < FASTEST_QRS.limit:
+        return FASTEST_QRS.found(fastest), check_chest_leads(qrs, simultaneous)
     message = (
         f"the fastest part of the beat moves by {fastest:.4f} mV/ms, slower than any QRS "
-        f"({SPEED.limit:g} or more): a T or P wave was probably taken for the beat; look at the "
-        "picture, choose another class by --class, or give a recording with QRS complexes"
+        f"({FASTEST_QRS.limit:g} or more): a T or P wave was probably taken for the beat; look at "
+        "the picture, choose another class by --class, or give a recording with QRS complexes"
     )
-    return SPEED.found(fastest, message), CHEST.found(np.nan, "not checked: no QRS", Severity.FINE)
+    return FASTEST_QRS.found(fastest, message), CHEST.found(
+        np.nan, "not checked: no QRS", Severity.FINE
+    )
 
 
 def check_chest_leads(qrs: Floats, simultaneous: bool = True) -> CheckResult:
@@ -332,7 +334,7 @@ def check_chest_leads(qrs: Floats, simultaneous: bool = True) -> CheckResult:
         message = "not checked: needs V1 to V6, recorded at the same time"
         return CHEST.found(np.nan, message, Severity.FINE)
     apart = np.subtract.outer(np.arange(6), np.arange(6))
-    rest = SHARED**2 * np.exp(-(apart**2) / 2) + OWN**2 * np.eye(6)
+    rest = SHARED**2 * np.exp(-(apart**2) / 2) + ELECTRODE_NOISE**2 * np.eye(6)
     weight = np.linalg.inv(DOWER @ DOWER.T + rest)
 
     def misfit(leads: Floats) -> float:

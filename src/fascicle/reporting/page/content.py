@@ -21,11 +21,11 @@ from fascicle.reporting.names import index_name, scenario_name
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.recordings import recording_paths
 from fascicle.study.settings import OF_THE_PAPER, OF_THE_POSTERIOR
-from fascicle.study.state_fit import HEART
+from fascicle.study.state_fit import HEART_FOLDER
 from fascicle.study.statements import Caution
 from fascicle.study.study import StudyConfig
 
-CONDUCTIVITIES = {  # mS/cm; `fascicle.heart.conduction.Conduction` explains them
+CONDUCTIVITY_LABELS = {  # mS/cm; `fascicle.heart.conduction.Conduction` explains them
     "intracellular_l": "intracellular conductivity along the fibre",
     "intracellular_t": "intracellular conductivity across the fibre",
     "extracellular_l": "extracellular conductivity along the fibre",
@@ -134,8 +134,8 @@ def held(fitted: FittedStudy) -> list[Row]:
     for name, value in values.items():
         if value is None or name in without_effect or name.startswith("of "):
             continue
-        if name in CONDUCTIVITIES:
-            rows.append((CONDUCTIVITIES[name], "", f"{value:g} mS/cm"))
+        if name in CONDUCTIVITY_LABELS:
+            rows.append((CONDUCTIVITY_LABELS[name], "", f"{value:g} mS/cm"))
         else:
             fixed_quantity = quantity(name)
             text = fixed_quantity.choices[int(value)] if fixed_quantity.choices else f"{value:g}"
@@ -191,7 +191,14 @@ def commands(fitted: FittedStudy, predicted: Mapping[str, Predicted], against: s
         target = made if words else str(stored)
         targets.append(f"{target}:{scenario}" if scenario.exists() else target)
     lines += ["cat > settings.toml <<'END'", *settings_file(config), "END"]
-    fit = ["fascicle", "fit", str(fitted.folder / HEART), *targets, "--out", str(fitted.folder)]
+    fit = [
+        "fascicle",
+        "fit",
+        str(fitted.folder / HEART_FOLDER),
+        *targets,
+        "--out",
+        str(fitted.folder),
+    ]
     report = report_words(fitted, predicted, against)
     return [*lines, shlex.join([*fit, "--settings", "settings.toml"]), shlex.join(report)]
 

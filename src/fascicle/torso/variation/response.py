@@ -41,8 +41,8 @@ from fascicle.torso.variation.conductor import (
 # the 25 mm of one electrode over a chest of 0.85, and upwards also the 40 mm of all together
 SPACING = 6.0
 LEFT: Floats = SPACING * np.arange(-5.0, 6.0)
-UP: Floats = SPACING * np.arange(-13.0, 14.0)
-FIXED = Electrode.V1 + 6 * len(LEFT) * len(UP)  # first place of the additional electrodes
+UPWARD: Floats = SPACING * np.arange(-13.0, 14.0)
+FIXED = Electrode.V1 + 6 * len(LEFT) * len(UPWARD)  # first place of the additional electrodes
 # Ends of the ranges of interpolation: displacements (mm), rotations (rad), size, and the logarithm
 # of conductivities
 REACH = np.array([20.0] * 3 + [np.radians(20.0)] * 3 + [0.15])
@@ -151,11 +151,11 @@ class TorsoResponse:
 
 def at_electrodes(values: Floats, moved: Floats) -> Floats:
     """Interpolate values at all places to electrodes (9 + a, c), with V1 to V6 moved (6, 2)."""
-    (i, a), (j, b) = _between(moved[:, 0], LEFT), _between(moved[:, 1], UP)
-    corner = Electrode.V1 + (np.arange(len(moved)) * len(LEFT) + i) * len(UP) + j
+    (i, a), (j, b) = _between(moved[:, 0], LEFT), _between(moved[:, 1], UPWARD)
+    corner = Electrode.V1 + (np.arange(len(moved)) * len(LEFT) + i) * len(UPWARD) + j
     a, b = a[:, None], b[:, None]
     chest = (1 - a) * ((1 - b) * values[corner] + b * values[corner + 1])
-    corner += len(UP)
+    corner += len(UPWARD)
     chest += a * ((1 - b) * values[corner] + b * values[corner + 1])
     return np.concatenate([values[: Electrode.V1], chest, values[FIXED:]])
 

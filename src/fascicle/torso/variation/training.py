@@ -41,7 +41,7 @@ from fascicle.torso.variation.response import (
     LOG_FACTOR,
     REACH,
     SPACING,
-    UP,
+    UPWARD,
     TorsoResponse,
     exterior_inputs,
     near_field,
@@ -139,7 +139,7 @@ def electrode_places(conductor: Conductor) -> Contacts:
     Contacts of the additional electrodes, which do not move along the skin, come last.
 
     From its position an electrode goes up or down along the skin first, then horizontally. Limb and
-    chest electrodes have 3 + 6 · len(LEFT) · len(UP) places: by electrode, to the left, then up.
+    chest electrodes have 3 + 6 · len(LEFT) · len(UPWARD) places: by electrode, leftwards, then up.
     """
     vertices, skin = conductor.torso.vertices, conductor.skin
     to_left, _, upwards = conductor.axes
@@ -164,8 +164,8 @@ def electrode_places(conductor: Conductor) -> Contacts:
         return np.array([reached[k] for k in range(len(places))])
 
     limbs, chest = np.split(conductor.heart.electrodes, [Electrode.V1])
-    rows = line(chest, upwards, UP)  # (up, 6, 3)
-    grid = line(rows.reshape(-1, 3), to_left, LEFT).reshape(len(LEFT), len(UP), len(chest), 3)
+    rows = line(chest, upwards, UPWARD)  # (up, 6, 3)
+    grid = line(rows.reshape(-1, 3), to_left, LEFT).reshape(len(LEFT), len(UPWARD), len(chest), 3)
     more = conductor.heart.electrode_positions[len(conductor.heart.electrodes) :]
     places = np.concatenate([limbs, grid.transpose(2, 0, 1, 3).reshape(-1, 3), more])
     return contacts_on(vertices, skin, places)
@@ -175,8 +175,8 @@ def currents(places: Contacts, state: TorsoState, vertices: int) -> Floats:
     """Unit current into each electrode at the place nearest to a state's, (n, 9 + a)."""
     chosen = list(range(Electrode.V1))
     for k, (left, up) in enumerate(state.chest / state.geometry[6]):
-        i, j = np.argmin(np.abs(LEFT - left)), np.argmin(np.abs(UP - up))
-        chosen.append(Electrode.V1 + int((k * len(LEFT) + i) * len(UP) + j))
+        i, j = np.argmin(np.abs(LEFT - left)), np.argmin(np.abs(UPWARD - up))
+        chosen.append(Electrode.V1 + int((k * len(LEFT) + i) * len(UPWARD) + j))
     chosen += range(FIXED, len(places.moved))
     contacts = Contacts(places.triangles[chosen], places.weights[chosen], places.moved[chosen])
     return np.ascontiguousarray(contacts.currents(vertices).T)
