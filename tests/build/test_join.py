@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from shapes import read_labelled_surface, volume_of
 
-from fascicle.build.join import Part, join_surfaces
+from fascicle.build.join import JoinedPart, join_surfaces
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label
 from fascicle.mesh.measures import triangle_areas
@@ -47,7 +47,7 @@ def remeshed(vertices, triangles, edge):
 def joined(parts, base=True):
     given = {LV: "lv", RV: "rv", EPI: "epicardium"} | ({BASE: "base"} if base else {})
     return join_surfaces(
-        {part: Part(f"{part}.stl", *parts[label]) for label, part in given.items()}
+        {part: JoinedPart(f"{part}.stl", *parts[label]) for label, part in given.items()}
     )
 
 

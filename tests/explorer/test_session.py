@@ -13,7 +13,7 @@ import fascicle
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import HUMAN_SPACE, read_parameters
 from fascicle.explorer.explore import session_of
-from fascicle.explorer.session import Session, State, _spoken
+from fascicle.explorer.session import PageState, Session, _spoken
 from fascicle.forward.scenario_files import read_scenario
 from fascicle.forward.simulation_files import write_ecg
 from fascicle.recording.pipeline import analyse
@@ -129,7 +129,8 @@ def test_junctions_that_never_conduct_are_said_in_json(session):
     expected = session.model.simulate(values)
     assert said["total"] == pytest.approx(expected.total_activation_time)
     assert (
-        "retrograde_delay = inf" in session.files(State.of({"values": values}))["parameters.toml"]
+        "retrograde_delay = inf"
+        in session.files(PageState.of({"values": values}))["parameters.toml"]
     )
 
 
@@ -197,7 +198,7 @@ def test_a_scar_is_never_activated_and_simulated_again_from_its_file(session, tm
     said, arrays = ask(session, scars=[place])
     assert not np.isfinite(arrays["activation"][300])
     assert np.isfinite(arrays["activation"]).mean() > 0.9
-    files = session.files(State(values=session.start, scars=[place]))
+    files = session.files(PageState(values=session.start, scars=[place]))
     (tmp_path / "scenario.toml").write_text(files["scenario.toml"])
     scenario, regions = read_scenario(tmp_path / "scenario.toml")
     conduction = replace(session.model.conduction, regions=regions)
@@ -281,4 +282,4 @@ def test_what_is_given_must_be_there(tmp_path):
 
 
 def test_a_state_of_the_intrinsic_beat_has_no_scenario():
-    assert State(values={}).beat() is None
+    assert PageState(values={}).beat() is None

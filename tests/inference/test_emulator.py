@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.special import expit
 
-from fascicle.inference.emulator import Network, _forward, _gradients, logistic, train
+from fascicle.inference.emulator import NeuralNetwork, _forward, _gradients, logistic, train
 
 NOISE = 0.3
 
@@ -47,9 +47,11 @@ def test_gradients_are_slopes():
     inputs, wanted = rng.standard_normal((7, 3)), rng.standard_normal((7, 2))
 
     def loss(changed):
-        return 0.5 * ((Network(changed)(inputs) - wanted) ** 2).sum()
+        return 0.5 * ((NeuralNetwork(changed)(inputs) - wanted) ** 2).sum()
 
-    found = _gradients(weights, [*_forward(weights, inputs)], Network(weights)(inputs) - wanted)
+    found = _gradients(
+        weights, [*_forward(weights, inputs)], NeuralNetwork(weights)(inputs) - wanted
+    )
     for k, weight in enumerate(weights):
         step = np.zeros_like(weight)
         step.flat[:] = 1e-6 * rng.standard_normal(weight.size)

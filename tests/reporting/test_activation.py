@@ -16,7 +16,7 @@ from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.reporting import surfaces
 from fascicle.reporting.activation import SINCE_FIRST, SPREAD, ActivationRow, activation_figure
 from fascicle.reporting.style import new_figure
-from fascicle.reporting.surfaces import Surface, draw_surfaces, heart_views
+from fascicle.reporting.surfaces import DrawnSurface, draw_surfaces, heart_views
 
 CELL, WIDTH = 5.0, 40.0  # mm
 VIEWS = ("RV side", "anterior", "LV side", "base")
@@ -68,7 +68,7 @@ def drawn(block, colour="red"):
     """The block from the front, with a margin."""
     axes, view = new_figure(3, 3).subplots(), heart_views(block)["anterior"]
     box = view.box(block.vertices)
-    surface = Surface(block.vertices, block.boundary[0], {"color": colour})
+    surface = DrawnSurface(block.vertices, block.boundary[0], {"color": colour})
     draw_surfaces(axes, view, surface, box=box, size=1.2 * np.ptp(box, axis=0))
     return axes, view
 
@@ -90,8 +90,8 @@ def test_only_what_faces_the_eye_is_seen(block, pixels):
     view = heart_views(block)["anterior"]
     middle = view.project(block.vertices.mean(axis=0)[None])[:, :2]
     axes = new_figure(3, 3).subplots()
-    near = Surface(block.vertices, block.boundary[0], {"color": "red"})
-    far = Surface(block.vertices, block.boundary[0][:, ::-1], {"color": "blue"})
+    near = DrawnSurface(block.vertices, block.boundary[0], {"color": "red"})
+    far = DrawnSurface(block.vertices, block.boundary[0][:, ::-1], {"color": "blue"})
     box = view.box(block.vertices)
     draw_surfaces(axes, view, near, far, box=box, size=np.ptp(box, axis=0))
     assert np.argmax(pixels(axes, middle)[0]) == 0

@@ -9,7 +9,7 @@ from matplotlib.colors import same_color, to_hex
 from matplotlib.text import Text
 
 from fascicle.core.leads import LEADS
-from fascicle.recording.beats import Beat, Drift, Unused
+from fascicle.recording.beats import DetectedBeat, Drift, Unused
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
 from fascicle.recording.pipeline import Analysis, BeatClass
 from fascicle.recording.recording import Recording
@@ -34,7 +34,7 @@ def synthetic(
         signal += scale * HEIGHTS[:, None] * np.exp(-0.5 * ((time - peak / 1e3) / 0.02) ** 2)
     named = [labels[k % len(labels)] for k in range(len(peaks))]
     beats = tuple(
-        Beat(
+        DetectedBeat(
             k + 1, peak / 1e3, label, interval * 1e3,
             None if label == chosen and k + 1 not in unused else Unused.OTHER_CLASS,
         )

@@ -153,7 +153,7 @@ def openness(graph: DualGraph, progress: StageProgress = no_progress) -> Floats:
     return np.asarray(seen[nearest].mean(axis=1))
 
 
-class Region(IntEnum):
+class SurfacePart(IntEnum):
     """Parts of a surface while it is divided; the base lies between all others.
 
     The first cavity has the larger area.
@@ -171,16 +171,18 @@ def smoothed_regions(graph: DualGraph, regions: Integers) -> Integers:
     Cavities and outer surface are smoothed separately, so that a narrow base between them stays;
     the outer surface then keeps `NARROWEST` away from the cavities.
     """
-    parts = (Region.FIRST, Region.SECOND, Region.OUTER)
+    parts = (SurfacePart.FIRST, SurfacePart.SECOND, SurfacePart.OUTER)
     shares = [_smoothed(graph, regions == part) for part in parts]
     smooth: Integers = np.argmax([*shares, np.full(len(regions), 0.5)], axis=0)
     sides = smooth[graph.edges[0]]
-    ends = (sides[:, 0] != sides[:, 1]) & (sides < Region.OUTER).any(axis=1)
+    ends = (sides[:, 0] != sides[:, 1]) & (sides < SurfacePart.OUTER).any(axis=1)
     if not ends.any():
         return smooth
     line = graph.vertices[graph.edges[1][ends]]
     distance, _ = cKDTree(np.concatenate([line[:, 0], line.mean(axis=1)])).query(graph.centres)
-    return np.where((smooth == Region.OUTER) & (distance < NARROWEST), Region.BASAL, smooth)
+    return np.where(
+        (smooth == SurfacePart.OUTER) & (distance < NARROWEST), SurfacePart.BASAL, smooth
+    )
 
 
 def cut_along_borders(surface: LabelledSurface, edge_length: float = NARROWEST) -> LabelledSurface:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fascicle.build.borders import DualGraph, Region, openness, smoothed_regions
+from fascicle.build.borders import DualGraph, SurfacePart, openness, smoothed_regions
 from fascicle.build.surface_checks import OPEN_PIECE, leftness
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
@@ -48,7 +48,7 @@ def classify_surface(
     _check_openings(graph, regions, name)
     outer, first, second = (
         (vertices, np.ascontiguousarray(triangles[regions == region]))
-        for region in (Region.OUTER, Region.FIRST, Region.SECOND)
+        for region in (SurfacePart.OUTER, SurfacePart.FIRST, SurfacePart.SECOND)
     )
     sides = [*ENDOCARDIA]
     if leftness(first, second, outer) < 0:
@@ -82,14 +82,14 @@ def _millilitres(graph: DualGraph, chosen: Booleans) -> float:
 
 def _divided(graph: DualGraph, exposed: Floats, cavity: Integers) -> Integers:
     """Divide the surface into the two cavities, the outer surface and the base between them."""
-    seeds = np.where(cavity >= 0, cavity, np.where(exposed > OUTSIDE, Region.OUTER, -1))
+    seeds = np.where(cavity >= 0, cavity, np.where(exposed > OUTSIDE, SurfacePart.OUTER, -1))
     upwards = _cosine_to_base(graph, graph.random_walker(seeds, 3))
     outside = exposed > IN_CAVITY
     # the inner edge of a rounded rim faces neither up nor out; the random walker labels it
     outer = graph.components((exposed > OUTSIDE) & (upwards < 0.7)) == 0  # from 46 degrees
     seeds = np.where(cavity >= 0, cavity, -1)
-    seeds[outer] = Region.OUTER
-    seeds[outside & (upwards > 0.9)] = Region.BASAL  # within 26 degrees
+    seeds[outer] = SurfacePart.OUTER
+    seeds[outside & (upwards > 0.9)] = SurfacePart.BASAL  # within 26 degrees
     return graph.random_walker(seeds, 4)
 
 
@@ -102,7 +102,7 @@ def _cosine_to_base(graph: DualGraph, regions: Integers) -> Floats:
     sides = regions[graph.edges[0]]
     middle = graph.vertices[graph.edges[1]].mean(axis=1)
     edges, directions = [], []
-    for cavity in (Region.FIRST, Region.SECOND):
+    for cavity in (SurfacePart.FIRST, SurfacePart.SECOND):
         edge = middle[(sides == cavity).sum(axis=1) == 1]
         edges.append(edge)
         directions.append(_upwards(edge, graph.centres[regions == cavity].mean(axis=0)))
@@ -130,9 +130,9 @@ def _clean_regions(graph: DualGraph, regions: Integers, name: str) -> Integers:
         before, separated = regions, _separated(graph, regions)
         # the largest piece of each region stays, the rest goes to the regions around it
         kept = np.full(len(regions), -1)
-        for region in Region:
+        for region in SurfacePart:
             kept[graph.components(separated == region) == 0] = region
-        regions = _without_non_manifold_vertices(graph, graph.random_walker(kept, len(Region)))
+        regions = _without_non_manifold_vertices(graph, graph.random_walker(kept, len(SurfacePart)))
         if (regions == before).all():
             return regions
     raise InputError(
@@ -144,11 +144,11 @@ def _clean_regions(graph: DualGraph, regions: Integers, name: str) -> Integers:
 def _separated(graph: DualGraph, regions: Integers) -> Integers:
     """Give the base the triangles about vertices at which two other regions meet."""
     sides = regions[graph.edges[0]]
-    meeting = (sides[:, 0] != sides[:, 1]) & (sides < Region.BASAL).all(axis=1)
+    meeting = (sides[:, 0] != sides[:, 1]) & (sides < SurfacePart.BASAL).all(axis=1)
     if not meeting.any():
         return regions
     touched = np.isin(graph.triangles, graph.edges[1][meeting]).any(axis=1)
-    return np.where(touched, Region.BASAL, regions)
+    return np.where(touched, SurfacePart.BASAL, regions)
 
 
 def _without_non_manifold_vertices(graph: DualGraph, regions: Integers) -> Integers:
@@ -157,7 +157,7 @@ def _without_non_manifold_vertices(graph: DualGraph, regions: Integers) -> Integ
     border = graph.edges[1][sides[:, 0] != sides[:, 1]]
     changes = np.bincount(border.ravel(), minlength=len(graph.vertices))
     corners = graph.triangles.ravel()
-    present = np.zeros((len(graph.vertices), len(Region)), dtype=bool)
+    present = np.zeros((len(graph.vertices), len(SurfacePart)), dtype=bool)
     present[corners, np.repeat(regions, 3)] = True
     # around a vertex k regions change k times (two regions twice), more if one touches itself
     kinds = present.sum(axis=1)
@@ -165,18 +165,20 @@ def _without_non_manifold_vertices(graph: DualGraph, regions: Integers) -> Integ
     result = regions.copy()
     for vertex in np.flatnonzero(touching):
         around = np.flatnonzero((graph.triangles == vertex).any(axis=1))
-        result[around] = Region.BASAL if present[vertex, Region.BASAL] else regions[around[0]]
+        result[around] = (
+            SurfacePart.BASAL if present[vertex, SurfacePart.BASAL] else regions[around[0]]
+        )
     return result
 
 
 def _check_openings(graph: DualGraph, regions: Integers, name: str) -> None:
     """Refuse a surface that is all base or has none, and a cavity with several openings."""
-    for region, part in ((Region.OUTER, "epicardium"), (Region.BASAL, "base")):
+    for region, part in ((SurfacePart.OUTER, "epicardium"), (SurfacePart.BASAL, "base")):
         if not (regions == region).any():
             raise InputError(
                 f"{name}: no {part} found around the cavities; give the surface's parts one by one"
             )
-    for region in (Region.FIRST, Region.SECOND):
+    for region in (SurfacePart.FIRST, SurfacePart.SECOND):
         if len(loops := boundary_loops(graph.triangles[regions == region])) != 1:
             volume = _millilitres(graph, regions == region)
             where = " and ".join(place(graph.vertices[loop].mean(axis=0)) for loop in loops)

@@ -33,7 +33,7 @@ SAME_POINT = 1e-3  # mm; points closer than this are merged (STL repeats them)
 CLEAR = 0.7  # of the spacing: distance that inner points of the base keep from the loops
 
 
-class Part(NamedTuple):
+class JoinedPart(NamedTuple):
     """Surface that a heart is joined from: its name in messages, vertices and triangles.
 
     Vertices (n, 3) are in mm; points may be repeated and triangles (m, 3) turned either way. Once
@@ -64,7 +64,7 @@ class Outline(NamedTuple):
 Base = tuple[Floats, Integers]
 
 
-def join_surfaces(parts: Mapping[str, Part]) -> LabelledSurface:
+def join_surfaces(parts: Mapping[str, JoinedPart]) -> LabelledSurface:
     """Join separate surfaces of the ventricles to one closed surface.
 
     Endocardia and epicardium do not move. A base whose boundary loops lie within 2.5 mm of theirs
@@ -94,7 +94,7 @@ def join_surfaces(parts: Mapping[str, Part]) -> LabelledSurface:
     return LabelledSurface(vertices, whole, of_triangles, name)
 
 
-def _clean_part(part: Part, kind: str, needed: int) -> Part:
+def _clean_part(part: JoinedPart, kind: str, needed: int) -> JoinedPart:
     """Merge repeated points of a part (mm); an error if not one piece with the loops it needs."""
     name, vertices = f"{part.name} ({kind})", part.vertices
     check_units(name, vertices[np.unique(part.triangles)])
@@ -102,10 +102,10 @@ def _clean_part(part: Part, kind: str, needed: int) -> Part:
     points, triangles = without_unused_vertices(vertices, merged[whole_triangles(merged)])
     check_edges(name, points, triangles)
     triangles = oriented_piece(name, points, triangles)
-    return Part(name, points, triangles, open_loops(name, points, triangles, needed))
+    return JoinedPart(name, points, triangles, open_loops(name, points, triangles, needed))
 
 
-def _check_places(epicardium: Part, lv: Part, rv: Part) -> None:
+def _check_places(epicardium: JoinedPart, lv: JoinedPart, rv: JoinedPart) -> None:
     """Refuse endocardia that leave the epicardium, or reach into one another, below the base.
 
     Openings are closed by fans, which leave the winding number close to 0 or 1 below the base.
@@ -121,7 +121,7 @@ def _check_places(epicardium: Part, lv: Part, rv: Part) -> None:
         refuse(part.name, within, f"vertices lie within {other.name}", remedy, part.vertices)
 
 
-def _outline_of(parts: list[Part]) -> Outline:
+def _outline_of(parts: list[JoinedPart]) -> Outline:
     loops = [part.loops[0] for part in parts]
     points = [part.vertices[loop] for part, loop in zip(parts, loops, strict=True)]
     starts = np.cumsum([0, *map(len, loops)])
@@ -153,7 +153,7 @@ def _made_base(outline: Outline) -> Base:
     return plane[len(flat) :] @ frame + centre, triangles
 
 
-def _fitted_base(outline: Outline, base: Part) -> Base:
+def _fitted_base(outline: Outline, base: JoinedPart) -> Base:
     """Fit a given base to the boundary loops of the parts around it, which stay where they are.
 
     Where all boundary vertices coincide, nothing changes. Otherwise the vertices within the base
@@ -216,7 +216,7 @@ def _triangulated(places: Floats, inner: Floats, outline: Outline) -> tuple[Floa
     return inner[used - count], triangles
 
 
-def _check_gap(outline: Outline, base: Part, boundary: Integers) -> None:
+def _check_gap(outline: Outline, base: JoinedPart, boundary: Integers) -> None:
     """Refuse a base whose boundary loops are more than 2.5 mm from those of the parts."""
     edges, shared = unique_edges(base.triangles)
     rim = base.vertices[boundary]

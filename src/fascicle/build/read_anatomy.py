@@ -10,7 +10,7 @@ import numpy as np
 
 from fascicle.build.borders import cut_along_borders
 from fascicle.build.classify import classify_surface
-from fascicle.build.join import Part, join_surfaces
+from fascicle.build.join import JoinedPart, join_surfaces
 from fascicle.build.labelled_files import (
     Anatomy,
     FibreChoice,
@@ -97,7 +97,7 @@ def read_anatomy(source: Source, edge_length: float, progress: Progress | None =
         )
         meshes = {part: read_mesh(path, part) for part, path in source.parts.items()}
         parts = {
-            part: Part(str(mesh.path), mesh.points, mesh.require(TRIANGLE, "triangles"))
+            part: JoinedPart(str(mesh.path), mesh.points, mesh.require(TRIANGLE, "triangles"))
             for part, mesh in meshes.items()
         }
         joined = join_surfaces(parts)

@@ -58,7 +58,7 @@ Coordinate = Annotated[float, Field(ge=-1e4, le=1e4, allow_inf_nan=False)]
 Place = tuple[Coordinate, Coordinate, Coordinate]
 
 
-class State(BaseModel, extra="forbid"):
+class PageState(BaseModel, extra="forbid"):
     """What a page asks for.
 
     Attributes
@@ -86,7 +86,7 @@ class State(BaseModel, extra="forbid"):
     network: int | None = Field(default=None, ge=0)
 
     @classmethod
-    def of(cls, message: Any) -> State:
+    def of(cls, message: Any) -> PageState:
         """Check what a page sent."""
         try:
             return cls.model_validate(message)
@@ -213,7 +213,7 @@ class Session:
         try:
             if not isinstance(message, Mapping):
                 raise InputError("state: not a table; reload the page")
-            state = State.of(message.get("state"))
+            state = PageState.of(message.get("state"))
             if message.get("ask") == "files":
                 return packed({"id": number, "files": self.files(state)}, {})
             lines = ProgressLines(partial(_report, report))
@@ -226,7 +226,7 @@ class Session:
         except InputError as error:
             return packed({"id": number, "error": str(error)}, {})
 
-    def _prepared(self, state: State, progress: Progress) -> ForwardModel:
+    def _prepared(self, state: PageState, progress: Progress) -> ForwardModel:
         """The model of a state: with its scars, or with what other torsos need."""
         torso = torso_values(state.values)
         if torso and state.scars:
@@ -235,7 +235,7 @@ class Session:
             self.model.torso([*torso], progress)
         return self._scarred(state.regions) if state.scars else self.model
 
-    def files(self, state: State) -> dict[str, str]:
+    def files(self, state: PageState) -> dict[str, str]:
         """Files by name that `fascicle simulate` takes, to repeat a state."""
         gain, _ = self._drawn(state)
         named = dict(state.values)
@@ -246,7 +246,7 @@ class Session:
         return {"parameters.toml": values, "scenario.toml": scenario_text(beat, state.regions)}
 
     def _simulated(
-        self, model: ForwardModel, state: State, moving: bool
+        self, model: ForwardModel, state: PageState, moving: bool
     ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Numbers and arrays of a beat; while something moves without the conventional criteria.
 
@@ -284,7 +284,7 @@ class Session:
             arrays["recorded"] = target.mean[: len(LEADS)].astype("<f4")
         return said, arrays
 
-    def _drawn(self, state: State) -> tuple[float, Floats]:
+    def _drawn(self, state: PageState) -> tuple[float, Floats]:
         """Gain and torso (12 + k, 12 + k) that were drawn with the network of a state."""
         study, k = self.study, state.network
         plain = np.eye(len(self.model.heart.leads))
@@ -337,7 +337,7 @@ class Session:
         return [_spoken({**fixed, **population.parameters(k)}) for k in range(len(population))]
 
 
-def _electrodes(model: ForwardModel, state: State) -> Floats:
+def _electrodes(model: ForwardModel, state: PageState) -> Floats:
     """Where the electrodes (9 + a, 3) stand to the heart (mm)."""
     placed, torso = model.heart.electrode_positions, torso_values(state.values)
     if not torso:

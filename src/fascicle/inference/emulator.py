@@ -29,7 +29,7 @@ RATE, DECAY = 2e-3, 0.01  # largest learning rate; weight decay relative to it
 MOMENTS = (0.9, 0.99)  # Adam's memory of gradients and of their squares
 
 
-class Network(NamedTuple):
+class NeuralNetwork(NamedTuple):
     """A trained network.
 
     Attributes
@@ -47,7 +47,7 @@ class Network(NamedTuple):
         return np.asarray(last @ self.weights[-2] + self.weights[-1])
 
 
-def weight_arrays(name: str, networks: Sequence[Network]) -> dict[str, Any]:
+def weight_arrays(name: str, networks: Sequence[NeuralNetwork]) -> dict[str, Any]:
     """Weights of networks for a file, in half precision."""
     return {
         f"{name} {n} {k:02d}": weight.astype(np.float16)
@@ -56,12 +56,12 @@ def weight_arrays(name: str, networks: Sequence[Network]) -> dict[str, Any]:
     }
 
 
-def networks_from(name: str, arrays: Mapping[str, Any]) -> tuple[Network, ...]:
+def networks_from(name: str, arrays: Mapping[str, Any]) -> tuple[NeuralNetwork, ...]:
     """The inverse of `weight_arrays`."""
     by_network: dict[str, list[Singles]] = {}
     for key in sorted(key for key in arrays if key.startswith(f"{name} ")):
         by_network.setdefault(key.rpartition(" ")[0], []).append(arrays[key].astype(np.float32))
-    return tuple(Network(tuple(weights)) for weights in by_network.values())
+    return tuple(NeuralNetwork(tuple(weights)) for weights in by_network.values())
 
 
 def _forward(weights: tuple[Singles, ...], inputs: Singles) -> Iterator[tuple[Singles, ...]]:
@@ -112,17 +112,17 @@ def _gradients(
 
 
 def train_together(
-    trainings: Sequence[Callable[..., Network]],
+    trainings: Sequence[Callable[..., NeuralNetwork]],
     rng: np.random.Generator,
     progress: Callable[[int], None],
-) -> list[Network]:
+) -> list[NeuralNetwork]:
     """Train networks on two threads; `progress` is called with their total of steps done.
 
     A training is `train` with all its arguments but `rng` and `progress`.
     """
     done = [0] * len(trainings)
 
-    def one(number: int, rng: np.random.Generator) -> Network:
+    def one(number: int, rng: np.random.Generator) -> NeuralNetwork:
         def reported(step: int) -> None:
             done[number] = step
             progress(sum(done))
@@ -141,11 +141,11 @@ def train(
     width: int = 256,
     blocks: int = 3,
     steps: int = 3000,
-    begin: Network | None = None,
+    begin: NeuralNetwork | None = None,
     rate: float = RATE,
     link: Callable[[Singles], Singles] = as_it_is,
     progress: Callable[[int], None] = lambda done: None,
-) -> Network:
+) -> NeuralNetwork:
     """Train a network on examples: inputs (n, p) of about unit size, and outputs (n, q).
 
     Parameters
@@ -154,7 +154,7 @@ def train(
         Size of the hidden layers, and how many of them are residual.
     steps : int
         Number of steps, of `BATCH_EXAMPLES` examples each.
-    begin : Network, optional
+    begin : NeuralNetwork, optional
         Network to train further; by default the weights are drawn at random.
     rate : float
         Largest learning rate.
@@ -189,4 +189,4 @@ def train(
             weight -= (now * (change + DECAY * (weight.ndim == 2) * weight)).astype(np.float32)
         if step % 50 == 0 or step == steps:
             progress(step)
-    return Network(weights)
+    return NeuralNetwork(weights)

@@ -184,7 +184,7 @@ class LocatedSites(NamedTuple):
     to_corner: NDArray[np.float64]
 
 
-class Sites(NamedTuple):
+class JunctionSites(NamedTuple):
     """Sites where trees (and stimuli) meet the myocardium.
 
     Attributes

@@ -44,7 +44,7 @@ class Drift(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Beat:
+class DetectedBeat:
     """A heart beat of a recording."""
 
     number: int  # from 1, in the order of time
@@ -231,7 +231,7 @@ def _shift(x: Floats, y: Floats, x_peak: int, y_peak: int) -> int:
 
 def select_beats(
     groups: Sequence[LeadGroup], options: TargetOptions, source: str
-) -> tuple[list[tuple[Beat, ...]], str]:
+) -> tuple[list[tuple[DetectedBeat, ...]], str]:
     """Number and select the beats of each group; also return the class of the target's beats."""
     firsts = [1, *(1 + n for n in accumulate(len(group.peaks) for group in groups))]
     count = firsts[-1] - 1
@@ -265,7 +265,7 @@ def select_beats(
     for group, first, why, drift in zip(groups, firsts, reasons, drifts, strict=False):
         rows = zip(group.times, group.labels, group.intervals, why, strict=True)
         numbered = [
-            Beat(first + k, float(time), beat_label, float(interval), reason, drift.get(k))
+            DetectedBeat(first + k, float(time), beat_label, float(interval), reason, drift.get(k))
             for k, (time, beat_label, interval, reason) in enumerate(rows)
         ]
         for beat in numbered:

@@ -18,7 +18,7 @@ from fascicle.core.ranges import check_kind, short_repr
 from fascicle.recording.beats import (
     FEW_ALIKE,
     AlignedBeats,
-    Beat,
+    DetectedBeat,
     by_name,
     combine,
     cut_beats,
@@ -90,7 +90,7 @@ class Analysis:
 
     recording: Recording
     signal: Floats
-    beats: tuple[Beat, ...]
+    beats: tuple[DetectedBeat, ...]
     classes: tuple[BeatClass, ...]
     spikes: Floats
     findings: tuple[CheckResult, ...]
@@ -270,7 +270,7 @@ def _check_amplitude(recording: Recording, height: float) -> list[str]:
 
 
 def _cut(
-    source: str, group: LeadGroup, beats: Sequence[Beat], options: TargetOptions, label: str
+    source: str, group: LeadGroup, beats: Sequence[DetectedBeat], options: TargetOptions, label: str
 ) -> AlignedBeats:
     members = np.flatnonzero([beat.used for beat in beats])
     if not len(members):
@@ -305,7 +305,7 @@ def _classes(groups: Sequence[LeadGroup]) -> tuple[BeatClass, ...]:
 def _target(
     recording: Recording,
     aligned: AlignedBeats,
-    beats: Sequence[Beat],
+    beats: Sequence[DetectedBeat],
     options: TargetOptions,
     label: str,
     filters: tuple[Filter, ...],
@@ -378,7 +378,7 @@ def _window(
 
 
 def _provenance(
-    recording: Recording, beats: Sequence[Beat], n_used: int, options: TargetOptions
+    recording: Recording, beats: Sequence[DetectedBeat], n_used: int, options: TargetOptions
 ) -> dict[str, str]:
     notes = {
         "source": recording.source,
@@ -437,7 +437,7 @@ def _warnings(analysis: Analysis, options: TargetOptions) -> list[str]:
     return warnings
 
 
-def _alternate(beats: Sequence[Beat]) -> bool:
+def _alternate(beats: Sequence[DetectedBeat]) -> bool:
     """Whether nearly every second of four or more beats is of one class, the others of another."""
     two = {label for label, _ in Counter(beat.label for beat in beats).most_common(2)}
     changes = [{beat.label, following.label} == two for beat, following in pairwise(beats)]

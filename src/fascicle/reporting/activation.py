@@ -25,7 +25,7 @@ from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.reporting import style
 from fascicle.reporting.style import Colour
 from fascicle.reporting.surfaces import (
-    Surface,
+    DrawnSurface,
     View,
     draw_surfaces,
     heart_views,
@@ -93,8 +93,8 @@ def activation_figure(heart: Heart, rows: Sequence[ActivationRow], what: str) ->
             cavity_size = np.array([1, shape]) * max(width, height / shape)
             for axes, (cavity, view) in zip(line[len(views) :], seen, strict=True):
                 walls, colour = (cavity.vertices, cavity.triangles), {"color": "#F1E9E4"}
-                far = Surface(*walls, colour)
-                near = Surface(walls[0], walls[1][:, ::-1], colour | {"opacity": 0.3})
+                far = DrawnSurface(*walls, colour)
+                near = DrawnSurface(walls[0], walls[1][:, ::-1], colour | {"opacity": 0.3})
                 draw_surfaces(axes, view, far, near, box=view.box(walls[0]), size=cavity_size)
                 axes.set_title(f"{cavity.side.upper()} Purkinje network")
                 for tree, times in row.trees:
@@ -153,7 +153,7 @@ def _bands(rows: Sequence[ActivationRow]) -> BoundaryNorm:
     return BoundaryNorm(levels, matplotlib.colormaps[TIME_COLOURS].N, extend=ends)
 
 
-def _coloured(heart: Heart, activation: Floats, norm: BoundaryNorm) -> list[Surface]:
+def _coloured(heart: Heart, activation: Floats, norm: BoundaryNorm) -> list[DrawnSurface]:
     """The surface of the heart in bands; tissue that is not activated is grey."""
     triangles, levels = heart.boundary[0], np.asarray(norm.boundaries, dtype=float)
     activated = np.isfinite(activation)
@@ -164,7 +164,9 @@ def _coloured(heart: Heart, activation: Floats, norm: BoundaryNorm) -> list[Surf
         "cmap": bands, "n_colors": len(levels) - 1, "interpolate_before_map": True,
     }  # fmt: skip
     parts = (reached, look), (~reached, {"color": Colour.LIGHT_GREY})
-    return [Surface(heart.vertices, triangles[part], looks) for part, looks in parts if part.any()]
+    return [
+        DrawnSurface(heart.vertices, triangles[part], looks) for part, looks in parts if part.any()
+    ]
 
 
 def _draw_tree(

@@ -22,7 +22,7 @@ from fascicle.mesh.topology import boundary_loops, boundary_triangles
 from fascicle.reporting import style
 from fascicle.reporting.style import Colour
 from fascicle.reporting.surfaces import (
-    Surface,
+    DrawnSurface,
     View,
     draw_surfaces,
     heart_views,
@@ -68,7 +68,7 @@ def labels_figure(surface: LabelledSurface | LabelledMesh) -> Figure:
                     continue
                 triangles = triangles[:, ::-1] if label in ENDOCARDIA else triangles
             if len(triangles):
-                parts.append(Surface(surface.vertices, triangles, {"color": colour}))
+                parts.append(DrawnSurface(surface.vertices, triangles, {"color": colour}))
         draw_surfaces(axes, view, *parts, box=box, size=size)
     scale_bar(panels[0], 20)
     patches = [
@@ -148,19 +148,19 @@ def draw_heart(axes: Axes, heart: Heart, view: str) -> None:
     if not isinstance(view, str) or view not in views:
         raise InputError(f"view is {shown(view)}; give one of {', '.join(views)}")
     box = views[view].box(heart.vertices)
-    outside = Surface(heart.vertices, heart.boundary[0], {"color": "#D9C2B8", "opacity": 0.3})
+    outside = DrawnSurface(heart.vertices, heart.boundary[0], {"color": "#D9C2B8", "opacity": 0.3})
     _draw_seeds(axes, views[view], heart, box, largest([box]), outside)
     axes.set_title(f"{style.short(heart.name)}, {view}")
     scale_bar(axes, 20)
 
 
 def _draw_seeds(
-    axes: Axes, view: View, heart: Heart, box: Floats, size: Floats, *around: Surface
+    axes: Axes, view: View, heart: Heart, box: Floats, size: Floats, *around: DrawnSurface
 ) -> None:
     """Far walls of the endocardia, with the root and direction of each bundle."""
     colours = (LABELS[label][1] for label in ENDOCARDIA)
     pairs = list(zip(heart.endocardia, colours, strict=True))
-    walls = [Surface(e.vertices, e.triangles, {"color": c, "opacity": 0.55}) for e, c in pairs]
+    walls = [DrawnSurface(e.vertices, e.triangles, {"color": c, "opacity": 0.55}) for e, c in pairs]
     draw_surfaces(axes, view, *walls, *around, box=box, size=size)
     axes.set_title("endocardia and bundles (front)")
     for endocardium, colour in pairs:
@@ -180,7 +180,7 @@ def _draw_fibres(
     vertices = heart.vertices
     triangles, owner = (of_boundary[part] for of_boundary in heart.boundary)
     faces = triangles[:, ::step]
-    surface = Surface(vertices, faces, {"color": Colour.LIGHT_GREY})
+    surface = DrawnSurface(vertices, faces, {"color": Colour.LIGHT_GREY})
     draw_surfaces(axes, view, surface, box=box, size=size)
     visible = np.flatnonzero(view.facing(triangle_normals(vertices, faces)))
     visible = visible[:: 1 + len(visible) // 1500]
@@ -193,7 +193,7 @@ def _draw_fibres(
 
 def _draw_torso(axes: Axes, view: View, heart: Heart) -> None:
     """The heart, transparent skin and lungs, and the named electrodes."""
-    parts = [Surface(heart.vertices, heart.boundary[0], {"color": Colour.VERMILION})]
+    parts = [DrawnSurface(heart.vertices, heart.boundary[0], {"color": Colour.VERMILION})]
     torso = heart.torso
     if torso is not None:
         lungs = torso.tetrahedra[torso.tissues == TorsoTissue.LUNG]
@@ -201,7 +201,7 @@ def _draw_torso(axes: Axes, view: View, heart: Heart) -> None:
         for cells, colour in ((lungs, "#9FC3D9"), (whole, "#E4D2C3")):
             if len(cells):
                 look = {"color": colour, "opacity": 0.4}
-                parts.append(Surface(torso.vertices, boundary_triangles(cells)[0], look))
+                parts.append(DrawnSurface(torso.vertices, boundary_triangles(cells)[0], look))
     vertices = heart.vertices if torso is None else torso.vertices
     electrodes, names = heart.electrode_positions, heart.electrode_names
     box = view.box(np.concatenate([vertices, electrodes]))

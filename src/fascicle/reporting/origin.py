@@ -9,7 +9,7 @@ from matplotlib.patches import Patch
 
 from fascicle.reporting import style
 from fascicle.reporting.style import Colour
-from fascicle.reporting.surfaces import Surface, draw_surfaces, heart_views, largest, scale_bar
+from fascicle.reporting.surfaces import DrawnSurface, draw_surfaces, heart_views, largest, scale_bar
 from fascicle.study.origin import Origin
 
 LEVELS = (0.5, 0.9, 0.99)  # of the regions that are drawn
@@ -40,7 +40,7 @@ def origin_figure(origin: Origin) -> Figure:
     rows = {"outside": triangles, "far walls, from within": triangles[:, ::-1]}
     for line, (label, faces) in zip(panels, rows.items(), strict=True):
         for axes, (name, view) in zip(line, views.items(), strict=True):
-            surface = Surface(heart.vertices, faces, look)
+            surface = DrawnSurface(heart.vertices, faces, look)
             draw_surfaces(axes, view, surface, box=boxes[name], size=size)
         line[0].annotate(
             label, (0, 0.5), (-6, 0), xycoords="axes fraction", textcoords="offset points",

@@ -40,7 +40,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Surface:
+class DrawnSurface:
     """Vertices (n, 3) (mm) and triangles (m, 3) to draw; `pyvista.Plotter.add_mesh` has the look.
 
     Only triangles that appear counter-clockwise are visible.
@@ -84,7 +84,9 @@ def upright_frame(up: Floats, left: Floats, positions: Floats) -> tuple[Floats, 
     return frame, (along.min(axis=0) + along.max(axis=0)) / 2 @ frame
 
 
-def draw_surfaces(axes: Axes, view: View, *surfaces: Surface, box: Floats, size: Floats) -> None:
+def draw_surfaces(
+    axes: Axes, view: View, *surfaces: DrawnSurface, box: Floats, size: Floats
+) -> None:
     """Draw surfaces into axes, which then are in mm and have no frame.
 
     The axes show a width and height, `size` (2,) (mm), about the middle of `box` (2, 2), the lower
@@ -118,7 +120,7 @@ def largest(boxes: list[Floats]) -> Floats:
 
 
 def _rendered(
-    view: View, surfaces: tuple[Surface, ...], middle: Floats, size: Floats
+    view: View, surfaces: tuple[DrawnSurface, ...], middle: Floats, size: Floats
 ) -> Floats | None:
     """Picture of an area of the screen (mm); None where nothing can be rendered."""
     from pyvista import make_tri_mesh

@@ -31,7 +31,7 @@ from fascicle.forward.likelihood import (
     separable,
 )
 from fascicle.inference.emulator import (
-    Network,
+    NeuralNetwork,
     Singles,
     networks_from,
     softmax,
@@ -146,7 +146,7 @@ class EcgClassifier:
     mean: Floats
     components: Floats
     scale: Floats
-    networks: tuple[Network, ...]
+    networks: tuple[NeuralNetwork, ...]
     right: float
     most_outside: float | None = None
 

@@ -34,7 +34,7 @@ from fascicle.core.threads import one_thread
 from fascicle.inference.emulator import (
     BATCH_EXAMPLES,
     RATE,
-    Network,
+    NeuralNetwork,
     Singles,
     logistic,
     networks_from,
@@ -70,7 +70,7 @@ class EcgEmulator:
     centre, scale : arrays
         Mean and standard deviation that standardise the inputs: the quantities, with the
         logarithms of those of `FASTER`, and the tissue.
-    networks, validity : sequence of Network, and Network
+    networks, validity : sequence of NeuralNetwork, and NeuralNetwork
         Neural networks that give the components, in `unit`; and the log odds that the parameters
         are feasible.
     mean, components : (8 + k, f) and (q, 8 + k, f) arrays
@@ -97,8 +97,8 @@ class EcgEmulator:
     names: tuple[str, ...]
     centre: Floats
     scale: Floats
-    networks: tuple[Network, ...]
-    validity: Network
+    networks: tuple[NeuralNetwork, ...]
+    validity: NeuralNetwork
     mean: Floats
     components: Floats
     unit: float
@@ -277,7 +277,7 @@ def learn(
     components = np.linalg.svd(deviations[:6000], full_matrices=False)[2][:COMPONENTS]
     unit = float((deviations @ components.T).std())
     emulator = EcgEmulator(
-        names, raw.mean(axis=0), raw.std(axis=0) + 1e-9, (), Network(()), mean,
+        names, raw.mean(axis=0), raw.std(axis=0) + 1e-9, (), NeuralNetwork(()), mean,
         components.reshape(-1, *mean.shape), unit, examples.ecgs.shape[2], np.empty(0),
         np.empty(0), np.empty(0), {},
     )  # fmt: skip
@@ -331,7 +331,7 @@ def _trained(
     validity_outputs: Singles,
     rng: np.random.Generator,
     progress: Progress | None,
-) -> list[Network]:
+) -> list[NeuralNetwork]:
     """Train the neural networks of the components, and the last one, of feasibility."""
     steps = max(200, EPOCHS * len(inputs) // BATCH_EXAMPLES)
     of_components = partial(train, inputs, outputs, steps=steps)
@@ -430,7 +430,7 @@ def trained_on(
     flat = emulator.components.reshape(len(emulator.components), -1)
     scores = (true - emulator.mean).reshape(len(true), -1) @ flat.T / emulator.unit
 
-    def on(network: Network, chosen: Booleans, rng: np.random.Generator) -> Network:
+    def on(network: NeuralNetwork, chosen: Booleans, rng: np.random.Generator) -> NeuralNetwork:
         all_inputs = np.concatenate([inputs[chosen], usual])
         outputs = np.concatenate([scores[chosen].astype(np.float32), network(usual)])
         steps = EPOCHS_ON * len(all_inputs) // BATCH_EXAMPLES

@@ -26,8 +26,8 @@ from fascicle.kernels.arrays import (
     EikonalMesh,
     Forest,
     Front,
+    JunctionSites,
     Queue,
-    Sites,
     Surroundings,
 )
 from fascicle.kernels.coupled import solve_trees, sweep
@@ -83,7 +83,7 @@ class Coupling:
     lengths : (n_nodes,) array
         Length of the segment that ends in each node (mm), tree by tree, then stimuli and the
         His bundle.
-    forest, sites : Forest, Sites
+    forest, sites : Forest, JunctionSites
         As the sweep wants them, with neither travel times nor delays.
     """
 
@@ -95,7 +95,7 @@ class Coupling:
     junctions: Integers
     lengths: Floats
     forest: Forest
-    sites: Sites
+    sites: JunctionSites
 
     @property
     def stimuli(self) -> LocatedPoints:
@@ -200,7 +200,7 @@ def attach(
     parents[roots] = his
     no_delay = np.zeros(len(site_node))
     reader_start, reader = _readers(myocardium, located)
-    sites = Sites(
+    sites = JunctionSites(
         element=located.elements,
         to_corner=neighbourhood.sites.to_corner,
         node=site_node + len(myocardium.mesh.vertices),

@@ -22,7 +22,7 @@ from fascicle.recording.readers.read import Channel, RawRecording, narrowest_pas
 from fascicle.recording.recording import with_remarks
 
 
-class _Group:
+class _MultiplexGroup:
     """A multiplex group: its metadata, and the leads that are recorded in it.
 
     `sources` are name and lead of each channel; the lead is None for a channel that is none of the
@@ -90,7 +90,7 @@ def read_dicom(path: Path, sampling_rate: float | None) -> RawRecording:
             "it as Explicit VR Little Endian"
         )
     remarks = [remark for item in items for remark in _mended(item)]
-    groups = [_Group(item, k) for k, item in enumerate(items)]
+    groups = [_MultiplexGroup(item, k) for k, item in enumerate(items)]
     if len(groups) > 1:
         _drop_empty(groups, [multiplex_array(dataset, group.index) for group in groups])
     chosen = _chosen(groups, path)
@@ -157,7 +157,7 @@ def _source(channel: Any, number: int) -> tuple[str, str | None]:
     return meaning or label or f"channel {number}", lead
 
 
-def _drop_empty(groups: Sequence[_Group], samples: Sequence[Any]) -> None:
+def _drop_empty(groups: Sequence[_MultiplexGroup], samples: Sequence[Any]) -> None:
     """Remove leads from groups in which they are constant, if they move in another group."""
     moving = [
         {lead for (_, lead), row in zip(group.sources, array.T, strict=True) if np.ptp(row) > 0}
@@ -168,7 +168,7 @@ def _drop_empty(groups: Sequence[_Group], samples: Sequence[Any]) -> None:
         group.leads = [lead for lead in group.leads if lead in here or lead not in anywhere]
 
 
-def _chosen(groups: Sequence[_Group], path: Path) -> list[_Group]:
+def _chosen(groups: Sequence[_MultiplexGroup], path: Path) -> list[_MultiplexGroup]:
     """Return the group to read and those joined to it; averaged beats are the last resort."""
     rhythms = [group for group in groups if not group.averaged]
     chosen = _join(rhythms, path) if rhythms else []
@@ -181,7 +181,7 @@ def _is_complete(leads: Collection[str]) -> bool:
     return set(CHEST_LEADS) <= set(leads) and limb_leads_from(leads) is not None
 
 
-def _join(groups: Sequence[_Group], path: Path) -> list[_Group]:
+def _join(groups: Sequence[_MultiplexGroup], path: Path) -> list[_MultiplexGroup]:
     """Return the group with the most leads, and those that have what it lacks or continue it."""
     ranked = sorted(groups, key=lambda group: (-len(group.leads), -group.samples))
     first, leads = ranked[0], set(ranked[0].leads)
@@ -227,7 +227,7 @@ def _joined_parts(channels: Sequence[Channel]) -> tuple[list[Channel], dict[str,
     return joined, notes
 
 
-def _channels(group: _Group, samples: Any, path: Path) -> list[Channel]:
+def _channels(group: _MultiplexGroup, samples: Any, path: Path) -> list[Channel]:
     """Turn the digits of a group into physical values.
 
     ``value = (sample * sensitivity * correction factor) + baseline`` (DICOM PS3.3, C.10.9.1.4);
