@@ -167,38 +167,38 @@ def _check_predicted(predicted: Mapping[str, Predicted]) -> None:
     check_kind(predicted, Mapping, "predicted", "what fascicle.predict returned")
     if not predicted:
         raise InputError("predicted is empty; give what fascicle.predict returned")
-    for name, each in predicted.items():
-        check_kind(each, Predicted, f"predicted '{name}'", "what fascicle.predict returned")
+    for name, prediction in predicted.items():
+        check_kind(prediction, Predicted, f"predicted '{name}'", "what fascicle.predict returned")
 
 
-def _heart(given: Heart | GivenStudy, predicted: Mapping[str, Predicted]) -> Heart:
+def _heart(source: Heart | GivenStudy, predicted: Mapping[str, Predicted]) -> Heart:
     """The heart that the predictions are of."""
-    if isinstance(given, FittedStudy):
-        heart = given.simulator.model.heart
-    elif isinstance(given, Heart):
-        heart = given
+    if isinstance(source, FittedStudy):
+        heart = source.simulator.model.heart
+    elif isinstance(source, Heart):
+        heart = source
     else:
-        folder = as_path(given, "heart", "a heart, a fitted study, or the folder of either")
+        folder = as_path(source, "heart", "a heart, a fitted study, or the folder of either")
         heart = load_heart(folder / HEART_FOLDER if (folder / CONFIGURATION).exists() else folder)
-    for name, each in predicted.items():
-        _check_vertices(heart, f"'{name}'", each.beats[0].activation)
+    for name, prediction in predicted.items():
+        _check_vertices(heart, f"'{name}'", prediction.beats[0].activation)
     return heart
 
 
-def _check_vertices(heart: Heart, what: str, activation: Floats | Singles) -> None:
+def _check_vertices(heart: Heart, name: str, activation: Floats | Singles) -> None:
     if len(activation) != len(heart.vertices):
         raise InputError(
-            f"heart '{heart.name}' has {len(heart.vertices)} vertices, {what} was predicted "
+            f"heart '{heart.name}' has {len(heart.vertices)} vertices, {name} was predicted "
             f"on one of {len(activation)}; give that heart"
         )
 
 
-def _into(ax: Axes | None, draw: Callable[..., None], *given: Any, **looks: Any) -> list[Axes]:
+def _into(ax: Axes | None, draw: Callable[..., None], *arguments: Any, **looks: Any) -> list[Axes]:
     """Draw into the user's axes, or into those of a new figure."""
     check_kind(ax, (Axes, NoneType), "ax", "Matplotlib axes")
     if ax is None:
-        return _shown(one_axes, draw, *given, **looks)
-    draw(ax, *given)
+        return _shown(one_axes, draw, *arguments, **looks)
+    draw(ax, *arguments)
     return [ax]
 
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 
-from fascicle.kernels.deposit import LEAST_GAP, deposit, respond
+from fascicle.kernels.deposit import KNOT_GAP, deposit, respond
 from fascicle.kernels.jit import CHANNELS
 
 ORIGIN, WIDTH, BINS = -1.0, 0.5, 80
@@ -74,17 +74,17 @@ def test_bins_share_the_volume(times):
 
 
 def test_an_element_that_fires_at_once_is_in_one_place():
-    """All four times together, to less than `LEAST_GAP` of a bin: the hats at that time."""
+    """All four times together, to less than `KNOT_GAP` of a bin: the hats at that time."""
     for spread in (1e-13, 1e-6, 0.01):
         at = 5.2
         found = shares([at, at + spread, at, at - spread])
-        assert np.abs(found - hat(at, PEAKS)).max() < LEAST_GAP
+        assert np.abs(found - hat(at, PEAKS)).max() < KNOT_GAP
 
 
 @given(knots)
 @settings(max_examples=200, deadline=None)
 def test_bins_are_the_integrals_of_the_b_spline(times):
-    if np.diff(np.sort(times)).min() < 2 * LEAST_GAP * WIDTH:
+    if np.diff(np.sort(times)).min() < 2 * KNOT_GAP * WIDTH:
         return
     np.testing.assert_allclose(shares(times), integrated_shares(times), atol=1e-8)
 

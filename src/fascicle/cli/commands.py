@@ -49,8 +49,8 @@ app.add_typer(heart_app, name="heart")
 app.add_typer(study_app, name="study")
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(version: bool) -> None:
+    if version:
         print(f"fascicle {fascicle.__version__}")
         raise typer.Exit
 
@@ -216,16 +216,16 @@ def fit(
     from fascicle.cli.printing import print_fit
     from fascicle.study.prior import PARAMETERS, read_settings
 
-    given = read_settings(settings_file) if settings_file is not None else {}
-    learnt = given.pop(PARAMETERS, {}) | wanted_parameters(free, fix)
-    given |= explicit(context, settings)
+    fit_settings = read_settings(settings_file) if settings_file is not None else {}
+    learnt = fit_settings.pop(PARAMETERS, {}) | wanted_parameters(free, fix)
+    fit_settings |= explicit(context, settings)
     with resumable(out), TerminalProgress() as progress:
         recordings: list[Any] = [with_scenario(target) for target in targets]
         if device is not None:
-            given["backend"] = fascicle.GpuBackend(device)
+            fit_settings["backend"] = fascicle.GpuBackend(device)
         pool = pool_at(scheduler, progress)
         fitted = fascicle.fit(
-            heart, recordings, out, parameters=learnt, progress=progress, pool=pool, **given
+            heart, recordings, out, parameters=learnt, progress=progress, pool=pool, **fit_settings
         )
     summary = written_summary(out)
     print_fit(fitted, summary)
@@ -262,16 +262,16 @@ def locate(
 
     check_folder(out)
     with TerminalProgress() as progress:
-        found = fascicle.locate(
+        origin = fascicle.locate(
             heart, target, prior_simulations=prior_simulations, workers=workers,
             progress=progress, pool=pool_at(scheduler, progress),
         )  # fmt: skip
-        found.save(out)
-        save(origin_figure(found), out / ORIGIN_PICTURE)
-    print(found.verdict)
-    summary = found.summary()
+        origin.save(out)
+        save(origin_figure(origin), out / ORIGIN_PICTURE)
+    print(origin.verdict)
+    summary = origin.summary()
     print_row("region", f"{summary['region_ml']:.0f} ml of tissue hold the origin with 90 %")
-    held_out = found.held_out
+    held_out = origin.held_out
     print_row(
         "held-out beats",
         f"median distance {held_out['distance']:.0f} mm; {held_out['region']:.0%} in such a region",
@@ -306,19 +306,23 @@ def states(
     """
     from fascicle.study.prior import PARAMETERS, read_settings
 
-    given = read_settings(settings_file) if settings_file is not None else {}
+    file_settings = read_settings(settings_file) if settings_file is not None else {}
     with TerminalProgress() as progress:
-        found = fascicle.state_probabilities(
-            heart, target, parameters=given.get(PARAMETERS),
+        probabilities = fascicle.state_probabilities(
+            heart, target, parameters=file_settings.get(PARAMETERS),
             prior_simulations=prior_simulations, workers=workers, progress=progress,
             pool=pool_at(scheduler, progress),
         )  # fmt: skip
-    if isinstance(found, fascicle.NoStateNamed):
-        print(found)
-        return {"states": None, "reason": found.reason, "unreliable": dict(found.unreliable)}
-    for name in sorted(found, key=lambda name: -found[name]):
-        print_row(name, f"{found[name]:.2f}")
-    return {"states": dict(found), "reason": None}
+    if isinstance(probabilities, fascicle.NoStateNamed):
+        print(probabilities)
+        return {
+            "states": None,
+            "reason": probabilities.reason,
+            "unreliable": dict(probabilities.unreliable),
+        }
+    for name in sorted(probabilities, key=lambda name: -probabilities[name]):
+        print_row(name, f"{probabilities[name]:.2f}")
+    return {"states": dict(probabilities), "reason": None}
 
 
 @app.command()
@@ -424,14 +428,16 @@ def compare(
 
     check_index(index)
     within("threshold", threshold, "--threshold")
-    wanted = fascicle.read_scenarios([first, second])
+    pair = fascicle.read_scenarios([first, second])
     with TerminalProgress() as progress:
         fitted = fascicle.load_study(study, progress, pool_at(scheduler, progress))
-        predicted = fascicle.predict(fitted, fascicle.read_scenarios([PACED]) | wanted, progress)
+        predicted = fascicle.predict(fitted, fascicle.read_scenarios([PACED]) | pair, progress)
     print_verdict(fitted)
-    found = comparison_result(list(wanted), predicted, index, threshold, fitted.population.values)
-    print_comparison(predicted, found)
-    return {"verdict": fitted.verdict, "caution": fitted.statements.caution_text} | found
+    comparison = comparison_result(
+        list(pair), predicted, index, threshold, fitted.population.values
+    )
+    print_comparison(predicted, comparison)
+    return {"verdict": fitted.verdict, "caution": fitted.statements.caution_text} | comparison
 
 
 @app.command()
@@ -473,10 +479,10 @@ def sweep(
     check_index(index)
     ((name, case),) = fascicle.read_scenarios([scenario]).items()
     ways = {delays: delay, segments: layer, radii: radius}
-    asked = [(vary, how) for vary, how in ways.items() if how is not None]
-    if len(asked) != 1:
+    chosen = [(vary, how) for vary, how in ways.items() if how is not None]
+    if len(chosen) != 1:
         raise InputError("give one of --delay, --segments and --radius, which say what to vary")
-    ((vary, how),) = asked
+    ((vary, how),) = chosen
     family = vary(case, how)
     with TerminalProgress() as progress:
         fitted = fascicle.load_study(study, progress, pool_at(scheduler, progress))
@@ -505,9 +511,9 @@ def scenarios(
         text = path.read_text(encoding="utf-8")
         print(text, end="")
         return {"name": name, "file": text}
-    found = {name: read_scenario(path)[0].description for name, path in library().items()}
-    print_table([*found.items()])
-    return found
+    descriptions = {name: read_scenario(path)[0].description for name, path in library().items()}
+    print_table([*descriptions.items()])
+    return descriptions
 
 
 @app.command()
@@ -549,25 +555,27 @@ def parameters() -> Result:
     from fascicle.core.quantities import GROUPS, QUANTITIES, quantity
 
     rows = [("name", "unit", "default", "prior range", "meaning")]
-    for known in (*QUANTITIES.values(), quantity("region_1_conductivity")):
+    for parameter in (*QUANTITIES.values(), quantity("region_1_conductivity")):
         # the other fascicles are as the first
-        if "_fascicle_" not in known.name or known.name.endswith("_1"):
-            default = "" if known.default is None else f"{known.default:g}"
-            prior = "" if known.is_integer else "{:.3g} to {:.3g}".format(*known.prior_range)
-            rows.append((known.name, known.unit, default, prior, known.meaning))
+        if "_fascicle_" not in parameter.name or parameter.name.endswith("_1"):
+            default = "" if parameter.default is None else f"{parameter.default:g}"
+            prior = (
+                "" if parameter.is_integer else "{:.3g} to {:.3g}".format(*parameter.prior_range)
+            )
+            rows.append((parameter.name, parameter.unit, default, prior, parameter.meaning))
     print_table(rows)
     print("By default a fit learns, with priors of human anatomy:")
     print_table([(p.name, p.unit, f"{p.lower:g} to {p.upper:g}") for p in HUMAN_SPACE.parameters])
     print("Groups that can be freed together (--free NAME): " + ", ".join(GROUPS))
     print("Fascicles are numbered 1 to at most 4; regions by their labels.")
-    for known in QUANTITIES.values():
-        if known.choices:
-            print(f"{known.name}: {', '.join(known.choices)}")
+    for parameter in QUANTITIES.values():
+        if parameter.choices:
+            print(f"{parameter.name}: {', '.join(parameter.choices)}")
     shown = ("name", "unit", "default", "prior_range", "meaning", "choices")
     return [
-        {key: getattr(known, key) for key in shown}
-        | ({"prior_range": None} if known.is_integer else {})
-        for known in QUANTITIES.values()
+        {key: getattr(parameter, key) for key in shown}
+        | ({"prior_range": None} if parameter.is_integer else {})
+        for parameter in QUANTITIES.values()
     ]
 
 
@@ -605,10 +613,10 @@ def report(
     """
     from fascicle.reporting.page.page import PACINGS
 
-    kinds, wanted = figures or [], fascicle.read_scenarios(scenario or PACINGS)
+    kinds, scenarios = figures or [], fascicle.read_scenarios(scenario or PACINGS)
     with TerminalProgress() as progress:
         fitted = fascicle.load_study(study, progress, pool_at(scheduler, progress))
-        page, *drawn = fascicle.report(fitted, wanted, out, progress, kinds, against)
+        page, *drawn = fascicle.report(fitted, scenarios, out, progress, kinds, against)
     print_row("result", fitted.verdict)
     for path in (*drawn, page.resolve().as_uri()):
         print(path)
@@ -640,7 +648,9 @@ def template(
         "apd90": "APD90 (ms)",
         "conduction_velocity": "speed (m/s)",
     }
-    rows = [(cell, *(f"{found[key]:.4g}" for key in columns)) for cell, found in measures.items()]
+    rows = [
+        (cell, *(f"{measured[key]:.4g}" for key in columns)) for cell, measured in measures.items()
+    ]
     print_table([("", *columns.values()), *rows])
     print(f"picture: {out}")
     return {"picture": out, "measures": measures}
@@ -660,9 +670,9 @@ def demo(
     from fascicle.cli.demo import DEMO_BLOCK, fit_own_beat, treat_block
     from fascicle.cli.printing import print_fit, print_prediction, print_reductions
 
-    own = out / "own-beat"
-    with resumable(own), TerminalProgress() as progress:
-        fitted = fit_own_beat(own, progress)
+    own_beat = out / "own-beat"
+    with resumable(own_beat), TerminalProgress() as progress:
+        fitted = fit_own_beat(own_beat, progress)
     print_row("own beat", fitted.verdict)
     for warning in fitted.warnings:
         print(f"warning: {warning}")
@@ -677,6 +687,6 @@ def demo(
     print(f"\nin {out}: the recordings (target.png), the studies, the pacings, and their figures")
     print(f"to explore the networks: fascicle explore {out / 'study'}")
     print(f"to read in a browser: {page.resolve().as_uri()}")
-    folders = {"own_beat": own / "study", "study": out / "study", "pacings": out / "pacings"}
+    folders = {"own_beat": own_beat / "study", "study": out / "study", "pacings": out / "pacings"}
     parts = {part: written_summary(folder) for part, folder in folders.items()}
     return {"folder": out, "page": page, "true_reductions_ms": reductions} | parts

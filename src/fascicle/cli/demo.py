@@ -51,7 +51,9 @@ def treat_block(
     }
     scenarios = fascicle.read_scenarios(PACINGS)
     beat, *paced = (_simulated(model, truth, case) for case in (None, *scenarios.values()))
-    reductions = [beat.total_activation_time - each.total_activation_time for each in paced]
+    reductions = [
+        beat.total_activation_time - simulation.total_activation_time for simulation in paced
+    ]
     out.mkdir(parents=True, exist_ok=True)
     write_ecg(out / "ecg.csv", beat.ecg)
     analysis = _analysed(out / "ecg.csv", out)
@@ -76,6 +78,6 @@ def _analysed(source: Path | str, out: Path) -> Analysis:
 def _simulated(
     model: fascicle.ForwardModel, truth: Mapping[str, float], scenario: Scenario | None
 ) -> Simulation:
-    found = model.simulate(truth, scenario)
-    assert isinstance(found, Simulation)  # the example network fits the packaged heart
-    return found
+    outcome = model.simulate(truth, scenario)
+    assert isinstance(outcome, Simulation)  # the example network fits the packaged heart
+    return outcome

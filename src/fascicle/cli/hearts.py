@@ -174,14 +174,14 @@ def heart_build(
     from fascicle.reporting.heart import labels_figure
     from fascicle.reporting.style import save
 
-    given = _numbers("--labels", labels) or {}
-    if any(len(values) > 1 for values in given.values()):
+    numbers = _numbers("--labels", labels) or {}
+    if any(len(values) > 1 for values in numbers.values()):
         raise InputError(f"--labels {labels}: give every name once, such as lv=3,rv=4")
     parts = {"lv": lv_endocardium, "rv": rv_endocardium, "epicardium": epicardium, "base": base}
     source = Source(
         file=anatomy,
         parts={part: path for part, path in parts.items() if path is not None},
-        labels={name: values[0] for name, values in given.items()} if given else None,
+        labels={name: values[0] for name, values in numbers.items()} if numbers else None,
         label_array=label_array,
         labels_file=labels_file,
         remesh=remesh or None,
@@ -204,14 +204,14 @@ def heart_build(
             name=folder.resolve().name,
             progress=progress,
         )
-    found = _write_and_check(built.heart, folder, built.notes, warnings=built.anatomy.warnings)
+    contents = _write_and_check(built.heart, folder, built.notes, warnings=built.anatomy.warnings)
     if built.anatomy.guessed:
         save(labels_figure(built.anatomy.mesh), picture := folder / LABELS_PICTURE)
         print(
             f"labels were found, not given: look at {picture}; if they are wrong, label the "
             "surface in the file"
         )
-    return found
+    return contents
 
 
 @heart_app.command("import")
@@ -327,11 +327,11 @@ def heart_refine(heart: HeartArgument, out: OutOption) -> Result:
     coarse = fascicle.load_heart(heart)
     with TerminalProgress() as progress:
         finer = refined(coarse, progress)
-    found = _write_and_check(finer, out)
-    sizes = ("tetrahedra", *(f"{len(each.tetrahedra)}" for each in (coarse, finer)))
-    edges = ("mean edge, mm", *(f"{each.edge_length:.2f}" for each in (coarse, finer)))
+    contents = _write_and_check(finer, out)
+    sizes = ("tetrahedra", *(f"{len(mesh.tetrahedra)}" for mesh in (coarse, finer)))
+    edges = ("mean edge, mm", *(f"{mesh.edge_length:.2f}" for mesh in (coarse, finer)))
     print_table([("", "before", "after"), sizes, edges])
-    return found
+    return contents
 
 
 @heart_app.command("add-electrodes")
@@ -423,9 +423,9 @@ def _write_and_check(
         print(note)
     charts = _growable_charts(heart, sources if sources is not None else {})
     write_heart(heart, folder)
-    found = _check(heart, charts, folder / PICTURE, warnings)
+    contents = _check(heart, charts, folder / PICTURE, warnings)
     print(f"heart written to {folder}")
-    return {"folder": folder, "notes": notes} | found
+    return {"folder": folder, "notes": notes} | contents
 
 
 def _check(
@@ -436,19 +436,19 @@ def _check(
     from fascicle.reporting.heart import check_figure
     from fascicle.reporting.style import save
 
-    found = check_heart(heart, charts)
+    contents = check_heart(heart, charts)
     print(heart.name)
-    for what, value in found.rows:
-        print(f"  {what:<18} {value}")
-    warnings = (*warnings, *found.warnings)
+    for label, value in contents.rows:
+        print(f"  {label:<18} {value}")
+    warnings = (*warnings, *contents.warnings)
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
     if picture is not None:
-        save(check_figure(heart, found), picture)
+        save(check_figure(heart, contents), picture)
         print(f"picture: {picture}")
     count = len(warnings)
     print(f"{count} warning{'s' * (count > 1)}" if count else "no problem found")
-    rows = dict(found.rows)
+    rows = dict(contents.rows)
     return {"heart": heart.name, "found": rows, "warnings": warnings, "picture": picture}
 
 
@@ -496,9 +496,9 @@ def _torso(options: Mapping[str, Any], electrodes: Path | None) -> TorsoOptions:
     from fascicle.build.torso import TorsoOptions
 
     measures = {name: options[name] for name in ("height", "weight", "chest")}
-    known = {name: value for name, value in measures.items() if value is not None}
+    stated = {name: value for name, value in measures.items() if value is not None}
     lungs = tuple(options["lung"] or ())
-    return TorsoOptions(options["torso"], lungs, known, options["pose"], electrodes)
+    return TorsoOptions(options["torso"], lungs, stated, options["pose"], electrodes)
 
 
 def _seeds(options: Mapping[str, Any]) -> dict[str, tuple[ChosenSeed, ChosenSeed]]:

@@ -64,20 +64,20 @@ def lead_names(text: str) -> list[str]:
     from fascicle.core.leads import ADDITIONAL_LEADS, LEADS
     from fascicle.recording.readers.names import additional_lead_name, lead_name
 
-    known, leads = [*LEADS, *ADDITIONAL_LEADS], dict[str, None]()
+    standard, leads = [*LEADS, *ADDITIONAL_LEADS], dict[str, None]()
     for part in map(str.strip, text.split(",")):
         ends = [lead_name(end) or additional_lead_name(end) for end in part.split("-")]
-        places = [known.index(end) for end in ends if end is not None]
-        own = re.fullmatch(r"(\D*)(\d{1,3})(?:-\1(\d{1,3}))?", part)
+        places = [standard.index(end) for end in ends if end is not None]
+        numbered = re.fullmatch(r"(\D*)(\d{1,3})(?:-\1(\d{1,3}))?", part)
         if len(places) == len(ends) <= 2 and places == sorted(places):
-            leads |= dict.fromkeys(known[places[0] : places[-1] + 1])
-        elif own and not places and int(own[2]) <= int(own[3] or own[2]):
-            numbers = range(int(own[2]), int(own[3] or own[2]) + 1)
-            leads |= dict.fromkeys(f"{own[1]}{number}" for number in numbers)
+            leads |= dict.fromkeys(standard[places[0] : places[-1] + 1])
+        elif numbered and not places and int(numbered[2]) <= int(numbered[3] or numbered[2]):
+            numbers = range(int(numbered[2]), int(numbered[3] or numbered[2]) + 1)
+            leads |= dict.fromkeys(f"{numbered[1]}{number}" for number in numbers)
         else:
             raise InputError(
                 f"leads '{part}': give one, or the first and the last; leads are "
-                f"{', '.join(known)}, and numbered ones such as E1-E64"
+                f"{', '.join(standard)}, and numbered ones such as E1-E64"
             )
     return [*leads]
 

@@ -55,9 +55,9 @@ def every_command(command: Callable[..., Result]) -> Callable[..., None]:
                 result = command(**arguments)
             except NotAllDoneError as ended:
                 result, status = ended.result, 1
-            taken = time.monotonic() - begun
-            if taken >= 60.0:
-                print(f"took {duration(taken)}", file=sys.stderr)
+            elapsed = time.monotonic() - begun
+            if elapsed >= 60.0:
+                print(f"took {duration(elapsed)}", file=sys.stderr)
         if as_json:
             print(_as_json(result))
         if status:

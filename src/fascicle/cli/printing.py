@@ -53,9 +53,9 @@ def print_fit(fitted: FittedStudy, summary: Mapping[str, Any]) -> None:
         print_row("best of the first", f"{fitted.best_initial_loss:.4f} mV² {null}")
     else:
         # a packaged emulator may have learnt from more than were asked for
-        learnt = [round(each["networks"]) for each in summary.get("emulators", ())]
-        asked = fitted.study.config.prior_simulations
-        print_row("prior simulations", min(learnt, default=asked))
+        learnt = [round(emulator["networks"]) for emulator in summary.get("emulators", ())]
+        configured = fitted.study.config.prior_simulations
+        print_row("prior simulations", min(learnt, default=configured))
     best = f"{population.best_loss:.4f} mV², {max(fitted.explained, 0):.0%} of the QRS explained"
     print_row("best network", best)
     for number, recording in enumerate([summary, *summary.get("other_recordings", [])], 1):
@@ -100,8 +100,8 @@ def _print_agreement(summary: Mapping[str, Any]) -> None:
 
 def _print_posterior(posterior: Posterior, fitted: FittedStudy) -> None:
     if not posterior.states:
-        one, other = posterior.log_evidences
-        print_row("log evidence", f"{one:.1f} and {other:.1f} in two runs")
+        first, second = posterior.log_evidences
+        print_row("log evidence", f"{first:.1f} and {second:.1f} in two runs")
     print_row("effective sample", f"{posterior.effective.sum():.0f}")
     if not posterior.converged:
         print_row("parameters", "not reported: the runs do not agree")
@@ -129,18 +129,20 @@ def print_prediction(
     """Print indices of scenarios; with those of the prior, whether the ECG determines them."""
     shown = ("qrs_duration", "global_qrs_duration", "total_activation_time")
     rows = [("scenario", *map(index_label, shown))]
-    for name, found in predicted.items():
-        rows.append((name, *(interval(found.indices[index]) for index in shown)))
+    for name, prediction in predicted.items():
+        rows.append((name, *(interval(prediction.indices[index]) for index in shown)))
     print_table(rows)
     print("medians (90 % of the networks)")
     for measure in MEASURES.values():
         if measure.meaning:
             print(f"{measure.name}: {measure.meaning}")
     _print_capture(predicted)
-    for name, known in (prior or {}).items():
+    for name, from_prior in (prior or {}).items():
         for index in shown:
-            said = prediction_statement(predicted[name].indices[index], known.indices[index])
-            print(f"{name}, {index_name(index)}: {said}")
+            statement = prediction_statement(
+                predicted[name].indices[index], from_prior.indices[index]
+            )
+            print(f"{name}, {index_name(index)}: {statement}")
 
 
 def interval(values: Floats, digits: str = ".0f") -> str:
@@ -151,8 +153,8 @@ def interval(values: Floats, digits: str = ".0f") -> str:
 
 def _print_capture(predicted: Mapping[str, Predicted]) -> None:
     """Warn of myocardial stimuli that come too late, or lie in scar, in some networks."""
-    for name, found in predicted.items():
-        for number, share in enumerate(found.captured, 1):
+    for name, prediction in predicted.items():
+        for number, share in enumerate(prediction.captured, 1):
             if share < 1:
                 print(
                     f"warning: {name}: myocardial stimulus {number} captures in {share:.0%} of "
@@ -165,22 +167,22 @@ def print_reductions(predicted: Mapping[str, Predicted], against: str) -> None:
     names = list(predicted)
     print(f"total activation time against {against}:")
     for name in names[names.index(against) + 1 :]:
-        found = compare(predicted[name], predicted[against], "total_activation_time")
-        print(f"  {name:<30} shortened by {found}; P(shorter) = {found.probability():.2f}")
+        reduction = compare(predicted[name], predicted[against], "total_activation_time")
+        print(f"  {name:<30} shortened by {reduction}; P(shorter) = {reduction.probability():.2f}")
 
 
 def print_comparison(predicted: Mapping[str, Predicted], result: Mapping[str, Any]) -> None:
     """Print what `comparison_result` gives: how probably the first scenario is better."""
     names, index, threshold = result["scenarios"], result["index"], result["threshold"]
     _print_capture({name: predicted[name] for name in names})
-    for said in result["warnings"]:
-        print(f"warning: {said}")
+    for warning in result["warnings"]:
+        print(f"warning: {warning}")
     print(f"{' against '.join(names)}, {result['networks']} networks")
     rows = [("less is better", "P(less)", "median reduction")]
-    for name, found in result["indices"].items():
-        median, (low, high) = found["median_gain"], found["gain_5_95_%"]
-        reduction = f"{round(median)} {found['unit']} (90 % CrI {round(low)} to {round(high)})"
-        rows.append((index_name(name), f"{found['probability']:.2f}", reduction))
+    for name, comparison in result["indices"].items():
+        median, (low, high) = comparison["median_gain"], comparison["gain_5_95_%"]
+        reduction = f"{round(median)} {comparison['unit']} (90 % CrI {round(low)} to {round(high)})"
+        rows.append((index_name(name), f"{comparison['probability']:.2f}", reduction))
     print_table(rows)
     probability = f"{result['probability']:.2f} ± {result['standard_error']:.2f}"
     print(f"{index_name(index)}: P(reduction > {threshold:g} {INDICES[index]}) = {probability}")
@@ -190,10 +192,12 @@ def print_comparison(predicted: Mapping[str, Predicted], result: Mapping[str, An
         return
     print(f"variance explained by {', '.join(shares)} (each alone)")
     print("value of a further measurement, as the share of the variance that it removes:")
-    for each in result["value_of_measurement"]:
-        scenario, what = each["scenario"], each["index"]
-        error = f"±{MEASURABLE[scenario, what]:.2g} {INDICES[what]}"
-        print(f"  {each['share']:4.0%}  {index_name(what)} of {scenario}, measured to {error}")
+    for measurement in result["value_of_measurement"]:
+        scenario, measured = measurement["scenario"], measurement["index"]
+        error = f"±{MEASURABLE[scenario, measured]:.2g} {INDICES[measured]}"
+        print(
+            f"  {measurement['share']:4.0%}  {index_name(measured)} of {scenario}, measured to {error}"
+        )
 
 
 def comparison_result(
@@ -208,22 +212,22 @@ def comparison_result(
     `predicted` holds the two and the scenarios of further measurements, `parameters` the values of
     the networks; `threshold` is the least reduction that matters, in the unit of `index`.
     """
-    one, other = (predicted[name] for name in names)
-    compared = {name: compare(one, other, name) for name in COMPARED}
+    first, second = (predicted[name] for name in names)
+    compared = {name: compare(first, second, name) for name in COMPARED}
     chosen = compared[index]
     pairs = (names, names[::-1])
     return {
         "scenarios": list(names),
-        "warnings": [said for a, b in pairs if (said := missing_blocks(a, predicted, b))],
-        "networks": len(one.beats),
+        "warnings": [warning for a, b in pairs if (warning := missing_blocks(a, predicted, b))],
+        "networks": len(first.beats),
         "indices": {
             name: {
-                "unit": found.unit,
-                "probability": found.probability(),
-                "median_gain": found.median,
-                "gain_5_95_%": found.interval,
+                "unit": comparison.unit,
+                "probability": comparison.probability(),
+                "median_gain": comparison.median,
+                "gain_5_95_%": comparison.interval,
             }
-            for name, found in compared.items()
+            for name, comparison in compared.items()
         },
         "index": index,
         "threshold": threshold,
@@ -231,23 +235,23 @@ def comparison_result(
         "standard_error": chosen.standard_error(threshold),
         "variance_explained_by": dict(chosen.variance_explained_by(parameters)),
         "value_of_measurement": [
-            {"scenario": scenario, "index": what, "share": share}
-            for scenario, what, share in chosen.value_of_measurement(predicted)
+            {"scenario": scenario, "index": measured, "share": share}
+            for scenario, measured, share in chosen.value_of_measurement(predicted)
         ],
     }
 
 
 def print_sweep(swept: Swept, index: str) -> None:
     """Print an index of every scenario of a sweep, and how often each is the best."""
-    found, varied = swept.predicted, swept.varied
-    values = np.array([each.indices[index] for each in found.values()])
+    predicted, varied = swept.predicted, swept.varied
+    values = np.array([prediction.indices[index] for prediction in predicted.values()])
     least = np.abs(values) == np.abs(values).min(axis=0)
     best = (least / least.sum(axis=0)).mean(axis=1)  # ties share a network
     rows = [(varied, f"{index_label(index)}, 90 % of the networks", "how often best")]
-    for key, row, share in zip(found, values, best, strict=True):
+    for key, row, share in zip(predicted, values, best, strict=True):
         name = SEGMENTS[int(key) - 1] if varied == SEGMENT else f"{key:g}"
         rows.append((name, interval(row), f"{share:.0%}"))
     print_table(rows)
     for key, why in swept.impossible.items():
         print(f"warning: {swept.called(key)} left out: {why}")
-    _print_capture({swept.called(key): each for key, each in found.items()})
+    _print_capture({swept.called(key): prediction for key, prediction in predicted.items()})

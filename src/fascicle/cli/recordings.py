@@ -152,14 +152,14 @@ def print_analysis(analysis: Analysis) -> None:
     name, format = Path(recording.source).name, recording.provenance.get("format", "in memory")
     length = f"{recording.duration:.1f} s at {recording.sampling_rate:g} Hz"
     print_row("recording", f"{name}, {format}, {length}")
-    for what, parts in (
+    for label, parts in (
         ("computed leads", recording.derived),
         ("additional leads", tuple(recording.additional)),
         ("read with", analysis.read_with),
         ("ignored", recording.ignored),
     ):
         if parts:
-            print_row(what, ", ".join(parts))
+            print_row(label, ", ".join(parts))
     print_table([("checks", "found", "limit", "", ""), *map(_check_row, analysis.findings)])
     for group in analysis.classes:
         notable = f": {group.description}" if group.description else ""
@@ -200,9 +200,9 @@ def _result(analysis: Analysis) -> dict[str, object]:
         "global_qrs_duration_ms": target.global_qrs_duration,
         "global_qrs_onset_sd_ms": target.global_qrs_sd[0],
         "global_qrs_offset_sd_ms": target.global_qrs_sd[1],
-        "conventional_criteria": [asdict(one) for one in target.conventional_criteria],
+        "conventional_criteria": [asdict(criterion) for criterion in target.conventional_criteria],
         "noise_mV": target.noise,
-        "filters": [str(one) for one in target.filters],
+        "filters": [str(passed) for passed in target.filters],
         "checks": {
             finding.check.name: {
                 "value": finding.value,
@@ -244,19 +244,22 @@ def _print_target(target: Target) -> None:
 
 def _print_criteria(criteria: Sequence[Criterion]) -> None:
     """Print the conventional criteria that are met, and those that lack a lead."""
-    sources = dict.fromkeys(one.source for one in criteria)
+    sources = dict.fromkeys(criterion.source for criterion in criteria)
     met = {
-        source: [one for one in criteria if one.met and one.source == source] for source in sources
+        source: [
+            criterion for criterion in criteria if criterion.met and criterion.source == source
+        ]
+        for source in sources
     }
-    said = [
-        f"{'; '.join(one.name for one in found)} ({source})"
-        for source, found in met.items()
-        if found
+    lines = [
+        f"{'; '.join(criterion.name for criterion in group)} ({source})"
+        for source, group in met.items()
+        if group
     ]
     none = "none of the conventional criteria of bundle branch or fascicular block is met"
-    for text in said or [f"{none} ({', '.join(sources)})"]:
+    for text in lines or [f"{none} ({', '.join(sources)})"]:
         print_row("conventional criteria", text)
-    if undecided := [one.name for one in criteria if one.met is None]:
+    if undecided := [criterion.name for criterion in criteria if criterion.met is None]:
         print_row("not decided", f"{'; '.join(undecided)}: leads are not used")
 
 

@@ -79,18 +79,18 @@ def study_compare(
         raise InputError("give two or more studies to compare")
     with TerminalProgress() as progress:
         fitted = [fascicle.load_study(study, progress) for study in studies]
-    for number, (folder, each) in enumerate(zip(studies, fitted, strict=True), 1):
-        print(f"{number}  {folder}: {each.verdict}")
-    values = [_parameters(each) for each in fitted]
+    for number, (folder, study) in enumerate(zip(studies, fitted, strict=True), 1):
+        print(f"{number}  {folder}: {study.verdict}")
+    values = [_parameters(study) for study in fitted]
     lines = [["", *map(str, range(1, len(studies) + 1)), ""]]
     rows: dict[str, list[Any]] = {}
     apart: dict[str, float] = {}
-    for name in dict.fromkeys(name for each in values for name in each):
-        found = [each.get(name) for each in values]
-        rows[name] = [one if one is None else np.percentile(one, [50, 5, 95]) for one in found]
-        line = [name, *("-" if one is None else interval(one, ".3g") for one in found), ""]
-        first, second, *others = found
-        if first is not None and second is not None and not others:
+    for name in dict.fromkeys(name for parameters in values for name in parameters):
+        samples = [parameters.get(name) for parameters in values]
+        rows[name] = [s if s is None else np.percentile(s, [50, 5, 95]) for s in samples]
+        line = [name, *("-" if s is None else interval(s, ".3g") for s in samples), ""]
+        first, second, *further = samples
+        if first is not None and second is not None and not further:
             distance, both = abs(np.median(first) - np.median(second)), (first.std(), second.std())
             with np.errstate(divide="ignore"):
                 apart[name] = float(distance / np.hypot(*both)) if distance else 0.0
@@ -100,8 +100,8 @@ def study_compare(
     print_table(lines)
     print("medians (90 % of the networks)")
     of_each = [
-        {"folder": folder, "verdict": each.verdict, "best_loss_mV2": each.population.best_loss}
-        for folder, each in zip(studies, fitted, strict=True)
+        {"folder": folder, "verdict": study.verdict, "best_loss_mV2": study.population.best_loss}
+        for folder, study in zip(studies, fitted, strict=True)
     ]
     return {"studies": of_each, "median_5_95_%": rows, "standard_deviations_apart": apart}
 
@@ -183,24 +183,24 @@ def cohort(
     from fascicle.patients.cohort import PAGE, RESULTS, outcomes
     from fascicle.patients.outcome import Status
 
-    found: list[Outcome] = []
+    patient_outcomes: list[Outcome] = []
     with resumable(out), TerminalProgress() as progress:
         cluster = pool_at(scheduler, progress)
         for outcome in outcomes(table, out, only=only, cluster=cluster, progress=progress):
-            found.append(outcome)
+            patient_outcomes.append(outcome)
             fitted = outcome.status is Status.FITTED
-            said = outcome.verdict if fitted else f"{outcome.status.upper()}: {outcome.reason}"
-            print(f"{outcome.patient:<16} {said}")
+            text = outcome.verdict if fitted else f"{outcome.status.upper()}: {outcome.reason}"
+            print(f"{outcome.patient:<16} {text}")
             if outcome.error_file is not None:
                 print(outcome.error_file.read_text(encoding="utf-8"), file=sys.stderr)
-    missing = sum(outcome.status is not Status.FITTED for outcome in found)
+    missing = sum(outcome.status is not Status.FITTED for outcome in patient_outcomes)
     page = (out / PAGE).resolve()
-    print(f"{len(found) - missing} of {len(found)} patients fitted")
+    print(f"{len(patient_outcomes) - missing} of {len(patient_outcomes)} patients fitted")
     if missing:
         print(f"{missing} not fitted: the reasons are in {out / RESULTS}")
     print(page.as_uri())
-    each = [outcome.model_dump(mode="json") for outcome in found]
-    result = {"folder": out, "page": page, "patients": each}
+    patients = [outcome.model_dump(mode="json") for outcome in patient_outcomes]
+    result = {"folder": out, "page": page, "patients": patients}
     if missing:
         raise NotAllDoneError(result)
     return result

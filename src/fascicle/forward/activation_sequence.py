@@ -85,7 +85,7 @@ class ActivationSequence:
     @property
     def is_mapped(self) -> bool:
         """Whether mapped human hearts are activated in this sequence."""
-        return all(known.holds(getattr(self, name)) for name, known in MAPPED.items())
+        return all(mapped.holds(getattr(self, name)) for name, mapped in MAPPED.items())
 
 
 @dataclass(frozen=True)
@@ -120,23 +120,23 @@ class VentricularSurfaces:
         }
         outside = np.unique(labelled_mesh(heart).having(Label.EPICARDIUM))
         epicardium = np.setdiff1d(outside, np.concatenate([*endocardium.values()]))
-        trees = {side: cKDTree(vertices[own]) for side, own in endocardium.items()}
+        trees = {side: cKDTree(vertices[wall]) for side, wall in endocardium.items()}
         beyond = cKDTree(vertices[epicardium]) if len(epicardium) else None
         parts: dict[str, Integers] = {}
         for side, other in (("lv", "rv"), ("rv", "lv")):
-            own = endocardium[side]
-            septal = np.ones(len(own), bool)
+            wall = endocardium[side]
+            septal = np.ones(len(wall), bool)
             if beyond is not None:
-                across = trees[other].query(vertices[own])[0]
-                septal = across < beyond.query(vertices[own])[0]
-            parts |= {f"{side}_septum": own[septal], f"{side}_free_wall": own[~septal]}
+                across = trees[other].query(vertices[wall])[0]
+                septal = across < beyond.query(vertices[wall])[0]
+            parts |= {f"{side}_septum": wall[septal], f"{side}_free_wall": wall[~septal]}
         right = trees["rv"].query(vertices)[0] < trees["lv"].query(vertices)[0]
         parts["rv_breakthrough"] = epicardium[right[epicardium]]
         parts["lv_breakthrough"] = epicardium[~right[epicardium]]
         middles = vertices[heart.tetrahedra].mean(axis=1)
         away = {
-            name: cKDTree(vertices[own]).query(middles)[0] if len(own) else np.inf
-            for name, own in parts.items()
+            name: cKDTree(vertices[wall]).query(middles)[0] if len(wall) else np.inf
+            for name, wall in parts.items()
             if name in PARTS
         }
         left = np.minimum(away["lv_septum"], away["lv_free_wall"])
@@ -146,7 +146,7 @@ class VentricularSurfaces:
     def sequence(self, activation: Floats) -> ActivationSequence:
         """The sequence of an activation (ms), one value a vertex."""
         after = activation - activation.min()
-        firsts = {name: float(after[own].min(initial=np.inf)) for name, own in self.parts.items()}
+        firsts = {name: float(after[part].min(initial=np.inf)) for name, part in self.parts.items()}
         reached = np.where(np.isfinite(after), after, -1.0)
         last = int(reached.argmax())
         return ActivationSequence(**firsts, total=float(after[last]), last=str(self.places[last]))
@@ -205,11 +205,11 @@ class SequenceSummary:
         if first != PARTS["lv_septum"]:
             return f"activation begins on the {first}"
         median = {name: times[0] for name, times in self.times.items()}
-        for name, known in MAPPED.items():
-            if not known.holds(median[name]):
+        for name, mapped in MAPPED.items():
+            if not mapped.holds(median[name]):
                 return (
-                    f"{known.name} at {median[name]:.0f} ms, {known.lower:.0f} to "
-                    f"{known.upper:.0f} ms in mapped hearts"
+                    f"{mapped.name} at {median[name]:.0f} ms, {mapped.lower:.0f} to "
+                    f"{mapped.upper:.0f} ms in mapped hearts"
                 )
         return "the sequence of activation is that of a mapped heart in less than half of them"
 
@@ -217,13 +217,13 @@ class SequenceSummary:
     def lines(self) -> list[str]:
         """Where activation begins and ends, and its times beside the mapped ranges."""
         ends = (
-            f"{what}: " + ", ".join(f"{n} {p:.0%}" for n, p in [*shares.items()][:3] if p > 0.005)
-            for what, shares in (("first activated", self.first), ("last activated", self.last))
+            f"{event}: " + ", ".join(f"{n} {p:.0%}" for n, p in [*shares.items()][:3] if p > 0.005)
+            for event, shares in (("first activated", self.first), ("last activated", self.last))
         )
         times = [
-            f"{known.name}: {middle:.0f} ms (90 % CrI {low:.0f} to {high:.0f}; mapped hearts "
-            f"{known.lower:.0f} to {known.upper:.0f})"
-            for (name, known), (middle, low, high) in zip(
+            f"{mapped.name}: {middle:.0f} ms (90 % CrI {low:.0f} to {high:.0f}; mapped hearts "
+            f"{mapped.lower:.0f} to {mapped.upper:.0f})"
+            for (name, mapped), (middle, low, high) in zip(
                 MAPPED.items(), self.times.values(), strict=True
             )
         ]
@@ -232,6 +232,6 @@ class SequenceSummary:
 
 def _shares(names: Sequence[str]) -> dict[str, float]:
     """Share of each name, the most frequent first."""
-    found, counts = np.unique(names, return_counts=True)
+    distinct, counts = np.unique(names, return_counts=True)
     order = np.argsort(-counts, kind="stable")
-    return {str(found[k]): float(counts[k] / len(names)) for k in order}
+    return {str(distinct[k]): float(counts[k] / len(names)) for k in order}

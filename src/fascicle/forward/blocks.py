@@ -30,12 +30,12 @@ def in_state(scenario: Scenario, conduction: float) -> Scenario:
     blocked = BLOCKED.get(CONDUCTION[int(conduction)], ())
     if not blocked:
         return scenario
-    own = [each for each in blocked if isinstance(each, His)]
-    given = scenario.of(His)
-    if own and given:
-        (block,), (his,) = own, given
+    state_his = [primitive for primitive in blocked if isinstance(primitive, His)]
+    scenario_his = scenario.of(His)
+    if state_his and scenario_his:
+        (block,), (his,) = state_his, scenario_his
         if his.root_time is None:
             his = replace(his, left=his.left * block.left, right=his.right * block.right)
-        own = [his]
-    others = (p for p in (*blocked, *scenario.primitives) if not isinstance(p, His))
-    return replace(scenario, primitives=(*(own or given), *others))
+        state_his = [his]
+    rest = (p for p in (*blocked, *scenario.primitives) if not isinstance(p, His))
+    return replace(scenario, primitives=(*(state_his or scenario_his), *rest))

@@ -35,12 +35,12 @@ def random_bodies(
         How many.
     """
     space = ParameterSpace(tuple(free(name) for name in TORSO_QUANTITIES))
-    in_body, found = electrocardiograph_in_body(model), list[Electrocardiograph]()
-    while len(found) < count:
-        body = in_body(space.from_unit(rng.random(len(space))))
-        if not isinstance(body, InvalidTorso):
-            found.append(body)
-    return found
+    in_torso, integrals = electrocardiograph_in_body(model), list[Electrocardiograph]()
+    while len(integrals) < count:
+        integral = in_torso(space.from_unit(rng.random(len(space))))
+        if not isinstance(integral, InvalidTorso):
+            integrals.append(integral)
+    return integrals
 
 
 def electrocardiograph_in_body(

@@ -67,8 +67,8 @@ def _steps() -> Iterator[int]:
     yield 3
     prepared.electrocardiograph.leads(activation.myocardium)
     for kind in (np.float32, np.float64):  # of emulated ECGs, and of simulated ones
-        one = np.zeros((1, 1, 1), kind)
-        integrated(one, kind(0), one[0, 0], one[0], np.zeros(1), np.zeros((1, 1)))
+        model = np.zeros((1, 1, 1), kind)
+        integrated(model, kind(0), model[0, 0], model[0], np.zeros(1), np.zeros((1, 1)))
     yield 4
 
 

@@ -42,28 +42,28 @@ def example_parameters(model: ForwardModel) -> dict[str, float]:
     if model.heart.example:
         return dict(model.heart.example)
     subject = load_heart(SUBJECT)
-    found, few = dict(subject.example), {}
+    parameters, few = dict(subject.example), {}
     for endocardium, of_subject in zip(model.heart.endocardia, subject.endocardia, strict=True):
         side, share = endocardium.side, endocardium.area / of_subject.area
         factor, few[side] = round(math.sqrt(share), 2), FEW_JUNCTIONS * min(1.0, 2 * share)
-        for name in found:
+        for name in parameters:
             if name.startswith(f"{side}_") and "length" in name:
-                found[name] *= factor
-    best, most = dict(found), 0
+                parameters[name] *= factor
+    best, most = dict(parameters), 0
     for _ in range(MOST_TRIES):
-        grown = model.grow(found)
+        grown = model.grow(parameters)
         if isinstance(grown, InvalidTree):
             part = "initial_length" if grown.branch == 0 else f"fascicle_length_{grown.branch}"
-            found[f"{grown.side}_{part}"] = max(SHORTER * grown.grown, SHORTEST_LENGTH)
+            parameters[f"{grown.side}_{part}"] = max(SHORTER * grown.grown, SHORTEST_LENGTH)
             continue
         junctions = {tree.side: len(tree.junctions) for tree in grown}
         if min(junctions.values()) > most:
-            best, most = dict(found), min(junctions.values())
+            best, most = dict(parameters), min(junctions.values())
         sparse = [side for side, count in junctions.items() if count < few[side]]
         if not sparse:
-            return found
+            return parameters
         for side in sparse:  # it ends close to the base, where there is no room for branches
-            found[f"{side}_initial_length"] *= SHORTER
+            parameters[f"{side}_initial_length"] *= SHORTER
     if most:
         return best
     raise InputError(

@@ -168,16 +168,16 @@ class QrsLikelihood:
         begin = shift + MARGIN - target.qrs_samples.start
         clean = placed(leads, begin, len(target.time), target.response)
         error, least = self.noise(rng, int(scale)), self.noise(rng, 0)
-        left = self._padded - placed(leads[self._rows], shift, self.length, target.response)
+        residual = self._padded - placed(leads[self._rows], shift, self.length, target.response)
         return Replicate(
             clean,
             clean + self._in_all_leads(error @ self.modes.T),
             gain,
             ecg.first_activation - shift - MARGIN,
             self.scales[scale],
-            ((left @ self.modes) ** 2).sum(axis=1),
+            ((residual @ self.modes) ** 2).sum(axis=1),
             (least**2).sum(axis=1),
-            float((left**2).sum()),
+            float((residual**2).sum()),
             mixed / gain,
         )
 
@@ -216,11 +216,13 @@ class QrsLikelihood:
         begin, end = first_activation - MARGIN + self._steps[[0, -1]]
         samples = placed(leads, begin, self.length + round(end - begin), self.target.response)
         windows = sliding_window_view(samples, self.length, axis=1)[:, ::SHIFT_STEP]
-        found = np.ascontiguousarray(windows) @ self.modes  # (12 + k, n_shifts, n_modes)
-        mixed = [found, *np.tensordot(self.bodies, found, 1)]
+        coefficients = np.ascontiguousarray(windows) @ self.modes  # (12 + k, n_shifts, n_modes)
+        mixed = [coefficients, *np.tensordot(self.bodies, coefficients, 1)]
         basis = self._diagonal[0]
-        each = [part[self._rows].transpose(0, 2, 1).reshape(len(basis), -1) for part in mixed]
-        return np.asarray(basis.T @ np.array(each))
+        independent = [
+            part[self._rows].transpose(0, 2, 1).reshape(len(basis), -1) for part in mixed
+        ]
+        return np.asarray(basis.T @ np.array(independent))
 
     def _columns(self, models: Floats) -> Floats:
         """What gain and body add to a model, by one standard deviation of each."""
@@ -285,8 +287,8 @@ class QrsLikelihood:
         begin, times = self.target.qrs_samples.start - MARGIN, len(self.target.time)
         out = np.zeros((len(self.target.leads), times))
         inside = np.arange(independent.shape[1]) + begin
-        there = (inside >= 0) & (inside < times)
-        out[np.ix_(self._rows, inside[there])] = independent[:, there]
+        recorded = (inside >= 0) & (inside < times)
+        out[np.ix_(self._rows, inside[recorded])] = independent[:, recorded]
         limb = limb_leads_from([LIMB_LEADS[row] for row in self._rows if row < len(LIMB_LEADS)])
         if limb is not None:
             out[: len(LIMB_LEADS)] = limb @ out[: len(LIMB_LEADS)]
@@ -311,7 +313,7 @@ def constants() -> dict[str, float | str]:
         "shift_step_ms": SHIFT_STEP,
         "first_activation_sd_ms": AFTER_ONSET,
         "discrepancy_shares": " ".join(f"{share:.3g}" for share in SHARES),
-        "discrepancy_correlations_ms": " ".join(f"{each:g}" for each in CORRELATED),
+        "discrepancy_correlations_ms": " ".join(f"{time:g}" for time in CORRELATED),
         "discrepancy_of_each_lead": LEAD_SHARE,
     }
 
@@ -346,7 +348,7 @@ def discrepancy_in_time(length: int) -> Floats:
     smooth half does over the first 10 ms (0.94 at 3 ms, 0.78 at 6 ms). Without the rough half, fast
     deflections would decide between networks.
     """
-    return np.asarray(np.mean([matern(length, each) for each in CORRELATED], axis=0))
+    return np.asarray(np.mean([matern(length, correlation) for correlation in CORRELATED], axis=0))
 
 
 def matern(length: int, correlation: float = 12.0) -> Floats:

@@ -144,8 +144,8 @@ class ForwardModel:
         self.heart = heart
         self.conduction = conduction if conduction is not None else Conduction.of(heart)
         self.rules = rules if rules is not None else GrowthRules()
-        given = action_potential if action_potential is not None else heart.action_potential
-        self.action_potential = given if given is not None else default_template()
+        potential = action_potential if action_potential is not None else heart.action_potential
+        self.action_potential = potential if potential is not None else default_template()
         if prepared is None:
             prepared = prepare(heart, self.conduction, self.action_potential, progress)
         self.prepared = prepared
@@ -169,8 +169,10 @@ class ForwardModel:
 
     def keep_tissues(self, tissues: Iterable[Mapping[str, float]]) -> None:
         """Keep in the heart's folder what is prepared of these tissues, quantities by name."""
-        own = self.conduction
-        self._kept.update(replace(own.with_values(tissue), alpha=own.alpha) for tissue in tissues)
+        conduction = self.conduction
+        self._kept.update(
+            replace(conduction.with_values(tissue), alpha=conduction.alpha) for tissue in tissues
+        )
 
     def grow(self, parameters: Mapping[str, float]) -> tuple[PurkinjeTree, ...] | InvalidTree:
         """Grow both trees, left first, or say which one does not fit.
@@ -406,9 +408,9 @@ class ForwardModel:
     @cached_property
     def _axial(self) -> tuple[Singles, Singles]:
         """Projection of the ECG integral's weights on the fibres."""
-        heart, own = self.heart, self.conduction
+        heart, conduction = self.heart, self.conduction
         gradients = barycentric_gradients(heart.vertices, heart.tetrahedra)
-        excess = 1 - own.intracellular_t / own.intracellular_l
+        excess = 1 - conduction.intracellular_t / conduction.intracellular_l
         along, back = axial_projection(gradients, heart.fibres, excess)
         return along.astype(np.float32), back.astype(np.float32)
 

@@ -58,8 +58,8 @@ class Stimulus(Primitive, table="stimulus"):
 
     def __post_init__(self) -> None:
         if (self.position is None) == (self.site is None):
-            given = "none" if self.site is None else "both"
-            raise InputError(f"give either a position or a site, not {given}")
+            count = "none" if self.site is None else "both"
+            raise InputError(f"give either a position or a site, not {count}")
         if self.part is not None and self.tree is None:
             raise InputError(f"part '{self.part}' is given without its tree")
 
@@ -195,10 +195,10 @@ class His(Primitive, table="his", once=True):
             raise InputError(
                 f"His bundle: it joins the trees {' and '.join(SIDES)}; known: {', '.join(names)}"
             )
-        own = beat.roots[:2] if self.root_time is None else root_times(self.root_time)
-        roots, his = self.conducted(own, beat.values.get("his_time", default_of("his_time")))
-        others = [np.inf] * (len(beat.trees) - 2)
-        beat.roots[:2], beat.his = roots, replace(his, branches=[*his.branches, *others])
+        firing = beat.roots[:2] if self.root_time is None else root_times(self.root_time)
+        roots, his = self.conducted(firing, beat.values.get("his_time", default_of("his_time")))
+        unjoined = [np.inf] * (len(beat.trees) - 2)
+        beat.roots[:2], beat.his = roots, replace(his, branches=[*his.branches, *unjoined])
 
     def conducted(self, roots: Sequence[float], nearest: float) -> tuple[list[float], HisBundle]:
         """When it activates the left and the right root (ms), and what joins them.
@@ -212,7 +212,7 @@ class His(Primitive, table="his", once=True):
             usual = nearest + time - min(roots)
             takes = usual / factor if factor > 0 else np.inf
             # not fires + takes, which differs from the root's own time in the last digit
-            own = time + (takes - usual)
-            down.append(own if self.time is None else self.time + takes)
+            activated = time + (takes - usual)
+            down.append(activated if self.time is None else self.time + takes)
             branches.append(takes)
         return down, HisBundle(fires, branches)

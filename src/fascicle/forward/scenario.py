@@ -116,11 +116,11 @@ class Beat:
         """
         grown = self.trees[tree]
         parts = {**grown.parts}
-        fascicles = [own for name, own in parts.items() if name.startswith("fascicle")]
+        fascicles = [mask for name, mask in parts.items() if name.startswith("fascicle")]
         if len(fascicles) > 1:
             heights = grown.nodes @ self.sites.anterior
-            nodes = [np.setdiff1d(np.flatnonzero(own), grown.parents[own]) for own in fascicles]
-            ends = [heights[each[-1]] for each in nodes]
+            nodes = [np.setdiff1d(np.flatnonzero(mask), grown.parents[mask]) for mask in fascicles]
+            ends = [heights[tips[-1]] for tips in nodes]
             parts["anterior fascicle"] = fascicles[int(np.argmax(ends))]
             parts["posterior fascicle"] = fascicles[int(np.argmin(ends))]
         if name not in parts:
@@ -141,7 +141,7 @@ class Beat:
     def slow(self, tree: int, nodes: Booleans, factor: float) -> None:
         """Multiply the speed of the segments that end in nodes of a tree; 0 blocks them."""
         if not self._speed:
-            self._speed = [np.ones(len(each.nodes)) for each in self.trees]
+            self._speed = [np.ones(len(grown.nodes)) for grown in self.trees]
         self._speed[tree][nodes] *= factor
 
     @property
@@ -274,13 +274,13 @@ class Scenario:
         if len(roots) != len(trees):
             raise InputError(f"{len(roots)} root times for {len(trees)} trees; give one a tree")
         delays = {name: values.get(name, 0.0) for name in ("anterograde_delay", "retrograde_delay")}
-        every = (*trees, *(tree for tree, _ in self.trees))
-        names = [tree.side for tree in every]
+        all_trees = (*trees, *(tree for tree, _ in self.trees))
+        names = [tree.side for tree in all_trees]
         for name in names:
             if names.count(name) > 1:
                 raise InputError(f"two trees are named '{name}'; give each a name of its own")
         roots = [*roots, *(time for _, time in self.trees)]
-        beat = Beat(every, roots, sites, values, delays)
+        beat = Beat(all_trees, roots, sites, values, delays)
         for primitive in self.primitives:
             primitive.apply(beat)
         return beat
@@ -288,8 +288,8 @@ class Scenario:
 
 def root_times(root_time: float | Sequence[float]) -> list[float]:
     """When the roots fire (ms): the left and the right one, the earlier at 0, or as given."""
-    known = quantity("root_time")
+    definition = quantity("root_time")
     if isinstance(root_time, list | tuple | np.ndarray):
-        return [check(known, time) for time in root_time]
-    delay = check(known, root_time)
+        return [check(definition, time) for time in root_time]
+    delay = check(definition, root_time)
     return [max(0.0, -delay), max(0.0, delay)]

@@ -84,11 +84,11 @@ def find_scenario(name: str) -> Path:
     InputError
         If the name is neither in the library nor that of a file.
     """
-    known, path = library(), Path(name)
-    if name in known:
-        return known[name]
+    packaged, path = library(), Path(name)
+    if name in packaged:
+        return packaged[name]
     if not path.exists() and path.name == name and not path.suffix:
-        hint = did_you_mean(name, known, SCENARIO_ALIASES.items())
+        hint = did_you_mean(name, packaged, SCENARIO_ALIASES.items())
         raise InputError(
             f"there is no scenario '{name}'; {hint + ' ' if hint else ''}'fascicle scenarios' "
             "lists them; a file of your own ends in .toml"
@@ -113,7 +113,7 @@ def read_scenarios(names: Sequence[str | Path] | str | Path) -> dict[str, Scenar
     if isinstance(names, str | Path):
         names = [names]
     check_items(names, (str, Path), "scenarios", "names and paths of files")
-    found: dict[str, Scenario] = {}
+    scenarios: dict[str, Scenario] = {}
     for name in names:
         path = find_scenario(str(as_path(name, "scenario")))
         scenario, regions = read_scenario(path)
@@ -121,10 +121,10 @@ def read_scenarios(names: Sequence[str | Path] | str | Path) -> dict[str, Scenar
             raise InputError(
                 f"{path}: has regions; put them into the heart (heart.toml) and fit again"
             )
-        if path.stem in found:
+        if path.stem in scenarios:
             raise InputError(f"two scenarios are called '{path.stem}'; give another, or rename one")
-        found[path.stem] = scenario
-    return found
+        scenarios[path.stem] = scenario
+    return scenarios
 
 
 def read_scenario(path: Path | str) -> tuple[Scenario, tuple[Region, ...]]:
@@ -145,15 +145,17 @@ def read_scenario(path: Path | str) -> tuple[Scenario, tuple[Region, ...]]:
     try:
         for key, text in texts.items():
             check_text(text, f"'{key}'")
-        known = tables()
+        kinds = tables()
         for key in values:
-            if key not in known:
-                names = ", ".join([*known, *texts])
+            if key not in kinds:
+                names = ", ".join([*kinds, *texts])
                 raise InputError(f"unknown key '{key}'; known: {names}")
-        found = [one for kind in PRIMITIVES.values() for one in _read(kind, values)]
+        primitives = [
+            primitive for kind in PRIMITIVES.values() for primitive in _read(kind, values)
+        ]
         regions = tuple(replace(r, source=str(path)) for r in _read(Region, values))
         trees = tuple((tree.read(path), tree.time) for tree in _read(TreeFile, values))
-        scenario = Scenario(found, trees, str(path), **texts)
+        scenario = Scenario(primitives, trees, str(path), **texts)
     except InputError as error:
         raise InputError(f"{path}: {error}; see 'fascicle docs files'") from None
     return scenario, regions
@@ -163,11 +165,11 @@ def _read(kind: type[Kind], values: Mapping[str, Any]) -> Iterator[Kind]:
     """The tables of one kind."""
     if kind.table not in values:
         return
-    given = values[kind.table]
+    section = values[kind.table]
     if kind.once:
-        yield kind.of(given)
-    elif isinstance(given, list):
-        yield from (kind.of(table, number) for number, table in enumerate(given, 1))
+        yield kind.of(section)
+    elif isinstance(section, list):
+        yield from (kind.of(table, number) for number, table in enumerate(section, 1))
     else:
         raise InputError(f"'{kind.table}' must be in double brackets: {kind.header()}")
 

@@ -30,7 +30,7 @@ from fascicle.purkinje.tree_files import read_tree, write_tree
 from fascicle.torso.variation.conductor import InvalidTorso
 
 PICTURES = [  # of what the folder holds; whoever writes it may draw them
-    f"{what}.{kind}" for what in ("ecg", "activation") for kind in ("png", "svg", "pdf")
+    f"{picture}.{kind}" for picture in ("ecg", "activation") for kind in ("png", "svg", "pdf")
 ]
 FURTHEST_JUNCTION = 5.0  # mm; a leaf further from the tissue is not a junction
 
@@ -56,10 +56,10 @@ def simulate_inputs(
     """
     overrides = checked(overrides if overrides is not None else {})
     if lv_tree is None and rv_tree is None:
-        given = read_parameters(params) if params is not None else None
+        from_file = read_parameters(params) if params is not None else None
         source = str(params) if params is not None else "example parameters"
         model = make_model()
-        parameters = given if given is not None else example_parameters(model)
+        parameters = from_file if from_file is not None else example_parameters(model)
         parameters = overridden(parameters, overrides)
         with _naming(scenario):
             _check_trees(scenario, model)
@@ -105,11 +105,11 @@ def _check_trees(scenario: Scenario | None, model: ForwardModel) -> None:
         _check_at_tissue(f"tree '{tree.side}'", model, tree)
 
 
-def _check_at_tissue(what: str, model: ForwardModel, tree: PurkinjeTree) -> None:
+def _check_at_tissue(name: str, model: ForwardModel, tree: PurkinjeTree) -> None:
     distances = model.myocardium.on_surface(tree.nodes[tree.junctions]).distances
     if distances.max() > FURTHEST_JUNCTION:
         raise InputError(
-            f"{what}: {int((distances > FURTHEST_JUNCTION).sum())} of {len(distances)} leaves lie "
+            f"{name}: {int((distances > FURTHEST_JUNCTION).sum())} of {len(distances)} leaves lie "
             f"more than {FURTHEST_JUNCTION:g} mm from the tissue (up to {distances.max():.1f} mm); "
             "give the tree in the heart's frame, in mm"
         )
@@ -117,15 +117,15 @@ def _check_at_tissue(what: str, model: ForwardModel, tree: PurkinjeTree) -> None
 
 def _check_side(path: Path, heart: Heart, tree: PurkinjeTree) -> None:
     """Refuse a tree that lies on the other ventricle's endocardium."""
-    own, other = (heart.lv, heart.rv) if tree.side == "lv" else (heart.rv, heart.lv)
-    to_own, to_other = (
+    stated, other = (heart.lv, heart.rv) if tree.side == "lv" else (heart.rv, heart.lv)
+    to_stated, to_other = (
         float(np.median(cKDTree(endocardium.vertices).query(tree.nodes)[0]))
-        for endocardium in (own, other)
+        for endocardium in (stated, other)
     )
-    if to_other < to_own:
+    if to_other < to_stated:
         raise InputError(
-            f"{path}: given as the {tree.side.upper()} tree, but lies {to_own:.1f} mm (median) "
-            f"from the {own.side.upper()} endocardium and {to_other:.1f} mm from the "
+            f"{path}: given as the {tree.side.upper()} tree, but lies {to_stated:.1f} mm (median) "
+            f"from the {stated.side.upper()} endocardium and {to_other:.1f} mm from the "
             f"{other.side.upper()} one; swap the two trees"
         )
 

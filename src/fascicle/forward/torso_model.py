@@ -94,8 +94,8 @@ def torso_model(heart: Heart, conduction: Conduction, response: TorsoResponse) -
     weights = np.empty((len(heart.tetrahedra), 3, len(gradients)), dtype=np.float32)
     for start in range(0, len(gradients), CHANNELS):
         part = gradients[start : start + CHANNELS]
-        found = channel_weights(barycentric, heart.volumes, intracellular, part)
-        weights[:, :, start : start + CHANNELS] = found[:, :, : len(part)]
+        channels = channel_weights(barycentric, heart.volumes, intracellular, part)
+        weights[:, :, start : start + CHANNELS] = channels[:, :, : len(part)]
     return TorsoModel(response, weights, [*heart.additional_electrodes])
 
 

@@ -14,7 +14,7 @@ from fascicle.kernels.jit import CHANNELS, add_to_rows, allocating_kernel, kerne
 # Closest that two times of an element may be (bins); closer ones are moved apart. Where all four
 # are close, the jumps grow as 1/gap³ and with them the rounding error that the running sums leave:
 # 0.05 keeps it near 1e-6 of what that element contributes, over 500 bins.
-LEAST_GAP = 0.05
+KNOT_GAP = 0.05
 
 
 @allocating_kernel()
@@ -52,7 +52,7 @@ def _pooled(y, k):
 
 @allocating_kernel()
 def _spread(a, b, c, d):
-    """The four times sorted and moved at least `LEAST_GAP` apart, as little as possible.
+    """The four times sorted and moved at least `KNOT_GAP` apart, as little as possible.
 
     Each cluster of close times keeps its mean and the others stay where they are.
     """
@@ -61,10 +61,10 @@ def _spread(a, b, c, d):
     a, c = min(a, c), max(a, c)
     b, d = min(b, d), max(b, d)
     b, c = min(b, c), max(b, c)
-    y = (a, b - LEAST_GAP, c - 2.0 * LEAST_GAP, d - 3.0 * LEAST_GAP)
+    y = (a, b - KNOT_GAP, c - 2.0 * KNOT_GAP, d - 3.0 * KNOT_GAP)
     return (
-        _pooled(y, 0), _pooled(y, 1) + LEAST_GAP,
-        _pooled(y, 2) + 2.0 * LEAST_GAP, _pooled(y, 3) + 3.0 * LEAST_GAP,
+        _pooled(y, 0), _pooled(y, 1) + KNOT_GAP,
+        _pooled(y, 2) + 2.0 * KNOT_GAP, _pooled(y, 3) + 3.0 * KNOT_GAP,
     )  # fmt: skip
 
 
@@ -108,7 +108,7 @@ def deposit(time, corners, weights, origin, width, bins):
         # |e|·(Gᵢ∇τ·∇Z) in each channel is the sum of these times weights[e]
         later = (b - a, c - a, d - a)
         closest = min(abs(b - a), abs(c - a), abs(d - a), abs(c - b), abs(d - b), abs(d - c))
-        if closest > LEAST_GAP:
+        if closest > KNOT_GAP:
             jumps = _jumps(a, b, c, d)
             add_to_rows(at_vertex, (i, j, k, l), jumps, weights, 3 * e, later)
         else:

@@ -39,7 +39,7 @@ SHOWN = (
     "qrs_duration", "global_qrs_duration", "total_activation_time", "lv_dyssynchrony",
     "lv_rv_delay", "qrs_area",
 )  # fmt: skip
-HALF, MOST_NETWORKS = (25, 75), (5, 95)  # percentiles that bound half and 90 % of the networks
+HALF, NEARLY_ALL = (25, 75), (5, 95)  # percentiles that bound half and 90 % of the networks
 
 
 @style.styled
@@ -53,7 +53,7 @@ def index_figure(predicted: Mapping[str, Predicted]) -> Figure:
     for panel, index in zip(panels.flat, SHOWN, strict=True):
         for row, prediction in enumerate(predicted.values()):
             values, colour = prediction.indices[index], Colour.VERMILION if row else Colour.GREY
-            for share, width in ((MOST_NETWORKS, 1.2), (HALF, 4.5)):
+            for share, width in ((NEARLY_ALL, 1.2), (HALF, 4.5)):
                 panel.plot(np.nanpercentile(values, share), [row, row], color=colour, lw=width)
             panel.plot(np.nanmedian(values), row, "o", color="white", markeredgecolor=colour)
         panel.grid(axis="x", color="#EAEAEA", linewidth=0.6)
@@ -143,7 +143,7 @@ def curve_figure(values: Mapping[float, Floats], index: str, varied: str, name: 
     title = f"{style.short(name)}: median, range of half and 90 % of the networks"
     figure = style.new_figure(5.6, 3.6, title)
     axes, samples = figure.subplots(), np.array(list(values.values()))
-    for share, opacity in ((MOST_NETWORKS, 0.2), (HALF, 0.35)):
+    for share, opacity in ((NEARLY_ALL, 0.2), (HALF, 0.35)):
         low, high = np.nanpercentile(samples, share, axis=1)
         axes.fill_between(list(values), low, high, color=Colour.VERMILION, alpha=opacity, lw=0)
     axes.plot(list(values), np.nanmedian(samples, axis=1), "o-", color=Colour.VERMILION)

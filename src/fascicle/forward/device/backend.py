@@ -106,10 +106,10 @@ class GpuBackend:
         made: Callable[[int, Mapping[str, float], Results], Made],
     ) -> Iterator[Made | InvalidTree | None]:
         """What is made of each network in a batch's results, in order."""
-        every = [model.with_root_time(complete(network)) for network in parameters]
-        for start in range(0, len(every), self.batch):
-            batch = every[start : start + self.batch]
-            networks = [each for each in batch if not isinstance(each, InvalidTree)]
+        completed = [model.with_root_time(complete(network)) for network in parameters]
+        for start in range(0, len(completed), self.batch):
+            batch = completed[start : start + self.batch]
+            networks = [network for network in batch if not isinstance(network, InvalidTree)]
             outcomes: Iterator[Made | InvalidTree | None] = iter(())
             if networks:
                 results = self._simulator(model).run(
@@ -123,7 +123,9 @@ class GpuBackend:
                     for number, values in enumerate(networks)
                 )
             # all of them before the next batch takes their place
-            yield from [each if isinstance(each, InvalidTree) else next(outcomes) for each in batch]
+            yield from [
+                network if isinstance(network, InvalidTree) else next(outcomes) for network in batch
+            ]
 
 
 def _plan(model: ForwardModel, side: str, values: Mapping[str, float]) -> NDArray[np.void]:
@@ -157,8 +159,10 @@ def _beat(model: ForwardModel, values: Mapping[str, float]) -> tuple[Any, ...]:
     """
     speed = model.conduction.with_values(values).alpha / model.conduction.alpha
     fires = tuple(speed * time for time in root_times(values["root_time"]))
-    there, back = (values.get(f"{way}_delay", 0.0) for way in ("anterograde", "retrograde"))
-    return fires, values["cv"] / speed, speed * there, speed * back, speed
+    anterograde, retrograde = (
+        values.get(f"{way}_delay", 0.0) for way in ("anterograde", "retrograde")
+    )
+    return fires, values["cv"] / speed, speed * anterograde, speed * retrograde, speed
 
 
 def _outside(
@@ -169,8 +173,8 @@ def _outside(
     for side, status, missing, end in zip(SIDES, *rows, strict=True):
         if status >= 0:
             part = "initial_length" if status == 0 else f"fascicle_length_{status}"
-            wanted, chart = values[f"{side}_{part}"], model.prepared.charts[side]
-            return tree_outside(side, int(status), wanted, float(missing), np.array([end]), chart)
+            length, chart = values[f"{side}_{part}"], model.prepared.charts[side]
+            return tree_outside(side, int(status), length, float(missing), np.array([end]), chart)
         if status != GROWN:
             return None
     return None

@@ -138,15 +138,15 @@ class Simulator:
 
         Two `PLAN` each, what the trees grow by, left first, (2b,), and a `BEAT`, their times, (b,).
         """
-        count, given = len(beats), {"plans": plans, "beats": beats}
-        self._launch("grow", 2 * count, 0, given)
-        self._launch("attach", count, 0, given)
+        count, inputs = len(beats), {"plans": plans, "beats": beats}
+        self._launch("grow", 2 * count, 0, inputs)
+        self._launch("attach", count, 0, inputs)
         simulated = self._array("site_count", np.int32, count) >= 0
         in_trees = self._array("node_count", np.int32, count)[simulated]
         nodes = self._vertices + int(in_trees.max(initial=0))
         waiting, both = _waiting(nodes), _waiting(nodes) + 8 * nodes
         shared = both <= self.device.shared_bytes  # times are if they fit
-        self._launch("solve", count, both if shared else waiting, given, times_are_shared=shared)
+        self._launch("solve", count, both if shared else waiting, inputs, times_are_shared=shared)
         first, last = (self._array(name, np.float64, count) for name in ("first", "last"))
         simulated &= (first < np.inf) & (last < LATEST_ACTIVATION)
         return Results(
@@ -158,7 +158,7 @@ class Simulator:
             self._array("junctions", np.int32, count, 2),
             first,
             last,
-            self._channels(simulated, last, given),
+            self._channels(simulated, last, inputs),
         )
 
     def activation(self, number: int) -> Floats:
@@ -171,7 +171,7 @@ class Simulator:
         return self._part("nodes", NODE, (len(SIDES) * number + side) * MOST_GROWN, size)
 
     def _channels(
-        self, simulated: Booleans, last: Floats, given: Mapping[str, NDArray[Any]]
+        self, simulated: Booleans, last: Floats, inputs: Mapping[str, NDArray[Any]]
     ) -> list[Floats]:
         """The ECG of those that were simulated."""
         samples = np.zeros(len(last), np.int32)
@@ -191,7 +191,7 @@ class Simulator:
             "electrocardiogram",
             len(last),
             size if shared else 0,
-            {**given, "samples": samples},
+            {**inputs, "samples": samples},
             room,
             bins_are_shared=shared,
             most_bins=bins,
@@ -208,12 +208,12 @@ class Simulator:
         kernel: str,
         blocks: int,
         shared: int,
-        given: Mapping[str, NDArray[Any]],
+        inputs: Mapping[str, NDArray[Any]],
         room: Mapping[str, Any] | None = None,
         **numbers: int,
     ) -> None:
         """Run a kernel on what is given, in the batch's buffers and the room for its results."""
-        uploaded = self._uploaded(given)
+        uploaded = self._uploaded(inputs)
         members = dict.fromkeys(BATCH_FIELDS, 0) | {
             "most_grown": MOST_GROWN,
             "most_sprouts": MOST_SPROUTS,

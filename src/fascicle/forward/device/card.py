@@ -36,15 +36,15 @@ def card_number(name: str) -> int:
     import cupy
 
     try:
-        found = cupy.cuda.runtime.getDeviceCount()
+        count = cupy.cuda.runtime.getDeviceCount()
     except cupy.cuda.runtime.CUDARuntimeError as error:
         raise InputError(
             f"device '{name}': no NVIDIA card can be used ({one_line(error)}); install the card's "
             "driver, or leave the device out"
         ) from error
     number = int(match[1] or 0)
-    if number >= found:
-        raise InputError(f"device '{name}': the cards of this machine end at cuda:{found - 1}")
+    if number >= count:
+        raise InputError(f"device '{name}': the cards of this machine end at cuda:{count - 1}")
     return number
 
 
@@ -65,8 +65,8 @@ class Card:
         with self._device:
             module = cupy.RawModule(code=source(), options=OPTIONS)
             self._kernels = {kernel: module.get_function(kernel) for kernel in THREADS}
-            own = max(kernel.shared_size_bytes for kernel in self._kernels.values())
-            self.shared_bytes = self._device.attributes["MaxSharedMemoryPerBlockOptin"] - own
+            static = max(kernel.shared_size_bytes for kernel in self._kernels.values())
+            self.shared_bytes = self._device.attributes["MaxSharedMemoryPerBlockOptin"] - static
             for kernel in self._kernels.values():
                 kernel.max_dynamic_shared_size_bytes = self.shared_bytes
 

@@ -41,7 +41,7 @@ def _mesh(myocardium: Myocardium) -> dict[str, Any]:
     star, link = mesh.star, mesh.link
     tetrahedron, place = np.divmod(star["item"], CORNERS)
     least = np.minimum.reduce([star["least_a"], star["least_b"], star["least_c"]])
-    others = np.take_along_axis(mesh.corners[tetrahedron], OTHERS[place], axis=1)
+    other_corners = np.take_along_axis(mesh.corners[tetrahedron], OTHERS[place], axis=1)
     return {
         "vertices": len(mesh.vertices),
         "positions": _doubles(mesh.vertices),
@@ -49,7 +49,7 @@ def _mesh(myocardium: Myocardium) -> dict[str, Any]:
         "cells": _doubles(mesh.cells),
         "solver": _doubles(mesh.solver),
         "star_start": _ints(mesh.star_start),
-        "star": _ints(np.column_stack([others, star["item"]])),
+        "star": _ints(np.column_stack([other_corners, star["item"]])),
         "least": np.ascontiguousarray(least, np.float32),
         "link_start": _ints(mesh.link_start),
         "link": _ints(link["vertex"]),
@@ -61,8 +61,8 @@ def _mesh(myocardium: Myocardium) -> dict[str, Any]:
 
 def _table(myocardium: Myocardium) -> dict[str, Any]:
     mesh, table = myocardium.mesh, myocardium.travel_times
-    one, other = mesh.corners[:, TETRAHEDRON_EDGES].transpose(2, 0, 1)
-    longest = np.linalg.norm(mesh.vertices[one] - mesh.vertices[other], axis=2).max()
+    i, j = mesh.corners[:, TETRAHEDRON_EDGES].transpose(2, 0, 1)
+    longest = np.linalg.norm(mesh.vertices[i] - mesh.vertices[j], axis=2).max()
     element = np.where(myocardium.conducts[myocardium.owner], myocardium.owner, -1)
     return {
         "row_start": _ints(table.start),

@@ -130,12 +130,12 @@ class Electrocardiograph:
         """
         if (factors == 1).all():
             return self
-        there, corners = factors > 0, self.corners
-        every: Sequence[NDArray[np.float32]] = (self.weights, *self.additional)
-        if not there.all():
-            corners, every = corners[there], [each[there] for each in every]
-        single = factors[there, None, None].astype(np.float32)
-        weights, *more = (each * single for each in every)
+        conducting, corners = factors > 0, self.corners
+        groups: Sequence[NDArray[np.float32]] = (self.weights, *self.additional)
+        if not conducting.all():
+            corners, groups = corners[conducting], [group[conducting] for group in groups]
+        single = factors[conducting, None, None].astype(np.float32)
+        weights, *more = (group * single for group in groups)
         return replace(self, corners=corners, weights=weights, additional=more)
 
     def with_sources(
@@ -146,12 +146,12 @@ class Electrocardiograph:
         Before that, what points along the fibre changes by the share `axial`; `along` and `back`
         (m, 3) are those of `axial_projection`.
         """
-        every = []
+        groups = []
         for old in (self.weights, *self.additional):
             new = np.empty_like(old)
             reweight(old, factors, np.float32(axial), along, back, new)
-            every.append(new)
-        return replace(self, weights=every[0], additional=every[1:])
+            groups.append(new)
+        return replace(self, weights=groups[0], additional=groups[1:])
 
     def leads(self, activation: Floats) -> Floats:
         """The twelve leads and the additional ones (mV), shape (12 + k, n_time); see `channels`."""
@@ -246,8 +246,8 @@ def build_electrocardiograph(
 
     def weights(rows: Sequence[int]) -> NDArray[np.float32]:
         of_leads = np.tensordot(matrix[rows], gradients, axes=1)
-        found = channel_weights(barycentric, volumes, intracellular, of_leads)
-        return found.astype(np.float32)
+        channels = channel_weights(barycentric, volumes, intracellular, of_leads)
+        return channels.astype(np.float32)
 
     matrix = lead_matrix(additional)
     more = range(len(LEADS), len(matrix))

@@ -184,8 +184,10 @@ def attach(
     neighbourhood = _neighbourhood(located, located.triangles, myocardium)
     if len(stimuli):
         sources = len(stimuli) if sources is None else sources
-        there, around_them = _locate_stimuli(myocardium, stimuli, sources)
-        located = LocatedPoints._make(map(np.concatenate, zip(located, there, strict=True)))
+        located_stimuli, around_them = _locate_stimuli(myocardium, stimuli, sources)
+        located = LocatedPoints._make(
+            map(np.concatenate, zip(located, located_stimuli, strict=True))
+        )
         neighbourhood = neighbourhood.joined_with(around_them)
     nodes = _starts([len(tree.nodes) for tree in trees])
     junctions = _starts([len(tree.junctions) for tree in trees])
@@ -285,8 +287,10 @@ def solve(
     solve_trees(in_trees, forest)
     front.nodes["time"][vertices:] = in_trees
     sources = sites.node[np.isfinite(in_trees[sites.node - vertices])]
-    there, back = (_site_delays(coupling, d) for d in (anterograde_delay, retrograde_delay))
-    sites = sites._replace(anterograde=there, retrograde=back)
+    anterograde, retrograde = (
+        _site_delays(coupling, d) for d in (anterograde_delay, retrograde_delay)
+    )
+    sites = sites._replace(anterograde=anterograde, retrograde=retrograde)
     sweep(front, sources, mesh, forest, sites)
     return _activation(coupling, front, stimulus_times)
 
@@ -402,14 +406,14 @@ def _neighbourhood(
 
 def _locate_junctions(myocardium: Myocardium, trees: Sequence[PurkinjeTree]) -> LocatedPoints:
     """Find the points of the tissue's surface that are nearest to the trees' junctions."""
-    found = [myocardium.on_surface(np.empty((0, 3)))] if not trees else []
+    located = [myocardium.on_surface(np.empty((0, 3)))] if not trees else []
     for tree in trees:
         points = tree.nodes[tree.junctions]
         if tree.triangles is None or len(tree.triangles) != len(tree.nodes):
-            found.append(myocardium.on_surface(points))
+            located.append(myocardium.on_surface(points))
         else:
-            found.append(myocardium.on_surface_from(tree.triangles[tree.junctions], points))
-    return LocatedPoints._make(map(np.concatenate, zip(*found, strict=True)))
+            located.append(myocardium.on_surface_from(tree.triangles[tree.junctions], points))
+    return LocatedPoints._make(map(np.concatenate, zip(*located, strict=True)))
 
 
 def _locate_stimuli(
@@ -417,17 +421,17 @@ def _locate_stimuli(
 ) -> tuple[LocatedPoints, SiteNeighbourhood]:
     """Find points in the myocardium and what is around them; those of last time are kept."""
     key = points.tobytes(), sources
-    found = myocardium.last_stimuli.get(key)
-    if found is None:
+    stimuli = myocardium.last_stimuli.get(key)
+    if stimuli is None:
         located = myocardium.inside(points)
-        own = LocatedPoints._make(values[:sources] for values in located)
-        others = LocatedPoints._make(values[sources:] for values in located)
-        nowhere = np.full(len(others.elements), -1)  # in no triangle: their rays are traced
-        around = _neighbourhood(own, None, myocardium)
-        found = located, around.joined_with(_neighbourhood(others, nowhere, myocardium))
+        centres = LocatedPoints._make(values[:sources] for values in located)
+        captured = LocatedPoints._make(values[sources:] for values in located)
+        nowhere = np.full(len(captured.elements), -1)  # in no triangle: their rays are traced
+        around = _neighbourhood(centres, None, myocardium)
+        stimuli = located, around.joined_with(_neighbourhood(captured, nowhere, myocardium))
         myocardium.last_stimuli.clear()
-        myocardium.last_stimuli[key] = found
-    return found
+        myocardium.last_stimuli[key] = stimuli
+    return stimuli
 
 
 def _starts(sizes: Sequence[int]) -> Integers:

@@ -113,11 +113,11 @@ class Myocardium:
 
         All are searched for if one does not.
         """
-        positions, found = np.empty_like(points), np.empty(len(points), np.int64)
+        positions, nearest = np.empty_like(points), np.empty(len(points), np.int64)
         squares, surface = np.empty(len(points)), (self.mesh.vertices, self.surface)
         for candidates in self.candidates.values():  # they lie on one side or on none
-            if nearest_of(points, triangles, candidates, *surface, positions, found, squares):
-                return self._located(positions, found, squares)
+            if nearest_of(points, triangles, candidates, *surface, positions, nearest, squares):
+                return self._located(positions, nearest, squares)
         return self.on_surface(points)
 
     def _located(self, positions: Floats, triangles: Integers, squares: Floats) -> LocatedPoints:
@@ -224,7 +224,7 @@ def _elements(
     count = len(corners)
     cells, solver = np.empty((count, CELL_COLUMNS)), np.empty((count, 2 * len(TETRAHEDRON_EDGES)))
     least = np.empty((count, CORNERS, CORNERS - 1), np.float32)
-    one, other = TETRAHEDRON_EDGES.T
+    i, j = TETRAHEDRON_EDGES.T
     chunk = 1 << 16  # elements at a time, which bounds the memory
     for first in range(0, count, chunk):
         part = slice(first, first + chunk)
@@ -236,9 +236,9 @@ def _elements(
         cells[part, AT_ORIGIN] += 1
         cells[part, XX:] = metric[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
         steered = np.einsum("mij,mkj->mki", np.linalg.inv(metric), slopes)
-        products = np.einsum("mei,mei->me", slopes[:, one], steered[:, other])
+        products = np.einsum("mei,mei->me", slopes[:, i], steered[:, j])
         solver[part, PRODUCTS:SQUARES] = products
-        edges = points[:, other] - points[:, one]
+        edges = points[:, j] - points[:, i]
         solver[part, SQUARES:] = np.einsum("mei,mij,mej->me", edges, metric, edges)
         reached = _reach(solver[part, SQUARES:]).astype(np.float32)
         least[part] = np.nextafter(reached, np.float32(-np.inf))  # rounded down
@@ -249,9 +249,9 @@ def _edges(
     corners: NDArray[np.int32], squares: Floats, count: int
 ) -> tuple[Integers, NDArray[np.void]]:
     """The vertices that share an edge with each, and where they start; with least travel times."""
-    one, other = TETRAHEDRON_EDGES.T
-    tail = np.concatenate([corners[:, one], corners[:, other]]).ravel().astype(np.int64)
-    head = np.concatenate([corners[:, other], corners[:, one]]).ravel()
+    i, j = TETRAHEDRON_EDGES.T
+    tail = np.concatenate([corners[:, i], corners[:, j]]).ravel().astype(np.int64)
+    head = np.concatenate([corners[:, j], corners[:, i]]).ravel()
     pair = tail * count + head
     order = np.argsort(pair, kind="stable")
     first = np.flatnonzero(np.diff(pair[order], prepend=-1))
@@ -269,18 +269,18 @@ def _triangles_at(heart: Heart, vertices: Floats, surface: Integers, tree: igl.A
     Those with their centre near an endocardium, and those nearest to its vertices and triangles.
     """
     centres = vertices[surface].mean(axis=1)
-    found = []
+    near = []
     for endocardium in heart.endocardia:
         square, _, _ = find_on_surface(
             endocardium.vertices, endocardium.triangles
         ).squared_distance(endocardium.vertices, endocardium.triangles, centres)
         # within a quarter of an edge
-        found.append(np.flatnonzero(square < (0.25 * heart.edge_length) ** 2))
+        near.append(np.flatnonzero(square < (0.25 * heart.edge_length) ** 2))
         corners = endocardium.vertices[endocardium.triangles]
         sides = (corners + np.roll(corners, 1, axis=1)) / 2
         points = [corners.reshape(-1, 3), sides.reshape(-1, 3), corners.mean(axis=1)]
-        found.append(tree.squared_distance(vertices, surface, np.concatenate(points))[1])
-    return np.unique(np.concatenate(found))
+        near.append(tree.squared_distance(vertices, surface, np.concatenate(points))[1])
+    return np.unique(np.concatenate(near))
 
 
 def find_on_surface(vertices: Floats, surface: Integers) -> igl.AABB:
@@ -303,10 +303,10 @@ def _stars(
     star = np.empty(len(flat), STAR)
     star["item"] = flat[order]
     tetrahedron, corner = np.divmod(flat[order], CORNERS)
-    others = np.empty((len(flat), CORNERS - 1), np.uint16)
+    link_numbers = np.empty((len(flat), CORNERS - 1), np.uint16)
     at = corners[tetrahedron[:, None], FACES[corner]]
-    number_neighbours(start, at, link_start, link["vertex"], others)
-    star["a"], star["b"], star["c"] = others.T
+    number_neighbours(start, at, link_start, link["vertex"], link_numbers)
+    star["a"], star["b"], star["c"] = link_numbers.T
     star["least_a"], star["least_b"], star["least_c"] = least[tetrahedron, corner].T
     return start, star
 
@@ -341,8 +341,8 @@ def _reach(squares: Floats) -> Floats:
 def _links(edges: Integers, count: int) -> sp.csr_array:
     """Which vertices share an edge, as a symmetric pattern."""
     rows, columns = np.concatenate([edges, edges[:, ::-1]]).T
-    ones = np.ones(len(rows), dtype=np.int8)
-    return sp.coo_array((ones, (rows, columns)), shape=(count, count)).tocsr()
+    entries = np.ones(len(rows), dtype=np.int8)
+    return sp.coo_array((entries, (rows, columns)), shape=(count, count)).tocsr()
 
 
 def _face_neighbours(corners: NDArray[np.int32], conducts: Booleans) -> NDArray[np.int32]:

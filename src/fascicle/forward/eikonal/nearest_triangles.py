@@ -50,24 +50,24 @@ def find_candidates(
         Finds its nearest triangle.
     """
     centres, radii = _balls(triangles)
-    their_centres, their_radii = _balls(vertices[surface])
+    surface_centres, surface_radii = _balls(vertices[surface])
     square, _, _ = tree.squared_distance(vertices, surface, centres)
     a_little, chunk = 1 + 1e-9, 1 << 12  # more than rounding; triangles at a time, for memory
     radii *= a_little
     reach = (np.sqrt(square) + 2 * radii) * a_little
-    others, found = KDTree(their_centres), []
+    surface_tree, candidates = KDTree(surface_centres), []
     for first in range(0, len(centres), chunk):
         part = slice(first, first + chunk)
-        around = others.query_ball_point(centres[part], reach[part] + their_radii.max())
+        around = surface_tree.query_ball_point(centres[part], reach[part] + surface_radii.max())
         for centre, near, far in zip(
             centres[part], map(np.array, around), reach[part], strict=True
         ):
-            least = np.linalg.norm(their_centres[near] - centre, axis=1) - their_radii[near]
+            least = np.linalg.norm(surface_centres[near] - centre, axis=1) - surface_radii[near]
             order = np.argsort(least, kind="stable")
             order = order[: np.searchsorted(least[order], far, "right")]
-            found.append((near[order], least[order]))
-    triangle, least = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    start = np.cumsum([0, *(len(each) for each, _ in found)])
+            candidates.append((near[order], least[order]))
+    triangle, least = (np.concatenate(parts) for parts in zip(*candidates, strict=True))
+    start = np.cumsum([0, *(len(numbers) for numbers, _ in candidates)])
     return Candidates(start, triangle, least, centres, radii**2)
 
 

@@ -52,7 +52,7 @@ def build_travel_time_table(
     centres = mesh.vertices[surface[triangles]].mean(axis=1)
     reach = _how_far(centres, vertices)
     none = np.zeros(1, np.int64), np.empty(0, np.int32), np.empty((0, len(POINTS)), np.float32)
-    found = [none]
+    parts_of_rows = [none]
     begin, done = time.monotonic(), 0
     # at a time, which bounds the memory
     chunks = [triangles[first : first + 256] for first in range(0, len(triangles), 256)]
@@ -60,13 +60,13 @@ def build_travel_time_table(
         for rows in pool.map(
             lambda chunk: _rows(mesh, owner[chunk], opposite[chunk], vertices, reach), chunks
         ):
-            found.append(rows)
+            parts_of_rows.append(rows)
             done += len(rows[0])
             if time.monotonic() - begin > 1.0:  # s
                 progress(done, len(triangles))
     row = np.full(len(surface), -1, dtype=np.int32)
     row[triangles] = np.arange(len(triangles))
-    sizes, vertex, square = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    sizes, vertex, square = (np.concatenate(parts) for parts in zip(*parts_of_rows, strict=True))
     start, opposite = np.cumsum(sizes), opposite.astype(np.int8)
     return TravelTimeTable(row, opposite, start, vertex, square, reach, LONGEST_RAY)
 
@@ -98,10 +98,10 @@ def _rows(
     start = np.searchsorted(row, np.arange(len(elements) + 1))
     square = np.full((len(vertex), len(POINTS)), np.inf)
     trace_rays(POINTS @ at, elements, start, vertex, LONGEST_RAY, mesh, square)
-    known = np.isfinite(square).all(axis=1)
-    known &= (vertex[:, None] != mesh.corners[elements[row]]).all(axis=1)
-    size = np.bincount(row[known], minlength=len(elements))
-    return size, vertex[known], square[known].astype(np.float32)
+    reached = np.isfinite(square).all(axis=1)
+    reached &= (vertex[:, None] != mesh.corners[elements[row]]).all(axis=1)
+    size = np.bincount(row[reached], minlength=len(elements))
+    return size, vertex[reached], square[reached].astype(np.float32)
 
 
 class SiteNeighbourhood(NamedTuple):
@@ -120,11 +120,11 @@ class SiteNeighbourhood(NamedTuple):
 
     def joined_with(self, other: SiteNeighbourhood) -> SiteNeighbourhood:
         """These sites and, after them, the others."""
-        one, two = self.to_vertices, other.to_vertices
+        first, second = self.to_vertices, other.to_vertices
         to_vertices = RayTravelTimes(
-            np.concatenate([one.start, one.start[-1] + two.start[1:]]),
-            np.concatenate([one.target, two.target]),
-            np.concatenate([one.time, two.time]),
+            np.concatenate([first.start, first.start[-1] + second.start[1:]]),
+            np.concatenate([first.target, second.target]),
+            np.concatenate([first.time, second.time]),
         )
         pairs = zip(self.sites, other.sites, strict=True)
         return SiteNeighbourhood(LocatedSites(*(np.concatenate(p) for p in pairs)), to_vertices)
