@@ -26,7 +26,7 @@ from fascicle.study.fitted import FittedStudy
 from fascicle.study.study import CONFIGURATION
 from fascicle.study.target_comparison import TargetComparison
 
-# What the notebook calls; the page has the same `fascicleExplorer` and a socket
+# Script of the notebook; the page calls the same `fascicleExplorer`, and has a socket
 RENDER = """
 export default {
   render({ model, el }) {
@@ -78,7 +78,7 @@ def session_of(
     target: Target | Path | str | None,
     progress: Progress | None,
 ) -> Session:
-    """What is explored, of the arguments of `explore`."""
+    """Session of the arguments of `explore`."""
     check_kind(target, (Target, Path, str, NoneType), "target", "a fascicle target, or its file")
     if isinstance(given, Path | str) and (as_path(given, "heart") / CONFIGURATION).is_file():
         given = load_study(given)
@@ -96,7 +96,7 @@ def session_of(
 
 
 def widget(session: Session) -> Any:
-    """A widget that shows a session; InputError without anywidget."""
+    """Notebook widget of a session; raises InputError if anywidget is missing."""
     if find_spec("anywidget") is None:
         raise InputError("a notebook needs anywidget; install it: pip install anywidget")
     from anywidget import AnyWidget
@@ -107,12 +107,12 @@ def widget(session: Session) -> Any:
         _esm = (page / "viewer.js").read_text(encoding="utf-8") + RENDER
         _css = (page / "explorer.css").read_text(encoding="utf-8")
 
-    made = Explorer()
+    explorer = Explorer()
 
     def answer(shown: Any, message: Any, buffers: Any) -> None:
         is_first = message.get("ask") == "description"
-        send = partial(made.send, {})
+        send = partial(explorer.send, {})
         send([session.description() if is_first else session.answer(message, lambda m: send([m]))])
 
-    made.on_msg(answer)
-    return made
+    explorer.on_msg(answer)
+    return explorer

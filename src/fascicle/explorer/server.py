@@ -34,9 +34,9 @@ def serve(session: Session, port: int = 0, opened: Callable[[str], object] | Non
     Parameters
     ----------
     session : Session
-        What is explored.
+        Session to show.
     port : int
-        On which the page is served; any free one if 0.
+        Port of the page; any free one if 0.
     opened : callable, optional
         Called with the address of the page once it can be opened; a browser by default.
 
@@ -77,21 +77,21 @@ def in_browser(url: str) -> None:
 
 
 async def in_thread(work: Callable[[], bytes]) -> bytes:
-    """What `work` gives, in a thread that the end of the program does not wait for."""
-    loop, found = asyncio.get_running_loop(), Future[bytes]()
+    """Result of `work`, done in a thread for which the end of the program does not wait."""
+    loop, result = asyncio.get_running_loop(), Future[bytes]()
 
     def run() -> None:
         try:
-            found.set_result(work())
+            result.set_result(work())
         except Exception as error:  # noqa: BLE001 - raised again where it is awaited
-            found.set_exception(error)
+            result.set_exception(error)
 
     threading.Thread(target=run, daemon=True).start()
-    return await asyncio.wrap_future(found, loop=loop)
+    return await asyncio.wrap_future(result, loop=loop)
 
 
 class Application:
-    """The page, and a socket for each that is open."""
+    """Web application: the page, and a socket for every page that is open."""
 
     def __init__(self, session: Session, port: int, opened: Callable[[str], object]) -> None:
         self.session, self.opened = session, opened
@@ -141,25 +141,27 @@ class Application:
             return
         await page.accept()
         self.pages += 1
-        asked: asyncio.Queue[Any] = asyncio.Queue()
-        tasks = [asyncio.create_task(each(page, asked)) for each in (self.messages, self.answers)]
+        messages: asyncio.Queue[Any] = asyncio.Queue()
+        tasks = [
+            asyncio.create_task(task(page, messages)) for task in (self.messages, self.answers)
+        ]
         ended, running = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         for task in running:
-            task.cancel()  # what it computes is finished for nobody
+            task.cancel()  # nobody waits for its answer any more
         self.pages -= 1
         asyncio.get_running_loop().call_later(RELOADED_WITHIN, self.end_without_pages)
         for task in ended:
             task.result()  # a bug stays loud
 
-    async def messages(self, page: Any, asked: asyncio.Queue[Any]) -> None:
-        """Collect what a page asks, until it is closed."""
+    async def messages(self, page: Any, messages: asyncio.Queue[Any]) -> None:
+        """Collect the messages of a page, until it is closed."""
         from starlette.websockets import WebSocketDisconnect
 
         with suppress(WebSocketDisconnect, json.JSONDecodeError):
             while True:
-                asked.put_nowait(json.loads(await page.receive_text()))
+                messages.put_nowait(json.loads(await page.receive_text()))
 
-    async def answers(self, page: Any, asked: asyncio.Queue[Any]) -> None:
+    async def answers(self, page: Any, messages: asyncio.Queue[Any]) -> None:
         """Send the description, then an answer to each message, and how far a long one is."""
         loop = asyncio.get_running_loop()
 
@@ -169,7 +171,7 @@ class Application:
 
         await page.send_bytes(await in_thread(self.session.description))
         while True:
-            work = partial(self.session.answer, await asked.get(), report)
+            work = partial(self.session.answer, await messages.get(), report)
             await page.send_bytes(await in_thread(work))
 
     def end_without_pages(self) -> None:

@@ -1,4 +1,4 @@
-"""What the explorer shows: a state goes in; activation, trees and ECG come out.
+"""Answers of the explorer: a state goes in; activation, trees and ECG come out.
 
 A page sends its whole state with every change and keeps nothing here, so that undoing, comparing
 and two pages at once need no more than states. An answer is a length (4 bytes, little-endian), that
@@ -47,7 +47,7 @@ from fascicle.torso.variation.conductor import InvalidTorso, TorsoState
 
 BLOCKED_WITHIN = 3.0  # mm of a place in a tree that is blocked there
 SCAR_WITHIN = 8.0  # mm of a place in the myocardium that is scar there
-# What has a slider besides what is learnt; a tissue is prepared in seconds
+# Quantities with a slider besides those that are learnt; a tissue is prepared in seconds
 MORE_SLIDERS = {
     "growth and junctions": (
         "branch_length", "branch_angle", "repulsion", "anterograde_delay", "retrograde_delay",
@@ -59,7 +59,7 @@ Place = tuple[Coordinate, Coordinate, Coordinate]
 
 
 class PageState(BaseModel, extra="forbid"):
-    """What a page asks for.
+    """State of a page: parameters, scenario, and places that were clicked.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class PageState(BaseModel, extra="forbid"):
 
     @property
     def regions(self) -> tuple[Region, ...]:
-        """Its scars."""
+        """Scars of this state."""
         return tuple(
             Region(conductivity=0.0, centre=place, radius=SCAR_WITHIN) for place in self.scars
         )
@@ -121,16 +121,16 @@ class PageState(BaseModel, extra="forbid"):
 
 @dataclass(frozen=True)
 class Session:
-    """What can be explored.
+    """Heart to explore, perhaps with a recording or a study.
 
     Attributes
     ----------
     model : ForwardModel
-        Of the heart.
+        Forward model of the heart.
     recording : TargetComparison, optional
-        The recording that simulated ECGs are laid under.
+        Recording with which simulated ECGs are compared.
     study : FittedStudy, optional
-        Whose networks can be looked at one by one.
+        Study whose networks can be shown one by one.
     """
 
     model: ForwardModel
@@ -144,30 +144,32 @@ class Session:
 
     @cached_property
     def space(self) -> ParameterSpace:
-        """What has a slider: the parameters of the study, or of the networks, and α."""
+        """Parameters with a slider: those of the study, or of the networks, and α."""
         if self.study is not None:
             return self.study.simulator.prior.learnt
         paper = (*NETWORK_SPACE.parameters, free("alpha"))
         human = "interventricular_delay" in self.start
         usual = HUMAN_SPACE.parameters if human else paper
-        return ParameterSpace(tuple(each for each in usual if each.name in self.start))
+        return ParameterSpace(
+            tuple(parameter for parameter in usual if parameter.name in self.start)
+        )
 
     @cached_property
     def surface(self) -> tuple[Integers, Integers, int]:
-        """The heart's `boundary`."""
+        """Boundary of the heart, as the page draws it (`boundary`)."""
         return boundary(self.model.heart)
 
     def description(self) -> bytes:
         """Everything that does not change: surface, sliders, scenarios, recording, networks."""
         triangles, shown, endocardial = self.surface
         heart = self.model.heart
-        said: dict[str, Any] = {
+        content: dict[str, Any] = {
             "heart": heart.name,
             **body_axes(heart),
             "endocardial": endocardial,
             "leads": list(LEADS),
             "groups": [
-                {"name": name, "sliders": [self._slider(each) for each in parameters]}
+                {"name": name, "sliders": [self._slider(parameter) for parameter in parameters]}
                 for name, parameters in self.groups.items()
             ],
             "conduction": CONDUCTION,
@@ -180,19 +182,19 @@ class Session:
             "vertices": heart.vertices[shown].astype("<f4"),
             "triangles": triangles.astype("<u4"),
         }
-        return packed(said, arrays)
+        return packed(content, arrays)
 
     @property
     def groups(self) -> dict[str, list[Parameter]]:
-        """What has a slider, by groups: `space`, then what else can be moved."""
+        """Quantities with a slider, by groups: `space`, then those that are not learnt."""
         more = dict(MORE_SLIDERS)
         if self.model.heart.has_torso:
             more["torso"] = TORSO_QUANTITIES
-        found = {"network": list(self.space.parameters)}
+        groups = {"network": list(self.space.parameters)}
         learnt = {parameter.name for parameter in self.space.parameters}
         for group, names in more.items():
-            found[group] = [free(name) for name in names if name not in learnt]
-        return found
+            groups[group] = [free(name) for name in names if name not in learnt]
+        return groups
 
     @cached_property
     def start(self) -> dict[str, float]:
@@ -219,15 +221,15 @@ class Session:
             lines = ProgressLines(partial(_report, report))
             try:
                 model = self._prepared(state, lines)
-                said, arrays = self._simulated(model, state, bool(message.get("moving")))
+                content, arrays = self._simulated(model, state, bool(message.get("moving")))
             finally:
                 lines.end()
-            return packed({"id": number, **said}, arrays)
+            return packed({"id": number, **content}, arrays)
         except InputError as error:
             return packed({"id": number, "error": str(error)}, {})
 
     def _prepared(self, state: PageState, progress: Progress) -> ForwardModel:
-        """The model of a state: with its scars, or with what other torsos need."""
+        """Forward model of a state: with its scars, or prepared for other torsos."""
         torso = torso_values(state.values)
         if torso and state.scars:
             raise InputError("scar cannot be combined with a changed torso; undo one of them")
@@ -252,37 +254,39 @@ class Session:
 
         These take as long as the simulation.
         """
-        found = model.simulate(state.values, state.beat())
-        if isinstance(found, InvalidTree):
-            raise InputError(f"no network: {found.reason}")
-        if isinstance(found, InvalidTorso):
-            raise InputError(f"{found.reason}; undo the last change")
+        beat = model.simulate(state.values, state.beat())
+        if isinstance(beat, InvalidTree):
+            raise InputError(f"no network: {beat.reason}")
+        if isinstance(beat, InvalidTorso):
+            raise InputError(f"{beat.reason}; undo the last change")
         gain, torso = self._drawn(state)
-        found = replace(found, leads=gain * torso @ found.leads)
-        begin = float(found.activation.min())
-        said: dict[str, Any] = {
-            "qrs": found.global_qrs_duration,
-            "total": found.total_activation_time,
-            "axis": found.frontal_axis,
+        beat = replace(beat, leads=gain * torso @ beat.leads)
+        begin = float(beat.activation.min())
+        content: dict[str, Any] = {
+            "qrs": beat.global_qrs_duration,
+            "total": beat.total_activation_time,
+            "axis": beat.frontal_axis,
         }
         if not moving:
-            said["criteria"] = [each.name for each in found.conventional_criteria if each.met]
-        arrays = {"activation": (found.activation[self.surface[1]] - begin).astype("<f4")}
-        for tree, times in zip(found.trees, found.coupled.trees, strict=True):
+            content["criteria"] = [
+                criterion.name for criterion in beat.conventional_criteria if criterion.met
+            ]
+        arrays = {"activation": (beat.activation[self.surface[1]] - begin).astype("<f4")}
+        for tree, times in zip(beat.trees, beat.coupled.trees, strict=True):
             arrays |= _tree(tree, times - begin)
-        said["trees"] = [tree.side for tree in found.trees]
+        content["trees"] = [tree.side for tree in beat.trees]
         arrays["electrodes"] = _electrodes(model, state).astype("<f4")
-        said["ecg_start"] = found.onset - begin
-        arrays["simulated"] = found.leads[: len(LEADS)].astype("<f4")
+        content["ecg_start"] = beat.onset - begin
+        arrays["simulated"] = beat.leads[: len(LEADS)].astype("<f4")
         if self.recording is not None:
-            target, alignment = self.recording.target, self.recording.align(found.leads)
-            under = self.recording.predicted(found.leads, alignment)
-            first = alignment.shift - target.qrs_samples.start - found.first_activation
-            said["ecg_start"] = first * SAMPLE_STEP
-            said["explained"] = 1 - alignment.loss / self.recording.null_loss
+            target, alignment = self.recording.target, self.recording.align(beat.leads)
+            under = self.recording.predicted(beat.leads, alignment)
+            first = alignment.shift - target.qrs_samples.start - beat.first_activation
+            content["ecg_start"] = first * SAMPLE_STEP
+            content["explained"] = 1 - alignment.loss / self.recording.null_loss
             arrays["simulated"] = under[: len(LEADS)].astype("<f4")
             arrays["recorded"] = target.mean[: len(LEADS)].astype("<f4")
-        return said, arrays
+        return content, arrays
 
     def _drawn(self, state: PageState) -> tuple[float, Floats]:
         """Gain and torso (12 + k, 12 + k) that were drawn with the network of a state."""
@@ -302,14 +306,14 @@ class Session:
         heart = replace(model.heart, folder=None)  # not to fill its folder with trials
 
         def with_scars(regions: tuple[Region, ...]) -> ForwardModel:
-            own = model.conduction
-            conduction = replace(own, regions=(*own.regions, *regions))
+            plain = model.conduction
+            conduction = replace(plain, regions=(*plain.regions, *regions))
             return ForwardModel(heart, conduction, model.rules, model.action_potential)
 
         return lru_cache(3)(with_scars)
 
     def _slider(self, parameter: Parameter) -> dict[str, Any]:
-        """A parameter's range, and how its values in the study are distributed within it."""
+        """Slider of a parameter: its range, and the histogram of its values in the study."""
         name = parameter.name
         low, high = parameter.lower, parameter.upper
         values = {} if self.study is None else self.study.population.values
@@ -327,8 +331,8 @@ class Session:
         if name == "anisotropy_ratio":
             along, across = self.model.conduction.speeds
             return along / across
-        own = {**self.model.rules.numbers, **vars(self.model.conduction)}
-        return own.get(name, quantity(name).default)
+        numbers = {**self.model.rules.numbers, **vars(self.model.conduction)}
+        return numbers.get(name, quantity(name).default)
 
     def _networks(self) -> list[dict[str, float | str]]:
         if self.study is None:
@@ -338,7 +342,7 @@ class Session:
 
 
 def _electrodes(model: ForwardModel, state: PageState) -> Floats:
-    """Where the electrodes (9 + a, 3) stand to the heart (mm)."""
+    """Positions (9 + a, 3) of the electrodes in the coordinates of the heart (mm)."""
     placed, torso = model.heart.electrode_positions, torso_values(state.values)
     if not torso:
         return placed
@@ -367,13 +371,13 @@ def _spoken(values: Mapping[str, float]) -> dict[str, float | str]:
     return {name: v if np.isfinite(v) else "Infinity" for name, v in values.items()}
 
 
-def packed(said: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
+def packed(content: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """JSON and arrays of four-byte numbers as one message; the JSON says where each array is."""
     at, places = 0, {}
     for name, array in arrays.items():
         places[name] = {"at": at, "shape": array.shape, "type": array.dtype.str}
         at += array.nbytes
-    text = json.dumps({**said, "arrays": places}, allow_nan=False).encode()
+    text = json.dumps({**content, "arrays": places}, allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
     parts = (np.ascontiguousarray(array).tobytes() for array in arrays.values())
     return b"".join((len(text).to_bytes(4, "little"), text, *parts))
