@@ -66,7 +66,7 @@ def treat_block(
 
 
 def _analysed(source: Path | str, out: Path) -> Analysis:
-    """One beat as a target, which is written and drawn."""
+    """Analyse a recording of one beat; write and draw its target."""
     options = fascicle.TargetOptions(noise=0.03)  # mV
     analysis = fascicle.analyse(fascicle.read_recording(source), options)
     out.mkdir(parents=True, exist_ok=True)

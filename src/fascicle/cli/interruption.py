@@ -25,7 +25,7 @@ GRACE = 1.5  # s in which the process may end by itself
 
 @dataclass
 class Interruption:
-    """Which signal, if any, has asked the program to end, and whether it has ended by itself."""
+    """Signal that asked the program to end, if any, and whether it has ended by itself."""
 
     number: int | None = None
     over: threading.Event = field(default_factory=threading.Event)

@@ -129,7 +129,7 @@ def fit_options(command: Command) -> Command:
 def explicit(context: typer.Context, settings: Mapping[str, Any]) -> dict[str, Any]:
     """The settings that the user has typed; the others may come from a settings file."""
     sources = {name: context.get_parameter_source(name) for name in settings}
-    default = "DEFAULT"  # of an Enum that Typer keeps to itself
+    default = "DEFAULT"  # of a private Enum of Typer
     return {n: settings[n] for n, source in sources.items() if source and source.name != default}
 
 

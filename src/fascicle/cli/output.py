@@ -37,7 +37,7 @@ class NotAllDoneError(Exception):
 
 
 def every_command(command: Callable[..., Result]) -> Callable[..., None]:
-    """Give a command the options that every one has, and print its result as JSON for --json.
+    """Give a command the options of every command, and print its result as JSON for --json.
 
     The command prints its result for people, and returns it for programs.
     """
@@ -93,7 +93,7 @@ def print_table(rows: Sequence[Sequence[str]]) -> None:
 
 @dataclass(frozen=True)
 class Output:
-    """Where progress goes: standard error unless the command is quiet, and a log."""
+    """Destinations of progress: standard error unless the command is quiet, and a log."""
 
     screen: TextIO | None
     log: TextIO | None = None

@@ -1,4 +1,4 @@
-"""How the commands print their results."""
+"""Printing of the results of commands."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def print_fit(fitted: FittedStudy, summary: Mapping[str, Any]) -> None:
         null = f"(flat line: {fitted.null_loss:.4f})"
         print_row("best of the first", f"{fitted.best_initial_loss:.4f} mV² {null}")
     else:
-        # a packaged emulator may have learnt from more than were asked for
+        # a packaged emulator may have learnt from more simulations than configured
         learnt = [round(emulator["networks"]) for emulator in summary.get("emulators", ())]
         configured = fitted.study.config.prior_simulations
         print_row("prior simulations", min(learnt, default=configured))
@@ -192,12 +192,10 @@ def print_comparison(predicted: Mapping[str, Predicted], result: Mapping[str, An
         return
     print(f"variance explained by {', '.join(shares)} (each alone)")
     print("value of a further measurement, as the share of the variance that it removes:")
-    for measurement in result["value_of_measurement"]:
-        scenario, measured = measurement["scenario"], measurement["index"]
+    for row in result["value_of_measurement"]:
+        scenario, measured = row["scenario"], row["index"]
         error = f"±{MEASURABLE[scenario, measured]:.2g} {INDICES[measured]}"
-        print(
-            f"  {measurement['share']:4.0%}  {index_name(measured)} of {scenario}, measured to {error}"
-        )
+        print(f"  {row['share']:4.0%}  {index_name(measured)} of {scenario}, measured to {error}")
 
 
 def comparison_result(

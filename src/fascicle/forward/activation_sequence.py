@@ -1,4 +1,4 @@
-"""The sequence in which the ventricles are activated, held against mapped human hearts."""
+"""The sequence in which the ventricles are activated, compared with mapped human hearts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fascicle.mesh.measures import unit
 
 
 class MappedRange(NamedTuple):
-    """What mapped human hearts show of a time (ms) of `ActivationSequence`, and its name."""
+    """Range of a time (ms) of `ActivationSequence` in mapped human hearts, and its name."""
 
     lower: float
     upper: float
@@ -48,7 +48,7 @@ PARTS = {
 
 @dataclass(frozen=True)
 class ActivationSequence:
-    """When the parts of the ventricles are first activated (ms after the first of all).
+    """First activation of the parts of the ventricles (ms after the first of all).
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class ActivationSequence:
     total : float
         Last activation of all.
     last : str
-        Where that is.
+        Place of the last activation.
     """
 
     lv_septum: float
@@ -112,7 +112,7 @@ class VentricularSurfaces:
 
     @classmethod
     def of(cls, heart: Heart) -> VentricularSurfaces:
-        """Find them in a heart."""
+        """Find the surfaces of a heart."""
         vertices, mesh = heart.vertices, cKDTree(heart.vertices)
         endocardium = {
             e.side: np.unique(mesh.query(e.vertices[np.unique(e.triangles)])[1])
@@ -153,7 +153,7 @@ class VentricularSurfaces:
 
 
 def _places(heart: Heart, right: Booleans) -> np.ndarray[tuple[int], np.dtype[np.str_]]:
-    """Where each vertex lies, given which ones are `right` of the middle of the septum (n,)."""
+    """Place of each vertex; `right` (n,) says whether it is right of the middle of the septum."""
     of_left = heart.lv.vertices, heart.lv.triangles
     height, around, down = about_long_axis(*of_left, heart.vertices)
     septal = unit(about_long_axis(*of_left, heart.rv.vertices)[1].mean(axis=0))
@@ -169,7 +169,7 @@ def _places(heart: Heart, right: Booleans) -> np.ndarray[tuple[int], np.dtype[np
 
 @dataclass(frozen=True)
 class SequenceSummary:
-    """What sequences of several networks have in common.
+    """Summary of the activation sequences of several networks.
 
     Attributes
     ----------
@@ -198,7 +198,7 @@ class SequenceSummary:
 
     @property
     def departure(self) -> str:
-        """How most of the networks are activated otherwise than mapped hearts; else empty."""
+        """Difference between most of the networks and mapped hearts in words; empty if none."""
         if self.mapped >= 0.5:
             return ""
         first = next(iter(self.first))
@@ -215,7 +215,7 @@ class SequenceSummary:
 
     @property
     def lines(self) -> list[str]:
-        """Where activation begins and ends, and its times beside the mapped ranges."""
+        """Lines of text: first and last activated parts, and times beside the mapped ranges."""
         ends = (
             f"{event}: " + ", ".join(f"{n} {p:.0%}" for n, p in [*shares.items()][:3] if p > 0.005)
             for event, shares in (("first activated", self.first), ("last activated", self.last))

@@ -1,4 +1,4 @@
-"""What the conduction states of a network block, in whatever it is simulated."""
+"""Blocks of the conduction states, in any scenario."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ BLOCKED: dict[str, tuple[Primitive, ...]] = {
 
 
 def in_state(scenario: Scenario, conduction: float) -> Scenario:
-    """A scenario in a conduction state, a number of `CONDUCTION`: what that blocks stays blocked.
+    """Add the blocks of a conduction state, a number of `CONDUCTION`, to a scenario.
 
-    But for a bundle branch where the scenario has a His bundle with a root time of its own:
+    A bundle branch is not blocked if the scenario has a His bundle with a root time of its own:
     pacing that recruits both branches.
     """
     blocked = BLOCKED.get(CONDUCTION[int(conduction)], ())

@@ -1,4 +1,4 @@
-"""The ECG of a heart in bodies that are drawn from what is not known of them."""
+"""The ECG of a heart in random torsos, drawn from the priors of their quantities."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from fascicle.torso.variation.conductor import InvalidTorso, SkinMotion, TorsoSt
 def random_bodies(
     model: ForwardModel, rng: np.random.Generator, count: int
 ) -> list[Electrocardiograph]:
-    """ECG integrals of a model's heart in random bodies.
+    """ECG integrals of a model's heart in random torsos.
 
     Their quantities of the torso are drawn from their priors (docs/quantities.md); impossible
     torsos are drawn again. Each takes as much memory as the model's own integral.
@@ -30,9 +30,9 @@ def random_bodies(
     model : ForwardModel
         The heart. With a torso or lead fields, `ForwardModel.torso` is built first: minutes, once.
     rng : numpy.random.Generator
-        The same one gives the same bodies.
+        Generator of the draws: the same state gives the same torsos.
     count : int
-        How many.
+        Number of torsos.
     """
     space = ParameterSpace(tuple(free(name) for name in TORSO_QUANTITIES))
     in_torso, integrals = electrocardiograph_in_body(model), list[Electrocardiograph]()
@@ -71,10 +71,10 @@ def electrocardiograph_in_body(
 
 
 def moved_electrodes(electrodes: Floats, centroid: Floats, state: TorsoState) -> Floats:
-    """Where electrodes (9 + a, 3) are around a heart with this centroid (mm), without a torso.
+    """Positions of moved electrodes (9 + a, 3) about a heart's centroid (mm), without a torso.
 
-    V1 to V6 move to the left and up at right angles to the line from the centroid, then all of them
-    as `SkinMotion` says.
+    V1 to V6 move to the left and up at right angles to the line from the centroid, then all
+    electrodes by `SkinMotion`.
     """
     motion = SkinMotion.of(centroid, torso_axes(electrodes), state)
     chest = slice(Electrode.V1, Electrode.V6 + 1)

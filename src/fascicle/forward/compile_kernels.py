@@ -1,4 +1,4 @@
-"""What happens once on a machine, with progress: kernels, and the action potential."""
+"""Work done once on a machine, with progress: compiled kernels, and the action potential."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from fascicle.kernels.gaussian import integrated
 from fascicle.purkinje.growth import GrowthRules, grow_from_parameters
 from fascicle.purkinje.tree import InvalidTree
 
-SILENCE = 1.0  # s before the first report of progress; kernels that were ran before take less
+SILENCE = 1.0  # s before the first report of progress; kernels that were compiled before take less
 COMPILED_PARTS = 4
 
 _compiled = False  # in this process
 
 
 def compile_kernels(progress: Progress) -> None:
-    """Compute the action potential, and run every kernel on the smallest heart there is.
+    """Compute the action potential, and run every kernel on a tiny heart.
 
-    Once in a process; what was compiled on this machine before is read from disk. `progress` is
-    called with the steps done, once it is clear that something is being done.
+    Once in a process; kernels that were compiled on this machine before are read from disk.
+    `progress` is called with the steps done, once they take longer than `SILENCE`.
     """
     global _compiled
     if _compiled:
@@ -67,8 +67,8 @@ def _steps() -> Iterator[int]:
     yield 3
     prepared.electrocardiograph.leads(activation.myocardium)
     for kind in (np.float32, np.float64):  # of emulated ECGs, and of simulated ones
-        model = np.zeros((1, 1, 1), kind)
-        integrated(model, kind(0), model[0, 0], model[0], np.zeros(1), np.zeros((1, 1)))
+        models = np.zeros((1, 1, 1), kind)
+        integrated(models, kind(0), models[0, 0], models[0], np.zeros(1), np.zeros((1, 1)))
     yield 4
 
 

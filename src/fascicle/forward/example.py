@@ -11,7 +11,7 @@ from fascicle.heart.folder import load_heart
 from fascicle.purkinje.tree import FEW_JUNCTIONS, InvalidTree
 
 SUBJECT = "camps-dti004"  # whose network is of human anatomy, and whose ECG is normal
-SHORTER = 0.9  # of what fits
+SHORTER = 0.9  # of the length that fits
 SHORTEST_LENGTH = 0.1  # mm
 MOST_TRIES = 40
 

@@ -1,21 +1,20 @@
 """The likelihood of a recorded QRS, given a simulated one.
 
-What is compared are a few coefficients: the first cosines (DCT-II) over the QRS window and `MARGIN`
-on either side of it, of each independent lead. Finer ones tell how small branches happen to
-collide, which no patient shows. The recording is isoelectric outside its QRS window, as in the
-loss. With V(s) the coefficients of the simulation that is shifted by s, and V̂ those of the mean
-recorded beat::
+Both are compared in a few coefficients: the first cosines (DCT-II) over the QRS window and `MARGIN`
+on either side of it, of each independent lead. Higher cosines depend on where fronts of small
+branches happen to collide, which no patient shares. The recording is isoelectric outside its QRS
+window, as in the loss. With V(s) the coefficients of the simulation that is shifted by s, and V̂
+those of the mean recorded beat::
 
     V̂ = g V(s) + Σ z_k B_k V(s) + ε,    ε ~ N(0, C + σ² D)
 
-    C     covariance of what is known: noise of the mean beat, and what an emulator does not say
-    D     covariance of the discrepancy, what lies outside all of that, of unit size: half of it is
-          smooth in time, half is rough, as a network's own ECG is in its parameters
-    σ     its size (mV), unknown: log-uniform over `SHARES` of the recorded QRS
+    C     covariance of the known errors: noise of the mean beat, residuals of an emulator
+    D     covariance of the discrepancy, the error of the model itself, of unit size: half of it is
+          smooth in time, half is rough, as a network's ECG is as a function of its parameters
+    σ     size of the discrepancy (mV), unknown: log-uniform over `SHARES` of the recorded QRS
     g     gain, unknown: normal about 1
-    B_k   what another body adds to the leads, each with a factor z_k that is standard normal
-    s     shift, unknown: the first activation is the onset of the recorded QRS, give or take its
-          uncertainty
+    B_k   torso modes: changes of the leads in another torso, each with a standard normal factor z_k
+    s     shift, unknown: the first activation is at the recorded QRS onset, within its uncertainty
 
 g and z_k are integrated exactly (they add X Xᵀ to the covariance, the columns of X being sd V and
 B_k V), σ and s by sums. In the basis that makes C the identity and D diagonal, every σ costs one
@@ -49,46 +48,46 @@ from fascicle.recording.target import Target, residual_covariance
 MARGIN = 40  # samples (ms) of silence on either side of the QRS
 SHIFT_STEP = 3  # ms between shifts
 HALF_PERIOD = 20.0  # ms; of the fastest cosine
-AFTER_ONSET = 3.0  # ms; SD of the first activation about the onset, besides the onset's own
-CORRELATED = (12.0, 4.0)  # ms; of the smooth and the rough half of the discrepancy
-LEAD_SHARE = 0.5  # share of the discrepancy that is each lead's own
-SHARES = np.geomspace(0.1, 0.4, 4)  # of the recorded QRS (root mean square): the discrepancy's
+AFTER_ONSET = 3.0  # ms; SD of the first activation about the QRS onset, besides that of the onset
+CORRELATED = (12.0, 4.0)  # ms; correlation times of the discrepancy: its smooth and its rough half
+LEAD_SHARE = 0.5  # share of the discrepancy's variance that is independent between leads
+SHARES = np.geomspace(0.1, 0.4, 4)  # sizes of the discrepancy, of the recorded QRS (rms)
 
 
 @runtime_checkable
 class Likelihood(Protocol):
-    """What a likelihood of one recording offers; `fascicle.fit` takes any object that has these."""
+    """Interface of the likelihood of one recording; `fascicle.fit` takes any object with it."""
 
     def log_likelihood(self, ecg: Signals) -> float:
         """Log-likelihood of the recording, given the simulated ECG of a network."""
 
     def predictive(self, ecg: Signals, rng: np.random.Generator) -> Replicate:
-        """Draw a recording as a network with this ECG may give it."""
+        """Draw a recording from the predictive distribution of a network with this ECG."""
 
 
 @dataclass(frozen=True)
 class Replicate:
-    """A recording as a network may give it, at the times of the target.
+    """A recording drawn from the predictive distribution of a network, at the target's times.
 
     Attributes
     ----------
     ecg : (12 + k, n_time) array
-        Of the network, scaled and in its place, without noise and discrepancy (mV).
+        ECG of the network, scaled and shifted, without noise and discrepancy (mV).
     noisy : (12 + k, n_time) array
-        With both (mV).
+        ECG with noise and discrepancy (mV).
     gain : float
-        By which the simulated ECG is scaled.
+        Factor on the simulated ECG.
     shift : float
         Time of the first activation from the recorded onset (ms).
     discrepancy : float
-        Size of what no network explains (mV).
+        Size of the discrepancy (mV).
     left, error : (n_leads,) arrays, optional
-        Of each independent lead, the energy of recording minus `ecg`, and that of an error that is
-        drawn, in the terms of the likelihood; by default over the QRS window.
+        Energy of the residual, recording minus `ecg`, and of a drawn error, of each independent
+        lead, in the coefficients of the likelihood; by default over the QRS window.
     unexplained : float, optional
-        Energy of recording minus `ecg`; by default the sum of `left`.
+        Energy of the whole residual; by default the sum of `left`.
     torso : (12 + k, 12 + k) array, optional
-        Maps the leads in the plain torso to those in the torso that was drawn, besides the gain.
+        Maps the leads in the unchanged torso to those in the drawn torso, without the gain.
     """
 
     ecg: Floats
@@ -106,12 +105,12 @@ class Replicate:
 
 @dataclass(frozen=True)
 class Fit:
-    """How well a simulation explains the recording, and where it lies.
+    """Match of a simulation with the recording, at every shift.
 
     Attributes
     ----------
     log_likelihood : float
-        Of V̂, in coefficients (1/mV each).
+        Logarithm of the density of V̂ (1/mV for each coefficient).
     shifts : (n_shifts,) array
         Samples of the simulation at which the window of the cosines may begin, `SHIFT_STEP` apart:
         the cosines are so slow that the sum over them is as good as the integral.
@@ -131,15 +130,15 @@ class QrsLikelihood:
     Attributes
     ----------
     target : Target
-        What was recorded.
+        Target of the recording.
     known : (n, n) array
-        C (mV²), with n = n_leads · n_modes; leads outside, cosines inside.
+        C (mV²), with n = n_leads · n_modes: a block of cosines for each pair of leads.
     discrepancy : (n, n) array
         D, of unit mean over the samples of a lead.
     gain_sd : float
-        Of the gain about 1; 0 fixes it.
+        Standard deviation of the gain about 1; 0 fixes it.
     bodies : (k, 12 + a, 12 + a) array
-        What another body adds to all leads: matrices, each with a standard normal factor.
+        Torso modes: matrices B_k of all leads, each with a standard normal factor.
     """
 
     target: Target
@@ -155,7 +154,7 @@ class QrsLikelihood:
         return self.fit(ecg).log_likelihood
 
     def predictive(self, ecg: Signals, rng: np.random.Generator) -> Replicate:
-        """Draw shift, gain, body and size of the discrepancy, and an error of that size."""
+        """Draw shift, gain, torso and size of the discrepancy, and an error of that size."""
         target, fit = self.target, self.fit(ecg)
         place = rng.choice(fit.weights.size, p=fit.weights.ravel() / fit.weights.sum())
         scale, at = np.unravel_index(place, fit.weights.shape)
@@ -182,7 +181,7 @@ class QrsLikelihood:
         )
 
     def _factors(self, models: Floats, scale: int, rng: np.random.Generator) -> Floats:
-        """Draw the factors (1 + k,) of `_columns`, standard normal beforehand."""
+        """Draw the factors (1 + k,) of `_columns` from their posterior; the prior is N(0, I)."""
         _, weights, _, data = self._diagonal
         columns = self._columns(models)
         precision = np.eye(len(columns)) + (weights[scale] * columns) @ columns.T
@@ -192,7 +191,7 @@ class QrsLikelihood:
         return np.asarray(mean + np.linalg.solve(root.T, rng.standard_normal(len(columns))))
 
     def fit(self, ecg: Signals) -> Fit:
-        """Compare a simulated ECG, zero before its first and after its last sample."""
+        """Compare a simulated ECG, zero outside its samples, with the recording."""
         joint = self._joint(self.whitened(ecg.leads, ecg.first_activation)) + self._log_priors
         total = float(logsumexp(joint))
         shifts = ecg.first_activation - MARGIN + self._steps
@@ -201,7 +200,7 @@ class QrsLikelihood:
     def of_sums(self, parts: Floats, scores: Floats) -> Floats:
         """Log-likelihoods (m,) of ECGs that are sums of parts, weighted by scores (q, m).
 
-        Parts have shape (n_shifts, 1 + k, n, q): `whitened` gives each.
+        Parts have shape (n_shifts, 1 + k, n, q), as `whitened` computes them.
         """
         logs = np.empty((len(self._steps), len(SHARES), scores.shape[1]))
         for at, prior in enumerate(self._log_priors):
@@ -209,7 +208,7 @@ class QrsLikelihood:
         return np.asarray(logsumexp(logs, axis=(0, 1)) - math.log(len(SHARES)))
 
     def whitened(self, leads: Floats, first_activation: float) -> Floats:
-        """Coefficients of all leads (12 + k, n), and of what the body may add to them.
+        """Coefficients of all leads (12 + k, n), and of the changes by the torso modes.
 
         In the diagonal basis, at every shift: shape (1 + k, n, n_shifts).
         """
@@ -225,7 +224,7 @@ class QrsLikelihood:
         return np.asarray(basis.T @ np.array(independent))
 
     def _columns(self, models: Floats) -> Floats:
-        """What gain and body add to a model, by one standard deviation of each."""
+        """Changes of a model by one standard deviation of the gain and of each torso mode."""
         return np.concatenate([self.gain_sd * models[:1], models[1:]])
 
     def _joint(self, models: Floats) -> Floats:
@@ -244,7 +243,7 @@ class QrsLikelihood:
 
     @cached_property
     def _log_priors(self) -> Floats:
-        """Of the shifts, by their probability."""
+        """Logarithms of the prior probabilities of the shifts."""
         logs = -0.5 * (self._steps / self._onset_sd) ** 2
         return np.asarray(logs - logsumexp(logs))
 
@@ -283,7 +282,7 @@ class QrsLikelihood:
         return np.pad(self.target.qrs[self._rows], ((0, 0), (MARGIN, MARGIN)))
 
     def _in_all_leads(self, independent: Floats) -> Floats:
-        """Errors (mV) in independent leads about the QRS, in all leads at the target's times."""
+        """Complete errors (mV) of independent leads about the QRS to all leads and times."""
         begin, times = self.target.qrs_samples.start - MARGIN, len(self.target.time)
         out = np.zeros((len(self.target.leads), times))
         inside = np.arange(independent.shape[1]) + begin
@@ -305,7 +304,7 @@ class QrsLikelihood:
 
 
 def constants() -> dict[str, float | str]:
-    """Name of the likelihood, and what it holds fixed."""
+    """Name and constants of the likelihood."""
     return {
         "name": QrsLikelihood.__name__,
         "margin_ms": MARGIN,
@@ -319,15 +318,15 @@ def constants() -> dict[str, float | str]:
 
 
 def cosines(qrs: int) -> Floats:
-    """Orthonormal cosines over a QRS of so many samples and its margins, (length, n_modes)."""
+    """Orthonormal cosines over a QRS of `qrs` samples and its margins, (length, n_modes)."""
     length = qrs + 2 * MARGIN
     return np.asarray(idct(np.eye(length)[:, : round(length / HALF_PERIOD)], axis=0, norm="ortho"))
 
 
 def beat_noise(target: Target) -> Floats:
-    """Covariance (n, n) of the coefficients of the mean beat (mV²): of one beat, over their number.
+    """Covariance (n, n) of the coefficients of the mean beat (mV²).
 
-    A single beat has its stated noise.
+    It is that of one beat over the number of beats; a single beat has its stated noise.
     """
     rows, covariance = independent_rows(target.used), residual_covariance(target)
     count = 1 if target.noise is not None else len(target.beats)
@@ -342,7 +341,7 @@ def beat_noise(target: Target) -> Floats:
 
 
 def discrepancy_in_time(length: int) -> Floats:
-    """Correlation of the discrepancy of so many samples 1 ms apart, (length, length).
+    """Correlation (length, length) of the discrepancy between samples 1 ms apart.
 
     Half of it is smooth (12 ms), half rough (4 ms). The residuals of fits to recordings fall as the
     smooth half does over the first 10 ms (0.94 at 3 ms, 0.78 at 6 ms). Without the rough half, fast
@@ -352,23 +351,23 @@ def discrepancy_in_time(length: int) -> Floats:
 
 
 def matern(length: int, correlation: float = 12.0) -> Floats:
-    """Matérn correlation (order 3/2) of so many samples 1 ms apart, (length, length)."""
+    """Matérn correlation (order 3/2) between samples 1 ms apart, (length, length)."""
     lag = np.sqrt(3.0) * np.abs(np.subtract.outer(np.arange(length), np.arange(length)))
     scaled = lag / correlation
     return np.asarray((1 + scaled) * np.exp(-scaled))
 
 
 def separable(leads: Floats, time: Floats, modes: Floats) -> Floats:
-    """Covariance (n, n) of coefficients: of leads (n_leads, n_leads), and of samples."""
+    """Covariance (n, n) of coefficients, from those of leads (n_leads, n_leads) and of samples."""
     return np.asarray(np.kron(leads, modes.T @ time @ modes))
 
 
 def lead_pattern(signals: Sequence[Floats], own: float = LEAD_SHARE) -> Floats:
-    """Correlation of leads of differences between simulations (n_leads, n), of unit mean.
+    """Correlation between leads of differences between simulations (n_leads, n), of unit mean.
 
-    `own` is the share of the variance that is each lead's own, such as by its electrode's place.
-    With a small share the likelihood would rather have twice the mismatch than one that differences
-    between networks do not look like.
+    `own` is the share of the variance that is independent between leads, such as from misplaced
+    electrodes. With a small share the likelihood would prefer twice the mismatch to a mismatch that
+    is unlike the differences between networks.
     """
     products = [signal @ signal.T for signal in signals]
     total = np.asarray(np.sum(products, axis=0) / np.sum(np.trace(products, axis1=1, axis2=2)))

@@ -18,7 +18,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from fascicle.core.arrays import Complexes, Floats
 
 UPSAMPLING = 4  # of the correlation, before its highest point is refined
-NEWTON_STEPS = 4  # that refine it; three reach rounding
+NEWTON_STEPS = 4  # steps that refine the highest point; three reach rounding error
 FILTER_PADDING = 200  # samples before and after a simulation for what filters spread
 
 # Gain of filters at frequencies of shape (k,), in cycles per sample
@@ -70,7 +70,7 @@ def align(
     free_gain: bool = False,
     response: Response | None = None,
 ) -> Alignment:
-    """Find the time shift, and if asked the one gain for all leads, with the least mismatch.
+    """Find the time shift, and on request one gain for all leads, with the least mismatch.
 
     With ‖V̂ − gV‖² = ‖V̂‖² − 2g⟨V̂, V⟩ + g²‖V‖² that shift is where ⟨V̂, V⟩, one cross-correlation by
     FFT, is largest. Between samples the simulation is what its spectrum says; before its first and
@@ -124,7 +124,7 @@ def _mean_square(leads: Floats) -> Floats:
 
 
 def _spectrum(simulated: Floats, length: int, response: Response | None) -> Complexes:
-    """Filtered spectrum, of so many samples that no shift wraps it onto `length` of them."""
+    """Filtered spectrum, padded so that no shift wraps the simulation onto `length` samples."""
     size = 2 * next_fast_len((simulated.shape[1] + length) // 2 + FILTER_PADDING)
     spectrum = rfft(simulated, size)
     if response is not None:
@@ -133,12 +133,12 @@ def _spectrum(simulated: Floats, length: int, response: Response | None) -> Comp
 
 
 def _frequencies(spectrum: Complexes) -> Floats:
-    """In cycles per sample, of a spectrum (..., k) as `rfft` gives it."""
+    """Frequencies (cycles per sample) of a spectrum (..., k) of `rfft`."""
     return np.linspace(0.0, 0.5, spectrum.shape[-1])
 
 
 def _shifted(spectrum: Complexes, shift: float) -> Floats:
-    """The samples from `shift` on, (..., n); what lies before them stands at the end."""
+    """Samples from `shift` on, (..., n); earlier samples wrap to the end."""
     turned = spectrum * np.exp(2j * np.pi * shift * _frequencies(spectrum))
     return np.asarray(irfft(turned, 2 * (spectrum.shape[-1] - 1)))
 

@@ -1,7 +1,7 @@
-"""From parameters to the ECG: the stages, chained.
+"""The forward model: from the parameters of a Purkinje network to the ECG.
 
-A network's parameters are quantities of `fascicle.core.quantities`. What changes with them is
-computed again, and no more: trees, the speeds of the tissue, or times alone.
+The parameters are quantities of `fascicle.core.quantities`. Only what depends on a changed
+parameter is computed again: trees, conduction velocities of the tissue, or times alone.
 """
 
 from __future__ import annotations
@@ -62,28 +62,28 @@ SCENARIO = "a fascicle.Scenario; fascicle.read_scenarios reads them"  # what to 
 
 @runtime_checkable
 class Backend(Protocol):
-    """What simulates intrinsic beats of many networks in place of the processor."""
+    """Simulator of the intrinsic beats of many networks, in place of the processor."""
 
     batch: int  # networks at a time
 
     def refusal(self, model: ForwardModel, names: Iterable[str]) -> str:
-        """Why a model with other values of these quantities is not simulated; empty if it is."""
+        """Reason not to simulate a model with other values of these quantities; empty if none."""
 
     def signals(
         self, model: ForwardModel, parameters: Sequence[Mapping[str, float]]
     ) -> Iterator[Signals | InvalidTree | None]:
-        """What of networks is compared with a recording; None for what it leaves to others."""
+        """Signals to compare with a recording; None for networks left to the processor."""
 
     def beats(
         self, model: ForwardModel, parameters: Sequence[Mapping[str, float]]
     ) -> Iterator[SimulatedBeat | InvalidTree | None]:
-        """The beats of networks, likewise."""
+        """Beats of networks; None for networks left to the processor."""
 
 
 def usable(
     backend: Backend | None, model: ForwardModel, names: Iterable[str], scenario: Scenario | None
 ) -> Backend | None:
-    """The backend if it simulates this; else None, after a warning that says why not."""
+    """Return the backend if it can simulate this; else None, after a warning with the reason."""
     check_kind(backend, (Backend, NoneType), "backend", "one such as fascicle.GpuBackend()")
     if backend is None:
         return None
@@ -103,19 +103,19 @@ class ForwardModel:
     conduction : Conduction, optional
         Conductivities and speeds of the myocardium, and regions where they differ.
     rules : GrowthRules, optional
-        What is held fixed while trees grow.
+        Rules of tree growth, which are held fixed.
     action_potential : ActionPotential, optional
         The template U; if not given the heart's, or that of
         `fascicle.forward.cable.template.default_template`.
     prepared : Prepared, optional
-        What `fascicle.forward.preparation.prepare` makes of heart and conduction, if it is at hand.
+        Result of `fascicle.forward.preparation.prepare` for heart and conduction, if at hand.
     progress : Progress, optional
         Progress callback for the preparation of a large heart.
 
     Notes
     -----
-    What depends on heart and conduction alone is cached in the heart's folder and read back when
-    both are the same again (`fascicle.forward.preparation`).
+    Arrays that depend on heart and conduction alone are cached in the heart's folder and read back
+    as long as both stay the same (`fascicle.forward.preparation`).
 
     Examples
     --------
@@ -164,21 +164,20 @@ class ForwardModel:
 
     @cached_property
     def surfaces(self) -> VentricularSurfaces:
-        """Parts of the heart's surface, by which the sequence of an activation is seen."""
+        """Parts of the heart's surface, by which an activation sequence is described."""
         return VentricularSurfaces.of(self.heart)
 
     def keep_tissues(self, tissues: Iterable[Mapping[str, float]]) -> None:
-        """Keep in the heart's folder what is prepared of these tissues, quantities by name."""
+        """Cache the preparation of these tissues, quantities by name, in the heart's folder."""
         conduction = self.conduction
         self._kept.update(
             replace(conduction.with_values(tissue), alpha=conduction.alpha) for tissue in tissues
         )
 
     def grow(self, parameters: Mapping[str, float]) -> tuple[PurkinjeTree, ...] | InvalidTree:
-        """Grow both trees, left first, or say which one does not fit.
+        """Grow both trees, left first, or return the first that does not fit.
 
-        Networks that were grown lately are remembered: where only times and speeds change, no tree
-        is grown again.
+        The last networks are cached: where only times and speeds change, no tree is grown again.
         """
         check_kind(parameters, Mapping, "parameters", "a dict of names to numbers")
         of_trees = {n: v for n, v in parameters.items() if quantity(n).changes is Changes.TREES}
@@ -192,7 +191,7 @@ class ForwardModel:
         return with_angles(chart, seed, parameters, self.sites.apical, self.sites.anterior)
 
     def with_root_time(self, parameters: Mapping[str, float]) -> dict[str, float] | InvalidTree:
-        """Parameters with angles and a root time, in place of what stands for them."""
+        """Parameters with angles and a root time, in place of directions and a delay."""
         values = self._with_angles(parameters)
         if "interventricular_delay" in values:
             trees = self.grow(values)
@@ -281,8 +280,8 @@ class ForwardModel:
         Parameters
         ----------
         trees : sequence of PurkinjeTree
-            Left and right, or any number; not to be changed in place, since where they meet the
-            myocardium is remembered.
+            Left and right, or any number; not to be changed in place, since their attachment to the
+            myocardium is cached.
         root_time : float or sequence of float
             t_RV − t_LV (ms), the earlier root firing at time 0; or when each root fires (ms). The
             quantity ``interventricular_delay`` may take its place: the delay between the first
@@ -292,7 +291,7 @@ class ForwardModel:
         scenario : Scenario, optional
             Extra stimuli, blocked or slow segments, junction delays, trees of your own.
         **values
-            Other quantities, as in `simulate`; those that trees grow by do nothing here.
+            Other quantities, as in `simulate`; those of tree growth have no effect here.
 
         Raises
         ------
@@ -336,7 +335,7 @@ class ForwardModel:
         return Simulation(leads, onset, times, beat.trees, coupled, groups, lead_names=names)
 
     def _made_tissue(self, conduction: Conduction) -> Tissue:
-        """Tissue of these speeds, with the α of the model's own."""
+        """Prepare the tissue of a conduction that has the α of the model's conduction."""
         build = partial(build_myocardium, self.heart, conduction, like=self.myocardium)
         if conduction == self.conduction:
             myocardium = self.myocardium
@@ -359,7 +358,7 @@ class ForwardModel:
         )
 
     def _leads(self, times: Floats, tissue: Tissue, values: Mapping[str, float]) -> Floats:
-        """All leads (mV), in the torso of these values."""
+        """All leads (mV), in the torso that the values describe."""
         torso = torso_values(values)
         if not torso:
             ecg = self.with_sources(tissue.electrocardiograph, values)
@@ -394,7 +393,7 @@ class ForwardModel:
     def with_sources(
         self, ecg: Electrocardiograph, values: Mapping[str, float]
     ) -> Electrocardiograph:
-        """An ECG integral of the heart's tissue with the sources that these values say."""
+        """ECG integral with sources scaled by the quantities `rv_source` and `axial_source`."""
         right, axial = (values.get(name, 1.0) for name in ("rv_source", "axial_source"))
         if right == axial == 1.0:
             return ecg
@@ -435,7 +434,7 @@ class ForwardModel:
         *,
         backend: Backend | None = None,
     ) -> Sequence[SimulatedBeat | InvalidTree | InvalidTorso]:
-        """Simulate many networks at a time.
+        """Simulate many networks.
 
         Parameters
         ----------
@@ -446,12 +445,12 @@ class ForwardModel:
             a cluster, such as Dask's ``client.get_executor()``. A worker of another process gets
             the heart once, through a file in the temporary folder, which all must see.
         scenario : Scenario, optional
-            The same for all.
+            Scenario of all networks.
         backend : Backend, optional
-            Such as `fascicle.GpuBackend`, in place of an executor. It simulates intrinsic beats; a
-            warning says where it does not know the model or what is asked for, and all that it
-            leaves is simulated here. What it gives is a `SimulatedBeat`: without the times in the
-            trees, and from where each vertex was fired.
+            Such as `fascicle.GpuBackend`, in place of an executor. It simulates intrinsic beats as
+            `SimulatedBeat`, without the times in the trees and the site that fired each vertex. A
+            warning says so if it does not support the model, the quantities or a scenario; networks
+            that it cannot simulate are simulated on the processor.
 
         Returns
         -------
@@ -485,7 +484,7 @@ class ForwardModel:
             return [future.result() for future in futures]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Send it to another process with all that is prepared."""
+        """Pickle the model with its preparation, for another process."""
         arrays = as_arrays(self.prepared, self.heart)
         response = None if self._torso is None else self._torso.response
         settings = self.conduction, self.rules, self.action_potential
@@ -499,7 +498,7 @@ def _received(
     rules: GrowthRules,
     action_potential: ActionPotential,
 ) -> ForwardModel:
-    """Make of what `ForwardModel.__reduce__` has sent the model again."""
+    """Restore the model that `ForwardModel.__reduce__` pickled."""
     heart, prepared = from_arrays(arrays, action_potential)
     model = ForwardModel(heart, conduction, rules, action_potential, prepared)
     if response is not None:
@@ -515,7 +514,7 @@ def _simulate_elsewhere(
 
 
 def _check_stimuli(points: Floats, distances: Floats) -> None:
-    """Refuse stimuli that are not in the myocardium, given how far they are from it (mm)."""
+    """Refuse stimuli that are not in the myocardium, by their distances from it (mm)."""
     for position, distance in zip(points, distances, strict=True):
         if distance > FURTHEST_STIMULUS:
             where = ", ".join(f"{x:g}" for x in position)
@@ -546,16 +545,16 @@ def _grow_trees(
 
 @dataclass(frozen=True)
 class Tissue:
-    """What depends on the speeds of the tissue, up to a factor that all have in common.
+    """Preparation that depends on the speeds of the tissue, up to a common factor.
 
     Attributes
     ----------
     myocardium : Myocardium
-        For the coupled eikonal problem.
+        Myocardium of the coupled eikonal problem.
     electrocardiograph : Electrocardiograph
         The ECG integral.
     attach : callable
-        Attaches trees to the myocardium; those of late are remembered.
+        Attaches trees to the myocardium; the last couplings are cached.
     """
 
     myocardium: Myocardium

@@ -1,4 +1,4 @@
-"""What depends on a heart alone: computed once, cached in its folder under its content."""
+"""Preparation of a heart: computed once, cached in its folder under a key of its content."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def prepare(
     action_potential: ActionPotential,
     progress: Progress | None = None,
 ) -> Prepared:
-    """Prepare a heart, or read what was prepared before.
+    """Prepare a heart, or read an earlier preparation.
 
     A heart that was read from a folder has its cache there, if the folder can be written to. The
     key is the content of heart and conduction and the version of this package.
@@ -90,7 +90,7 @@ def cached(
     restored: Callable[[Mapping[str, Any]], Made],
     most: int | None = None,
 ) -> Made:
-    """What depends on heart and conduction: from the cache in the heart's folder, or made."""
+    """Read a preparation of heart and conduction from the heart's cache, or make and keep it."""
     if heart.folder is None or not os.access(heart.folder, os.W_OK):
         return make()
     cache, key = ArrayCache(heart.folder / DISPOSABLE, kind), f"{heart.digest} {conduction}"
@@ -153,7 +153,7 @@ def _seeds(heart: Heart, charts: dict[str, Chart]) -> dict[str, Seed]:
 
 
 def as_arrays(prepared: Prepared, heart: Heart | None = None) -> dict[str, Any]:
-    """The arrays by name, with those of the heart if given."""
+    """Arrays of a preparation by name, with those of the heart if given."""
     myocardium, ecg = prepared.myocardium, prepared.electrocardiograph
     parts = {
         "mesh": myocardium.mesh._asdict(),

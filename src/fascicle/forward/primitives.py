@@ -65,7 +65,7 @@ class Stimulus(Primitive, table="stimulus"):
 
     @property
     def stimulus_time(self) -> float:
-        """When it fires (ms)."""
+        """Time of the stimulus (ms)."""
         return self.time
 
     def apply(self, beat: Beat) -> None:
@@ -111,7 +111,7 @@ class SlowConduction(Primitive, table="slow_conduction"):
 
     @property
     def blocked(self) -> set[str]:
-        """The part that it blocks."""
+        """Name of the blocked part."""
         whole = "tree" if self.centre is None else f"tree at {self.centre}"
         return {f"{self.tree.upper()} {self.part or whole}"} if self.speed == 0 else set()
 
@@ -146,7 +146,7 @@ class InactiveRoot(Primitive, table="inactive_root"):
     tree: Annotated[Name, '`"lv"`, `"rv"`, or the name of an additional tree']
 
     def apply(self, beat: Beat) -> None:
-        """Let its root not fire."""
+        """Keep the root from firing."""
         beat.inactive.add(beat.tree(self.tree))
 
 
@@ -157,7 +157,7 @@ class JunctionDelays(Primitive, table="delay", once=True):
     retrograde: Annotated[Delay | None, "from myocardium to tree"] = None
 
     def apply(self, beat: Beat) -> None:
-        """Take the place of the network's delays."""
+        """Replace the network's delays."""
         for direction in self.key_names():
             if getattr(self, direction) is not None:
                 beat.delays[f"{direction}_delay"] = getattr(self, direction)
@@ -179,12 +179,12 @@ class His(Primitive, table="his", once=True):
 
     @property
     def stimulus_time(self) -> float | None:
-        """When it is paced (ms); None if it is not."""
+        """Time at which the bundle is paced (ms); None if it is not."""
         return self.time if self.time is not None and np.isfinite(self.time) else None
 
     @property
     def blocked(self) -> set[str]:
-        """The bundle branches that it blocks."""
+        """Names of the blocked bundle branches."""
         factors = {"left": self.left, "right": self.right}
         return {f"the {side} bundle branch" for side, factor in factors.items() if factor == 0}
 
@@ -201,17 +201,17 @@ class His(Primitive, table="his", once=True):
         beat.roots[:2], beat.his = roots, replace(his, branches=[*his.branches, *unjoined])
 
     def conducted(self, roots: Sequence[float], nearest: float) -> tuple[list[float], HisBundle]:
-        """When it activates the left and the right root (ms), and what joins them.
+        """Activation times of the left and the right root (ms), and the bundle that joins them.
 
-        `roots` is when they fire without it (ms), `nearest` the time from it to the root that fires
-        first.
+        `roots` are their firing times without the bundle (ms), `nearest` is the travel time from it
+        to the root that fires first (ms).
         """
         fires = min(roots) - nearest if self.time is None else self.time
         down, branches = [], []
         for time, factor in zip(roots, (self.left, self.right), strict=True):
             usual = nearest + time - min(roots)
             takes = usual / factor if factor > 0 else np.inf
-            # not fires + takes, which differs from the root's own time in the last digit
+            # fires + takes would differ from the root's time without the bundle in the last digit
             activated = time + (takes - usual)
             down.append(activated if self.time is None else self.time + takes)
             branches.append(takes)

@@ -24,10 +24,10 @@ Position = tuple[float, float, float]
 
 
 class Primitive(Table, table=""):
-    """One thing that a scenario does: a subclass is a table of scenario files and changes a beat.
+    """Element of a scenario: a subclass is a table of scenario files and changes a beat.
 
     The fields of the subclass are the keys of the table (`fascicle.core.declared.Table`), and
-    `apply` says what they do. `fascicle.forward.primitives` holds those of the package.
+    `apply` changes the beat by them. `fascicle.forward.primitives` has those of the package.
     """
 
     def __init_subclass__(cls, table: str, once: bool = False) -> None:
@@ -40,12 +40,12 @@ class Primitive(Table, table=""):
 
     @property
     def stimulus_time(self) -> float | None:
-        """When it stimulates (ms); None if it does not."""
+        """Time of its stimulus (ms); None if it has none."""
         return None
 
     @property
     def blocked(self) -> set[str]:
-        """What it blocks, in words."""
+        """Names of the blocked parts."""
         return set()
 
 
@@ -55,14 +55,14 @@ PRIMITIVES: dict[str, type[Primitive]] = {}
 
 @dataclass
 class Beat:
-    """One beat of a network before it is solved; the primitives of a scenario change it.
+    """Beat of a network before it is solved; the primitives of a scenario change it.
 
     Attributes
     ----------
     trees : tuple of PurkinjeTree
         The heart's own, left first, and those of the scenario.
     roots : list of float
-        When the root of each fires (ms).
+        Firing time of each root (ms).
     sites : Sites
         The heart, and its sites by name.
     values : mapping of name to float
@@ -70,8 +70,8 @@ class Beat:
     delays : dict of name to float
         ``anterograde_delay`` and ``retrograde_delay`` of the junctions (ms).
     his : HisBundle, optional
-        What joins the roots of the heart's own trees; without it a front that climbs to a root
-        ends there.
+        Bundle that joins the roots of the heart's own trees; without it a front that climbs to a
+        root ends there.
     inactive : set of int
         Trees whose root does not fire.
     node_times : list of (tree, node, time)
@@ -146,7 +146,7 @@ class Beat:
 
     @property
     def stimuli(self) -> int:
-        """How many stimuli of the myocardium there are."""
+        """Number of stimuli of the myocardium."""
         return len(self._stimuli)
 
     @property
@@ -157,13 +157,13 @@ class Beat:
 
     @property
     def point_times(self) -> list[float]:
-        """When each of the `points` is stimulated (ms)."""
+        """Time at which each of the `points` is stimulated (ms)."""
         captured = (time for _, time, _ in self._captured)
         return [*(time for _, time in self._stimuli), *captured]
 
     @property
     def capture_groups(self) -> Integers:
-        """The stimulus that each of the `points` belongs to."""
+        """Number of the stimulus that each of the `points` belongs to."""
         groups = [*range(self.stimuli), *(group for *_, group in self._captured)]
         return np.array(groups, dtype=np.int64)
 
@@ -174,7 +174,7 @@ class Beat:
 
     @property
     def root_times(self) -> list[float]:
-        """When each root fires (ms); inf where it is inactive."""
+        """Firing time of each root (ms); inf where it is inactive."""
         for k in range(len(SIDES)):  # the trees that a bundle joins come first
             if self.his is not None and k in self.inactive:
                 raise InputError(
@@ -191,14 +191,14 @@ class Scenario:
     Attributes
     ----------
     primitives : tuple of Primitive
-        What it does: `Stimulus`, `SlowConduction`, `InactiveRoot`, `JunctionDelays`, `His`, or your
-        own. They are kept, and done, in the order of the tables of scenario files.
+        `Stimulus`, `SlowConduction`, `InactiveRoot`, `JunctionDelays`, `His`, or your own.
+        They are kept, and applied, in the order of the tables of scenario files.
     trees : tuple of (PurkinjeTree, float)
-        Trees in addition to the heart's own, and when their roots fire (ms).
+        Trees in addition to the heart's own, with the firing times of their roots (ms).
     source : str, optional
-        Where it was read from, for messages.
+        File that it was read from, for messages.
     description, reference : str
-        What it is, and after whom, in a line; may be empty.
+        Description in a line, and its literature; may be empty.
     """
 
     primitives: Sequence[Primitive] = ()
@@ -216,7 +216,7 @@ class Scenario:
         for kind in kinds:
             if kind.once and kinds.count(kind) > 1:
                 raise InputError(f"{kinds.count(kind)} times '{kind.table}'; give it once")
-        if len(self.primitives) > 1000:  # rays from each to every vertex take their time
+        if len(self.primitives) > 1000:  # rays from every stimulus to every vertex take long
             raise InputError(f"{len(self.primitives)} stimuli and the like; give 1000 at most")
         check_items(self.trees, tuple, "trees", "pairs (fascicle.PurkinjeTree, time)")
         for pair in self.trees:
@@ -227,22 +227,22 @@ class Scenario:
             check_kind(getattr(self, name), (str, NoneType), f"{name} of a scenario", "a text")
 
     def of(self, kind: type[Kind]) -> list[Kind]:
-        """Its primitives of a kind."""
+        """Primitives of a kind."""
         return [primitive for primitive in self.primitives if isinstance(primitive, kind)]
 
     def mapped(self, change: Callable[[Primitive], Primitive]) -> Scenario:
-        """The same with each of its primitives changed."""
+        """Scenario with every primitive changed."""
         return replace(self, primitives=tuple(map(change, self.primitives)))
 
     @property
     def first_stimulus(self) -> float | None:
-        """When the first stimulus is given, or the His bundle paced (ms); None if nothing is."""
+        """Time of the first stimulus or paced His bundle (ms); None without pacing."""
         times = (primitive.stimulus_time for primitive in self.primitives)
         return min((time for time in times if time is not None), default=None)
 
     @property
     def blocks(self) -> set[str]:
-        """What it blocks, in words."""
+        """Names of the blocked parts."""
         return {block for primitive in self.primitives for block in primitive.blocked}
 
     def beat(
@@ -257,13 +257,13 @@ class Scenario:
         Parameters
         ----------
         trees : sequence of PurkinjeTree
-            The heart's own.
+            The heart's own trees.
         root_time : float or sequence of float
-            t_RV − t_LV, or when each of their roots fires (ms).
+            t_RV − t_LV, or the firing time of each of their roots (ms).
         values : mapping of name to float
             Quantities of the network.
         sites : Sites
-            Of the heart.
+            Sites of the heart.
 
         Raises
         ------
@@ -287,7 +287,7 @@ class Scenario:
 
 
 def root_times(root_time: float | Sequence[float]) -> list[float]:
-    """When the roots fire (ms): the left and the right one, the earlier at 0, or as given."""
+    """Firing times of the roots (ms): left and right, the earlier at 0; or the given ones."""
     definition = quantity("root_time")
     if isinstance(root_time, list | tuple | np.ndarray):
         return [check(definition, time) for time in root_time]

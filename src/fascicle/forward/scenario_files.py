@@ -1,4 +1,4 @@
-"""Scenario files: TOML, a table a primitive, with regions of the myocardium and further trees."""
+"""Scenario files: TOML tables of primitives, regions of the myocardium and additional trees."""
 
 from __future__ import annotations
 
@@ -72,12 +72,12 @@ def library() -> dict[str, Path]:
 
 
 def name_in_library(scenario: Scenario) -> str | None:
-    """What the `library` calls a scenario that was read from it; None of any other."""
+    """Name in the `library` of a scenario that was read from it; None of any other."""
     return next((name for name, path in library().items() if str(path) == scenario.source), None)
 
 
 def find_scenario(name: str) -> Path:
-    """The file of a scenario: of the `library` by its name, else the path that was given.
+    """File of a scenario: that of a name in the `library`, else the path itself.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def find_scenario(name: str) -> Path:
 
 
 def read_scenarios(names: Sequence[str | Path] | str | Path) -> dict[str, Scenario]:
-    """Scenarios by name, of the `library` or of files, which are called as they are without .toml.
+    """Scenarios by name, of the `library` or of files, whose names lose their ending .toml.
 
     Parameters
     ----------
@@ -107,8 +107,8 @@ def read_scenarios(names: Sequence[str | Path] | str | Path) -> dict[str, Scenar
     Raises
     ------
     InputError
-        If one is not there or cannot be read, two have the same name, or one changes the heart by
-        regions, which a population that was learnt without them cannot have.
+        If a scenario does not exist or cannot be read, two have the same name, or one changes the
+        heart by regions, without which the population was learnt.
     """
     if isinstance(names, str | Path):
         names = [names]
@@ -162,7 +162,7 @@ def read_scenario(path: Path | str) -> tuple[Scenario, tuple[Region, ...]]:
 
 
 def _read(kind: type[Kind], values: Mapping[str, Any]) -> Iterator[Kind]:
-    """The tables of one kind."""
+    """Read the tables of one kind."""
     if kind.table not in values:
         return
     section = values[kind.table]
@@ -175,12 +175,12 @@ def _read(kind: type[Kind], values: Mapping[str, Any]) -> Iterator[Kind]:
 
 
 def scenario_text(scenario: Scenario, regions: Sequence[Region] = ()) -> str:
-    """The TOML of which `read_scenario` makes a scenario and regions of the myocardium.
+    """TOML text from which `read_scenario` restores a scenario and regions of the myocardium.
 
     Raises
     ------
     InputError
-        If it has trees of its own, which are files that it only names.
+        If the scenario has additional trees, whose files the text would only name.
     """
     if scenario.trees:
         raise InputError(f"{scenario.source}: has trees of its own, which cannot be kept with it")
@@ -200,5 +200,5 @@ def _written(value: Any) -> str:
         keys = (f"{key} = {_written(getattr(value, key))}" for key in value.key_names())
         return "{" + ", ".join(keys) + "}"
     written = repr(list(value) if isinstance(value, tuple) else value)
-    # what Python escapes, TOML reads as JSON has it
+    # TOML does not read all escapes of Python, but those of JSON
     return json.dumps(value, ensure_ascii=False) if "\\" in written else written

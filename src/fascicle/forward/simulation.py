@@ -1,4 +1,4 @@
-"""What one run of the forward model gives."""
+"""Results of one run of the forward model."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LONGEST_ACTIVATION = 100_000.0  # ms that an activation may take; more is a mist
 
 @dataclass(frozen=True)
 class SimulatedBeat:
-    """The beat that a network makes.
+    """Simulated beat of a network.
 
     Attributes
     ----------
@@ -85,9 +85,9 @@ class SimulatedBeat:
 
     @property
     def qrs_duration(self) -> float:
-        """QRS duration (ms), found in the ECG by the rule that finds it in recordings.
+        """QRS duration (ms), by the rule for recordings.
 
-        That of the window that all leads together decide; clinics measure `global_qrs_duration`.
+        All leads together decide its window; clinics measure `global_qrs_duration`.
         """
         onset, offset = self._qrs_windows.window
         return (offset - onset) * SAMPLE_STEP
@@ -106,7 +106,7 @@ class SimulatedBeat:
 
     @property
     def conventional_criteria(self) -> tuple[Criterion, ...]:
-        """What the conventional ECG criteria of conduction disturbances say, as of a recording."""
+        """Conventional ECG criteria of conduction disturbances, evaluated as for a recording."""
         return conventional_criteria(
             self.leads, *self._qrs_windows.global_window, names=self.lead_names
         )
@@ -118,15 +118,15 @@ class SimulatedBeat:
 
 @dataclass(frozen=True)
 class Simulation(SimulatedBeat):
-    """What one run of the forward model gives: the beat, and how it came about.
+    """Result of one run of the forward model: a beat, and the activation that caused it.
 
     Attributes
     ----------
     coupled : Activation
-        Times in the trees, how each junction fired, and from where each vertex was.
+        Times in the trees, how each junction fired, and the site that fired each vertex.
     capture_groups : (n_points,) int array
-        The stimulus of the myocardium that each of `Activation.stimuli` belongs to: the scenario's,
-        in their order, and the vertices that they capture.
+        Number of the scenario's myocardial stimulus that each of `Activation.stimuli` belongs to:
+        first the stimuli in their order, then the vertices that they capture.
     """
 
     coupled: Activation
@@ -134,14 +134,14 @@ class Simulation(SimulatedBeat):
 
     @property
     def captured(self) -> Booleans:
-        """Which stimuli of the myocardium came before any front was there, shape (n_stimuli,)."""
+        """Whether each myocardial stimulus came before any front at its site, (n_stimuli,)."""
         return np.asarray(np.bincount(self.capture_groups, self.coupled.captured) > 0)
 
     __repr__ = short_repr
     _repr_html_ = html_card
 
     def plot(self, heart: Heart | Path | str | None = None) -> list[Any]:
-        """Draw its ECG, or activation, by `fascicle.plot.simulation`; returns Matplotlib axes."""
+        """Draw the ECG, or on a heart the activation, by `fascicle.plot.simulation`."""
         return list(above("plot").simulation(self, heart))
 
     def to_pyvista(self, heart: Heart | None = None) -> Any:
@@ -158,25 +158,25 @@ class Simulation(SimulatedBeat):
         above("forward.simulation_files").write_simulation(heart, self, path, {})
 
     def index_table(self, heart: Heart, stimulus: float | None = None) -> pd.DataFrame:
-        """Indices of its activation and ECG, a row each: ``value``, ``unit`` and ``name``.
+        """Indices of activation and ECG, a row each: ``value``, ``unit`` and ``name``.
 
-        Those counted from the first `stimulus` (ms) are NaN without one.
+        Indices that count from the first `stimulus` (ms) are NaN without one.
         """
         return pd.DataFrame(above("prediction.indices").index_table(self, heart, stimulus))
 
 
 @dataclass(frozen=True)
 class Signals:
-    """What of a simulation is compared with a recording.
+    """The part of a simulation that is compared with a recording.
 
     Attributes
     ----------
     leads : (12 + k, n) array
         Simulated ECG (mV): the leads of the heart.
     first_activation : float
-        Sample of it.
+        Sample of the first activation.
     junctions : tuple of int
-        Of each tree.
+        Number of junctions of each tree.
     """
 
     leads: Floats
@@ -185,7 +185,7 @@ class Signals:
 
     @classmethod
     def of(cls, simulation: SimulatedBeat) -> Signals:
-        """Take them from a simulation."""
+        """Take the signals of a simulation."""
         junctions = tuple(len(tree.junctions) for tree in simulation.trees)
         return cls(simulation.leads, simulation.first_activation, junctions)
 

@@ -29,7 +29,7 @@ from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 from fascicle.purkinje.tree_files import read_tree, write_tree
 from fascicle.torso.variation.conductor import InvalidTorso
 
-PICTURES = [  # of what the folder holds; whoever writes it may draw them
+PICTURES = [  # of the results; callers may draw them into the folder
     f"{picture}.{kind}" for picture in ("ecg", "activation") for kind in ("png", "svg", "pdf")
 ]
 FURTHEST_JUNCTION = 5.0  # mm; a leaf further from the tissue is not a junction
@@ -43,11 +43,11 @@ def simulate_inputs(
     overrides: Mapping[str, float] | None = None,
     scenario: Scenario | None = None,
 ) -> tuple[Simulation, dict[str, object]]:
-    """Run the forward model on what the user gave: a parameter file, or two trees.
+    """Run the forward model on the user's parameter file or two trees.
 
     Without either, on the example network, scaled to the heart. `overrides` are quantities in place
-    of the file's. The model is made once the parameters are known to be good, as a large heart
-    takes a while. Gives the simulation, and what was simulated, for the summary.
+    of the file's. Parameters are checked before the model is made, since a large heart takes a
+    while. Returns the simulation and its inputs, for the summary.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def simulate_inputs(
 
 @contextmanager
 def _naming(scenario: Scenario | None) -> Iterator[None]:
-    """Name the scenario's file where it does not fit; what else is wrong was refused before."""
+    """Name the scenario's file in errors; errors of other inputs have been raised before."""
     try:
         yield
     except InputError as error:
@@ -131,7 +131,7 @@ def _check_side(path: Path, heart: Heart, tree: PurkinjeTree) -> None:
 
 
 def summary(heart: Heart, simulation: Simulation, inputs: dict[str, object]) -> dict[str, Any]:
-    """A few numbers about a simulation of `simulate_inputs`, as written to `summary.json`."""
+    """Summary of a simulation of `simulate_inputs`, as written to `summary.json`."""
     sides: dict[str, object] = {}
     coupled = simulation.coupled
     for tree, times, retrograde, distance in zip(
@@ -162,12 +162,12 @@ def summary(heart: Heart, simulation: Simulation, inputs: dict[str, object]) -> 
 
 
 def _fired(time: float) -> float | None:
-    """When something fires (ms), for JSON; None if it never does."""
+    """Firing time (ms) for JSON; None if infinite."""
     return round(float(time), 3) if np.isfinite(time) else None
 
 
 def unreached_volume(heart: Heart, simulation: Simulation) -> float:
-    """Volume of the elements that no front reaches whole, which the ECG leaves out (ml)."""
+    """Volume (ml) of the elements with unreached vertices, which the ECG leaves out."""
     untouched = simulation.unreached[heart.tetrahedra].any(axis=1)
     return float(heart.volumes[untouched].sum()) / 1000
 
@@ -185,7 +185,7 @@ def write_simulation(
 
 
 def write_beat(folder: Path, heart: Heart, simulation: Simulation) -> None:
-    """Write what a network activates, and when, into a folder (mm, ms).
+    """Write activation, trees and sites of a simulation into a folder (mm, ms).
 
     `activation.vtu`, the heart's mesh with times and their origins; `lv_tree.vtu` and so on;
     `junctions.vtu`, points with the arrays ``activation``, ``direction`` (1 anterograde, -1
@@ -203,7 +203,7 @@ def write_beat(folder: Path, heart: Heart, simulation: Simulation) -> None:
 
 
 def beat_blocks(simulation: Simulation, heart: Heart | None = None) -> Any:
-    """What `write_beat` writes as `pyvista.MultiBlock`; of the heart, if given, every array."""
+    """Results of `write_beat` as `pyvista.MultiBlock`, with all arrays of the heart if given."""
     trees = zip(simulation.trees, simulation.coupled.trees, strict=True)
     blocks = {f"{tree.side}_tree": tree.to_pyvista(times) for tree, times in trees}
     blocks["junctions"] = pyvista_grid(*_junction_points(simulation))

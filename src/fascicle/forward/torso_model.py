@@ -1,4 +1,4 @@
-"""The ECG as a function of the torso: what depends on heart and conduction alone; its cache."""
+"""The ECG as a function of the torso, prepared once for a heart and its conduction, and cached."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ TORSO_SEED = 0  # of the torsos that are solved: the same in every run
 
 @dataclass(frozen=True)
 class TorsoModel:
-    """Lead fields as a function of the torso, and what each of their modes adds to the ECG.
+    """Lead fields as a function of the torso, and the ECG weights of each of their modes.
 
     Attributes
     ----------
@@ -49,9 +49,9 @@ class TorsoModel:
     def lead_coefficients(self, values: Mapping[str, float]) -> Floats | InvalidTorso:
         """Coefficients (8 + a, k) of the modes for the independent leads, then additional ones.
 
-        Quantities of the torso that are missing are neutral. The factor on the myocardium's
-        conductivity divides these and multiplies its sources: only its ratio to the other tissues
-        counts.
+        Missing quantities of the torso are neutral. The factor on the myocardium's conductivity
+        divides the coefficients and multiplies the sources: only the ratio to the conductivities of
+        other tissues counts.
         """
         coefficients = self.response.coefficients(values)
         if isinstance(coefficients, InvalidTorso):
@@ -78,7 +78,7 @@ class TorsoModel:
         size, groups = size.astype(np.float32), []
         for k, old in enumerate((standard.weights, *standard.additional)):
             part = slice(k * CHANNELS, (k + 1) * CHANNELS)
-            here = old[:, :, : len(size[part])]  # the last group is filled up
+            here = old[:, :, : len(size[part])]  # the last group is padded
             new = np.zeros_like(old)
             new[:, :, : here.shape[2]] = size[part] * here
             new[:, :, : here.shape[2]] += (flat @ change[part].T).reshape(here.shape)
@@ -87,7 +87,7 @@ class TorsoModel:
 
 
 def torso_model(heart: Heart, conduction: Conduction, response: TorsoResponse) -> TorsoModel:
-    """The weights of a response's modes in the ECG."""
+    """Torso model of a response, with the ECG weights of its modes."""
     barycentric = barycentric_gradients(heart.vertices, heart.tetrahedra)
     intracellular = conduction.intracellular(heart.fibres)
     gradients = nodal_gradients(response.modes, heart.tetrahedra, barycentric)
@@ -102,7 +102,7 @@ def torso_model(heart: Heart, conduction: Conduction, response: TorsoResponse) -
 def prepare_response(
     heart: Heart, conduction: Conduction, wanted: Sequence[str], progress: Progress | None = None
 ) -> TorsoResponse:
-    """The response of a heart's lead fields to the torso, cached; see `ForwardModel.torso`."""
+    """Response of a heart's lead fields to the torso, cached; see `ForwardModel.torso`."""
     if not heart.has_torso:
         raise InputError(
             f"parameter '{wanted[0]}': {heart.name} has no torso; build the heart again with one "

@@ -28,7 +28,7 @@ class CellRun:
 
 @dataclass(frozen=True)
 class CableRun:
-    """One beat in a cable.
+    """Record of a beat in the middle of a cable.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ def simulate_cable(
 
     Notes
     -----
-    What the defaults leave (endocardial; on halving dt, dx, or both): speed +0.09, +0.01, +0.10 %;
+    Errors of the defaults (endocardial; on halving dt, dx, or both): speed +0.09, +0.01, +0.10 %;
     maximum upstroke +0.9, −0.5, +0.5 %; U, from 2 ms after the upstroke on, 0.02 mV each, and on
     the upstroke a shift of up to 0.006 ms. A cable of 30 mm changes U by 0.02 mV, 100 beats instead
     of 20 by 0.4 mV.
@@ -142,7 +142,7 @@ def simulate_cable(
     course of U does not depend on D at all. At the published D the speed is 0.78 to 0.79 mm/ms; the
     published 0.70 is what an explicit scheme with dx = 0.25 mm and dt = 0.02 ms gives.
     """
-    baseline, chunk = 2.0, 5.0  # mm on both sides of the middle; ms from look to look
+    baseline, chunk = 2.0, 5.0  # mm on both sides of the middle; ms between checks for the front
     if not (diffusivity > 0 and length >= 4 * baseline and 0 < spacing <= 0.5 and step > 0):
         raise InputError(
             f"cable of {length:g} mm, dx {spacing:g} mm, dt {step:g} ms, D {diffusivity:g} mm²/ms: "
@@ -197,7 +197,7 @@ def max_upstroke(time: Floats, potential: Floats) -> tuple[float, float]:
 
 
 def duration(time: Floats, potential: Floats, repolarised: float = 0.9) -> float:
-    """Action potential duration (ms), APD90 unless said otherwise.
+    """Action potential duration (ms), by default APD90.
 
     From the maximum upstroke until the potential falls through
     peak − `repolarised`·(peak − rest), rest being what the record (ms, mV) starts with.

@@ -25,7 +25,7 @@ from fascicle.purkinje.growth import tree_of_nodes, tree_outside
 from fascicle.purkinje.tree import InvalidTree
 
 Made = TypeVar("Made")
-# Changes that the card does not make
+# Changes of parameters that the card cannot simulate
 OF_THE_PROCESSOR = (Changes.TISSUE, Changes.BLOCKS, Changes.SOURCES, Changes.LEAD_FIELDS)
 
 
@@ -48,7 +48,7 @@ class GpuBackend:
 
     @classmethod
     def on(cls, device: Device, networks: int) -> GpuBackend:
-        """A backend on a device at hand, with room for so many networks at a time."""
+        """Backend on an open device, with room for `networks` networks at a time."""
         backend = cls.__new__(cls)
         backend._use(device, networks)
         return backend
@@ -60,7 +60,7 @@ class GpuBackend:
         )
 
     def refusal(self, model: ForwardModel, names: Iterable[str]) -> str:
-        """Why a model with other values of these quantities is not simulated; empty if it is."""
+        """Reason not to simulate a model with other values of these quantities; empty if none."""
         if model.rules.term.function is not repulsion:
             return "the card does not know the growth rule"
         if model.heart.additional_electrodes:
@@ -73,7 +73,7 @@ class GpuBackend:
     def signals(
         self, model: ForwardModel, parameters: Sequence[Mapping[str, float]]
     ) -> Iterator[Signals | InvalidTree | None]:
-        """What of networks is compared with a recording, in order; None for too large ones."""
+        """Signals to compare with a recording, in order; None for too large networks."""
 
         def made(number: int, values: Mapping[str, float], results: Results) -> Signals:
             leads = _leads(results.channels[number], values)
@@ -85,7 +85,7 @@ class GpuBackend:
     def beats(
         self, model: ForwardModel, parameters: Sequence[Mapping[str, float]]
     ) -> Iterator[SimulatedBeat | InvalidTree | None]:
-        """The beats of networks, likewise."""
+        """Beats of networks, in order; None for too large networks."""
         simulator, prepared = self._simulator(model), model.prepared
 
         def made(number: int, values: Mapping[str, float], results: Results) -> SimulatedBeat:
@@ -105,7 +105,7 @@ class GpuBackend:
         parameters: Sequence[Mapping[str, float]],
         made: Callable[[int, Mapping[str, float], Results], Made],
     ) -> Iterator[Made | InvalidTree | None]:
-        """What is made of each network in a batch's results, in order."""
+        """Run networks in batches; yield in order what `made` makes of the results of each."""
         completed = [model.with_root_time(complete(network)) for network in parameters]
         for start in range(0, len(completed), self.batch):
             batch = completed[start : start + self.batch]
@@ -122,16 +122,16 @@ class GpuBackend:
                     else _outside(model, number, values, results)
                     for number, values in enumerate(networks)
                 )
-            # all of them before the next batch takes their place
+            # the whole batch before the next one overwrites its results
             yield from [
                 network if isinstance(network, InvalidTree) else next(outcomes) for network in batch
             ]
 
 
 def _plan(model: ForwardModel, side: str, values: Mapping[str, float]) -> NDArray[np.void]:
-    """What a tree grows by, a record of PLAN.
+    """Plan of a tree's growth, a record of PLAN.
 
-    Cosines and sines are of the same functions as on a processor, so that they round alike.
+    Cosines and sines are computed here, as for a processor, so that they round alike.
     """
     seed, rules = model.prepared.seeds[side], model.rules.with_values(values)
     step, count = rules.branch_length / rules.segments, fascicles(side, values)
@@ -153,9 +153,9 @@ def _plan(model: ForwardModel, side: str, values: Mapping[str, float]) -> NDArra
 
 
 def _beat(model: ForwardModel, values: Mapping[str, float]) -> tuple[Any, ...]:
-    """The times of a beat, on a clock on which the tissue conducts as it was prepared.
+    """Times of a beat, scaled so that the tissue conducts as it was prepared.
 
-    As in `fascicle.forward.eikonal.activation.solve`.
+    The time scaling is that of `fascicle.forward.eikonal.activation.solve`.
     """
     speed = model.conduction.with_values(values).alpha / model.conduction.alpha
     fires = tuple(speed * time for time in root_times(values["root_time"]))

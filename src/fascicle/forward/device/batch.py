@@ -36,14 +36,14 @@ MOST_SPROUTS = 2048
 MOST_SITES = 2048
 MOST_TREE_NODES = 2 * MOST_SITES + 2  # sites, forks and two roots
 BATCH_SIZE = 512  # at a time: 3 MB each, and several for each of a card's processors
-# ms; where activation ends later, or never begins, the processor says whether that can be
+# ms; activations that end later, or never begin, are left to the processor, which checks them
 LATEST_ACTIVATION = 2000.0
 BITS = 64  # a bit of a word says that a node waits
 SPARE_BINS = 8  # of a histogram, in addition to those between the first activation and the last
 
 
 class Device(Protocol):
-    """Where kernels run: a card, or in tests a processor that stands in for it."""
+    """Device that runs kernels: a card, or in tests a processor in its place."""
 
     @property
     def shared_bytes(self) -> int:
@@ -53,34 +53,34 @@ class Device(Protocol):
         """Copy bytes to a new buffer of the device."""
 
     def room(self, size: int) -> Any:
-        """Make a buffer of bytes that hold anything."""
+        """Make an uninitialised buffer of `size` bytes."""
 
     def address(self, buffer: Any) -> int:
-        """Where a buffer is."""
+        """Address of a buffer."""
 
     def download(self, buffer: Any, start: int, size: int) -> Bytes:
         """Copy bytes of a buffer, once all kernels have ended."""
 
     def launch(self, kernel: str, blocks: int, shared: int, heart: Any, batch: Any) -> None:
-        """Run a kernel of the two structures on so many blocks, with bytes for each to share."""
+        """Run a kernel on two structures in `blocks` blocks, each with `shared` bytes of memory."""
 
 
 @dataclass(frozen=True)
 class Results:
-    """What a batch of networks gives.
+    """Results of a batch of networks.
 
     Attributes
     ----------
     simulated : (b,) bool array
-        Which were simulated; of the others all but `status`, `missing` and `ends` is anything.
+        Whether each was simulated; else only `status`, `missing` and `ends` are valid.
     status, missing : (b, 2) arrays
-        Of both trees: `fascicle.kernels.growth.grow`.
+        Outcome of the growth of both trees, and missing lengths: `fascicle.kernels.growth`.
     ends : (b, 2) array of NODE
         Last node of both trees.
     sizes, junctions : (b, 2) arrays
-        How many nodes and junctions both trees have.
+        Numbers of nodes and junctions of both trees.
     first, last : (b,) arrays
-        When the first and the last vertex of those that are reached are activated (ms).
+        Activation times of the first and the last vertex that is reached (ms).
     channels : list of (8, n_time) arrays
         Potentials (mV), every `SAMPLE_STEP` ms from 0; empty where a network was not simulated.
     """
@@ -102,11 +102,11 @@ class Simulator:
     Parameters
     ----------
     device : Device
-        Where.
+        Device that runs the kernels.
     prepared, electrocardiograph
         The heart: see `packed_heart`.
     networks : int
-        How many it has room for.
+        Number of networks that it has room for.
     """
 
     def __init__(
@@ -134,9 +134,9 @@ class Simulator:
         self._buffers = {name: device.room(networks * size) for name, size in sizes.items()}
 
     def run(self, plans: NDArray[np.void], beats: NDArray[np.void]) -> Results:
-        """Simulate networks, as many as there is room for at most.
+        """Simulate b networks, at most as many as there is room for.
 
-        Two `PLAN` each, what the trees grow by, left first, (2b,), and a `BEAT`, their times, (b,).
+        `plans` (2b,) are records PLAN of the trees, left first; `beats` (b,) records BEAT of times.
         """
         count, inputs = len(beats), {"plans": plans, "beats": beats}
         self._launch("grow", 2 * count, 0, inputs)
@@ -145,7 +145,7 @@ class Simulator:
         in_trees = self._array("node_count", np.int32, count)[simulated]
         nodes = self._vertices + int(in_trees.max(initial=0))
         waiting, both = _waiting(nodes), _waiting(nodes) + 8 * nodes
-        shared = both <= self.device.shared_bytes  # times are if they fit
+        shared = both <= self.device.shared_bytes  # activation times are shared if they fit
         self._launch("solve", count, both if shared else waiting, inputs, times_are_shared=shared)
         first, last = (self._array(name, np.float64, count) for name in ("first", "last"))
         simulated &= (first < np.inf) & (last < LATEST_ACTIVATION)
@@ -162,18 +162,18 @@ class Simulator:
         )
 
     def activation(self, number: int) -> Floats:
-        """Activation (ms) in one of the networks that were run last, in the mesh's numbers."""
+        """Activation (ms) in one of the last networks, in the mesh's vertex order."""
         first = number * (self._vertices + MOST_TREE_NODES)
         return self._part("time", np.float64, first, self._vertices)
 
     def nodes(self, number: int, side: int, size: int) -> NDArray[np.void]:
-        """The nodes, an array of NODE, of one of their trees; `Results.sizes` says how many."""
+        """Nodes, an array of NODE, of a tree of the last networks; `Results.sizes` has its size."""
         return self._part("nodes", NODE, (len(SIDES) * number + side) * MOST_GROWN, size)
 
     def _channels(
         self, simulated: Booleans, last: Floats, inputs: Mapping[str, NDArray[Any]]
     ) -> list[Floats]:
-        """The ECG of those that were simulated."""
+        """ECG channels of the networks that were simulated."""
         samples = np.zeros(len(last), np.int32)
         samples[simulated] = (
             np.ceil((last[simulated] + self._quiet) / SAMPLE_STEP).astype(np.int32) + 1
@@ -212,7 +212,7 @@ class Simulator:
         room: Mapping[str, Any] | None = None,
         **numbers: int,
     ) -> None:
-        """Run a kernel on what is given, in the batch's buffers and the room for its results."""
+        """Run a kernel on inputs, in the batch's buffers and `room`, buffers of its results."""
         uploaded = self._uploaded(inputs)
         members = dict.fromkeys(BATCH_FIELDS, 0) | {
             "most_grown": MOST_GROWN,
@@ -236,7 +236,7 @@ class Simulator:
         return {name: self.device.address(buffer) for name, buffer in buffers.items()}
 
     def _array(self, name: str, kind: Any, *shape: int) -> NDArray[Any]:
-        """What a buffer of the batch begins with."""
+        """Array at the beginning of a buffer of the batch."""
         return self._part(name, kind, 0, math.prod(shape)).reshape(shape)
 
     def _part(self, name: str, kind: Any, first: int, count: int) -> NDArray[Any]:

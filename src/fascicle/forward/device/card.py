@@ -49,7 +49,7 @@ def card_number(name: str) -> int:
 
 
 class Card:
-    """A `fascicle.forward.device.batch.Device`.
+    """An NVIDIA card, as a `fascicle.forward.device.batch.Device`.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class Card:
         return buffer
 
     def room(self, size: int) -> Any:
-        """Make a buffer of bytes that hold anything."""
+        """Make an uninitialised buffer of `size` bytes."""
         with self._device:
             try:
                 return self._cupy.empty(size, np.uint8)
@@ -88,7 +88,7 @@ class Card:
                 ) from error
 
     def address(self, buffer: Any) -> int:
-        """Where a buffer is."""
+        """Address of a buffer."""
         return int(buffer.data.ptr)
 
     def download(self, buffer: Any, start: int, size: int) -> Bytes:
@@ -97,6 +97,6 @@ class Card:
             return np.asarray(self._cupy.asnumpy(buffer[start : start + size]))
 
     def launch(self, kernel: str, blocks: int, shared: int, heart: Any, batch: Any) -> None:
-        """Run a kernel of the two structures on so many blocks, with bytes for each to share."""
+        """Run a kernel on two structures in `blocks` blocks, each with `shared` bytes of memory."""
         with self._device:
             self._kernels[kernel]((blocks,), (THREADS[kernel],), (heart, batch), shared_mem=shared)

@@ -1,4 +1,4 @@
-"""A heart's arrays as the kernels of a card want them: the one place that knows both layouts."""
+"""A heart's arrays in the layout of a card's kernels: the only module with both layouts."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from fascicle.kernels.arrays import CORNERS
 from fascicle.kernels.ray_travel_times import BASIS
 from fascicle.mesh.topology import TETRAHEDRON_EDGES
 
-# Nodes that wait are taken together if they are later than the earliest by up to so many times the
-# mean travel time of an edge: more work for the threads, and more of it in vain.
+# Waiting nodes are processed together if they are later than the earliest by up to so many times
+# the mean travel time of an edge: a wide band gives the threads more work, more of it in vain.
 FRONT_WIDTH = 2.0
 
-# The other corners of each corner of a tetrahedron
+# Corners of a tetrahedron besides each corner
 OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
 def packed_heart(prepared: Prepared, electrocardiograph: Electrocardiograph) -> dict[str, Any]:
     """Numbers and arrays of `fascicle.forward.device.source.HEART_FIELDS`.
 
-    The ECG integral is without what does not conduct.
+    The ECG integral is without tissue that does not conduct.
     """
     return (
         _mesh(prepared.myocardium)

@@ -105,12 +105,12 @@ SIZES |= {"Beat": BEAT.itemsize, "Sprout": SPROUT_BYTES, "Move": MOVE_BYTES}
 
 
 def source(block: str | None = None) -> str:
-    """All of the source.
+    """Source of all kernels.
 
     Parameters
     ----------
     block : str, optional
-        In place of ``block.cuh``, which is CUDA's.
+        Text in place of ``block.cuh``, which is for CUDA.
     """
     here = files(__package__)
     parts = [block if block is not None else (here / "block.cuh").read_text(encoding="utf-8")]
@@ -127,6 +127,6 @@ def _declared(name: str, members: Mapping[str, str]) -> str:
 
 
 def structure(members: Mapping[str, str], values: Mapping[str, Any]) -> Bytes:
-    """A structure as bytes, from numbers and, of arrays, addresses."""
+    """A structure as bytes, from numbers and addresses of arrays."""
     kinds = "".join("d" if kind == "double" else "q" for kind in members.values())
     return np.frombuffer(struct.pack(kinds, *(values[member] for member in members)), np.uint8)

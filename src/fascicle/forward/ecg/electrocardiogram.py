@@ -24,7 +24,7 @@ SAMPLE_STEP = 1.0  # sampling of the ECG (ms)
 class ActionPotential(Protocol):
     """A template U of the time since activation.
 
-    An ionic cable model fits behind this as well as a closed form.
+    It may be computed by an ionic cable model or a closed form.
     """
 
     @property
@@ -49,11 +49,11 @@ class Electrocardiograph:
     corners : (m, 4) array
         Vertices of each tetrahedron.
     weights : (m, 3, 8) array
-        What the times of the last three corners, less that of the first, contribute to
+        Contributions of the times of the last three corners, less that of the first, to
         |e|·(Gᵢ∇τ·∇Z) of each channel (`channel_weights`). In single precision, for memory: an
         element's contribution is wrong by a part in 10⁷ and keeps its form in time.
     additional : sequence of (m, 3, 8) arrays
-        The same of additional leads, eight each, the last filled up with zeros.
+        Weights of additional leads, eight in a group, the last group padded with zeros.
     additional_count : int
         Additional leads.
     action_potential : ActionPotential
@@ -124,7 +124,7 @@ class Electrocardiograph:
         return np.concatenate(potentials)[: CHANNELS + self.additional_count]
 
     def scaled(self, factors: Floats) -> Electrocardiograph:
-        """The same with the conductivity of each tetrahedron times a factor (m,); 0 is no source.
+        """ECG integral with the conductivity of each tetrahedron times a factor (m,); 0: no source.
 
         Lead fields stay: tissue that does not activate still conducts the currents of the rest.
         """
@@ -141,10 +141,10 @@ class Electrocardiograph:
     def with_sources(
         self, factors: Singles, axial: float, along: Singles, back: Singles
     ) -> Electrocardiograph:
-        """The same with the sources of each tetrahedron times a factor (m,), lead fields as before.
+        """ECG integral with the sources of each tetrahedron times a factor (m,); lead fields stay.
 
-        Before that, what points along the fibre changes by the share `axial`; `along` and `back`
-        (m, 3) are those of `axial_projection`.
+        First the axial part of the sources, along the fibre, changes by the share `axial`; `along`
+        and `back` (m, 3) are those of `axial_projection`.
         """
         groups = []
         for old in (self.weights, *self.additional):

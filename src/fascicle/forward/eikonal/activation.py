@@ -35,17 +35,17 @@ from fascicle.kernels.queue import LAST, NOT_QUEUED, RING
 from fascicle.kernels.star import FACES_BLOCK, LANES, VERTICES_AT_ONCE
 from fascicle.purkinje.tree import PurkinjeTree
 
-FROM_ROOT = -1  # origin of what no site has fired: a tree's own root, or nothing at all
+FROM_ROOT = -1  # origin of a node that no site has fired: fired from a root, or not at all
 
 
 @dataclass(frozen=True)
 class HisBundle:
-    """What joins the roots of the trees; it conducts both ways.
+    """Bundle that joins the roots of the trees and conducts both ways.
 
     Attributes
     ----------
     fires : float
-        When it is activated from outside (ms); inf if not.
+        Time of its activation from outside (ms); inf if there is none.
     branches : sequence of float
         Travel time to the root of each tree (ms); inf where it is blocked, or goes to none.
     """
@@ -54,7 +54,7 @@ class HisBundle:
     branches: Sequence[float]
 
     def slowed(self, factor: float) -> HisBundle:
-        """The same with everything taking `factor` times as long."""
+        """Bundle with all times multiplied by `factor`."""
         return HisBundle(factor * self.fires, [factor * time for time in self.branches])
 
 
@@ -63,12 +63,12 @@ class Coupling:
     """Trees and stimuli attached to the myocardium: all that does not depend on when they fire.
 
     Sites are numbered junctions first, tree by tree, then stimuli. On the last node, the His
-    bundle, hang the roots of all trees; nothing passes there unless `solve` is told so.
+    bundle, hang the roots of all trees; nothing passes there unless `solve` is given a bundle.
 
     Attributes
     ----------
     myocardium : Myocardium
-        What they are attached to.
+        Myocardium that they are attached to.
     trees : tuple of PurkinjeTree
         Any number of trees.
     located : LocatedPoints
@@ -84,7 +84,7 @@ class Coupling:
         Length of the segment that ends in each node (mm), tree by tree, then stimuli and the
         His bundle.
     forest, sites : Forest, JunctionSites
-        As the sweep wants them, with neither travel times nor delays.
+        Input of the sweep, with neither travel times nor delays.
     """
 
     myocardium: Myocardium
@@ -99,7 +99,7 @@ class Coupling:
 
     @property
     def stimuli(self) -> LocatedPoints:
-        """Where the stimuli lie in the myocardium."""
+        """Locations of the stimuli in the myocardium."""
         return LocatedPoints._make(values[self.junctions[-1] :] for values in self.located)
 
     @property
@@ -110,7 +110,7 @@ class Coupling:
 
 @dataclass(frozen=True)
 class Activation:
-    """When the front arrives, and from where.
+    """Activation times of trees and myocardium, and the sites that the fronts come from.
 
     Attributes
     ----------
@@ -149,7 +149,7 @@ class Activation:
     __repr__ = short_repr
 
     def with_clock(self, speed: float) -> Activation:
-        """The same on a clock that runs `speed` times as fast: all times divided by it."""
+        """Activation on a time scale `speed` times as fast: all times divided by it."""
         return replace(
             self,
             myocardium=self.myocardium / speed,
@@ -176,8 +176,8 @@ def attach(
     points : (s, 3) array, optional
         Stimuli in the myocardium (mm); those outside are moved to its surface.
     sources : int, optional
-        From so many of the first rays go to every vertex; from the others, which a stimulus
-        captures around itself, as far as from junctions. Without: from all.
+        Number of points, the first ones, with rays to every vertex; rays from the others, vertices
+        that a stimulus captures, reach as far as from junctions. By default all points.
     """
     stimuli = np.empty((0, 3)) if points is None else np.asarray(points, float).reshape(-1, 3)
     located = _locate_junctions(myocardium, trees)
@@ -254,9 +254,9 @@ def solve(
     anterograde_delay, retrograde_delay : float or (n_junctions,) arrays
         Delays of the junctions (ms), tree by tree; inf blocks that direction.
     tissue_speed : float
-        Factor on all speeds of the myocardium. A heart that conducts c times as fast is one that
-        conducts as before while everything else takes c times as long, seen on a clock that runs
-        c times as fast: nothing about it need be prepared again.
+        Factor c on all speeds of the myocardium, by time scaling: all other times are multiplied by
+        c, the unchanged myocardium is activated, and all times are divided by c. Nothing needs to
+        be prepared again.
     his : HisBundle, optional
         Joins the roots; without it a front that comes to a root ends there.
     """
@@ -309,7 +309,7 @@ def empty_queue() -> Queue:
 
 
 def _room_around(mesh: EikonalMesh) -> Surroundings:
-    """Room for what is around any batch of vertices, and for one item that is written over."""
+    """Buffers for the surroundings of any batch of vertices, and for one spare element."""
     neighbours = VERTICES_AT_ONCE * int(np.diff(mesh.link_start).max(initial=0))
     elements = VERTICES_AT_ONCE * int(np.diff(mesh.star_start).max(initial=0)) + 1
     faces = (CORNERS - 1) * elements
@@ -330,7 +330,7 @@ def _firing_times(
     stimuli: Sequence[float],
     node_times: Sequence[tuple[int, int, float]],
 ) -> Floats:
-    """When each node of the trees and each stimulus is activated from outside (ms), or inf."""
+    """External activation time of each tree node and stimulus (ms), inf where there is none."""
     firing = np.full(len(coupling.lengths), np.inf)
     firing[coupling.roots] = root_times
     for tree_number, node, moment in node_times:
@@ -357,7 +357,7 @@ def _site_delays(coupling: Coupling, of_junctions: ArrayLike) -> Floats:
 
 
 def _activation(coupling: Coupling, front: Front, stimulus_times: Floats) -> Activation:
-    """What the sweep found out, in the heart's numbers and tree by tree."""
+    """Result of the sweep, in the heart's vertex numbers and tree by tree."""
     order, vertices = coupling.myocardium.order, len(coupling.myocardium.order)
     times = np.ascontiguousarray(front.nodes["time"])
     in_trees, origin, entered_by = times[vertices:], front.nodes["origin"], front.entered_by
@@ -384,12 +384,12 @@ def _activation(coupling: Coupling, front: Front, stimulus_times: Floats) -> Act
 
 
 def _first_sites(entered_by: Integers) -> Integers:
-    """The site at which the front that each site passes on first came into the myocardium.
+    """Site at which the front that each site passes on first came into the myocardium.
 
-    A site that a front has entered passes it on under its own number; the front is another's.
+    A site that a front has entered passes it on under its own number, not that of the first site.
     """
     first = np.arange(len(entered_by))
-    for _ in range(len(entered_by)):  # as often as a front can be passed on
+    for _ in range(len(entered_by)):  # at most as often as a front can be passed on
         if not (entered_by[first] >= 0).any():
             break
         first = np.where(entered_by[first] >= 0, entered_by[first], first)
@@ -419,7 +419,7 @@ def _locate_junctions(myocardium: Myocardium, trees: Sequence[PurkinjeTree]) -> 
 def _locate_stimuli(
     myocardium: Myocardium, points: Floats, sources: int
 ) -> tuple[LocatedPoints, SiteNeighbourhood]:
-    """Find points in the myocardium and what is around them; those of last time are kept."""
+    """Find points in the myocardium and their neighbourhood; the last result is cached."""
     key = points.tobytes(), sources
     stimuli = myocardium.last_stimuli.get(key)
     if stimuli is None:
@@ -435,7 +435,7 @@ def _locate_stimuli(
 
 
 def _starts(sizes: Sequence[int]) -> Integers:
-    """Where each of several consecutive pieces starts, and where the last one ends."""
+    """Starts of consecutive pieces, and the end of the last one."""
     return np.concatenate([[0], np.cumsum(np.asarray(sizes, dtype=np.int64))])
 
 
@@ -454,14 +454,14 @@ def _joined(trees: Sequence[PurkinjeTree], nodes: Integers, his: int) -> tuple[I
 
 
 def _children(parents: Integers) -> tuple[Integers, Integers]:
-    """Where each node's children start, and the children."""
+    """Children of each node, as starts and list."""
     child = np.flatnonzero(parents >= 0)
     start, order = grouped(parents[child], len(parents))
     return start, child[order]
 
 
 def _parents_first(parents: Integers) -> Integers:
-    """The nodes, each after its parent; in their own order if that is so."""
+    """Order of the nodes with parents first; that of their numbers if it is so already."""
     order = np.arange(len(parents))
     if (parents < order).all():
         return order
@@ -473,7 +473,7 @@ def _parents_first(parents: Integers) -> Integers:
 
 
 def _readers(myocardium: Myocardium, located: LocatedPoints) -> tuple[Integers, Integers]:
-    """The sites whose element has each vertex as a corner, as start and list."""
+    """Sites whose element has a vertex as a corner, for each vertex, as starts and list."""
     attached = np.flatnonzero(located.elements >= 0)
     corners = myocardium.mesh.corners[located.elements[attached]].ravel()
     start, order = grouped(corners, len(myocardium.mesh.vertices))

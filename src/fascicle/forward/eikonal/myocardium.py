@@ -1,4 +1,4 @@
-"""What the sweep needs of the myocardium; computed once per heart."""
+"""The myocardium as prepared for the sweep, once per heart."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class LocatedPoints(NamedTuple):
     triangles : (n,) array
         The boundary triangle that is nearest to each.
     distances : (n,) array
-        How far the points asked for are from these (mm).
+        Distances from the requested points to these (mm).
     """
 
     positions: Floats
@@ -65,7 +65,7 @@ class LocatedPoints(NamedTuple):
 
 @dataclass(frozen=True)
 class Myocardium:
-    """The myocardium as the sweep wants it.
+    """The myocardium, prepared for the sweep.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Myocardium:
     travel_times : TravelTimeTable
         Ray travel times from the endocardia.
     order : (n,) array
-        The heart's vertex that each vertex of `mesh` is.
+        Number in the heart of each vertex of `mesh`.
     conducts : (m,) bool array
         Which tetrahedra of `mesh` conduct.
     surface, owner : (b, 3) and (b,) arrays
@@ -85,8 +85,8 @@ class Myocardium:
     candidates : dict of side to Candidates
         The boundary triangles that can be nearest to each triangle of an endocardium.
     last_stimuli : dict
-        The stimuli that were looked for last, and what is around them: a scenario's are the same
-        for every network.
+        Cache of the last stimuli and their neighbourhood: those of a scenario are the same for
+        every network.
     """
 
     mesh: EikonalMesh
@@ -109,9 +109,9 @@ class Myocardium:
         return self._located(np.asarray(nearest), np.asarray(triangle), square)
 
     def on_surface_from(self, triangles: Integers, points: Floats) -> LocatedPoints:
-        """The same of points that lie in or near triangles of an endocardium, without a search.
+        """Nearest surface points to `points` in or near triangles of an endocardium.
 
-        All are searched for if one does not.
+        Without a search, unless one of them lies elsewhere.
         """
         positions, nearest = np.empty_like(points), np.empty(len(points), np.int64)
         squares, surface = np.empty(len(points)), (self.mesh.vertices, self.surface)
@@ -133,7 +133,7 @@ class Myocardium:
         return corners, cells
 
     def inside(self, points: Floats) -> LocatedPoints:
-        """The same points where they lie in the tissue, else the nearest of its surface."""
+        """Points in the tissue; those outside are moved to the nearest point of its surface."""
         site = self.on_surface(points)
         if not len(points):
             return site
@@ -248,7 +248,7 @@ def _elements(
 def _edges(
     corners: NDArray[np.int32], squares: Floats, count: int
 ) -> tuple[Integers, NDArray[np.void]]:
-    """The vertices that share an edge with each, and where they start; with least travel times."""
+    """Neighbours of each vertex along edges, as starts and list, with least travel times."""
     i, j = TETRAHEDRON_EDGES.T
     tail = np.concatenate([corners[:, i], corners[:, j]]).ravel().astype(np.int64)
     head = np.concatenate([corners[:, j], corners[:, i]]).ravel()
@@ -264,9 +264,9 @@ def _edges(
 
 
 def _triangles_at(heart: Heart, vertices: Floats, surface: Integers, tree: igl.AABB) -> Integers:
-    """The boundary triangles that the endocardia lie on.
+    """Boundary triangles that the endocardia lie on.
 
-    Those with their centre near an endocardium, and those nearest to its vertices and triangles.
+    They have their centre near an endocardium, or are nearest to its vertices or triangles.
     """
     centres = vertices[surface].mean(axis=1)
     near = []
@@ -297,7 +297,7 @@ def _stars(
     link_start: Integers,
     link: NDArray[np.void],
 ) -> tuple[Integers, NDArray[np.void]]:
-    """The conducting elements around each vertex, and where they start."""
+    """Conducting elements around each vertex, as starts and list."""
     flat = np.flatnonzero(np.repeat(conducts, CORNERS))  # CORNERS·tetrahedron + corner
     start, order = grouped(corners.ravel()[flat], len(link_start) - 1)
     star = np.empty(len(flat), STAR)
@@ -339,7 +339,7 @@ def _reach(squares: Floats) -> Floats:
 
 
 def _links(edges: Integers, count: int) -> sp.csr_array:
-    """Which vertices share an edge, as a symmetric pattern."""
+    """Symmetric pattern of the vertices that share an edge."""
     rows, columns = np.concatenate([edges, edges[:, ::-1]]).T
     entries = np.ones(len(rows), dtype=np.int8)
     return sp.coo_array((entries, (rows, columns)), shape=(count, count)).tocsr()

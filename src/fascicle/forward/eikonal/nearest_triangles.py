@@ -1,4 +1,4 @@
-"""Which boundary triangles of the tissue can be nearest to a point of an endocardium."""
+"""Boundary triangles of the tissue that can be nearest to a point of an endocardium."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from fascicle.core.arrays import Floats, Integers
 
 
 class Candidates(NamedTuple):
-    """For each triangle of an endocardium the boundary triangles that can be nearest to it.
+    """Boundary triangles that can be nearest to each triangle of an endocardium.
 
     Attributes
     ----------
     start : (m + 1,) array
-        Where each one's candidates begin in the list.
+        Where the candidates of each triangle begin in the list.
     triangle, least : (c,) arrays
-        The list, and how far each is from its ball's centre at least (mm), by which it ascends.
+        The list, and a lower bound of the distance of each from its ball's centre (mm), ascending.
     centre, square : (m, 3) and (m,) arrays
-        A ball around each one: its centre (mm) and its squared radius (mm²). What is nearest to
-        any point of it is among the candidates.
+        A ball around each triangle: its centre (mm) and its squared radius (mm²). The boundary
+        triangle nearest to any point of the ball is among the candidates.
     """
 
     start: Integers
@@ -37,8 +37,8 @@ def find_candidates(
 ) -> Candidates:
     """Find the boundary triangles that can be nearest to points of an endocardium.
 
-    From the centre of a triangle, which reaches r from there, the surface is d away: then the
-    nearest to any point of the ball of radius r is d + 2r from the centre at most.
+    With a triangle in a ball of radius r, and the surface at a distance d from the centre, the
+    surface point nearest to any point of the ball is d + 2r from the centre at most.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ from fascicle.kernels.arrays import (
 )
 from fascicle.kernels.ray_travel_times import POINTS, rays_to_sites, rays_to_vertices, trace_rays
 
-LONGEST_RAY = 50.0  # ms: what takes longer along a ray is left to the elements
+LONGEST_RAY = 50.0  # ms; longer travel times along rays are left to the elements
 
 
 def build_travel_time_table(
@@ -42,7 +42,7 @@ def build_travel_time_table(
     surface, owner : (b, 3) and (b,) arrays
         Its boundary triangles, and the tetrahedron of each.
     triangles : (r,) array
-        Those from which rays are wanted.
+        Boundary triangles to trace rays from.
     progress : callable
         Called with the triangles done and their number, once it is clear that it takes a while.
     """
@@ -54,7 +54,7 @@ def build_travel_time_table(
     none = np.zeros(1, np.int64), np.empty(0, np.int32), np.empty((0, len(POINTS)), np.float32)
     parts_of_rows = [none]
     begin, done = time.monotonic(), 0
-    # at a time, which bounds the memory
+    # chunks of triangles bound the memory
     chunks = [triangles[first : first + 256] for first in range(0, len(triangles), 256)]
     with ThreadPoolExecutor(blas_threads()) as pool:
         for rows in pool.map(
@@ -72,11 +72,11 @@ def build_travel_time_table(
 
 
 def _how_far(centres: Floats, vertices: KDTree) -> float:
-    """How far the table reaches (mm), given the triangles' centres."""
-    some = centres[:: max(1, len(centres) // 500)]  # of which the number of rays is estimated
-    # for the time it takes to trace them, and for the memory (28 bytes each); 20 mm at most
+    """Reach of the table (mm), from the triangles' centres."""
+    some = centres[:: max(1, len(centres) // 500)]  # sample that estimates the number of rays
+    # limits the time to trace rays, and their memory (28 bytes each); 20 mm at most
     most, reach = min(8_000_000, 150 * vertices.n), 20.0
-    for _ in range(3 if len(some) else 0):  # a wall is neither a ball nor flat
+    for _ in range(3 if len(some) else 0):  # as their number is not exactly cubic in the reach
         around = vertices.query_ball_point(some, reach, return_length=True)
         rays = len(centres) * float(np.mean(around))
         reach *= float(np.cbrt(min(1.0, most / max(rays, 1.0))))
@@ -88,8 +88,9 @@ def _rows(
 ) -> tuple[Integers, NDArray[np.int32], NDArray[np.float32]]:
     """Rows of the table for the faces opposite a corner of some elements.
 
-    How many vertices each has, which, and the squares. A vertex that not all six points have a ray
-    to is left out, and so are the element's own corners, the times to which are exact without it.
+    Number of vertices of each row, the vertices, and the squared times. Vertices to which not all
+    six points have a ray are left out, and so are the element's own corners, whose times are exact
+    without rays.
     """
     at = mesh.vertices[mesh.corners[elements[:, None], FACES[opposite]]]
     pairs = KDTree(at.mean(axis=1)).sparse_distance_matrix(vertices, reach, output_type="ndarray")
@@ -105,21 +106,21 @@ def _rows(
 
 
 class SiteNeighbourhood(NamedTuple):
-    """Sites, and what is around them.
+    """Sites, and their ray travel times to the vertices around them.
 
     Attributes
     ----------
     sites : LocatedSites
-        Where they lie in the mesh.
+        Locations of the sites in the mesh.
     to_vertices : RayTravelTimes
-        To the vertices around each.
+        Ray travel times to the vertices around each site.
     """
 
     sites: LocatedSites
     to_vertices: RayTravelTimes
 
     def joined_with(self, other: SiteNeighbourhood) -> SiteNeighbourhood:
-        """These sites and, after them, the others."""
+        """Join with another neighbourhood, whose sites come last."""
         first, second = self.to_vertices, other.to_vertices
         to_vertices = RayTravelTimes(
             np.concatenate([first.start, first.start[-1] + second.start[1:]]),
@@ -144,9 +145,9 @@ def find_neighbourhood(
     positions, elements : (j, 3) and (j,) arrays
         Where the sites lie (mm), and the tetrahedron of each, -1 where there is none.
     triangles : (j,) array or None
-        The boundary triangle that each lies in, -1 for none: times are read from the table, and
-        traced as far as it reaches where it does not have the triangle. Without: all are traced, to
-        every vertex.
+        The boundary triangle that each site lies in, -1 for none: times are read from the table;
+        where it lacks the triangle, rays are traced as far as it reaches. If None, rays from all
+        sites are traced, to every vertex.
     mesh, table : EikonalMesh, TravelTimeTable
         The myocardium, and the ray travel times from its endocardia.
     """
