@@ -14,8 +14,7 @@ Without names, all of these:
 - ``dogs``: two dogs on their own hearts, before and after ablation of the left bundle branch
   (Oomen et al., Biomech. Model. Mechanobiol. 2021, doi:10.1007/s10237-021-01532-7): how probable
   each state is with priors of dogs (`canine_priors`), and the fitted speed along fibres. Of each
-  dog 2000 networks of the normal state are simulated, and 1000 of each other, an hour in
-  all.
+  dog 16,000 networks of the normal state are simulated, and 8000 of each other, an hour in all.
 - ``ptbxl``: recordings of PTB-XL with cardiologists' labels, on the packaged hearts, which are
   somebody else's: how many get a state named, how many normal ones a block, and the area under the
   ROC curve (AUC) of the side of a bundle branch block by what the classifier says all the same.
@@ -64,7 +63,7 @@ NETWORKS = 600  # that are drawn
 TORSOS = 12
 # The slow onset of the QRS of dog007 is lost in power-line interference and baseline wander.
 DOGS: dict[str, dict[str, float]] = {"dog006": {}, "dog007": {"notch": 60.0, "onset": -20.0}}
-DOG_NETWORKS = 2000  # of the normal state; half as many of each other
+DOG_NETWORKS = 16_000  # of the normal state; half as many of each other
 # Conduction velocities (m/s) of canine Purkinje fibres: 1.62 in 12 preparations (Myerburg et al.,
 # Circ. Res. 42 (1978) 27-35), stretched 2.32 +- 0.45 (Rosen et al., Am. J. Physiol. 240 (1981)
 # H546-H554). The conduction velocity of the muscle along the fibre has the range of people.
