@@ -168,7 +168,7 @@ def is_kept(point: Floats, sequence: ActivationSequence) -> bool:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of the quantities of a heart before its ECG is seen.
+    """Knowledge of the quantities of a heart before its ECG is seen.
 
     A point of the unit cube has first the coordinates of what is learnt, then those of what is
     averaged over: a point that is drawn uniformly there is one drawn from the prior. Where the
