@@ -301,8 +301,8 @@ def states(
     common they are in adults who are referred for an ECG. No state is named where the recording is
     unlike all that are simulated on this heart, such as noise.
 
-    A heart of your own is simulated once, which takes minutes; a packaged one has been. So is one
-    with parameters of a settings file, such as priors of another species than people.
+    A heart of your own is simulated once, which takes minutes; a packaged one has been. Parameters
+    of a settings file, such as priors of another species, are simulated once for each heart.
     """
     from fascicle.study.prior import PARAMETERS, read_settings
 
