@@ -144,19 +144,25 @@ def test_another_likelihood_is_refused(tmp_path):
         run(tmp_path, emulated=[lambda points: 1.1 * emulated(points)])
 
 
+def infeasible_corner(points):
+    """Log-likelihoods that favour a corner of the cube that holds no network."""
+    return -1e4 * (2 - points[:, 0] - points[:, 1])
+
+
 @pytest.mark.parametrize(
-    ("likelihood", "words"),
+    ("likelihood", "mapped", "words"),
     [
-        # a corner of the cube that holds no network
-        (lambda points: -1e4 * (2 - points[:, 0] - points[:, 1]), r"^only \d+ of 200 draws give a "
-         "network of this heart; make more prior simulations"),
-        (lambda points: np.full(len(points), -np.inf), "^only 0 of 20000 draws from the prior have "
-         "a likelihood: check the ranges of the parameters, and the likelihood$"),
+        (infeasible_corner, False, r"^only \d+ of 200 draws give a network of this heart; make "
+         "more prior simulations"),
+        (infeasible_corner, True, r"^only \d+ of 200 draws give a network of this heart that is "
+         "activated like mapped hearts: .*; leave out conduction"),
+        (lambda points: np.full(len(points), -np.inf), False, "^only 0 of 20000 draws from the "
+         "prior have a likelihood: check the ranges of the parameters, and the likelihood$"),
     ],
 )  # fmt: skip
-def test_draws_that_are_no_networks(tmp_path, likelihood, words):
+def test_draws_that_are_no_networks(tmp_path, likelihood, mapped, words):
     with pytest.raises(InputError, match=words):
-        run(tmp_path, emulated=[likelihood])
+        run(tmp_path, emulated=[likelihood], mapped=mapped)
 
 
 def test_how_to_go_on(done):
