@@ -92,15 +92,14 @@ class PosteriorFit:
             evaluations = self.journal.evaluate(Stage.SAMPLING, batch, 50, report)
             feasible += [evaluation for evaluation in evaluations if evaluation.feasible]
         if len(feasible) < count:
-            few = f"only {len(feasible)} of {len(run.points)} draws give a network of this heart"
-            if self.prior.mapped:
-                raise InputError(
-                    f"{few} that is activated like mapped hearts: the ECG is not one of normal "
-                    "conduction; leave out conduction, which is then learnt"
-                )
+            mapped = (
+                " that is activated like mapped hearts: conduction may not be normal; leave out "
+                "conduction where it is fixed, or"
+            )
             raise InputError(
-                f"{few}; make more prior simulations (prior_simulations), or narrow the ranges of "
-                "the lengths"
+                f"only {len(feasible)} of {len(run.points)} draws give a network of this heart"
+                f"{mapped if self.prior.mapped else ';'} make more prior simulations "
+                "(prior_simulations), or narrow the ranges of the lengths"
             )
         return feasible
 
