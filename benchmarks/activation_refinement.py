@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.build.refinement import refined
+from fascicle.core.parameters import Infeasible
 from fascicle.forward.cable.template import default_template
 from fascicle.forward.ecg.electrocardiogram import build_electrocardiograph
 from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded_gradients
@@ -37,7 +38,6 @@ from fascicle.forward.model import ForwardModel
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import barycentric_gradients
-from fascicle.purkinje.tree import InvalidTree
 from fascicle.torso.lead_fields import resolve_lead_fields
 
 Array = NDArray[np.float64]
@@ -91,7 +91,7 @@ def compare(name: str, heart: Heart, parameters: dict[str, float], times: int) -
     """Print the rows of one heart and all its refinements."""
     model = ForwardModel(heart)
     trees = model.grow(parameters)
-    if isinstance(trees, InvalidTree):
+    if isinstance(trees, Infeasible):
         raise RuntimeError(f"the benchmark's parameters give no tree: {trees.reason}")
     conduction = model.conduction
     gradients = lead_field_gradients(heart, conduction)

@@ -18,11 +18,11 @@ import numpy as np
 
 from benchmarks.references import Upstroke
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.forward.beat import Beat
 from fascicle.forward.cable.cable import max_upstroke, simulate_cable
 from fascicle.forward.cable.template import CableTemplate, template_of
 from fascicle.forward.ecg.electrocardiogram import ActionPotential
 from fascicle.forward.model import ForwardModel
-from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import load_heart
 from fascicle.kernels.ten_tusscher import CELLS
 
@@ -64,7 +64,7 @@ def print_ecgs() -> None:
     header = "".join(f"{f'J + {after} ms':>12}" for after in AFTER)
     print(f"\n{'template':<24}{'peak, mV':>10}{'QRS change':>12}{header}")
 
-    def show(name: str, potential: ActionPotential, before: Simulation | None) -> Simulation:
+    def show(name: str, potential: ActionPotential, before: Beat | None) -> Beat:
         model = ForwardModel(heart, action_potential=potential)
         simulation = model.simulate(EXAMPLE_PARAMETERS)
         last = int(simulation.activation[~simulation.unreached].max() - simulation.onset)

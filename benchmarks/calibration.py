@@ -78,15 +78,16 @@ from fascicle.core.leads import (
     lead_matrix,
     limb_leads_from,
 )
-from fascicle.core.parameters import ParameterSpace
+from fascicle.core.parameters import Infeasible, ParameterSpace
 from fascicle.core.progress import Progress
 from fascicle.core.quantities import stand_ins, torso_values
+from fascicle.forward.beat import Beat
 from fascicle.forward.bodies import random_bodies
 from fascicle.forward.ecg.electrocardiogram import first_sample
+from fascicle.forward.eikonal.activation import Activation
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenarios
-from fascicle.forward.simulation import Simulation
 from fascicle.heart.heart import Heart
 from fascicle.recording.target import Target, smooth_noise
 from fascicle.recording.target_files import read_target
@@ -108,7 +109,6 @@ from fascicle.study.simulator import PointSimulator
 from fascicle.study.state_fit import REFINEMENT
 from fascicle.study.target_comparison import Network, TargetComparison, evaluate
 from fascicle.study.target_comparison import networks as simulated
-from fascicle.torso.variation.conductor import InvalidTorso
 
 LEVELS = (0.5, 0.8, 0.9)
 TUNING, HELD_OUT = 2, 3  # seeds of truths: for choosing constants, and for the documentation
@@ -136,7 +136,7 @@ def truth_of(
     while True:
         point = rng.random(len(space))
         outcome = model.simulate({**fixed, **space.from_unit(point)})
-        if not isinstance(outcome, Simulation):
+        if not isinstance(outcome, Beat):
             continue
         if not mapped or is_kept(point, model.surfaces.sequence(outcome.activation)):
             return point, outcome
@@ -202,11 +202,11 @@ def other_physics(
 
 def another_torso(
     model: ForwardModel,
-    simulation: Simulation,
+    simulation: Beat,
     count: int,
     rng: np.random.Generator,
     values: Mapping[str, float],
-) -> Simulation:
+) -> Beat:
     """A simulation on a finer mesh, of which `count` vertices are the model's, in another torso.
 
     The sources of the ECG are those of its `values`.
@@ -217,7 +217,7 @@ def another_torso(
     while True:
         torso = torso_values(space.from_unit(rng.random(len(space))))
         leads = model.leads_in_torso(times, torso | sources)
-        if not isinstance(leads, InvalidTorso):
+        if not isinstance(leads, Infeasible):
             return replace(simulation, leads=leads, onset=first_sample(times))
 
 
@@ -227,7 +227,7 @@ def truth_of_prior(simulations: PriorSimulations, number: int, rng: np.random.Ge
     points, networks = simulations.points(number), simulations.parameters(number)
     for point, values in zip(points, networks, strict=True):
         outcome = model.simulate(values)
-        if not isinstance(outcome, Simulation):
+        if not isinstance(outcome, Beat):
             continue
         if is_kept(point, model.surfaces.sequence(outcome.activation)):
             (body,) = random_bodies(model, rng, 1)
@@ -237,10 +237,7 @@ def truth_of_prior(simulations: PriorSimulations, number: int, rng: np.random.Ge
 
 
 def recorded(
-    simulation: Simulation,
-    gain_sd: float,
-    rng: np.random.Generator,
-    noise: np.ndarray | None = None,
+    simulation: Beat, gain_sd: float, rng: np.random.Generator, noise: np.ndarray | None = None
 ) -> Target:
     """A recording of a simulation.
 
@@ -276,12 +273,12 @@ def residuals(target: Target) -> np.ndarray:
     return np.concatenate(list(np.concatenate([apart, apart[:, :, ::-1]])), axis=1)
 
 
-def on_mesh(simulation: Simulation, count: int) -> Simulation:
-    """Simulation with the activation of the first vertices only, those of the coarser mesh."""
-    return replace(simulation, activation=simulation.activation[:count])
+def on_mesh(simulation: Beat, count: int) -> Beat:
+    """Beat with the activation of the first vertices only, those of the coarser mesh."""
+    return replace(simulation, coupled=Activation(simulation.activation[:count]))
 
 
-def predictions(simulation: Simulation, together: Simulation, axis: np.ndarray) -> np.ndarray:
+def predictions(simulation: Beat, together: Beat, axis: np.ndarray) -> np.ndarray:
     """The scalars of `PREDICTED`."""
     time = simulation.activation - simulation.activation.min()
     late = together.activation
@@ -293,7 +290,7 @@ def predictions(simulation: Simulation, together: Simulation, axis: np.ndarray) 
 
 
 def predicted_and_map(
-    simulation: Simulation, paced: Simulation, axis: np.ndarray
+    simulation: Beat, paced: Beat, axis: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The scalars of `PREDICTED` of a truth, and its activation map on the heart's own mesh."""
     expected = predictions(on_mesh(simulation, len(axis)), on_mesh(paced, len(axis)), axis)
@@ -403,7 +400,7 @@ def one_truth(heart: str, number: int, options: argparse.Namespace) -> dict[str,
         values, simulation = truth_of_prior(simulations, seed * 100_000 + number, rng)
     truth = {name: values[name] for name in space.names}
 
-    def record(simulation: Simulation) -> Target:
+    def record(simulation: Beat) -> Target:
         noise = None if options.noise is None else residuals(read_target(options.noise))
         return recorded(simulation, gain_sd, rng, noise)
 
@@ -522,13 +519,11 @@ def places(
     truth, expected, true_map = true
     space = simulator.prior.learnt
 
-    def together(values: Any) -> Simulation:
+    def together(values: Any) -> Beat:
         return simulator.model.simulate(fired_together({**simulator.prior.fixed, **values}))
 
-    predicted = np.array(
-        [predictions(n.simulation, together(n.parameters), axis) for n in networks]
-    )
-    maps = np.array([n.simulation.activation - n.simulation.activation.min() for n in networks])
+    predicted = np.array([predictions(n.beat, together(n.parameters), axis) for n in networks])
+    maps = np.array([n.beat.activation - n.beat.activation.min() for n in networks])
     draws = {name: population.values[name] for name in space.names}
     units = {p.name: p.to_unit(draws[p.name]) for p in space.parameters}
     at = {p.name: float(p.to_unit(np.array(truth[p.name]))) for p in space.parameters}

@@ -35,10 +35,10 @@ import fascicle
 from benchmarks.qrs_marks import PACED, RATE, Case, case
 from fascicle.core.errors import InputError
 from fascicle.core.leads import CHEST_LEADS, LEADS
+from fascicle.forward.beat import Beat
 from fascicle.forward.ecg.electrocardiogram import build_electrocardiograph
 from fascicle.forward.ecg.lead_field import unbounded_gradients
 from fascicle.forward.scenario_files import find_scenario, read_scenario
-from fascicle.forward.simulation import Simulation
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.recording.quality.checks import CHEST, FASTEST_QRS, check_chest_leads, check_mean_beat
 from fascicle.recording.recording import Recording
@@ -89,7 +89,7 @@ def displaced(seed: int) -> Array:
     heart = model.heart
     scenario = read_scenario(find_scenario(str(rng.choice(KINDS))))[0]
     outcome = None
-    while not isinstance(outcome, Simulation):
+    while not isinstance(outcome, Beat):
         parameters = {
             name: value * (1 + 0.08 * rng.standard_normal()) if "length" in name else value
             for name, value in fascicle.EXAMPLE_PARAMETERS.items()

@@ -19,9 +19,9 @@ import numpy as np
 
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import NETWORK_SPACE
+from fascicle.forward.beat import Beat
 from fascicle.forward.device.backend import GpuBackend
 from fascicle.forward.model import ForwardModel
-from fascicle.forward.simulation import SimulatedBeat
 from fascicle.heart.folder import load_heart
 
 COMPARED = 64  # networks, of which activation and ECG are compared
@@ -50,10 +50,10 @@ def differences(model: ForwardModel, backend: GpuBackend) -> tuple[float, float]
     beats = model.simulate_many(networks, backend=backend)
     for network, beat in zip(networks, beats, strict=True):
         here = model.simulate(network)
-        if isinstance(here, SimulatedBeat) and isinstance(beat, SimulatedBeat):
+        if isinstance(here, Beat) and isinstance(beat, Beat):
             ms = max(ms, float(np.abs(beat.activation - here.activation).max()))
             mv = max(mv, float(np.abs(beat.leads - here.leads).max()))
-        elif isinstance(here, SimulatedBeat) or isinstance(beat, SimulatedBeat):
+        elif isinstance(here, Beat) or isinstance(beat, Beat):
             raise RuntimeError(f"one of the two finds no network: {network}")
     return ms, mv
 

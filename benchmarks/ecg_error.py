@@ -156,11 +156,11 @@ def _between(interpolate: Callable[[Array, Array, Array], Array], fine: Array) -
 
 def activated(heart: Heart, parameters: dict[str, float]) -> ActivatedMesh:
     """The heart as the forward model activates it."""
+    from fascicle.core.parameters import Infeasible
     from fascicle.forward.model import ForwardModel
-    from fascicle.purkinje.tree import InvalidTree
 
     simulation = ForwardModel(heart).simulate(parameters)
-    if isinstance(simulation, InvalidTree):
+    if isinstance(simulation, Infeasible):
         raise RuntimeError(f"the benchmark's parameters give no tree: {simulation.reason}")
     return ActivatedMesh(heart.vertices, heart.tetrahedra, heart.fibres, simulation.activation)
 

@@ -194,13 +194,13 @@ def coupling_errors(cell: float) -> tuple[str, Array]:
 def heart_errors(folder: Path) -> Iterator[tuple[str, Array]]:
     """The crtdemo heart against itself refined once and twice."""
     from benchmarks.forward import PARAMETERS, _heart, _named_parameters, build_case
+    from fascicle.core.parameters import Infeasible
     from fascicle.forward.model import ForwardModel
-    from fascicle.purkinje.tree import InvalidTree
 
     case = build_case(folder)
     model = ForwardModel(_heart(case))
     trees = model.grow(_named_parameters(case))
-    if isinstance(trees, InvalidTree):
+    if isinstance(trees, Infeasible):
         raise RuntimeError(f"the benchmark's parameters give no tree: {trees.reason}")
     hearts = [model.heart, refined(model.heart)]
     hearts.append(refined(hearts[1]))

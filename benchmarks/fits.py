@@ -132,7 +132,7 @@ def row(name: str, fitted: FittedStudy, seconds: float) -> str:
     return (
         f"{name:<17} {fitted.study.config.method:<9} {fitted.null_loss:6.2f} "
         f"{population.best_loss:6.3f} {correlation:5.2f} {target.qrs_duration:4.0f} "
-        f"{best.simulation.qrs_duration:4.0f} {len(fitted.study.records()):6d} {effective:5.0f} "
+        f"{best.beat.qrs_duration:4.0f} {len(fitted.study.records()):6d} {effective:5.0f} "
         f"{seconds:6.0f} {fitted.verdict}"
     )
 

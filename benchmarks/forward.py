@@ -146,14 +146,14 @@ def measure_fascicle(case: Case, repeats: int) -> Report:
     """
     from benchmarks.eikonal_residual import eikonal_residual
     from benchmarks.references import solve_from_vertices
+    from fascicle.core.parameters import Infeasible
     from fascicle.forward.eikonal.activation import attach, solve
     from fascicle.forward.model import ForwardModel
-    from fascicle.purkinje.tree import InvalidTree
 
     model = ForwardModel(_heart(case))
     parameters = _named_parameters(case)
     trees = model.grow(parameters)
-    if isinstance(trees, InvalidTree):
+    if isinstance(trees, Infeasible):
         raise RuntimeError(f"the benchmark's parameters give no tree: {trees.reason}")
     roots = (max(0.0, -parameters["root_time"]), max(0.0, parameters["root_time"]))
     anew = itertools.count(1)

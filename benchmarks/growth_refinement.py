@@ -30,11 +30,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from fascicle.core.parameters import NETWORK_SPACE
+from fascicle.core.parameters import NETWORK_SPACE, Infeasible
 from fascicle.heart.endocardium import Endocardium
 from fascicle.purkinje.chart import Chart, build_chart
 from fascicle.purkinje.growth import GrowthRules, Seed, find_seed, grow_from_parameters
-from fascicle.purkinje.tree import InvalidTree
 
 Array = npt.NDArray[np.float64]
 
@@ -127,7 +126,7 @@ def junctions(ground: Ground, parameters: Mapping[str, float], rules: GrowthRule
     """Positions (mm) of the junctions of a tree, or None where it does not fit."""
     side = ground.endocardium.side
     tree = grow_from_parameters(side, ground.chart, ground.seed, parameters, rules)
-    return None if isinstance(tree, InvalidTree) else tree.nodes[tree.junctions]
+    return None if isinstance(tree, Infeasible) else tree.nodes[tree.junctions]
 
 
 def difference(

@@ -21,11 +21,10 @@ import numpy as np
 
 from benchmarks.forward import pin_to_one_core
 from benchmarks.growth_refinement import RULES, hearts
-from fascicle.core.parameters import NETWORK_SPACE
+from fascicle.core.parameters import NETWORK_SPACE, Infeasible
 from fascicle.heart.endocardium import Endocardium
 from fascicle.purkinje.chart import Chart, build_chart
 from fascicle.purkinje.growth import Seed, find_seed, grow_from_parameters
-from fascicle.purkinje.tree import InvalidTree
 
 REPEATS = 5
 
@@ -51,7 +50,7 @@ def seconds_and_nodes(
         begin = time.perf_counter()
         tree = grow_from_parameters(side, chart, seed, parameters, RULES)
         seconds.append(time.perf_counter() - begin)
-        if isinstance(tree, InvalidTree):
+        if isinstance(tree, Infeasible):
             return None
     return min(seconds[1:]), len(tree.nodes)
 

@@ -47,18 +47,18 @@ def window_alone(simulated: Array, recorded: Array) -> float:
     return float(((recorded**2).sum() - 2 * product + energy).min() / length)
 
 
-def draws(model: fascicle.ForwardModel, count: int) -> list[fascicle.Simulation]:
+def draws(model: fascicle.ForwardModel, count: int) -> list[fascicle.Beat]:
     """Valid networks, simulated."""
     rng, networks = np.random.default_rng(SEED), []
     while len(networks) < count:
         outcome = model.simulate(NETWORK_SPACE.from_unit(rng.random(len(NETWORK_SPACE))))
-        if isinstance(outcome, fascicle.Simulation):
+        if isinstance(outcome, fascicle.Beat):
             networks.append(outcome)
     return networks
 
 
 def row(
-    name: str, model: fascicle.ForwardModel, target: Target, networks: list[fascicle.Simulation]
+    name: str, model: fascicle.ForwardModel, target: Target, networks: list[fascicle.Beat]
 ) -> str:
     """Row of the table."""
     comparison = TargetComparison(target)
@@ -96,7 +96,7 @@ def main() -> None:
     for name, model in models.items():
         if arguments.only is None or name in arguments.only:
             networks, simulation = draws(model, arguments.draws), model.simulate(TRUTH)
-            assert isinstance(simulation, fascicle.Simulation)
+            assert isinstance(simulation, fascicle.Beat)
             target = synthetic_target(simulation.leads, np.random.default_rng(0))
             print(row(f"known, {name}", model, target, networks), flush=True)
     for name, case in CASES.items() if arguments.data is not None else ():

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fascicle
+from fascicle.core.parameters import Infeasible
 from fascicle.forward.model import ForwardModel
-from fascicle.purkinje.tree import InvalidTree
 from fascicle.study.prior import Prior
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.target_comparison import TargetComparison
@@ -45,7 +45,7 @@ def simulated_problem(model: ForwardModel) -> Problem:
     from examples.recover_known_network import synthetic_target
 
     simulation = model.simulate(fascicle.EXAMPLE_PARAMETERS)
-    if isinstance(simulation, InvalidTree):
+    if isinstance(simulation, Infeasible):
         raise RuntimeError(f"the example gives no tree: {simulation.reason}")
     target = synthetic_target(simulation.leads, np.random.default_rng(0), noise=0.0)
     prior = Prior.of("paper", {"alpha": "free"}, model.heart)
@@ -56,7 +56,7 @@ def loss(problem: Problem, values: Mapping[str, float]) -> float:
     """Loss (mV²) at the best alignment; NaN where the network does not fit."""
     simulator, comparison = problem
     simulation = simulator.model.simulate({**simulator.prior.fixed, **values})
-    if isinstance(simulation, InvalidTree):
+    if isinstance(simulation, Infeasible):
         return np.nan
     return comparison.align(simulation.leads).loss
 

@@ -36,10 +36,10 @@ from benchmarks.calibration import (
 )
 from fascicle.cli.output import TerminalProgress
 from fascicle.core.files import write_text
+from fascicle.forward.beat import Beat
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.primitives import His, Stimulus
 from fascicle.forward.scenario import Scenario
-from fascicle.forward.simulation import Simulation
 from fascicle.heart.heart import Heart
 from fascicle.study.origin import Origin
 from fascicle.study.settings import FitSettings
@@ -66,7 +66,7 @@ def one_physics(number: int, options: argparse.Namespace) -> None:
         stimulus = Stimulus(time=0.0, position=tuple(centres[site].tolist()))
         beat = Scenario((His(time=np.inf), stimulus))
         simulation = None
-        while not isinstance(simulation, Simulation):
+        while not isinstance(simulation, Beat):
             values = {**fixed, **space.from_unit(rng.random(len(space)))}
             simulation = model.simulate(values, beat)
         if heart.lead_fields is not None:

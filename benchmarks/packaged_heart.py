@@ -19,13 +19,13 @@ import fascicle
 from benchmarks.device import drawn
 from benchmarks.fits import dti004
 from fascicle.core.arrays import Floats
-from fascicle.forward.simulation import SimulatedBeat
+from fascicle.forward.beat import Beat
 
 NETWORKS = 24
 WINDOW = np.arange(-20.0, 220.0)  # ms
 
 
-def on_window(beat: SimulatedBeat) -> Floats:
+def on_window(beat: Beat) -> Floats:
     """ECG (12, t) at the same times for all (mV)."""
     return np.asarray(beat.ecg.interp(time=WINDOW, kwargs={"fill_value": 0.0}))
 
@@ -46,7 +46,7 @@ def main() -> None:
     beats = [
         (fine_beat, coarse_beat)
         for fine_beat, coarse_beat in pairs
-        if isinstance(fine_beat, SimulatedBeat) and isinstance(coarse_beat, SimulatedBeat)
+        if isinstance(fine_beat, Beat) and isinstance(coarse_beat, Beat)
     ]
     ecgs = [(on_window(fine_beat), on_window(coarse_beat)) for fine_beat, coarse_beat in beats]
     between = [apart(a[0], b[0]) for k, a in enumerate(ecgs) for b in ecgs[:k]]

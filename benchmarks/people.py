@@ -46,9 +46,9 @@ from fascicle.cli.output import TerminalProgress
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import HUMAN_SPACE
+from fascicle.forward.beat import Beat
 from fascicle.forward.bodies import random_bodies
 from fascicle.forward.loss import align
-from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import write_heart
 from fascicle.recording.criteria import frontal_axis
 from fascicle.study.conduction_states import KNOWN_STATES, STATES
@@ -73,7 +73,7 @@ BUNDLE_BRANCH = {"left": ("CLBBB", "ILBBB"), "right": ("CRBBB", "IRBBB")}
 
 def normal_networks(
     model: fascicle.ForwardModel, count: int, seed: int
-) -> Iterator[tuple[dict[str, float], Simulation]]:
+) -> Iterator[tuple[dict[str, float], Beat]]:
     """Networks of the prior of the normal state, with their beats."""
     prior = usual_prior(model.heart, STATES[0])
     points = prior.sample(np.random.default_rng(seed), count)
@@ -81,7 +81,7 @@ def normal_networks(
     for point in points:
         values = prior.from_unit(point)
         beat = model.simulate(values)
-        if not isinstance(beat, Simulation):
+        if not isinstance(beat, Beat):
             continue
         if is_kept(point, model.surfaces.sequence(beat.activation)):
             yield values, beat
@@ -149,7 +149,7 @@ def blocks() -> None:
                     if name in values and not low <= values[name] <= high
                 }
                 other = model.simulate(values | late | state.blocks)
-                if not isinstance(other, Simulation):
+                if not isinstance(other, Beat):
                     continue
                 alignment = align(other.leads, beat.leads, free_gain=True)
                 changed.append(alignment.loss * beat.leads.shape[1] / (beat.leads**2).sum())

@@ -40,7 +40,7 @@ def population(model: ForwardModel, count: int, rng: np.random.Generator) -> lis
     while len(networks) < count:
         values = prior.from_unit(prior.sample(rng, 1)[0])
         simulation = model.simulate(values)
-        if isinstance(simulation, fascicle.Simulation):
+        if isinstance(simulation, fascicle.Beat):
             networks.append(Network(values, simulation, simulation.leads, 1.0, 1.0))
     return networks
 

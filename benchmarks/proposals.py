@@ -120,16 +120,15 @@ def heart_task(folder: Path) -> Task:
     """Find a known network of the crtdemo heart again from its ECG."""
     from benchmarks.forward import _heart, build_case
     from examples.recover_known_network import TRUTH, synthetic_target
-    from fascicle.core.parameters import NETWORK_SPACE
+    from fascicle.core.parameters import NETWORK_SPACE, Infeasible
     from fascicle.forward.model import ForwardModel
-    from fascicle.purkinje.tree import InvalidTree
     from fascicle.study.prior import Prior
     from fascicle.study.simulator import PointSimulator
     from fascicle.study.target_comparison import TargetComparison, evaluate
 
     model = ForwardModel(_heart(build_case(folder)))
     simulation = model.simulate(TRUTH)
-    assert not isinstance(simulation, InvalidTree)
+    assert not isinstance(simulation, Infeasible)
     target = synthetic_target(simulation.leads, np.random.default_rng(0))
     simulator = PointSimulator(model, Prior(NETWORK_SPACE, {"alpha": 0.065}))
     recordings = [TargetComparison(target)]

@@ -39,8 +39,8 @@ from benchmarks.synthetic_recordings.artefacts import NOISES, SIGHT, f_waves, pu
 from benchmarks.synthetic_recordings.rhythms import hump
 from fascicle.core.errors import InputError
 from fascicle.core.leads import lead_matrix
+from fascicle.forward.beat import Beat
 from fascicle.forward.scenario_files import find_scenario, read_scenario
-from fascicle.forward.simulation import Simulation
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
 from fascicle.recording.recording import Recording
 
@@ -96,7 +96,7 @@ def _simulated(rng: np.random.Generator, kind: str) -> tuple[Array, float]:
         }
         parameters |= {"root_time": rng.uniform(-40, 30), "cv": rng.uniform(2, 4)}
         outcome = _model().simulate(parameters, scenario)
-        if isinstance(outcome, Simulation):
+        if isinstance(outcome, Beat):
             first = max(int(outcome.activation.min() - outcome.onset) - 5, 0)
             return outcome.leads[:, first:], rng.uniform(0.7, 1.3)
 

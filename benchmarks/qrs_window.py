@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 import fascicle
 from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
-from fascicle.forward.simulation import Simulation
+from fascicle.forward.beat import Beat
 from fascicle.recording.filters import resample
 from fascicle.recording.window import qrs_window, spatial_velocity, window_uncertainty
 
@@ -62,10 +62,10 @@ class Case:
     offset: float
 
 
-def simulations(rng: np.random.Generator, count: int) -> list[Simulation]:
+def simulations(rng: np.random.Generator, count: int) -> list[Beat]:
     """QRS complexes of random networks; those that do not fit are drawn again."""
     model = fascicle.ForwardModel(fascicle.load_heart("default"))
-    complexes: list[Simulation] = []
+    complexes: list[Beat] = []
     while len(complexes) < count:
         parameters = {
             name: value * (1 + 0.08 * rng.standard_normal()) if "length" in name else value
@@ -73,7 +73,7 @@ def simulations(rng: np.random.Generator, count: int) -> list[Simulation]:
         }
         parameters |= {"root_time": rng.uniform(-70, 50), "cv": rng.uniform(2, 4)}
         outcome = model.simulate(parameters)
-        if isinstance(outcome, Simulation):
+        if isinstance(outcome, Beat):
             complexes.append(outcome)
     return complexes
 
@@ -83,7 +83,7 @@ def dipole(vector: Array) -> Array:
     return np.asarray(lead_matrix() @ SIGHT @ vector)[:, None]
 
 
-def whole_beat(rng: np.random.Generator, qrs: Simulation) -> tuple[Array, float]:
+def whole_beat(rng: np.random.Generator, qrs: Beat) -> tuple[Array, float]:
     """Beat (12, LENGTH) with P, ST and T whose QRS begins at `BEFORE`, and its duration (ms)."""
     reached = qrs.activation[np.isfinite(qrs.activation)]
     slowed = rng.choice(SLOWED)
@@ -117,7 +117,7 @@ def noise(rng: np.random.Generator, count: int) -> Array:
     return np.asarray(leads / leads[:, INDEPENDENT_ROWS].std())
 
 
-def simulated(rng: np.random.Generator, qrs: Simulation, ratio: float, count: int) -> Case:
+def simulated(rng: np.random.Generator, qrs: Beat, ratio: float, count: int) -> Case:
     beat, duration = whole_beat(rng, qrs)
     inside = beat[INDEPENDENT_ROWS, BEFORE : BEFORE + round(duration)]
     level = np.sqrt(np.mean(inside**2)) * 10 ** (-ratio / 20)

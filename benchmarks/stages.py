@@ -50,11 +50,11 @@ def serve(heart: str) -> None:
     Results go into the file that the line names after the number. What is imported here is the same
     in every checkout that can be compared.
     """
+    from fascicle.core.parameters import Infeasible
     from fascicle.forward.eikonal.activation import attach, solve
     from fascicle.forward.model import ForwardModel
     from fascicle.heart.folder import load_heart
     from fascicle.purkinje.growth import grow_from_parameters
-    from fascicle.purkinje.tree import InvalidTree
     from fascicle.study.prior import study_space
 
     model = ForwardModel(load_heart(heart))
@@ -77,7 +77,7 @@ def serve(heart: str) -> None:
                 for s, c in prepared.charts.items()
             ],
         )
-        if any(isinstance(tree, InvalidTree) for tree in trees):
+        if any(isinstance(tree, Infeasible) for tree in trees):
             return None
         coupling = timed("attach", lambda: attach(model.myocardium, trees))
         roots, cv = parameters["root_time"], parameters["cv"]

@@ -40,7 +40,7 @@ import fascicle
 from benchmarks.forward import _heart, build_case
 from examples.recover_known_network import synthetic_target
 from fascicle.cli.output import TerminalProgress
-from fascicle.forward.simulation import Simulation
+from fascicle.forward.beat import Beat
 from fascicle.reporting.activation import SINCE_FIRST, ActivationRow, activation_figure
 from fascicle.reporting.ecg import EcgGroup, ecg_figure
 from fascicle.reporting.parameters import pair_figure
@@ -77,9 +77,9 @@ TREE_COLUMNS = 8
 PANEL = 1.1  # inch
 
 
-def simulate(model: fascicle.ForwardModel, parameters: Mapping[str, float]) -> Simulation:
+def simulate(model: fascicle.ForwardModel, parameters: Mapping[str, float]) -> Beat:
     outcome = model.simulate(parameters)
-    assert isinstance(outcome, Simulation), outcome.reason
+    assert isinstance(outcome, Beat), outcome.reason
     return outcome
 
 
@@ -128,7 +128,7 @@ def print_parameters(fitted: FittedStudy, truth: Mapping[str, float]) -> None:
         print(f"  mean contraction, {name}: {np.mean(shares):.2f}")
 
 
-def draw_tree(axes: Axes, heart: fascicle.Heart, simulation: Simulation, label: str) -> None:
+def draw_tree(axes: Axes, heart: fascicle.Heart, simulation: Beat, label: str) -> None:
     """Both trees, seen from the front."""
     view = heart_views(heart)["anterior"]
     for tree, colour in zip(simulation.trees, (Colour.VERMILION, Colour.BLUE), strict=True):
@@ -140,7 +140,7 @@ def draw_tree(axes: Axes, heart: fascicle.Heart, simulation: Simulation, label: 
     axes.set_title(label, fontsize=7, pad=1)
 
 
-def tree_figure(heart: fascicle.Heart, simulations: Mapping[str, Simulation]) -> Figure:
+def tree_figure(heart: fascicle.Heart, simulations: Mapping[str, Beat]) -> Figure:
     """Trees of the truth and of every network: left red, right blue."""
     rows = math.ceil(len(simulations) / TREE_COLUMNS)
     figure = new_figure(PANEL * TREE_COLUMNS, 0.8 * PANEL * rows)
@@ -158,7 +158,7 @@ def write_figures(
     target, population = fitted.recordings[0].target, fitted.population
     model, space, window = fitted.simulator.model, fitted.simulator.prior.learnt, target.qrs_samples
     heart, true = model.heart, simulate(model, truth)
-    drawn = {"truth": true, "best": fitted.best_network.simulation}
+    drawn = {"truth": true, "best": fitted.best_network.beat}
     rows = [ActivationRow.of(name, simulation).since_first() for name, simulation in drawn.items()]
     save(activation_figure(heart, rows, SINCE_FIRST), folder / "activation.png")
     time_axis = target.time[window]
@@ -168,7 +168,7 @@ def write_figures(
     save(ecg_figure([reference, simulated], fitted.statements.networks_called), folder / "ecg.png")
     pairs = pair_figure(space, population.values, population.best, truth)
     save(pairs, folder / "pairs.png")
-    trees = {"truth": true} | {f"{k}": n.simulation for k, n in enumerate(networks)}
+    trees = {"truth": true} | {f"{k}": n.beat for k, n in enumerate(networks)}
     save(tree_figure(heart, trees), folder / "trees.png")
 
 

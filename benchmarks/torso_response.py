@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 import fascicle
 from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
-from fascicle.core.parameters import read_parameters
+from fascicle.core.parameters import Infeasible, read_parameters
 from fascicle.core.quantities import QUANTITIES, TORSO_QUANTITIES
 from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP, build_electrocardiograph
 from fascicle.forward.ecg.lead_field import nodal_gradients
@@ -34,7 +34,7 @@ from fascicle.recording.window import qrs_window
 from fascicle.reporting.style import Colour, new_figure, save, styled
 from fascicle.torso.lead_fields import assemble_stiffness
 from fascicle.torso.mesh import torso_of
-from fascicle.torso.variation.conductor import Conductor, InvalidTorso, TorsoState, build_conductor
+from fascicle.torso.variation.conductor import Conductor, TorsoState, build_conductor
 from fascicle.torso.variation.training import electrode_places, solve_torso
 
 Values = Mapping[str, float]
@@ -150,7 +150,7 @@ def cost(model: fascicle.ForwardModel, network: Values, torsos: list[dict[str, f
     for values in 3 * torsos:
         begin = time.perf_counter()
         coefficients = torso.response(TorsoState.of(values))
-        if isinstance(coefficients, InvalidTorso):
+        if isinstance(coefficients, Infeasible):
             continue
         responded = time.perf_counter()
         coefficients @ torso.response.modes
@@ -176,10 +176,10 @@ def axis(leads: Array) -> float:
     return float(np.degrees(np.arctan2(2 * avf / np.sqrt(3), i)))
 
 
-def simulated(model: fascicle.ForwardModel, network: Values) -> fascicle.Simulation:
+def simulated(model: fascicle.ForwardModel, network: Values) -> fascicle.Beat:
     """The network in the neutral torso."""
     outcome = model.simulate(network)
-    if not isinstance(outcome, fascicle.Simulation):
+    if not isinstance(outcome, fascicle.Beat):
         raise SystemExit(f"{model.heart.name}: {outcome.reason}; give another --network")
     return outcome
 

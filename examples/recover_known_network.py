@@ -101,7 +101,7 @@ def recover(
 ) -> FittedStudy:
     model = fascicle.ForwardModel(fascicle.load_heart(heart))
     simulation = model.simulate(truth)
-    if isinstance(simulation, fascicle.InvalidTree):
+    if isinstance(simulation, fascicle.Infeasible):
         raise fascicle.InputError(f"truth: {simulation.reason}; choose another")
     target = synthetic_target(simulation.ecg.to_numpy(), np.random.default_rng(seed))
     return fit(model.heart, target, out, seed=seed, **budget)

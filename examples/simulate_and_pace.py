@@ -14,12 +14,12 @@ model = fascicle.ForwardModel(heart)
 # %% [markdown]
 # One run of the forward model: both trees grow, the eikonal equation is solved in trees and
 # myocardium together, the ECG is integrated over the heart. Parameters that do not fit the
-# endocardia give an `InvalidTree`, with the reason.
+# endocardia give an `Infeasible`, with the reason.
 
 # %%
 parameters = fascicle.example_parameters(model)
 own = model.simulate(parameters)
-assert isinstance(own, fascicle.Simulation), own.reason
+assert isinstance(own, fascicle.Beat), own.reason
 v1 = own.ecg.sel(lead="V1")  # xarray, mV over ms
 print(f"V1 from {float(v1.min()):.2f} to {float(v1.max()):.2f} mV")
 print(f"QRS window {own.qrs_duration:.0f} ms, activation {own.total_activation_time:.0f} ms")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fascicle.core.leads import LEADS
-from fascicle.forward.simulation import Simulation
+from fascicle.forward.beat import Beat
 
 # Bundles and fascicles short enough for a patient's heart (crtdemo); EXAMPLE_PARAMETERS are not
 SHORT_BUNDLES = {
@@ -18,25 +18,25 @@ SHORT_BUNDLES = {
 }  # fmt: skip
 
 
-def curves(simulation: Simulation) -> dict[str, np.ndarray]:
+def curves(simulation: Beat) -> dict[str, np.ndarray]:
     """The twelve leads (mV) by name."""
     return dict(zip(LEADS, simulation.leads, strict=True))
 
 
-def electrical_axis(simulation: Simulation) -> float:
+def electrical_axis(simulation: Beat) -> float:
     """Axis in the frontal plane from the net deflections of I and aVF (degrees)."""
     leads = curves(simulation)
     net = {lead: leads[lead].max() + leads[lead].min() for lead in ("I", "aVF")}
     return float(np.degrees(np.arctan2(2 / np.sqrt(3) * net["aVF"], net["I"])))
 
 
-def transition(simulation: Simulation) -> int:
+def transition(simulation: Beat) -> int:
     """Number of the first chest lead whose R is larger than its S."""
     leads = curves(simulation)
     return next(k for k in range(1, 7) if leads[f"V{k}"].max() > -leads[f"V{k}"].min())
 
 
-def assert_normal(simulation: Simulation) -> None:
+def assert_normal(simulation: Beat) -> None:
     """QRS 70 to 110 ms, axis -30 to 90 degrees, R growing, transition V3 to V5, 0.5 to 3 mV."""
     leads = curves(simulation)
     assert 70 <= simulation.qrs_duration <= 110
@@ -49,7 +49,7 @@ def assert_normal(simulation: Simulation) -> None:
         assert 0.5 <= np.ptp(leads[lead]) <= 3.0, lead
 
 
-def assert_left_bundle_branch_block(simulation: Simulation) -> None:
+def assert_left_bundle_branch_block(simulation: Beat) -> None:
     """QRS over 120 ms, dominant S in V1, broad R in I and V6."""
     leads = curves(simulation)
     assert simulation.qrs_duration > 120

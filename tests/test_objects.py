@@ -58,7 +58,7 @@ def test_what_is_looked_up_above_is_there():
 def test_nothing_is_drawn_or_loaded_before_it_is_asked_for():
     program = (
         "import sys, fascicle; heart = fascicle.load_heart('default'); heart.plot, heart.save;"
-        "from fascicle import FittedStudy, Predicted, PurkinjeTree, Simulation, read_target;"
+        "from fascicle import FittedStudy, Predicted, PurkinjeTree, Beat, read_target;"
         "heavy = [m for m in ('matplotlib', 'pyvista') if m in sys.modules];"
         "heart._repr_html_(); from matplotlib import pyplot; print(heavy, pyplot.get_fignums())"
     )

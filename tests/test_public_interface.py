@@ -69,7 +69,7 @@ ALSO = {
     **{("Conduction", name): {"whole"} for name in CONDUCTIVITIES},
     ("plot.activation", "heart"): {"heart"},
     ("plot.heart", "heart"): {"heart"},
-    ("plot.simulation", "heart"): {"heart"},
+    ("plot.beat", "heart"): {"heart"},
     ("plot.ecg", "caption"): {"bool"},
     ("read_tree", "side"): {"text"},
     ("read_tree", "file_first"): {"bool"},
@@ -88,8 +88,8 @@ TRIED_ABOVE = {
 }  # fmt: skip
 # What the program itself makes, and what it raises
 MADE = {
-    "Beat", "Comparison", "FittedStudy", "Heart", "InputError", "InvalidTree", "NoStateNamed",
-    "Origin", "Predicted", "Primitive", "PurkinjeTree", "Replicate", "Simulation", "SimulatedBeat",
+    "Beat", "Comparison", "FittedStudy", "Heart", "InputError", "Infeasible", "NoStateNamed",
+    "Origin", "Predicted", "Primitive", "PurkinjeTree", "Replicate",
 }  # fmt: skip
 
 
@@ -118,7 +118,7 @@ def predicted(study):
 @pytest.fixture(scope="module")
 def right(study, predicted, recording, default_heart, default_model, tmp_path_factory):
     """Every public function, with arguments that it takes."""
-    simulation = study.best_network.simulation
+    simulation = study.best_network.beat
     simulation.trees[0].save(tree_file := tmp_path_factory.mktemp("trees") / "lv.vtu")
     fitted, target, plot = {"fitted": study}, study.recordings[0].target, fascicle.plot
     of_two = {"predicted": predicted, "name": "left-bundle-branch-pacing"}
@@ -181,7 +181,7 @@ def right(study, predicted, recording, default_heart, default_model, tmp_path_fa
         "load_study": (fascicle.load_study, {"folder": study.folder}),
         "plot.heart": (plot.heart, {"heart": default_heart}),
         "plot.tree": (plot.tree, {"tree": fascicle.read_tree(tree_file, "lv")}),
-        "plot.simulation": (plot.simulation, {"simulation": simulation}),
+        "plot.beat": (plot.beat, {"simulation": simulation}),
         "plot.prediction": (plot.prediction, {"predicted": pacing}),
         "plot.ecg": (plot.ecg, dict(fitted)),
         "plot.scenario_ecg": (plot.scenario_ecg, of_two),

@@ -4,9 +4,11 @@ from .core.errors import InputError as InputError
 from .core.files import outside_allowed as outside_allowed
 from .core.parameters import EXAMPLE_PARAMETERS as EXAMPLE_PARAMETERS
 from .core.parameters import NETWORK_SPACE as NETWORK_SPACE
+from .core.parameters import Infeasible as Infeasible
 from .core.quantities import QUANTITIES as QUANTITIES
 from .core.quantities import Quantity as Quantity
 from .explorer.explore import explore as explore
+from .forward.beat import Beat as Beat
 from .forward.cable.template import cell_action_potential as cell_action_potential
 from .forward.device.backend import GpuBackend as GpuBackend
 from .forward.example import example_parameters as example_parameters
@@ -17,12 +19,10 @@ from .forward.primitives import InactiveRoot as InactiveRoot
 from .forward.primitives import JunctionDelays as JunctionDelays
 from .forward.primitives import SlowConduction as SlowConduction
 from .forward.primitives import Stimulus as Stimulus
-from .forward.scenario import Beat as Beat
+from .forward.scenario import Excitation as Excitation
 from .forward.scenario import Primitive as Primitive
 from .forward.scenario import Scenario as Scenario
 from .forward.scenario_files import read_scenarios as read_scenarios
-from .forward.simulation import SimulatedBeat as SimulatedBeat
-from .forward.simulation import Simulation as Simulation
 from .heart.action_potential import read_action_potential as read_action_potential
 from .heart.conduction import Conduction as Conduction
 from .heart.conduction import Region as Region
@@ -39,7 +39,6 @@ from .prediction.predicted import Predicted as Predicted
 from .prediction.scenarios import predict as predict
 from .purkinje.growth import GrowthRules as GrowthRules
 from .purkinje.growth import GrowthTerm as GrowthTerm
-from .purkinje.tree import InvalidTree as InvalidTree
 from .purkinje.tree import PurkinjeTree as PurkinjeTree
 from .purkinje.tree_files import read_tree as read_tree
 from .recording.pipeline import analyse as analyse

@@ -26,7 +26,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import as_path
 from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.ranges import check_kind
-from fascicle.forward.simulation import Simulation
+from fascicle.forward.beat import Beat
 from fascicle.heart.folder import as_heart, load_heart
 from fascicle.heart.heart import Heart
 from fascicle.prediction.predicted import Predicted
@@ -67,14 +67,14 @@ def tree(tree: PurkinjeTree, ax: Axes | None = None) -> list[Axes]:
     return _into(ax, draw_tree, tree, projection="3d")
 
 
-def simulation(simulation: Simulation, heart: Heart | Path | str | None = None) -> list[Axes]:
-    """ECG of a simulation, one axes a lead; with its heart, or the folder of that, activation."""
-    check_kind(simulation, Simulation, "simulation", "what a ForwardModel simulates")
+def beat(beat: Beat, heart: Heart | Path | str | None = None) -> list[Axes]:
+    """ECG of a beat, one axes a lead; with its heart, or the folder of that, activation."""
+    check_kind(beat, Beat, "beat", "what a ForwardModel simulates")
     if heart is None:
-        return _shown(simulated_ecg_figure, simulation)
+        return _shown(simulated_ecg_figure, beat)
     heart = as_heart(heart)
-    _check_vertices(heart, "the simulation", simulation.activation)
-    return _shown(simulated_activation_figure, heart, simulation)
+    _check_vertices(heart, "the beat", beat.activation)
+    return _shown(simulated_activation_figure, heart, beat)
 
 
 def prediction(predicted: Predicted) -> list[Axes]:

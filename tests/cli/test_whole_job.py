@@ -77,7 +77,7 @@ def test_study_folder_holds_what_is_promised(study):
     times = summary["statements"]["sequence"]  # of its networks, beside mapped hearts
     assert times == study.statements.sequence != []
     assert times[0].startswith("first activated: ")
-    mapped = [study.simulator.model.surfaces.sequence(n.simulation.activation).is_mapped
+    mapped = [study.simulator.model.surfaces.sequence(n.beat.activation).is_mapped
               for n in study.networks()]  # fmt: skip
     assert np.mean(mapped) == study.checks.sequence.mapped
     assert summary["statements"] == json.loads(json.dumps(study.statements.content()))
@@ -93,7 +93,7 @@ def test_study_folder_holds_what_is_promised(study):
 
 
 def test_best_network_is_what_the_summary_says(study, target):
-    again = study.recordings[0].align(study.best_network.simulation.leads)
+    again = study.recordings[0].align(study.best_network.beat.leads)
     assert again.loss == pytest.approx(study.population.best_loss, rel=1e-9)
     assert again.loss < float((target.qrs**2).sum(axis=0).mean())  # better than a flat line
 
@@ -252,7 +252,7 @@ def test_export(study, tmp_path, run, refused):
     assert parameters == study.population.parameters(int(name))
     assert (out / "heart.pts").exists()
     assert (out / name / "eikonal.par").exists()
-    times = study.networks(chosen=[int(name)])[0].simulation.activation
+    times = study.networks(chosen=[int(name)])[0].beat.activation
     np.testing.assert_allclose(np.loadtxt(out / name / "activation.dat"), times, atol=1e-5)
     written = json.loads(
         run("study", "export", study.folder, "--to", "csv", "--networks", 3, "--out",
@@ -316,7 +316,7 @@ def test_sweep(study, tmp_path, run, refused):
 def test_pacing_together_undoes_a_delay(study):
     """Both roots at once: the same trees as before, with nothing but their roots' times changed."""
     network = study.networks()[0]
-    model, trees, cv = study.simulator.model, network.simulation.trees, network.parameters["cv"]
+    model, trees, cv = study.simulator.model, network.beat.trees, network.parameters["cv"]
     late = model.activate(trees, -60.0, cv)
     together = model.activate(trees, 0.0, cv)
     assert together.total_activation_time < late.total_activation_time
@@ -411,8 +411,8 @@ def test_plots_in_a_notebook(study):
         "priors": plot.priors(study),
         "convergence": plot.convergence(study),
         "heart": plot.heart(heart),
-        "tree": plot.tree(study.best_network.simulation.trees[0]),
-        "simulation": plot.simulation(study.best_network.simulation),
+        "tree": plot.tree(study.best_network.beat.trees[0]),
+        "simulation": plot.beat(study.best_network.beat),
         "prediction": plot.prediction(predicted["intrinsic"]),
         "target": plot.target(study.recordings[0].target),
     }

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import fascicle
-from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.core.parameters import EXAMPLE_PARAMETERS, Infeasible
 from fascicle.forward.bodies import electrocardiograph_in_body, moved_electrodes, random_bodies
-from fascicle.torso.variation.conductor import InvalidTorso, TorsoState, torso_axes
+from fascicle.torso.variation.conductor import TorsoState, torso_axes
 
 CHEST = slice(3, 9)
 
@@ -42,7 +42,7 @@ def test_priors_are_those_of_the_documentation_and_the_impossible_is_drawn_again
 
     def in_body(values):
         drawn.append(values)
-        return InvalidTorso("") if len(drawn) % 2 else len(drawn)
+        return Infeasible("") if len(drawn) % 2 else len(drawn)
 
     monkeypatch.setattr("fascicle.forward.bodies.electrocardiograph_in_body", lambda _: in_body)
     bodies = random_bodies(None, np.random.default_rng(0), 2000)

@@ -6,9 +6,8 @@ from clinical import assert_left_bundle_branch_block, assert_normal
 
 import fascicle
 from fascicle.core.leads import LEADS
-from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
-from fascicle.forward.simulation import Simulation
-from fascicle.purkinje.tree import InvalidTree
+from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE, Infeasible
+from fascicle.forward.beat import Beat
 
 
 @pytest.fixture(scope="module")
@@ -102,12 +101,11 @@ def test_zero_is_an_angle_and_a_root_time(default_model):
     """`x or default` would replace them."""
     zeros = {name: 0.0 for name in NETWORK_SPACE.names if "angle" in name} | {"root_time": 0.0}
     straight = default_model.simulate(EXAMPLE_PARAMETERS | zeros)
-    assert isinstance(straight, Simulation)
+    assert isinstance(straight, Beat)
     assert straight.trees[0].nodes.shape != default_model.grow(EXAMPLE_PARAMETERS)[0].nodes.shape
 
 
 def test_a_bundle_that_does_not_fit_is_a_typed_outcome(default_model):
     outcome = default_model.simulate(EXAMPLE_PARAMETERS | {"rv_initial_length": 300.0})
-    assert isinstance(outcome, InvalidTree)
-    assert outcome.side == "rv"
+    assert isinstance(outcome, Infeasible)
     assert "RV bundle leaves the endocardium" in outcome.reason

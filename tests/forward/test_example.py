@@ -11,9 +11,9 @@ from scipy.spatial import cKDTree
 import fascicle
 from fascicle.build.check import cavity_volume
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.core.parameters import EXAMPLE_PARAMETERS, Infeasible
 from fascicle.heart.sites import SEGMENTS
-from fascicle.purkinje.tree import FEW_JUNCTIONS, InvalidTree
+from fascicle.purkinje.tree import FEW_JUNCTIONS
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +121,7 @@ def test_the_most_junctions_where_there_are_few(bare_model, monkeypatch):
 
 
 def test_a_heart_with_no_room_is_refused(bare_model, monkeypatch):
-    invalid = InvalidTree("rv", 2, 0.0, 10.0, (0.0, 0.0, 0.0))
+    invalid = Infeasible("", "", "rv_fascicle_length_2", 0.0)
     monkeypatch.setattr(bare_model, "grow", lambda parameters: invalid)
     with pytest.raises(InputError, match="no example network was found that fits; choose other"):
         fascicle.example_parameters(bare_model)

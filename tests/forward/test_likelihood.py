@@ -8,6 +8,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
 from fascicle.forward import likelihood as tested
+from fascicle.forward.beat import Signals
 from fascicle.forward.likelihood import (
     MARGIN,
     SHARES,
@@ -18,7 +19,6 @@ from fascicle.forward.likelihood import (
     separable,
 )
 from fascicle.forward.loss import placed
-from fascicle.forward.simulation import Signals
 from fascicle.kernels.gaussian import MODELS_AT_ONCE
 from fascicle.recording.target import Target
 

@@ -11,11 +11,10 @@ from builders import case
 
 import fascicle.forward.model
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.core.parameters import EXAMPLE_PARAMETERS, Infeasible
 from fascicle.forward.model import REMEMBERED, ForwardModel
 from fascicle.forward.primitives import SlowConduction, Stimulus
 from fascicle.heart.conduction import Conduction, Region
-from fascicle.purkinje.tree import InvalidTree
 
 SMALL_TASK = 20_000  # bytes
 SEVERAL = [
@@ -59,7 +58,7 @@ def expected(default_model, scenario):
 def assert_same(found, expected):
     assert len(found) == len(expected)
     for one, other in zip(found, expected, strict=True):
-        if isinstance(other, InvalidTree):
+        if isinstance(other, Infeasible):
             assert one == other
             continue
         np.testing.assert_array_equal(one.activation, other.activation)
@@ -72,7 +71,7 @@ def assert_same(found, expected):
 
 def test_expected_differ(expected):
     """Or else their order would not show."""
-    assert isinstance(expected[2], InvalidTree)
+    assert isinstance(expected[2], Infeasible)
     times = [e.activation for k, e in enumerate(expected) if k != 2]
     assert not np.array_equal(times[0], times[2])
     assert expected[0].ecg.time.to_numpy()[0] == -5.0
@@ -168,7 +167,7 @@ class TestRememberedTrees:
         outcomes = [model.simulate(SEVERAL[2] | {"cv": cv}) for cv in (2.0, 3.0)]
         assert grown == ["lv", "rv"]
         assert outcomes[0] == outcomes[1]
-        assert isinstance(outcomes[0], InvalidTree)
+        assert isinstance(outcomes[0], Infeasible)
 
     def test_a_few_are_remembered(self, model, grown):
         angles = 0.1 * np.arange(REMEMBERED + 1)

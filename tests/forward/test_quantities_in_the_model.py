@@ -93,7 +93,7 @@ def test_a_delay_of_trees_that_are_given(default_model):
 
 def test_a_bundle_that_does_not_fit_has_no_root_time(default_model):
     long = default_model.with_root_time(HUMAN | {"lv_initial_length": 300.0})
-    assert isinstance(long, fascicle.InvalidTree)
+    assert isinstance(long, fascicle.Infeasible)
 
 
 def test_sources_along_fibres_are_those_of_intracellular_anisotropy(default_model, plain):

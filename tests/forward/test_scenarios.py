@@ -212,7 +212,7 @@ class TestSlowConduction:
 
         def slowed(*where):
             slow = case(slow=[SlowConduction("lv", 0.0, *where)])
-            beat = slow.beat(normal.trees, 0.0, {}, default_model.sites)
+            beat = slow.excitation(normal.trees, 0.0, {}, default_model.sites)
             return beat.speed[: len(tree.nodes)] == 0
 
         centre = tuple(tree.nodes[np.flatnonzero(tree.parts["fascicle 1"])[0]])
@@ -231,7 +231,7 @@ class TestSlowConduction:
         centres = heart.vertices[heart.tetrahedra].mean(axis=1)
         for angles in (turned, dict(zip(turned, reversed(turned.values()), strict=True))):
             tree, _ = default_model.grow(EXAMPLE_PARAMETERS | third | angles)
-            beat = case().beat([tree], [0.0], {}, default_model.sites)
+            beat = case().excitation([tree], [0.0], {}, default_model.sites)
             around = {}
             for name in ("anterior fascicle", "posterior fascicle"):
                 end = tree.nodes[np.flatnonzero(beat.part(0, name))[-1]]

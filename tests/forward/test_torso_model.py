@@ -11,12 +11,11 @@ import pytest
 import fascicle
 from fascicle.core.array_cache import ArrayCache
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.core.parameters import EXAMPLE_PARAMETERS, Infeasible
 from fascicle.core.quantities import QUANTITIES, TORSO_QUANTITIES
 from fascicle.forward.bodies import random_bodies
 from fascicle.torso.lead_fields import is_up_to_date, lead_fields
 from fascicle.torso.mesh import torso_of
-from fascicle.torso.variation.conductor import InvalidTorso
 
 TISSUES = ("lung", "blood", "myocardium", "body")
 
@@ -112,7 +111,7 @@ class TestModel:
         }
         corner |= {"heart_rotation_up": 0.349, "heart_rotation_left": -0.349}
         found = torso_model.simulate(with_torso(**corner))
-        assert isinstance(found, InvalidTorso)
+        assert isinstance(found, Infeasible)
         assert "skin" in found.reason
 
     def test_files(self, torso_model, tmp_path):

@@ -135,7 +135,7 @@ class TestInScenarios:
             Stimulus(5.0, site="rv apex", radius=6.0),
         )
         wide = case(stimuli, inactive=("lv", "rv"))
-        beat = wide.beat(default_model.grow(EXAMPLE_PARAMETERS), 0.0, {}, default_model.sites)
+        beat = wide.excitation(default_model.grow(EXAMPLE_PARAMETERS), 0.0, {}, default_model.sites)
         assert beat.capture_groups[:2].tolist() == [0, 1]
         assert set(beat.capture_groups[2:]) == {0, 1}
         fired = zip(beat.point_times, beat.points.tolist(), strict=True)

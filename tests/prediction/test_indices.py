@@ -9,7 +9,8 @@ import pytest
 from builders import box, case
 
 from fascicle.core.leads import LEADS
-from fascicle.forward.simulation import Simulation
+from fascicle.forward.beat import Beat
+from fascicle.forward.eikonal.activation import Activation
 from fascicle.heart.fibres import Wall
 from fascicle.heart.sites import APEX, Places, places
 from fascicle.prediction.index_names import INDICES
@@ -42,7 +43,7 @@ def segment_times(activation, territories):
 def simulated(activation, leads=None, onset=0.0):
     if leads is None:
         leads = wave({"V6": 60.0})
-    return Simulation(leads, onset, activation, (), None, np.empty(0, int))
+    return Beat(leads, onset, (), Activation(activation))
 
 
 def wave(peaks, width=12.0, size=1.0, length=200):

@@ -9,10 +9,10 @@ from builders import case
 
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.forward.beat import Beat
 from fascicle.forward.primitives import His, Stimulus
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import find_scenario, library, read_scenario, read_scenarios
-from fascicle.forward.simulation import Simulation
 from fascicle.prediction.predicted import RINGING, Predicted
 from fascicle.prediction.scenarios import (
     LEAD_IN,
@@ -57,7 +57,7 @@ class TestLibrary:
         assert scenario.description
         assert not regions
         simulation = default_model.simulate(PARAMETERS, scenario)
-        assert isinstance(simulation, Simulation)
+        assert isinstance(simulation, Beat)
         assert 40 < simulation.qrs_duration < 220
         assert np.isfinite(simulation.activation).all()
 
@@ -77,14 +77,18 @@ class TestLibrary:
 
 class TestPredicted:
     def test_the_own_beat_is_what_was_learnt(self, predicted, networks):
-        for beat, network in zip(predicted["intrinsic"].beats, networks, strict=True):
-            own = network.simulation
+        for k, (beat, network) in enumerate(
+            zip(predicted["intrinsic"].beats, networks, strict=True)
+        ):
+            own = network.beat
             np.testing.assert_allclose(beat.activation, own.activation, rtol=1e-6, atol=1e-5)
             np.testing.assert_array_equal(beat.leads, 2 * own.leads)
-            inside = beat.filtered[:, RINGING:-RINGING]  # this recorder has no filter
+            inside = predicted["intrinsic"].filtered(k)[
+                :, RINGING:-RINGING
+            ]  # this recorder has no filter
             np.testing.assert_allclose(inside, 2 * own.leads, atol=1e-9)
-            assert [tree for tree, _ in beat.trees] == list(own.trees)
-            for (_, times), expected in zip(beat.trees, own.coupled.trees, strict=True):
+            assert beat.trees == own.trees
+            for times, expected in zip(beat.coupled.trees, own.coupled.trees, strict=True):
                 np.testing.assert_allclose(times, expected, rtol=1e-6, atol=1e-5)
 
     def test_indices_are_counted_from_the_stimulus(self, predicted):
@@ -174,7 +178,7 @@ def test_a_steep_filter_changes_the_ecg_and_no_index(simulated_by, networks, pre
     found = simulate_scenarios(*filtered, networks[:1], {"intrinsic": Scenario()})["intrinsic"]
     for name, values in found.indices.items():
         np.testing.assert_array_equal(values, predicted["intrinsic"].indices[name][:1])
-    before, after = predicted["intrinsic"].beats[0].filtered, found.beats[0].filtered
+    before, after = predicted["intrinsic"].filtered(0), found.filtered(0)
     assert np.abs(after - before).max() > 0.05 * np.abs(before).max()
     assert np.abs(after[:, :RINGING]).max() > 0  # it rings
 

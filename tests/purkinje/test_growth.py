@@ -13,10 +13,11 @@ from builders import half_ellipsoid
 from grown_trees import ANGLES, BARE, LENGTHS, grow, on_triangles, path_to_root, stretches
 from scipy.spatial import cKDTree
 
+from fascicle.core.parameters import Infeasible
 from fascicle.mesh.topology import boundary_loops
 from fascicle.purkinje.chart import Chart, build_chart
 from fascicle.purkinje.growth import GrowthRules, Seed, find_seed, grow_from_parameters
-from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
+from fascicle.purkinje.tree import PurkinjeTree
 
 REASON = re.compile(
     r"(LV|RV) (bundle|fascicle \d) leaves the endocardium after ([\d.]+) of ([\d.]+) mm, "
@@ -257,7 +258,7 @@ def test_reason_says_how_far_it_came_and_where_on_the_base(
     """A tree with just that much of the stretch fits, and ends at that place; more does not fit."""
     endocardium, _, _ = surface
     outcome = grow(surface, bundle, fascicles, angles)
-    assert isinstance(outcome, InvalidTree)
+    assert isinstance(outcome, Infeasible)
     side, which, laid, wanted, *where = REASON.fullmatch(outcome.reason).groups()
     assert (side.lower(), which, float(wanted)) == (endocardium.side, stretch, 400.0)
     point = np.array([float(x) for x in where])
@@ -270,7 +271,7 @@ def test_reason_says_how_far_it_came_and_where_on_the_base(
 
     fits = with_stretch(float(laid) - PRINTED)
     assert isinstance(fits, PurkinjeTree)
-    assert isinstance(with_stretch(float(laid) + PRINTED), InvalidTree)
+    assert isinstance(with_stretch(float(laid) + PRINTED), Infeasible)
     end = fits.nodes[fits.junctions[0]]
     assert np.linalg.norm(end - point) < 2 * PRINTED + np.sqrt(3) * PRINTED
 

@@ -17,7 +17,7 @@ from fascicle.core.parameters import EXAMPLE_PARAMETERS, Parameter, ParameterSpa
 from fascicle.forward.primitives import His, SlowConduction, Stimulus
 from fascicle.forward.scenario import Scenario
 from fascicle.prediction.index_names import INDICES
-from fascicle.prediction.predicted import RINGING, Predicted, PredictedBeat
+from fascicle.prediction.predicted import Predicted
 from fascicle.recording.criteria import Criterion
 from fascicle.reporting.names import MEASURES, scenario_name
 from fascicle.reporting.page.content import meaning, prediction
@@ -122,24 +122,23 @@ def positions(content, packed):
     return low + decoded(packed, "<u2", 3) / NONE * (high - low)
 
 
-def kept(simulation):
-    filtered = np.pad(simulation.leads, ((0, 0), (RINGING, RINGING)))
-    return PredictedBeat.of(simulation, simulation.leads, filtered)
+def with_activation(beat, times):
+    return replace(beat, coupled=replace(beat.coupled, myocardium=times))
 
 
 @pytest.fixture(scope="module")
 def shown(default_heart, default_model):
     simulation = default_model.simulate(EXAMPLE_PARAMETERS)
-    late = replace(simulation, activation=np.where(
-        default_heart.vertices[:, 0] > default_heart.vertices[:, 0].mean(), np.inf,
-        simulation.activation,
-    ))  # fmt: skip
+    later = default_heart.vertices[:, 0] > default_heart.vertices[:, 0].mean()
+    late = with_activation(simulation, np.where(later, np.inf, simulation.activation))
     totals = {"total_activation_time": np.array([90.0, 80.0])}
     found = {
         "intrinsic": Predicted(
-            Scenario(description="the intrinsic beat"), [kept(simulation)] * 2, totals
+            Scenario(description="the intrinsic beat"),
+            [simulation.in_single_precision()] * 2,
+            totals,
         ),
-        "half": Predicted(Scenario(), [kept(late)] * 2, totals),
+        "half": Predicted(Scenario(), [late.in_single_precision()] * 2, totals),
     }
     return simulation, scene(default_heart, found)
 
@@ -197,8 +196,8 @@ class TestScene:
     def test_the_scale_ends_with_the_median_network(self, default_heart, shown):
         """One slow network stretches the times that are stored, not the colours."""
         simulation, _ = shown
-        beat, totals = kept(simulation), np.array([100.0, 100.0, 100.0, 300.0])
-        slow = replace(beat, activation=3 * beat.activation)
+        beat, totals = simulation.in_single_precision(), np.array([100.0, 100.0, 100.0, 300.0])
+        slow = with_activation(beat, 3 * beat.activation)
         found = {"intrinsic": Predicted(Scenario(), [beat] * 3 + [slow], {
             "total_activation_time": totals,
         })}  # fmt: skip
@@ -250,7 +249,7 @@ class TestScene:
     def test_networks_are_spread_over_total_activation_time(self, default_heart, shown):
         simulation, _ = shown
         totals = np.random.default_rng(0).permutation(np.arange(100.0, 400.0))
-        found = {"intrinsic": Predicted(Scenario(), [kept(simulation)] * 300, {
+        found = {"intrinsic": Predicted(Scenario(), [simulation.in_single_precision()] * 300, {
             "total_activation_time": totals,
         })}  # fmt: skip
         networks = [
@@ -281,7 +280,7 @@ class TestNames:
 class TestMarks:
     def test_what_is_paced_and_blocked(self, default_model):
         simulation = default_model.simulate(EXAMPLE_PARAMETERS)
-        trees, sites = kept(simulation).trees, default_model.sites
+        trees, sites = simulation.in_single_precision().trees, default_model.sites
         his = Scenario((His(time=0.0), Stimulus(time=0.0, site="rv apex")))
         state = EXAMPLE_PARAMETERS | {"conduction": 1.0}  # left bundle branch block
         paced = {m["text"]: m for m in marks(his, EXAMPLE_PARAMETERS, trees, sites)}
@@ -296,7 +295,7 @@ class TestMarks:
     def test_a_fascicle_is_blocked_where_it_begins(self, default_model):
         simulation = default_model.simulate(EXAMPLE_PARAMETERS)
         slow = SlowConduction(tree="lv", part="anterior fascicle", speed=0.0)
-        trees = kept(simulation).trees
+        trees = simulation.in_single_precision().trees
         (block,) = marks(Scenario((slow,)), EXAMPLE_PARAMETERS, trees, default_model.sites)
         lv = simulation.trees[0]
         forks = lv.nodes[np.bincount(lv.parents[1:], minlength=len(lv.parents)) > 1]
@@ -388,7 +387,7 @@ def test_no_text_can_end_the_page_or_its_script():
 
 def test_the_intrinsic_beat_is_drawn_as_long_as_that_of_the_scenario(shown):
     simulation, _ = shown
-    own = kept(simulation)
+    own = simulation.in_single_precision()
     later = np.pad(simulation.leads, ((0, 0), (60, 0)))
     later[:, : simulation.leads.shape[1]] += simulation.leads
     found = {
@@ -406,7 +405,7 @@ def test_the_intrinsic_beat_is_drawn_as_long_as_that_of_the_scenario(shown):
 
 def test_rows_of_activations_say_which_time_they_give(default_heart, shown):
     simulation, _ = shown
-    beats = [kept(simulation)] * 3
+    beats = [simulation.in_single_precision()] * 3
     totals = {"total_activation_time": np.array([90.0, 80.0, 85.0])}
     found = {name: Predicted(Scenario(), beats, totals) for name in ("intrinsic", "paced")}
     figure = scenario_activation_figure(default_heart, found, "paced")
@@ -422,7 +421,7 @@ def test_rows_of_activations_say_which_time_they_give(default_heart, shown):
 def test_the_ecg_of_a_scenario_says_when_time_begins_and_holds_long_names(shown):
     simulation, _ = shown
     long = "a-scenario-of-one's-own-" * 5
-    beats, total = [kept(simulation)] * 40, {"total_activation_time": np.ones(40)}
+    beats, total = [simulation.in_single_precision()] * 40, {"total_activation_time": np.ones(40)}
     found = {name: Predicted(Scenario(), beats, total) for name in ("intrinsic", long)}
     figure = scenario_ecg_figure(found, long)
     assert figure.get_supxlabel() == "time (ms; 0: QRS onset)"

@@ -20,7 +20,7 @@ from fascicle.forward.primitives import His
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.conduction import Region
 from fascicle.prediction.indices import Territories
-from fascicle.prediction.predicted import Predicted, PredictedBeat
+from fascicle.prediction.predicted import Predicted
 from fascicle.reporting.page.page import _file
 from fascicle.reporting.page.scene import scene
 from fascicle.study.target_comparison import TargetComparison
@@ -57,9 +57,7 @@ def content(default_heart, default_model):
             case(his=his, description=f"<b>{name}</b>") if name != "intrinsic" else Scenario()
         )
         each = [default_model.simulate(values, scenario) for values in learnt]
-        beats = [
-            PredictedBeat.of(one, one.leads, np.pad(one.leads, ((0, 0), (40, 40)))) for one in each
-        ]
+        beats = [one.in_single_precision() for one in each]
         totals = {"total_activation_time": np.array([one.total_activation_time for one in each])}
         found[name] = Predicted(scenario, beats, totals)
         if name == "intrinsic":

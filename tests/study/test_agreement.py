@@ -28,7 +28,7 @@ def networks(target):
     return [
         SimpleNamespace(
             predicted=0.8 * mean + rng.normal(size=mean.shape),
-            simulation=SimpleNamespace(qrs_duration=80.0 + k, global_qrs_duration=90.0 + 2 * k),
+            beat=SimpleNamespace(qrs_duration=80.0 + k, global_qrs_duration=90.0 + 2 * k),
         )
         for k in range(N)
     ]

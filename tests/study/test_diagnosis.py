@@ -13,7 +13,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_LEADS, limb_leads_from
 from fascicle.core.parameters import HUMAN_SPACE, ParameterSpace, free
 from fascicle.core.quantities import CONDUCTION, fascicle_names
-from fascicle.forward.simulation import Simulation
+from fascicle.forward.beat import Beat
 from fascicle.prediction.scenarios import prior_networks
 from fascicle.recording.target import smooth_noise
 from fascicle.reporting.page.content import settings_file
@@ -122,7 +122,7 @@ def test_networks_of_the_prior_are_of_all_states(fitted, monkeypatch):
     low, high = TOGETHER
     assert all(low <= n.parameters["interventricular_delay"] <= high for n in networks)
     surfaces = fitted.simulator.model.surfaces
-    sequences = [surfaces.sequence(n.simulation.activation) for n in networks]
+    sequences = [surfaces.sequence(n.beat.activation) for n in networks]
     mapped = [s.is_mapped for s, block in zip(sequences, blocked, strict=True) if not block]
     assert np.mean(mapped) > 0.5
 
@@ -423,7 +423,7 @@ def test_states_of_a_recording_without_a_fit(target, default_model):
     asked = {"conduction": priors}
     assert state_probabilities("default", target, parameters=asked, progress=None) == other
     wide = default_model.simulate(NETWORK | {"conduction": "right bundle branch block"})
-    assert isinstance(wide, Simulation)
+    assert isinstance(wide, Beat)
     right = state_probabilities("default", recorded(wide), progress=None)
     assert sum(right[f"right bundle branch {how}"] for how in ("block", "delay")) > 0.5
 

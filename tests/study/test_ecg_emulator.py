@@ -11,8 +11,8 @@ from scipy.fft import dct, idct
 from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, limb_leads_from
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, HUMAN_SPACE, ParameterSpace, free
+from fascicle.forward.beat import Beat, Signals
 from fascicle.forward.loss import placed
-from fascicle.forward.simulation import Signals, Simulation
 from fascicle.heart.conduction import Conduction
 from fascicle.recording.target import Target, smooth_noise
 from fascicle.study import ecg_emulator as tested
@@ -225,7 +225,7 @@ def test_the_packaged_heart_has_one(default_model, tmp_path):
         point[-1] = 0.3 * (number > 40)  # the plain tissue, and the second one
         values = prior.from_unit(point)
         simulated = default_model.simulate(values)
-        exists = isinstance(simulated, Simulation) and simulator.keeps(point, simulated)
+        exists = isinstance(simulated, Beat) and simulator.keeps(point, simulated)
         tissue = prior.tissue(point[None])
         inputs = found.inputs(
             {name: np.array([values[name]]) for name in found.names},
@@ -240,7 +240,7 @@ def test_the_packaged_heart_has_one(default_model, tmp_path):
     none = Checks(1.0, {})
     error, expected = checked(none, emulated, networks).emulator
     assert error < 1.3 * expected == pytest.approx(1.3 * found.report["error"])
-    noisy = [replace(n, simulation=with_fast_noise(n.simulation)) for n in networks]
+    noisy = [replace(n, beat=with_fast_noise(n.beat)) for n in networks]
     assert checked(none, emulated, noisy).emulator[0] == pytest.approx(error, rel=0.02)
     others = [*networks[1:], networks[0]]
     swapped = [replace(n, parameters=o.parameters) for n, o in zip(networks, others, strict=True)]

@@ -101,7 +101,7 @@ def test_networks_are_simulated_here(backend, simulator, recordings):
     """With all that a card does not give."""
     of_card = replace(simulator, backend=backend)
     (network,) = networks(of_card, recordings[0], [EXAMPLE_PARAMETERS])
-    assert network.simulation.coupled.retrograde
+    assert network.beat.coupled.retrograde
 
 
 def test_the_command_says_in_one_line_what_is_missing(tmp_path, monkeypatch, capsys):

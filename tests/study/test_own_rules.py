@@ -9,7 +9,6 @@ import fascicle
 from benchmarks.fits import demo_recording
 from fascicle.core.errors import InputError
 from fascicle.core.quantities import QUANTITIES
-from fascicle.forward.simulation import Signals
 from fascicle.recording.target_files import write_target
 from tests.test_extending import example
 
@@ -27,7 +26,7 @@ def test_the_example_of_the_documentation(target, tmp_path, monkeypatch):
     names = example("Likelihood")
     fitted = names["fitted"]
     (network,) = fitted.networks(chosen=[0])
-    found = names["likelihood"].log_likelihood(Signals.of(network.simulation))
+    found = names["likelihood"].log_likelihood(network.beat.signals)
     assert found == pytest.approx(fitted.population.log_likelihoods[0, 0])
     assert -3 < fitted.checks.explained < 1
     assert np.all(fitted.gains == 1)

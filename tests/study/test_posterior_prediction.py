@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fascicle.forward.beat import Beat
+from fascicle.forward.eikonal.activation import Activation
 from fascicle.forward.likelihood import (
     MARGIN,
     QrsLikelihood,
@@ -14,7 +16,6 @@ from fascicle.forward.likelihood import (
     separable,
 )
 from fascicle.forward.loss import placed
-from fascicle.forward.simulation import Signals, SimulatedBeat
 from fascicle.recording.criteria import frontal_axis
 from fascicle.recording.target import Target
 from fascicle.study.predictive import BEST, LEAST_PROBABLE, Checks, predict_recording
@@ -63,7 +64,7 @@ def likelihood(recorded):
 def network(factor=1.0):
     """A network whose leads are the simulation's times so much."""
     leads = simulated() * factor
-    simulation = SimulatedBeat(leads, 0.0, np.array([FIRST, 85.0]), ())
+    simulation = Beat(leads, 0.0, (), Activation(np.array([FIRST, 85.0])))
     return Network({}, simulation, placed(leads, FIRST - 60, len(TIME)), 1.0, 1.0)
 
 
@@ -101,10 +102,10 @@ def test_the_torso_that_was_drawn_is_kept(recorded):
     bodies = np.random.default_rng(2).normal(0, 1.0, (2, 12, 12))
     one = network()
     drawn = replace(likelihood(recorded), bodies=bodies).predictive(
-        Signals.of(one.simulation), np.random.default_rng(3)
+        one.beat.signals, np.random.default_rng(3)
     )
-    leads = drawn.gain * drawn.torso @ one.simulation.leads
-    begin = one.simulation.first_activation - drawn.shift - recorded.qrs_samples.start
+    leads = drawn.gain * drawn.torso @ one.beat.leads
+    begin = one.beat.first_activation - drawn.shift - recorded.qrs_samples.start
     np.testing.assert_allclose(
         drawn.ecg, placed(leads, begin, len(TIME), recorded.response), atol=1e-12
     )

@@ -13,10 +13,11 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE
 from fascicle.core.leads import INDEPENDENT_ROWS
 from fascicle.core.quantities import fascicles
+from fascicle.forward.beat import Beat
 from fascicle.forward.bodies import random_bodies
+from fascicle.forward.eikonal.activation import Activation
 from fascicle.forward.loss import placed
 from fascicle.forward.model import ForwardModel
-from fascicle.forward.simulation import SimulatedBeat, Simulation
 from fascicle.heart.folder import write_heart
 from fascicle.study import ecg_emulator, heart_emulator, refined_emulator
 from fascicle.study import prior_simulations as tested
@@ -100,7 +101,7 @@ def test_examples_are_simulations_of_their_points(prior, model):
     numbers = np.cumsum(examples.feasible) - 1
     for k in (0, 9, 50, 79):
         found = model.simulate(parameters[k])
-        assert isinstance(found, Simulation) == examples.feasible[k]
+        assert isinstance(found, Beat) == examples.feasible[k]
         if examples.feasible[k]:
             begin, length = found.first_activation - BEFORE, examples.ecgs.shape[2]
             own = placed(found.leads[list(INDEPENDENT_ROWS)], begin, length)
@@ -243,7 +244,7 @@ def test_networks_that_mapped_hearts_are_not_activated_like_are_marked(model, tm
         def map(self, function, items, *shared):
             for k, _ in enumerate(items):
                 times = activations[k % 3]
-                yield None if times is None else SimulatedBeat(leads, 0.0, times, ())
+                yield None if times is None else Beat(leads, 0.0, (), Activation(times))
 
     prior = with_prior(prior_in(tmp_path, model), mapped=True)
     prior.simulate(COUNT, Pool())
@@ -317,7 +318,7 @@ def test_a_heart_in_a_folder_that_cannot_be_written_to(model, tmp_path, monkeypa
     kept = {file.name.partition("-")[0] for file in (out / "heart" / DISPOSABLE).iterdir()}
     assert {"prior", "emulator"} <= kept
     assert not [*folder.rglob("prior-*")]
-    found = fitted.recordings[0].align(fitted.best_network.simulation.leads).loss
+    found = fitted.recordings[0].align(fitted.best_network.beat.leads).loss
     assert found == pytest.approx(fitted.population.best_loss)
 
 

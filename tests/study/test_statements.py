@@ -78,7 +78,7 @@ def fitted(
     )
     simulation = SimpleNamespace(trees=trees)
     study.__dict__["best_network"] = SimpleNamespace(
-        simulation=simulation, under_qrs=under, gain=gain, predicted=predicted, parameters={}
+        beat=simulation, under_qrs=under, gain=gain, predicted=predicted, parameters={}
     )
     return study
 

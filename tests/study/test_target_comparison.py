@@ -11,7 +11,6 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
 from fascicle.forward.model import ForwardModel
-from fascicle.forward.simulation import Signals
 from fascicle.heart.conduction import Conduction
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
 from fascicle.recording.target import Target
@@ -72,9 +71,7 @@ def test_networks_that_were_evaluated_are_not_simulated_again(
     columns = NETWORK_SPACE.columns(np.array([each.point for each in done]))
     learnt = [{n: float(v[k]) for n, v in columns.items()} for k in range(len(done))]
     monkeypatch.setattr(ForwardModel, "simulate", None)
-    losses = [
-        comparison.align(n.simulation.leads).loss for n in networks(simulator, comparison, learnt)
-    ]
+    losses = [comparison.align(n.beat.leads).loss for n in networks(simulator, comparison, learnt)]
     assert losses == [each.loss for each in done]
 
 
@@ -113,7 +110,7 @@ def test_unused_leads_do_not_count(default_model, target, points):
     beats[:, 7] = np.nan
     comparison = TargetComparison(replace(target, beats=beats))
     simulation = default_model.simulate(NETWORK_SPACE.from_unit(points[0]))
-    best = comparison(points[0], Signals.of(simulation))
+    best = comparison(points[0], simulation.signals)
     assert best.loss == pytest.approx(11 * NOISE**2 / 5, rel=0.1)
     np.testing.assert_allclose(best.beat_errors, 11 * NOISE**2, rtol=0.15)
     predicted = comparison.predicted(simulation.leads, comparison.align(simulation.leads))
@@ -143,7 +140,7 @@ def test_additional_leads_count_like_the_twelve(
     np.testing.assert_array_equal(twelve, default_model.simulate(truth).leads)
     np.testing.assert_allclose(simulated.leads[12], twelve[11], atol=1e-5)
     np.testing.assert_allclose(simulated.leads[13], twelve[4] * 2 / 3, atol=1e-5)
-    signals = [Signals.of(model.simulate(NETWORK_SPACE.from_unit(point))) for point in points[:3]]
+    signals = [model.simulate(NETWORK_SPACE.from_unit(point)).signals for point in points[:3]]
     plain = TargetComparison(target.in_leads(more.leads))
     assert plain.compared.sum() == 12
     alone = TargetComparison(target)
@@ -251,7 +248,7 @@ def test_draws_of_ones_own(study, truth):
         assert own.population.best["root_time"] == truth["root_time"]
         assert own.population.losses[1] == pytest.approx(12 * NOISE**2 / 5, rel=0.1)
         assert own.population.losses[0] > 10 * own.population.losses[1]
-        simulated = own.networks()[0].simulation
+        simulated = own.networks()[0].beat
         np.testing.assert_array_equal(
             simulated.activation,
             study.simulator.model.simulate(truth | {"root_time": -40.0}).activation,

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from builders import recorded
 
+from fascicle.forward.beat import Beat
 from fascicle.forward.scenario_files import read_scenarios
-from fascicle.forward.simulation import Simulation
 from fascicle.study.conduction_states import STATES
 from fascicle.study.heart_emulator import emulator_of, usual_prior
 from fascicle.study.likelihood import EmulatedLikelihood, likelihood_of
@@ -35,7 +35,7 @@ def networks(simulator, points):
     for point in points:
         values = simulator.prior.from_unit(point)
         own = simulator.model.simulate(values)
-        if isinstance(own, Simulation) and simulator.keeps(point, own):
+        if isinstance(own, Beat) and simulator.keeps(point, own):
             yield values, own
 
 

@@ -5,13 +5,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from spheres import heart_in_torso
 
+from fascicle.core.parameters import Infeasible
 from fascicle.core.quantities import QUANTITIES, TORSO_QUANTITIES
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import TorsoTissue
 from fascicle.mesh.measures import signed_volumes
 from fascicle.torso.lead_fields import assemble_stiffness, solve_neumann
 from fascicle.torso.variation.conductor import (
-    InvalidTorso,
     TorsoState,
     build_conductor,
     build_morph,
@@ -222,7 +222,7 @@ class TestResponse:
 
     def test_a_heart_that_would_touch_the_skin(self, response):
         body = TorsoState(np.array([60.0, 0, 0, 0, 0, 0, 1.0]), np.ones(3), np.zeros((6, 2)))
-        assert isinstance(response(body), InvalidTorso)
+        assert isinstance(response(body), Infeasible)
 
     def test_arrays_say_it_all(self, response):
         body = state({"v2_left": 13.0, "heart_up": 4.0})

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import fascicle
-from fascicle import FittedStudy, Predicted, Simulation
+from fascicle import Beat, FittedStudy, Predicted
 from fascicle.core.progress import Progress
 from fascicle.core.quantities import CONDUCTION
 from fascicle.forward.scenario import Scenario
@@ -77,7 +77,7 @@ def _analysed(source: Path | str, out: Path) -> Analysis:
 
 def _simulated(
     model: fascicle.ForwardModel, truth: Mapping[str, float], scenario: Scenario | None
-) -> Simulation:
+) -> Beat:
     outcome = model.simulate(truth, scenario)
-    assert isinstance(outcome, Simulation)  # the example network fits the packaged heart
+    assert isinstance(outcome, Beat)  # the example network fits the packaged heart
     return outcome

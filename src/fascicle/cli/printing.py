@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fascicle import FittedStudy, Predicted, Simulation
+from fascicle import Beat, FittedStudy, Predicted
 from fascicle.cli.output import print_row, print_table
 from fascicle.core.arrays import Floats
 from fascicle.heart.sites import SEGMENTS
@@ -19,7 +19,7 @@ from fascicle.study.population import Posterior
 from fascicle.study.statements import prediction_statement
 
 
-def print_simulation(simulation: Simulation, summary: Mapping[str, Any]) -> None:
+def print_simulation(simulation: Beat, summary: Mapping[str, Any]) -> None:
     """Print times, how junctions were activated, and what was never reached."""
     print_row("total activation time", f"{simulation.total_activation_time:.1f} ms")
     for name in ("qrs_duration", "global_qrs_duration"):

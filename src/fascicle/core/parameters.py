@@ -31,6 +31,24 @@ Distribution = Literal["uniform", "normal", "log-uniform", "log-normal"]
 
 
 @dataclass(frozen=True)
+class Infeasible:
+    """Quantities that give no beat: an outcome of a search, not an error.
+
+    Attributes
+    ----------
+    reason, remedy : str
+        Reason in a line, and what to change.
+    quantity, most : str and float
+        Quantity that is too large, and the largest value that fits, if one is to blame.
+    """
+
+    reason: str
+    remedy: str = ""
+    quantity: str = ""
+    most: float = math.nan
+
+
+@dataclass(frozen=True)
 class Parameter:
     """Parameter that is learnt: its unit, its range and its prior within that range.
 

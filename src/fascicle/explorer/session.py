@@ -20,7 +20,14 @@ from pydantic import BaseModel, Field, ValidationError
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
-from fascicle.core.parameters import HUMAN_SPACE, NETWORK_SPACE, Parameter, ParameterSpace, free
+from fascicle.core.parameters import (
+    HUMAN_SPACE,
+    NETWORK_SPACE,
+    Infeasible,
+    Parameter,
+    ParameterSpace,
+    free,
+)
 from fascicle.core.progress import Progress, ProgressLines
 from fascicle.core.quantities import (
     CONDUCTION,
@@ -38,12 +45,12 @@ from fascicle.forward.scenario import Primitive, Scenario
 from fascicle.forward.scenario_files import library, read_scenarios, scenario_text
 from fascicle.heart.conduction import Region
 from fascicle.prediction.scenarios import INTRINSIC
-from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
+from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.reporting.names import scenario_name
 from fascicle.reporting.page.scene import body_axes, boundary
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.target_comparison import TargetComparison
-from fascicle.torso.variation.conductor import InvalidTorso, TorsoState
+from fascicle.torso.variation.conductor import TorsoState
 
 BLOCKED_WITHIN = 3.0  # mm of a place in a tree that is blocked there
 SCAR_WITHIN = 8.0  # mm of a place in the myocardium that is scar there
@@ -255,10 +262,8 @@ class Session:
         These take as long as the simulation.
         """
         beat = model.simulate(state.values, state.beat())
-        if isinstance(beat, InvalidTree):
-            raise InputError(f"no network: {beat.reason}")
-        if isinstance(beat, InvalidTorso):
-            raise InputError(f"{beat.reason}; undo the last change")
+        if isinstance(beat, Infeasible):
+            raise InputError(f"{beat.reason}; {beat.remedy}, or undo the last change")
         gain, torso = self._drawn(state)
         beat = replace(beat, leads=gain * torso @ beat.leads)
         begin = float(beat.activation.min())

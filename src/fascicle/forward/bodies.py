@@ -7,14 +7,14 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.core.parameters import ParameterSpace, free
+from fascicle.core.parameters import Infeasible, ParameterSpace, free
 from fascicle.core.quantities import TORSO_QUANTITIES
 from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, build_electrocardiograph
 from fascicle.forward.ecg.lead_field import unbounded_gradients
 from fascicle.forward.model import ForwardModel
 from fascicle.mesh.measures import barycentric_gradients, solid_centroid, unit
 from fascicle.torso.electrode_sites import Electrode
-from fascicle.torso.variation.conductor import InvalidTorso, SkinMotion, TorsoState, torso_axes
+from fascicle.torso.variation.conductor import SkinMotion, TorsoState, torso_axes
 
 
 def random_bodies(
@@ -38,14 +38,14 @@ def random_bodies(
     in_torso, integrals = electrocardiograph_in_body(model), list[Electrocardiograph]()
     while len(integrals) < count:
         integral = in_torso(space.from_unit(rng.random(len(space))))
-        if not isinstance(integral, InvalidTorso):
+        if not isinstance(integral, Infeasible):
             integrals.append(integral)
     return integrals
 
 
 def electrocardiograph_in_body(
     model: ForwardModel,
-) -> Callable[[Mapping[str, float]], Electrocardiograph | InvalidTorso]:
+) -> Callable[[Mapping[str, float]], Electrocardiograph | Infeasible]:
     """The ECG integral of a model's heart as a function of quantities of the torso.
 
     In an unbounded conductor electrodes move as with the skin, and conductivities, which scale the

@@ -7,6 +7,7 @@ from threading import Timer
 
 import numpy as np
 
+from fascicle.core.parameters import Infeasible
 from fascicle.core.progress import Progress
 from fascicle.forward.cable.template import default_template
 from fascicle.forward.eikonal.activation import attach, solve
@@ -16,7 +17,6 @@ from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
 from fascicle.kernels.gaussian import integrated
 from fascicle.purkinje.growth import GrowthRules, grow_from_parameters
-from fascicle.purkinje.tree import InvalidTree
 
 SILENCE = 1.0  # s before the first report of progress; kernels that were compiled before take less
 COMPILED_PARTS = 4
@@ -60,7 +60,7 @@ def _steps() -> Iterator[int]:
     lengths = {"lv_initial_length": 2.0, "lv_fascicle_length_1": 1.0, "lv_fascicle_angle_1": 0.0}
     rules = GrowthRules(branch_length=1.0, segments=2, generations=1)
     tree = grow_from_parameters("lv", prepared.charts["lv"], prepared.seeds["lv"], lengths, rules)
-    if isinstance(tree, InvalidTree):
+    if isinstance(tree, Infeasible):
         raise RuntimeError(f"the smallest heart has no room for its tree: {tree.reason}")
     yield 2
     activation = solve(attach(prepared.myocardium, [tree]), [0.0], 1.0)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 from fascicle.core.errors import InputError
+from fascicle.core.parameters import Infeasible
 from fascicle.core.ranges import check_kind
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.folder import load_heart
-from fascicle.purkinje.tree import FEW_JUNCTIONS, InvalidTree
+from fascicle.purkinje.tree import FEW_JUNCTIONS
 
 SUBJECT = "camps-dti004"  # whose network is of human anatomy, and whose ECG is normal
 SHORTER = 0.9  # of the length that fits
@@ -52,9 +53,8 @@ def example_parameters(model: ForwardModel) -> dict[str, float]:
     best, most = dict(parameters), 0
     for _ in range(MOST_TRIES):
         grown = model.grow(parameters)
-        if isinstance(grown, InvalidTree):
-            part = "initial_length" if grown.branch == 0 else f"fascicle_length_{grown.branch}"
-            parameters[f"{grown.side}_{part}"] = max(SHORTER * grown.grown, SHORTEST_LENGTH)
+        if isinstance(grown, Infeasible):
+            parameters[grown.quantity] = max(SHORTER * grown.most, SHORTEST_LENGTH)
             continue
         junctions = {tree.side: len(tree.junctions) for tree in grown}
         if min(junctions.values()) > most:

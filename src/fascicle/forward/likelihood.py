@@ -40,8 +40,8 @@ from scipy.special import logsumexp
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LIMB_LEADS, independent_rows, limb_leads_from
 from fascicle.core.ranges import short_repr
+from fascicle.forward.beat import Signals
 from fascicle.forward.loss import placed
-from fascicle.forward.simulation import Signals
 from fascicle.kernels.gaussian import integrated
 from fascicle.recording.target import Target, residual_covariance
 

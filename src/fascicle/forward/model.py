@@ -15,19 +15,20 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Lock
 from types import NoneType
-from typing import Any, Protocol, overload, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from fascicle.core.arrays import Floats, Singles
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import complete
+from fascicle.core.parameters import Infeasible, complete
 from fascicle.core.progress import Progress, check_progress
 from fascicle.core.quantities import Changes, checked, quantity, torso_values
 from fascicle.core.ranges import check_items, check_kind
 from fascicle.core.shared_files import SharedFile, read_shared, write_shared
 from fascicle.core.threads import made_once
 from fascicle.forward.activation_sequence import VentricularSurfaces
+from fascicle.forward.beat import Beat, Signals, check_activation
 from fascicle.forward.blocks import in_state
 from fascicle.forward.cable.template import default_template
 from fascicle.forward.ecg.electrocardiogram import (
@@ -41,7 +42,6 @@ from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium
 from fascicle.forward.preparation import Prepared, as_arrays, cached, from_arrays, prepare
 from fascicle.forward.primitives import FURTHEST_STIMULUS
 from fascicle.forward.scenario import Scenario
-from fascicle.forward.simulation import Signals, SimulatedBeat, Simulation, check_activation
 from fascicle.forward.torso_model import TorsoModel, prepare_response, torso_model
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.folder import as_heart
@@ -50,8 +50,7 @@ from fascicle.heart.sites import Sites
 from fascicle.kernels.arrays import TravelTimeTable
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.purkinje.growth import GrowthRules, grow_from_parameters, with_angles
-from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
-from fascicle.torso.variation.conductor import InvalidTorso
+from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.torso.variation.response import TorsoResponse
 
 REMEMBERED = 8  # grown networks that are kept, in case only speeds and times change next
@@ -71,12 +70,12 @@ class Backend(Protocol):
 
     def signals(
         self, model: ForwardModel, parameters: Sequence[Mapping[str, float]]
-    ) -> Iterator[Signals | InvalidTree | None]:
+    ) -> Iterator[Signals | Infeasible | None]:
         """Signals to compare with a recording; None for networks left to the processor."""
 
     def beats(
         self, model: ForwardModel, parameters: Sequence[Mapping[str, float]]
-    ) -> Iterator[SimulatedBeat | InvalidTree | None]:
+    ) -> Iterator[Beat | Infeasible | None]:
         """Beats of networks; None for networks left to the processor."""
 
 
@@ -174,7 +173,7 @@ class ForwardModel:
             replace(conduction.with_values(tissue), alpha=conduction.alpha) for tissue in tissues
         )
 
-    def grow(self, parameters: Mapping[str, float]) -> tuple[PurkinjeTree, ...] | InvalidTree:
+    def grow(self, parameters: Mapping[str, float]) -> tuple[PurkinjeTree, ...] | Infeasible:
         """Grow both trees, left first, or return the first that does not fit.
 
         The last networks are cached: where only times and speeds change, no tree is grown again.
@@ -190,12 +189,12 @@ class ForwardModel:
         chart, seed = self.prepared.charts["lv"], self.prepared.seeds["lv"]
         return with_angles(chart, seed, parameters, self.sites.apical, self.sites.anterior)
 
-    def with_root_time(self, parameters: Mapping[str, float]) -> dict[str, float] | InvalidTree:
+    def with_root_time(self, parameters: Mapping[str, float]) -> dict[str, float] | Infeasible:
         """Parameters with angles and a root time, in place of directions and a delay."""
         values = self._with_angles(parameters)
         if "interventricular_delay" in values:
             trees = self.grow(values)
-            if isinstance(trees, InvalidTree):
+            if isinstance(trees, Infeasible):
                 return trees
             values["root_time"] = _root_time(
                 trees, values.pop("interventricular_delay"), values["cv"]
@@ -231,7 +230,7 @@ class ForwardModel:
 
     def simulate(
         self, parameters: Mapping[str, float], scenario: Scenario | None = None
-    ) -> Simulation | InvalidTree | InvalidTorso:
+    ) -> Beat | Infeasible:
         """Grow the trees, activate the heart, compute the ECG.
 
         Parameters
@@ -245,9 +244,9 @@ class ForwardModel:
 
         Returns
         -------
-        Simulation, InvalidTree or InvalidTorso
-            `InvalidTree` where a bundle or fascicle would leave its endocardium, `InvalidTorso`
-            where the heart would touch the skin.
+        Beat or Infeasible
+            `Infeasible` where a bundle or fascicle would leave its endocardium, or the heart would
+            touch the skin.
 
         Raises
         ------
@@ -260,10 +259,10 @@ class ForwardModel:
         torso = torso_values(values)
         if torso:
             coefficients = self.torso([*torso]).lead_coefficients(torso)
-            if isinstance(coefficients, InvalidTorso):
+            if isinstance(coefficients, Infeasible):
                 return coefficients
         trees = self.grow(values)
-        if isinstance(trees, InvalidTree):
+        if isinstance(trees, Infeasible):
             return trees
         return self.activate(trees, scenario=scenario, **values)
 
@@ -274,7 +273,7 @@ class ForwardModel:
         cv: float | None = None,
         scenario: Scenario | None = None,
         **values: float,
-    ) -> Simulation:
+    ) -> Beat:
         """Activate the heart through given trees and compute the ECG.
 
         Parameters
@@ -309,30 +308,32 @@ class ForwardModel:
                 raise InputError("missing parameter root_time; add it")
             root_time = _root_time(trees, values["interventricular_delay"], cv)
         blocked = in_state(scenario or Scenario(), values.get("conduction", 0.0))
-        beat = blocked.beat(trees, root_time, values, self.sites)
+        excitation = blocked.excitation(trees, root_time, values, self.sites)
         conduction = self.conduction.with_values(values)
         tissue = self._tissue(replace(conduction, alpha=self.conduction.alpha))
-        if beat.stimuli:  # rays to every vertex are too many to keep for several networks
-            coupling = attach(tissue.myocardium, beat.trees, beat.points, beat.stimuli)
-            _check_stimuli(beat.points, coupling.stimuli.distances)
+        if excitation.stimuli:  # rays to every vertex are too many to keep for several networks
+            coupling = attach(
+                tissue.myocardium, excitation.trees, excitation.points, excitation.stimuli
+            )
+            _check_stimuli(excitation.points, coupling.stimuli.distances)
         else:
-            coupling = tissue.attach(beat.trees)
+            coupling = tissue.attach(excitation.trees)
         coupled = solve(
             coupling,
-            beat.root_times,
+            excitation.root_times,
             values["cv"],
-            his=beat.his,
-            stimuli=beat.point_times,
-            node_times=beat.node_times,
-            speed=beat.speed,
+            his=excitation.his,
+            stimuli=excitation.point_times,
+            node_times=excitation.node_times,
+            speed=excitation.speed,
             tissue_speed=conduction.alpha / self.conduction.alpha,
-            **beat.delays,
+            **excitation.delays,
         )
         times = coupled.myocardium
         check_activation(times)
         leads = self._leads(times, tissue, values)
-        onset, groups, names = first_sample(times), beat.capture_groups, self.heart.leads
-        return Simulation(leads, onset, times, beat.trees, coupled, groups, lead_names=names)
+        onset, groups, names = first_sample(times), excitation.capture_groups, self.heart.leads
+        return Beat(leads, onset, excitation.trees, coupled, groups, lead_names=names)
 
     def _made_tissue(self, conduction: Conduction) -> Tissue:
         """Prepare the tissue of a conduction that has the α of the model's conduction."""
@@ -364,26 +365,26 @@ class ForwardModel:
             ecg = self.with_sources(tissue.electrocardiograph, values)
             return np.asarray(values.get("gain", 1.0) * ecg.leads(times))
         leads = self.leads_in_torso(times, values)
-        if isinstance(leads, InvalidTorso):
+        if isinstance(leads, Infeasible):
             raise InputError(f"{', '.join(torso)}: {leads.reason}; give smaller changes")
         return leads
 
     def leads_in_torso(
         self, activation: Floats, values: Mapping[str, float]
-    ) -> Floats | InvalidTorso:
+    ) -> Floats | Infeasible:
         """All leads (mV) of an activation (ms), given checked quantities of the torso."""
         ecg = self.electrocardiograph_in_torso(values)
-        if isinstance(ecg, InvalidTorso):
+        if isinstance(ecg, Infeasible):
             return ecg
         return np.asarray(values.get("gain", 1.0) * ecg.leads(activation))
 
     def electrocardiograph_in_torso(
         self, values: Mapping[str, float]
-    ) -> Electrocardiograph | InvalidTorso:
+    ) -> Electrocardiograph | Infeasible:
         """The ECG integral, given checked quantities of the torso."""
         torso = self.torso([*values])
         coefficients = torso.lead_coefficients(values)
-        if isinstance(coefficients, InvalidTorso):
+        if isinstance(coefficients, Infeasible):
             return coefficients
         standard = self.prepared.electrocardiograph
         ecg: Electrocardiograph = torso.electrocardiograph(standard, coefficients)
@@ -413,19 +414,6 @@ class ForwardModel:
         along, back = axial_projection(gradients, heart.fibres, excess)
         return along.astype(np.float32), back.astype(np.float32)
 
-    @overload
-    def simulate_many(
-        self,
-        parameters: Iterable[Mapping[str, float]],
-        executor: Executor,
-        scenario: Scenario | None = None,
-    ) -> list[Simulation | InvalidTree | InvalidTorso]: ...
-
-    @overload
-    def simulate_many(
-        self, parameters: Iterable[Mapping[str, float]], *, backend: Backend
-    ) -> list[SimulatedBeat | InvalidTree | InvalidTorso]: ...
-
     def simulate_many(
         self,
         parameters: Iterable[Mapping[str, float]],
@@ -433,7 +421,7 @@ class ForwardModel:
         scenario: Scenario | None = None,
         *,
         backend: Backend | None = None,
-    ) -> Sequence[SimulatedBeat | InvalidTree | InvalidTorso]:
+    ) -> Sequence[Beat | Infeasible]:
         """Simulate many networks.
 
         Parameters
@@ -447,14 +435,14 @@ class ForwardModel:
         scenario : Scenario, optional
             Scenario of all networks.
         backend : Backend, optional
-            Such as `fascicle.GpuBackend`, in place of an executor. It simulates intrinsic beats as
-            `SimulatedBeat`, without the times in the trees and the site that fired each vertex. A
-            warning says so if it does not support the model, the quantities or a scenario; networks
-            that it cannot simulate are simulated on the processor.
+            Such as `fascicle.GpuBackend`, in place of an executor. It simulates intrinsic beats
+            without the times in the trees and the site that fired each vertex. A warning says so
+            if it does not support the model, the quantities or a scenario; networks that it cannot
+            simulate are simulated on the processor.
 
         Returns
         -------
-        list of Simulation, SimulatedBeat, InvalidTree or InvalidTorso
+        list of Beat or Infeasible
             In the order of the parameters.
 
         Raises
@@ -508,7 +496,7 @@ def _received(
 
 def _simulate_elsewhere(
     file: SharedFile, parameters: dict[str, float], scenario: Scenario | None
-) -> Simulation | InvalidTree | InvalidTorso:
+) -> Beat | Infeasible:
     model: ForwardModel = read_shared(file)
     return model.simulate(parameters, scenario)
 
@@ -532,12 +520,12 @@ def _root_time(trees: Sequence[PurkinjeTree], delay: float, cv: float) -> float:
 
 def _grow_trees(
     prepared: Prepared, rules: GrowthRules, anatomy: Sequence[tuple[str, float]]
-) -> tuple[PurkinjeTree, ...] | InvalidTree:
+) -> tuple[PurkinjeTree, ...] | Infeasible:
     """Grow both trees, left first, from names and values of their parameters."""
     trees = []
     for side, chart in prepared.charts.items():
         tree = grow_from_parameters(side, chart, prepared.seeds[side], dict(anatomy), rules)
-        if isinstance(tree, InvalidTree):
+        if isinstance(tree, Infeasible):
             return tree
         trees.append(tree)
     return tuple(trees)

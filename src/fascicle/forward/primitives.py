@@ -27,7 +27,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.quantities import SIDES, default_of
 from fascicle.core.ranges import check_text
 from fascicle.forward.eikonal.activation import HisBundle
-from fascicle.forward.scenario import Beat, Primitive, root_times
+from fascicle.forward.scenario import Excitation, Primitive, root_times
 from fascicle.heart.sites import CoordinateSite
 
 
@@ -68,19 +68,19 @@ class Stimulus(Primitive, table="stimulus"):
         """Time of the stimulus (ms)."""
         return self.time
 
-    def apply(self, beat: Beat) -> None:
+    def apply(self, excitation: Excitation) -> None:
         """Fire the myocardium, or the nodes of a tree that it captures."""
         place = self.position
         if place is None:
             assert self.site is not None
-            place = beat.sites.position(self.site)
+            place = excitation.sites.position(self.site)
         if self.tree is None:
-            beat.stimulate(place, self.time, self.radius)
+            excitation.stimulate(place, self.time, self.radius)
             return
-        tree = beat.tree(self.tree)
-        distance = np.linalg.norm(beat.trees[tree].nodes - np.asarray(place), axis=1)
+        tree = excitation.tree(self.tree)
+        distance = np.linalg.norm(excitation.trees[tree].nodes - np.asarray(place), axis=1)
         if self.part is not None:
-            distance[~beat.part(tree, self.part)] = np.inf
+            distance[~excitation.part(tree, self.part)] = np.inf
         nearest = int(distance.argmin())
         if distance[nearest] > FURTHEST_STIMULUS:
             raise InputError(
@@ -89,7 +89,7 @@ class Stimulus(Primitive, table="stimulus"):
                 f"{FURTHEST_STIMULUS:g} mm)"
             )
         captured = {nearest, *np.flatnonzero(distance <= self.radius).tolist()}
-        beat.node_times += [(tree, node, self.time) for node in sorted(captured)]
+        excitation.node_times += [(tree, node, self.time) for node in sorted(captured)]
 
 
 class SlowConduction(Primitive, table="slow_conduction"):
@@ -115,13 +115,13 @@ class SlowConduction(Primitive, table="slow_conduction"):
         whole = "tree" if self.centre is None else f"tree at {self.centre}"
         return {f"{self.tree.upper()} {self.part or whole}"} if self.speed == 0 else set()
 
-    def apply(self, beat: Beat) -> None:
+    def apply(self, excitation: Excitation) -> None:
         """Multiply the speeds of its segments."""
-        number = beat.tree(self.tree)
-        tree = beat.trees[number]
+        number = excitation.tree(self.tree)
+        tree = excitation.trees[number]
         chosen = tree.parents >= 0  # no segment ends in the root
         if self.part is not None:
-            chosen &= beat.part(number, self.part)
+            chosen &= excitation.part(number, self.part)
         if not chosen.any():
             raise InputError(
                 f"slow conduction in the {tree.side} tree: its {self.part} has no segment; the "
@@ -137,7 +137,7 @@ class SlowConduction(Primitive, table="slow_conduction"):
                     f"slow conduction in the {tree.side} tree: no segment{of_part} ends in the "
                     f"sphere at {self.centre}; the nearest ends {nearest:.1f} mm from its centre"
                 )
-        beat.slow(number, chosen, self.speed)
+        excitation.slow(number, chosen, self.speed)
 
 
 class InactiveRoot(Primitive, table="inactive_root"):
@@ -145,9 +145,9 @@ class InactiveRoot(Primitive, table="inactive_root"):
 
     tree: Annotated[Name, '`"lv"`, `"rv"`, or the name of an additional tree']
 
-    def apply(self, beat: Beat) -> None:
+    def apply(self, excitation: Excitation) -> None:
         """Keep the root from firing."""
-        beat.inactive.add(beat.tree(self.tree))
+        excitation.inactive.add(excitation.tree(self.tree))
 
 
 class JunctionDelays(Primitive, table="delay", once=True):
@@ -156,11 +156,11 @@ class JunctionDelays(Primitive, table="delay", once=True):
     anterograde: Annotated[Delay | None, "from tree to myocardium"] = None
     retrograde: Annotated[Delay | None, "from myocardium to tree"] = None
 
-    def apply(self, beat: Beat) -> None:
+    def apply(self, excitation: Excitation) -> None:
         """Replace the network's delays."""
         for direction in self.key_names():
             if getattr(self, direction) is not None:
-                beat.delays[f"{direction}_delay"] = getattr(self, direction)
+                excitation.delays[f"{direction}_delay"] = getattr(self, direction)
 
 
 class His(Primitive, table="his", once=True):
@@ -188,17 +188,18 @@ class His(Primitive, table="his", once=True):
         factors = {"left": self.left, "right": self.right}
         return {f"the {side} bundle branch" for side, factor in factors.items() if factor == 0}
 
-    def apply(self, beat: Beat) -> None:
+    def apply(self, excitation: Excitation) -> None:
         """Join the roots of the heart's own trees."""
-        names = [tree.side for tree in beat.trees]
+        names = [tree.side for tree in excitation.trees]
         if tuple(names[:2]) != SIDES:
             raise InputError(
                 f"His bundle: it joins the trees {' and '.join(SIDES)}; known: {', '.join(names)}"
             )
-        firing = beat.roots[:2] if self.root_time is None else root_times(self.root_time)
-        roots, his = self.conducted(firing, beat.values.get("his_time", default_of("his_time")))
-        unjoined = [np.inf] * (len(beat.trees) - 2)
-        beat.roots[:2], beat.his = roots, replace(his, branches=[*his.branches, *unjoined])
+        firing = excitation.roots[:2] if self.root_time is None else root_times(self.root_time)
+        his_time = excitation.values.get("his_time", default_of("his_time"))
+        excitation.roots[:2], his = self.conducted(firing, his_time)
+        unjoined = [np.inf] * (len(excitation.trees) - 2)
+        excitation.his = replace(his, branches=[*his.branches, *unjoined])
 
     def conducted(self, roots: Sequence[float], nearest: float) -> tuple[list[float], HisBundle]:
         """Activation times of the left and the right root (ms), and the bundle that joins them.

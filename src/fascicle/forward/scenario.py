@@ -27,15 +27,15 @@ class Primitive(Table, table=""):
     """Element of a scenario: a subclass is a table of scenario files and changes a beat.
 
     The fields of the subclass are the keys of the table (`fascicle.core.declared.Table`), and
-    `apply` changes the beat by them. `fascicle.forward.primitives` has those of the package.
+    `apply` changes the excitation by them. `fascicle.forward.primitives` has those of the package.
     """
 
     def __init_subclass__(cls, table: str, once: bool = False) -> None:
         super().__init_subclass__(table, once)
         PRIMITIVES[table] = cls
 
-    def apply(self, beat: Beat) -> None:
-        """Change a beat, in place, before it is solved."""
+    def apply(self, excitation: Excitation) -> None:
+        """Change an excitation, in place, before it is solved."""
         raise NotImplementedError
 
     @property
@@ -54,8 +54,10 @@ PRIMITIVES: dict[str, type[Primitive]] = {}
 
 
 @dataclass
-class Beat:
-    """Beat of a network before it is solved; the primitives of a scenario change it.
+class Excitation:
+    """Excitation of a network, to be solved: what fires when, and how the trees conduct.
+
+    The primitives of a scenario change it.
 
     Attributes
     ----------
@@ -245,14 +247,14 @@ class Scenario:
         """Names of the blocked parts."""
         return {block for primitive in self.primitives for block in primitive.blocked}
 
-    def beat(
+    def excitation(
         self,
         trees: Sequence[PurkinjeTree],
         root_time: float | Sequence[float],
         values: Mapping[str, float],
         sites: Sites,
-    ) -> Beat:
-        """The beat of a network in this scenario, to be solved.
+    ) -> Excitation:
+        """The excitation of a network in this scenario, to be solved.
 
         Parameters
         ----------
@@ -280,10 +282,10 @@ class Scenario:
             if names.count(name) > 1:
                 raise InputError(f"two trees are named '{name}'; give each a name of its own")
         roots = [*roots, *(time for _, time in self.trees)]
-        beat = Beat(all_trees, roots, sites, values, delays)
+        excitation = Excitation(all_trees, roots, sites, values, delays)
         for primitive in self.primitives:
-            primitive.apply(beat)
-        return beat
+            primitive.apply(excitation)
+        return excitation
 
 
 def root_times(root_time: float | Sequence[float]) -> list[float]:

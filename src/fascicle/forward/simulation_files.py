@@ -15,19 +15,18 @@ from scipy.spatial import cKDTree
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_folder, write_text
-from fascicle.core.parameters import EXAMPLE_PARAMETERS, read_parameters
+from fascicle.core.parameters import EXAMPLE_PARAMETERS, Infeasible, read_parameters
 from fascicle.core.quantities import checked, overridden
+from fascicle.forward.beat import Beat
 from fascicle.forward.example import example_parameters
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
-from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import cell_arrays, heart_mesh
 from fascicle.heart.heart import Heart
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, VERTEX
 from fascicle.mesh.formats.vtk import pyvista_blocks, pyvista_grid, write_grid
-from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
+from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.purkinje.tree_files import read_tree, write_tree
-from fascicle.torso.variation.conductor import InvalidTorso
 
 PICTURES = [  # of the results; callers may draw them into the folder
     f"{picture}.{kind}" for picture in ("ecg", "activation") for kind in ("png", "svg", "pdf")
@@ -42,7 +41,7 @@ def simulate_inputs(
     rv_tree: Path | None = None,
     overrides: Mapping[str, float] | None = None,
     scenario: Scenario | None = None,
-) -> tuple[Simulation, dict[str, object]]:
+) -> tuple[Beat, dict[str, object]]:
     """Run the forward model on the user's parameter file or two trees.
 
     Without either, on the example network, scaled to the heart. `overrides` are quantities in place
@@ -64,10 +63,8 @@ def simulate_inputs(
         with _naming(scenario):
             _check_trees(scenario, model)
             outcome = model.simulate(parameters, scenario)
-        if isinstance(outcome, InvalidTree):
-            raise InputError(f"{source}: {outcome.reason}; shorten it")
-        if isinstance(outcome, InvalidTorso):
-            raise InputError(f"{source}: {outcome.reason}; move it less")
+        if isinstance(outcome, Infeasible):
+            raise InputError(f"{source}: {outcome.reason}; {outcome.remedy}")
         return outcome, {"parameters": parameters}
     if params is not None:
         raise InputError("--params and --lv-tree/--rv-tree exclude each other; give one kind")
@@ -130,7 +127,7 @@ def _check_side(path: Path, heart: Heart, tree: PurkinjeTree) -> None:
         )
 
 
-def summary(heart: Heart, simulation: Simulation, inputs: dict[str, object]) -> dict[str, Any]:
+def summary(heart: Heart, simulation: Beat, inputs: dict[str, object]) -> dict[str, Any]:
     """Summary of a simulation of `simulate_inputs`, as written to `summary.json`."""
     sides: dict[str, object] = {}
     coupled = simulation.coupled
@@ -166,14 +163,14 @@ def _fired(time: float) -> float | None:
     return round(float(time), 3) if np.isfinite(time) else None
 
 
-def unreached_volume(heart: Heart, simulation: Simulation) -> float:
+def unreached_volume(heart: Heart, simulation: Beat) -> float:
     """Volume (ml) of the elements with unreached vertices, which the ECG leaves out."""
     untouched = simulation.unreached[heart.tetrahedra].any(axis=1)
     return float(heart.volumes[untouched].sum()) / 1000
 
 
 def write_simulation(
-    heart: Heart, simulation: Simulation, folder: Path, inputs: dict[str, object]
+    heart: Heart, simulation: Beat, folder: Path, inputs: dict[str, object]
 ) -> dict[str, Any]:
     """Write a simulation's folder, whole or not at all; returns its `summary`."""
     content = summary(heart, simulation, inputs)
@@ -184,7 +181,7 @@ def write_simulation(
     return content
 
 
-def write_beat(folder: Path, heart: Heart, simulation: Simulation) -> None:
+def write_beat(folder: Path, heart: Heart, simulation: Beat) -> None:
     """Write activation, trees and sites of a simulation into a folder (mm, ms).
 
     `activation.vtu`, the heart's mesh with times and their origins; `lv_tree.vtu` and so on;
@@ -202,7 +199,7 @@ def write_beat(folder: Path, heart: Heart, simulation: Simulation) -> None:
     write_text(folder / "sites.csv", sites_table(simulation))
 
 
-def beat_blocks(simulation: Simulation, heart: Heart | None = None) -> Any:
+def beat_blocks(simulation: Beat, heart: Heart | None = None) -> Any:
     """Results of `write_beat` as `pyvista.MultiBlock`, with all arrays of the heart if given."""
     trees = zip(simulation.trees, simulation.coupled.trees, strict=True)
     blocks = {f"{tree.side}_tree": tree.to_pyvista(times) for tree, times in trees}
@@ -214,7 +211,7 @@ def beat_blocks(simulation: Simulation, heart: Heart | None = None) -> Any:
     return pyvista_blocks(blocks)
 
 
-def _junction_points(simulation: Simulation) -> Any:
+def _junction_points(simulation: Beat) -> Any:
     """Points, cells and their kind, point arrays and cell arrays of junctions, for `write_grid`."""
     places, times = junctions(simulation)
     how = np.where(np.concatenate(simulation.coupled.retrograde), -1, 1) * np.isfinite(times)
@@ -223,7 +220,7 @@ def _junction_points(simulation: Simulation) -> Any:
     return places, numbers[:, None], VERTEX, arrays, {}
 
 
-def junctions(simulation: Simulation) -> tuple[Floats, Floats]:
+def junctions(simulation: Beat) -> tuple[Floats, Floats]:
     """Positions (n, 3) (mm) and times (n,) (ms) of all junctions, tree by tree."""
     trees = list(zip(simulation.trees, simulation.coupled.trees, strict=True))
     places = [tree.nodes[tree.junctions] for tree, _ in trees]
@@ -238,7 +235,7 @@ def write_ecg(path: Path, ecg: xr.DataArray) -> None:
     write_text(path, "\n".join(lines) + "\n")
 
 
-def sites_table(simulation: Simulation) -> str:
+def sites_table(simulation: Beat) -> str:
     """List as CSV what activated each site: a row for each junction, then for each stimulus."""
     lines = ["site,kind,tree,node,x_mm,y_mm,z_mm,time_ms,fired,entered_by"]
     coupled, site = simulation.coupled, 0

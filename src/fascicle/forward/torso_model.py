@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_ROWS, LEADS, lead_matrix
+from fascicle.core.parameters import Infeasible
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.threads import one_thread
 from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, channel_weights
@@ -21,7 +22,7 @@ from fascicle.heart.heart import Heart
 from fascicle.kernels.jit import CHANNELS
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.torso.mesh import torso_of
-from fascicle.torso.variation.conductor import InvalidTorso, build_conductor
+from fascicle.torso.variation.conductor import build_conductor
 from fascicle.torso.variation.response import TorsoResponse
 from fascicle.torso.variation.training import build_response
 
@@ -46,7 +47,7 @@ class TorsoModel:
     weights: NDArray[np.float32]
     additional: Sequence[str] = ()
 
-    def lead_coefficients(self, values: Mapping[str, float]) -> Floats | InvalidTorso:
+    def lead_coefficients(self, values: Mapping[str, float]) -> Floats | Infeasible:
         """Coefficients (8 + a, k) of the modes for the independent leads, then additional ones.
 
         Missing quantities of the torso are neutral. The factor on the myocardium's conductivity
@@ -54,7 +55,7 @@ class TorsoModel:
         other tissues counts.
         """
         coefficients = self.response.coefficients(values)
-        if isinstance(coefficients, InvalidTorso):
+        if isinstance(coefficients, Infeasible):
             return coefficients
         matrix = lead_matrix(self.additional)
         rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(matrix))]
@@ -70,7 +71,7 @@ class TorsoModel:
         rest, so a torso that hardly differs loses nothing.
         """
         neutral = self.lead_coefficients({})
-        if isinstance(neutral, InvalidTorso):
+        if isinstance(neutral, Infeasible):
             raise InputError("the heart touches the skin of its own torso; build the heart again")
         size = np.linalg.norm(coefficients, axis=1) / np.linalg.norm(neutral, axis=1)
         change = (coefficients - size[:, None] * neutral).astype(np.float32)

@@ -14,16 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.array_cache import ArrayCache
-from fascicle.core.parameters import complete
+from fascicle.core.parameters import Infeasible, complete
+from fascicle.forward.beat import Beat
+from fascicle.forward.eikonal.activation import Activation
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import scenario_text
 from fascicle.prediction.index_names import INDICES
-from fascicle.prediction.predicted import Predicted, PredictedBeat
-from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
+from fascicle.prediction.predicted import Predicted
+from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.study.fitted import FittedStudy
 
-FIELDS = ("leads", "filtered", "activation", "captured")  # of a beat, those that are arrays
+FIELDS = ("leads", "onset", "activation", "captured")  # of a beat, as they are stored
 
 Arrays = Mapping[str, NDArray[Any]]
 Trees = Sequence[tuple[PurkinjeTree, ...]]  # of each network
@@ -57,8 +59,21 @@ class PredictionCache:
         for name, arrays in files.items():
             with suppress(KeyError, ValueError):  # an array is missing, or of another size
                 if arrays is not None:
-                    predictions[name] = _predicted(scenarios[name], arrays, trees)
+                    predictions[name] = self._predicted(scenarios[name], arrays, trees)
         return predictions
+
+    def _predicted(self, scenario: Scenario, arrays: Arrays, trees: Trees) -> Predicted:
+        """Prediction of a scenario from stored arrays, the inverse of `_arrays`."""
+        names, target = self.fitted.simulator.model.heart.leads, self.fitted.recordings[0].target
+        beats = []
+        for k, network in enumerate(trees):
+            leads, onset, activation, captured = (arrays[f"{name} {k}"] for name in FIELDS)
+            times = tuple(arrays[f"times {k} {number}"] for number in range(len(network)))
+            coupled = Activation(activation, times, captured=captured)
+            groups = np.arange(len(captured))
+            beats.append(Beat(leads, float(onset), network, coupled, groups, lead_names=names))
+        indices = dict(zip(INDICES, arrays["indices"], strict=True))
+        return Predicted(scenario, beats, indices, response=target.response)
 
     def write(self, predicted: Mapping[str, Predicted]) -> None:
         """Cache predictions if the folder is writable, except those with custom networks."""
@@ -82,7 +97,7 @@ class PredictionCache:
 
 def _grown(parameters: Mapping[str, float], model: ForwardModel) -> tuple[PurkinjeTree, ...]:
     trees = model.grow(complete(parameters))
-    if isinstance(trees, InvalidTree):
+    if isinstance(trees, Infeasible):
         raise RuntimeError(f"a network of the population is impossible: {trees.reason}")
     return trees
 
@@ -92,15 +107,5 @@ def _arrays(predicted: Predicted) -> Arrays:
     arrays = {"indices": np.array([predicted.indices[name] for name in INDICES])}
     for k, beat in enumerate(predicted.beats):
         arrays |= {f"{name} {k}": getattr(beat, name) for name in FIELDS}
-        arrays |= {f"times {k} {tree}": times for tree, (_, times) in enumerate(beat.trees)}
+        arrays |= {f"times {k} {tree}": times for tree, times in enumerate(beat.coupled.trees)}
     return arrays
-
-
-def _predicted(scenario: Scenario, arrays: Arrays, trees: Trees) -> Predicted:
-    """Prediction of a scenario from stored arrays, the inverse of `_arrays`."""
-    beats = []
-    for k, network in enumerate(trees):
-        leads, filtered, activation, captured = (arrays[f"{name} {k}"] for name in FIELDS)
-        times = tuple((tree, arrays[f"times {k} {number}"]) for number, tree in enumerate(network))
-        beats.append(PredictedBeat(leads, filtered, activation, times, captured))
-    return Predicted(scenario, beats, dict(zip(INDICES, arrays["indices"], strict=True)))

@@ -167,5 +167,5 @@ def _of_the_same_networks(first: Predicted, second: Predicted) -> bool:
     return all(
         np.array_equal(tree.nodes, other.nodes)
         for a, b in zip(first.beats, second.beats, strict=True)
-        for (tree, _), (other, _) in zip(a.trees[:2], b.trees[:2], strict=True)
+        for tree, other in zip(a.trees[:2], b.trees[:2], strict=True)
     )

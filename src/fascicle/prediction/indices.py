@@ -15,8 +15,8 @@ from fascicle.core import above
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.leads import LEADS
 from fascicle.core.ranges import check_kind
+from fascicle.forward.beat import Beat
 from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP
-from fascicle.forward.simulation import Simulation
 from fascicle.heart.fibres import Wall
 from fascicle.heart.heart import Heart
 from fascicle.heart.sites import APEX, RIGHT, Places, places
@@ -73,7 +73,7 @@ class Territories:
 
 
 def indices(
-    simulation: Simulation, territories: Territories, stimulus: float | None = None
+    simulation: Beat, territories: Territories, stimulus: float | None = None
 ) -> dict[str, float]:
     """Compute all indices of a simulation whose first stimulus is at a time (ms).
 
@@ -82,8 +82,8 @@ def indices(
     return {**_of_activation(simulation.activation, territories), **_of_ecg(simulation, stimulus)}
 
 
-def index_table(simulation: Simulation, heart: Heart, stimulus: float | None) -> pd.DataFrame:
-    """Indices of a simulation on its heart, as `Simulation.index_table` says."""
+def index_table(simulation: Beat, heart: Heart, stimulus: float | None) -> pd.DataFrame:
+    """Indices of a simulation on its heart, as `Beat.index_table` says."""
     check_kind(heart, Heart, "heart", "the heart that was simulated")
     values = indices(simulation, Territories.of(heart, places(heart)), stimulus)
     name = above("reporting.names").index_name
@@ -124,7 +124,7 @@ def _ends(times: Floats) -> tuple[float, float]:
     return (float(reached.min()), float(reached.max())) if reached.size else (np.nan, np.nan)
 
 
-def _of_ecg(simulation: Simulation, stimulus: float | None) -> dict[str, float]:
+def _of_ecg(simulation: Beat, stimulus: float | None) -> dict[str, float]:
     leads = simulation.leads
     onset, offset = qrs_window(leads)
     loop = vectorcardiogram(leads[:, onset : offset + 1])

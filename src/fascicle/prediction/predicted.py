@@ -12,40 +12,16 @@ import numpy as np
 import pandas as pd
 
 from fascicle.core import above, html_card
-from fascicle.core.arrays import Booleans, Floats, Singles
+from fascicle.core.arrays import Floats
 from fascicle.core.files import as_path, write_text
 from fascicle.core.ranges import short_repr
+from fascicle.forward.beat import Beat
+from fascicle.forward.loss import Response, placed
 from fascicle.forward.scenario import Scenario
-from fascicle.forward.simulation import Simulation
 from fascicle.prediction.index_names import INDICES
-from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.study.activation_maps import activation_maps
 
 RINGING = 40  # samples on either side, for the ringing of the recorder's filters
-
-
-@dataclass(frozen=True)
-class PredictedBeat:
-    """Data stored for one simulation; times are in single precision to save memory.
-
-    Indices are not measured on the filtered ECG, because steep filters ring about the QRS.
-    """
-
-    leads: Floats  # (12 + k, t) mV, every 1 ms, with the best gain or the one that was drawn
-    filtered: Floats  # (12 + k, t + 2 * `RINGING`), the ECG after the recorder's filters
-    activation: Singles  # (n,) ms, of each vertex of the heart; inf if not activated
-    trees: tuple[tuple[PurkinjeTree, Singles], ...]  # left first; times of the nodes (ms)
-    captured: Booleans  # (n_stimuli,), which of the scenario's myocardial stimuli captured
-
-    __repr__ = short_repr
-
-    @classmethod
-    def of(cls, simulation: Simulation, leads: Floats, filtered: Floats) -> PredictedBeat:
-        """Store a simulation; `leads` and `filtered` as above."""
-        times = (node_times.astype(np.float32) for node_times in simulation.coupled.trees)
-        trees = tuple(zip(simulation.trees, times, strict=True))
-        activation = simulation.activation.astype(np.float32)
-        return cls(leads, filtered, activation, trees, simulation.captured)
 
 
 @dataclass(frozen=True)
@@ -56,18 +32,22 @@ class Predicted:
     ----------
     scenario : Scenario
         Predicted scenario.
-    beats : sequence of PredictedBeat
-        Beat of each network.
+    beats : sequence of Beat
+        Beat of each network, its ECG with the best gain or the one that was drawn, in single
+        precision (`Beat.in_single_precision`).
     indices : mapping of name to (n,) array
         `INDICES` of each network.
     effective : float
         Effective number of independent networks; inf if unknown, which counts as n.
+    response : Response, optional
+        Filters of the recorder, as a function of frequency.
     """
 
     scenario: Scenario
-    beats: Sequence[PredictedBeat]
+    beats: Sequence[Beat]
     indices: Mapping[str, Floats]
     effective: float = np.inf
+    response: Response | None = None
 
     __repr__ = short_repr
     _repr_html_ = html_card
@@ -94,17 +74,13 @@ class Predicted:
             "maximum": int(order[-1]),
         }
 
-    def matches_first(self, other: Predicted) -> bool:
-        """Whether the first network has the same ECG, activation and indices in both."""
-        beat, other_beat = self.beats[0], other.beats[0]
-        return (
-            np.array_equal(beat.leads, other_beat.leads)
-            and np.array_equal(beat.activation, other_beat.activation)
-            and all(
-                np.array_equal(self.indices[n][:1], v[:1], equal_nan=True)
-                for n, v in other.indices.items()
-            )
-        )
+    def filtered(self, k: int) -> Floats:
+        """ECG (12 + k, t + 2 `RINGING`) of network `k` after the recorder's filters (mV).
+
+        Indices are not measured on it, because steep filters ring about the QRS.
+        """
+        leads = self.beats[k].leads
+        return placed(leads, -RINGING, leads.shape[1] + 2 * RINGING, self.response)
 
     @property
     def captured(self) -> Floats:

@@ -13,16 +13,15 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
 from fascicle.core.ranges import check_items, check_kind, check_text
+from fascicle.forward.beat import Beat
 from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP
-from fascicle.forward.loss import Response, placed
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenarios
-from fascicle.forward.simulation import Simulation
 from fascicle.prediction.cache import PredictionCache
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.indices import Territories, indices
-from fascicle.prediction.predicted import RINGING, Predicted, PredictedBeat
+from fascicle.prediction.predicted import RINGING, Predicted
 from fascicle.recording.window import qrs_window
 from fascicle.study.conduction_states import states_of
 from fascicle.study.fit import GivenStudy, as_study
@@ -89,7 +88,7 @@ def predict(
                 "that its 'networks()' gives"
             )
     kept = PredictionCache(fitted)
-    predicted = _up_to_date(fitted, kept.read(requested))
+    predicted = kept.read(requested)
     missing = {name: scenario for name, scenario in requested.items() if name not in predicted}
     if missing:
         with shown_progress(progress) as shown:
@@ -101,20 +100,6 @@ def predict(
         predicted |= simulated
     effective = fitted.population.effective_size
     return {name: replace(predicted[name], effective=effective) for name in requested}
-
-
-def _up_to_date(fitted: FittedStudy, kept: Mapping[str, Predicted]) -> dict[str, Predicted]:
-    """Cached predictions that a new simulation of the first network repeats to the last bit."""
-    if not kept:
-        return {}
-    first = fitted.networks(chosen=[0])
-    scenarios = {name: prediction.scenario for name, prediction in kept.items()}
-    again = simulate_scenarios(fitted.simulator, fitted.recordings[0], first, scenarios)
-    return {
-        name: prediction
-        for name, prediction in kept.items()
-        if prediction.matches_first(again[name])
-    }
 
 
 def as_scenarios(
@@ -151,7 +136,7 @@ def simulate_scenarios(
     The ECGs pass the recording's filters. Each scenario is a stage of the progress, named after it
     and the text `of`.
     """
-    model, response = simulator.model, recording.target.response
+    model = simulator.model
     territories = Territories.of(model.heart, model.sites.places)
     predicted = {}
     for name, scenario in scenarios.items():
@@ -159,7 +144,7 @@ def simulate_scenarios(
         try:
             # the recording's scenario is simulated already
             new = None if scenario == (recording.scenario or Scenario()) else scenario
-            each_network = partial(_simulate, territories, scenario, new, response)
+            each_network = partial(_simulate, territories, scenario, new)
             for beat, values in simulator.pool.map(each_network, networks, model):
                 beats.append(beat)
                 index_values.append(values)
@@ -169,7 +154,7 @@ def simulate_scenarios(
         by_index = {
             index: np.array([values[index] for values in index_values]) for index in INDICES
         }
-        predicted[name] = Predicted(scenario, beats, by_index)
+        predicted[name] = Predicted(scenario, beats, by_index, response=recording.target.response)
     return predicted
 
 
@@ -177,18 +162,15 @@ def _simulate(
     territories: Territories,
     scenario: Scenario,
     new: Scenario | None,
-    response: Response | None,
     network: Network,
     model: ForwardModel,
-) -> tuple[PredictedBeat, dict[str, float]]:
-    simulation = network.simulation
+) -> tuple[Beat, dict[str, float]]:
+    beat = network.beat
     if new is not None:
-        simulation = model.activate(simulation.trees, scenario=new, **network.parameters)
+        beat = model.activate(beat.trees, scenario=new, **network.parameters)
     gain = network.gain if network.drawn_gain is None else network.drawn_gain
-    leads = gain * simulation.leads
-    values = indices(replace(simulation, leads=leads), territories, scenario.first_stimulus)
-    filtered = placed(leads, -RINGING, leads.shape[1] + 2 * RINGING, response)
-    return PredictedBeat.of(simulation, leads, filtered), values
+    beat = replace(beat, leads=gain * beat.leads)
+    return beat.in_single_precision(), indices(beat, territories, scenario.first_stimulus)
 
 
 def prior_networks(fitted: FittedStudy, progress: Progress | None = None) -> list[Network]:
@@ -202,7 +184,7 @@ def prior_networks(fitted: FittedStudy, progress: Progress | None = None) -> lis
     for done, number in enumerate(numbers, 1):
         for point in simulator.prior.sample(rng, MOST_TRIED):
             (simulation,) = simulators[number].simulate([point])
-            if isinstance(simulation, Simulation) and simulators[number].keeps(point, simulation):
+            if isinstance(simulation, Beat) and simulators[number].keeps(point, simulation):
                 parameters = simulators[number].prior.from_unit(point)
                 networks.append(Network(parameters, simulation, simulation.leads, 1.0, 1.0))
                 break
@@ -224,9 +206,8 @@ def qrs_aligned(*predicted: Predicted) -> tuple[Floats, list[Floats]]:
     rows = len(predicted[0].beats[0].leads)
     ecgs = [np.zeros((len(prediction.beats), rows, length)) for prediction in predicted]
     for of_scenario, prediction, scenario_windows in zip(ecgs, predicted, windows, strict=True):
-        for ecg, beat, (onset, _) in zip(
-            of_scenario, prediction.beats, scenario_windows, strict=True
-        ):
+        for k, (ecg, (onset, _)) in enumerate(zip(of_scenario, scenario_windows, strict=True)):
             begin = RINGING + onset - LEAD_IN
-            ecg[:] = np.pad(beat.filtered, ((0, 0), (0, length)))[:, begin : begin + length]
+            padded = np.pad(prediction.filtered(k), ((0, 0), (0, length)))
+            ecg[:] = padded[:, begin : begin + length]
     return np.asarray((np.arange(length) - LEAD_IN) * SAMPLE_STEP, dtype=np.float64), ecgs

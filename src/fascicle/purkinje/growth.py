@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
+from fascicle.core.parameters import Infeasible
 from fascicle.core.quantities import Quantity, checked, declare, default_of, fascicles, quantity
 from fascicle.core.ranges import check_kind
 from fascicle.heart.endocardium import Endocardium
 from fascicle.kernels import growth
 from fascicle.mesh.measures import unit
 from fascicle.purkinje.chart import Chart
-from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
+from fascicle.purkinje.tree import PurkinjeTree
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
@@ -201,12 +202,12 @@ def with_angles(
 
 def grow_from_parameters(
     side: str, chart: Chart, seed: Seed, parameters: Mapping[str, float], rules: GrowthRules
-) -> PurkinjeTree | InvalidTree:
+) -> PurkinjeTree | Infeasible:
     """Grow a tree: bundle, fascicles from its end, then generations of branches.
 
     Each segment obeys d ← normalise(d + w∇d_CP(x)), x ← x + (l_b/N_s)·d (equation 1 of the
     paper), with unit vectors and distances of the endocardium's own metric, or with another term.
-    The outcome is an `InvalidTree` where the bundle or a fascicle would leave the endocardium.
+    The outcome is an `Infeasible` where the bundle or a fascicle would leave the endocardium.
 
     The parameters, of both sides, are lengths (mm) of the bundle and of as many fascicles as are
     named, and their angles to it (rad, counter-clockwise in the disk seen from inside the cavity).
@@ -262,7 +263,16 @@ def tree_of_nodes(side: str, nodes: NDArray[np.void], chart: Chart) -> PurkinjeT
 
 def tree_outside(
     side: str, branch: int, wanted: float, missing: float, end: NDArray[np.void], chart: Chart
-) -> InvalidTree:
+) -> Infeasible:
     """The outcome where `missing` mm were not laid; `end`, of shape (1,), is on the base."""
-    position = tuple(growth.lift(end, chart)[0].tolist())
-    return InvalidTree(side, branch, wanted - missing, wanted, position)
+    part, name = "bundle", "initial_length"
+    if branch > 0:
+        part, name = f"fascicle {branch}", f"fascicle_length_{branch}"
+    place = ", ".join(f"{x:.1f}" for x in growth.lift(end, chart)[0].tolist())
+    return Infeasible(
+        f"{side.upper()} {part} leaves the endocardium after {wanted - missing:.1f} of "
+        f"{wanted:.1f} mm, at ({place}) mm on the base",
+        "shorten it",
+        f"{side}_{name}",
+        wanted - missing,
+    )

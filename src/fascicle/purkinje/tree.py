@@ -112,34 +112,3 @@ class PurkinjeTree:
         for k, start in enumerate(label_until_fork(self.root, 0), 1):
             label_until_fork(start, k)
         return labels
-
-
-@dataclass(frozen=True)
-class InvalidTree:
-    """The parameters ask for a bundle or fascicle that does not fit on the endocardium.
-
-    Attributes
-    ----------
-    side : str
-        ``"lv"`` or ``"rv"``.
-    branch : int
-        What left the endocardium: 0, the bundle; k, fascicle k.
-    grown, wanted, position : float, float, and tuple of three float
-        How long it was when it left, how long it was to be, and where it left (mm).
-    """
-
-    side: str
-    branch: int
-    grown: float
-    wanted: float
-    position: tuple[float, ...]
-
-    @property
-    def reason(self) -> str:
-        """Reason in words, for messages."""
-        name = "bundle" if self.branch == 0 else f"fascicle {self.branch}"
-        where = ", ".join(f"{x:.1f}" for x in self.position)
-        return (
-            f"{self.side.upper()} {name} leaves the endocardium after {self.grown:.1f} of "
-            f"{self.wanted:.1f} mm, at ({where}) mm on the base"
-        )

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.forward.simulation import Simulation
+from fascicle.forward.beat import Beat
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import triangle_normals
@@ -48,10 +48,10 @@ class ActivationRow:
     trees: tuple[tuple[PurkinjeTree, Floats], ...] = ()  # with times (n_nodes,) of their nodes (ms)
 
     @classmethod
-    def of(cls, label: str, simulation: Simulation) -> ActivationRow:
-        """Tissue and Purkinje networks of a simulation."""
-        trees = tuple(zip(simulation.trees, simulation.coupled.trees, strict=True))
-        return cls(label, np.asarray(simulation.activation), trees)
+    def of(cls, label: str, beat: Beat) -> ActivationRow:
+        """Tissue and Purkinje networks of a beat."""
+        times = [node_times.astype(float) for node_times in beat.coupled.trees]
+        return cls(label, beat.activation.astype(float), tuple(zip(beat.trees, times, strict=True)))
 
     def since_first(self) -> ActivationRow:
         """Row with times from the first activation of the heart on."""

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from fascicle.core.arrays import Floats
 from fascicle.core.quantities import quantity
-from fascicle.forward.simulation import Simulation
+from fascicle.forward.beat import Beat
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import Predicted
 from fascicle.purkinje.tree import PurkinjeTree
@@ -76,7 +76,7 @@ def _(tree: PurkinjeTree) -> Facts:
 
 
 @_facts.register
-def _(simulation: Simulation) -> Facts:
+def _(simulation: Beat) -> Facts:
     facts: dict[str, object] = {
         "global QRS duration": f"{simulation.global_qrs_duration:.0f} ms",
         "window QRS duration": f"{simulation.qrs_duration:.0f} ms",

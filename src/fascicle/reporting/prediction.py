@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from fascicle.core.arrays import Floats
 from fascicle.core.files import atomic_folder, write_bytes, write_text
 from fascicle.core.progress import Progress, stage_progress
-from fascicle.forward.simulation import Simulation
+from fascicle.forward.beat import Beat
 from fascicle.heart.heart import Heart
 from fascicle.heart.sites import SEGMENTS
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
@@ -96,7 +96,7 @@ def write_sweep(fitted: FittedStudy, swept: Swept, name: str, index: str, out: P
 
 
 def draw_simulation(
-    heart: Heart, simulation: Simulation, folder: Path, kind: str, time_zero: str
+    heart: Heart, simulation: Beat, folder: Path, kind: str, time_zero: str
 ) -> list[Path]:
     """Write ``ecg`` and ``activation``, pictures of one of the `KINDS`; returns the files."""
     ecg = simulated_ecg_figure(simulation, time_zero)
@@ -105,14 +105,14 @@ def draw_simulation(
     return [save(figure, folder / f"{stem}.{kind}") for stem, figure in figures.items()]
 
 
-def simulated_ecg_figure(simulation: Simulation, time_zero: str = "") -> Figure:
+def simulated_ecg_figure(simulation: Beat, time_zero: str = "") -> Figure:
     """Draw the ECG of a simulation."""
     time, leads = simulation.ecg["time"].to_numpy(), simulation.leads[None]
     group = EcgGroup("simulated", "network", time, leads, Colour.VERMILION)
     return ecg_figure([group], "Simulated ECG", time_zero=time_zero, leads=simulation.lead_names)
 
 
-def simulated_activation_figure(heart: Heart, simulation: Simulation, zero: str = "") -> Figure:
+def simulated_activation_figure(heart: Heart, simulation: Beat, zero: str = "") -> Figure:
     """Draw the activation of a simulation on its heart."""
     row = ActivationRow.of(total_time(simulation.total_activation_time), simulation)
     return activation_figure(heart, [row], f"activation (ms){zero}")

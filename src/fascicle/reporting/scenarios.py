@@ -117,9 +117,7 @@ def _with_intrinsic(predicted: Mapping[str, Predicted], name: str) -> tuple[Pred
 def _row(prediction: Predicted, label: str, number: int) -> ActivationRow:
     """Row of a network, with times from its first activation."""
     beat, total = prediction.beats[number], prediction.indices["total_activation_time"][number]
-    trees = tuple((tree, times.astype(float)) for tree, times in beat.trees)
-    name = f"{label}\n{total_time(total)}"
-    return ActivationRow(name, beat.activation.astype(float), trees).since_first()
+    return ActivationRow.of(f"{label}\n{total_time(total)}", beat).since_first()
 
 
 def sweep_figure(swept: Swept, index: str, name: str) -> Figure:

@@ -54,8 +54,8 @@ def drawings(
         fitted.population,
     )
     heart = model.heart
-    best = ActivationRow.of("best network", fitted.best_network.simulation).since_first()
-    activations = np.array([network.simulation.activation for network in networks])
+    best = ActivationRow.of("best network", fitted.best_network.beat).since_first()
+    activations = np.array([network.beat.activation for network in networks])
     spread = ActivationRow("all networks", activation_maps(activations)["activation_sd"])
     # recordings in the names of files and in captions
     counts = range(1, len(fitted.recordings) + 1)

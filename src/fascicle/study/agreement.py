@@ -78,7 +78,7 @@ def agreement(target: Target, networks: Sequence[Network]) -> Agreement:
     correlation = np.full(len(used), np.nan)
     pairs = zip(recorded[used], predicted[used], strict=True)
     correlation[used] = [pearson(*pair) for pair in pairs]
-    simulations = [network.simulation for network in networks]
+    simulations = [network.beat for network in networks]
     simulated_values = {
         "qrs_duration_ms": [simulation.qrs_duration for simulation in simulations],
         "global_qrs_duration_ms": [simulation.global_qrs_duration for simulation in simulations],

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from fascicle.build.export import write_opencarp
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.files import write_text
+from fascicle.forward.beat import Beat
 from fascicle.forward.model import ForwardModel
-from fascicle.forward.simulation import Simulation
 from fascicle.forward.simulation_files import junctions, sites_table, write_beat
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
@@ -53,7 +53,7 @@ def write_networks(
             _write_elements(folder / "elements.csv", heart, tags)
     for name, network in networks.items():
         (network_folder := folder / name).mkdir()
-        simulation = network.simulation
+        simulation = network.beat
         if kind == "vtu":
             write_beat(network_folder, heart, simulation)
             continue
@@ -104,7 +104,7 @@ def tissue_table(heart: Heart, tags: Integers, conduction: Conduction) -> DataFr
     )
 
 
-def fired_vertices(model: ForwardModel, simulation: Simulation) -> tuple[Integers, Floats]:
+def fired_vertices(model: ForwardModel, simulation: Beat) -> tuple[Integers, Floats]:
     """Vertices through which junctions and stimuli activate the tissue, and the times (ms).
 
     The vertices are corners of the element around a junction or stimulus whose front arrives first.
@@ -119,7 +119,7 @@ def fired_vertices(model: ForwardModel, simulation: Simulation) -> tuple[Integer
 
 
 def _write_opencarp_network(
-    folder: Path, model: ForwardModel, simulation: Simulation, tissues: DataFrame
+    folder: Path, model: ForwardModel, simulation: Beat, tissues: DataFrame
 ) -> None:
     """Write openCARP's input for one network, with times shifted so that none is negative."""
     vertices, times = fired_vertices(model, simulation)
@@ -206,7 +206,7 @@ def _write_elements(path: Path, heart: Heart, tags: Integers) -> None:
     _write_table(path, "element", {**columns, "tag": tags})
 
 
-def _write_tables(folder: Path, heart: Heart, simulation: Simulation, tissues: DataFrame) -> None:
+def _write_tables(folder: Path, heart: Heart, simulation: Beat, tissues: DataFrame) -> None:
     times = {"time_ms": simulation.activation}
     _write_table(folder / "activation.csv", "node", _positions(heart.vertices) | times)
     for tree, moments in zip(simulation.trees, simulation.coupled.trees, strict=True):

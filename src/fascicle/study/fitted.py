@@ -19,7 +19,7 @@ from fascicle.core.files import as_path, atomic_folder, check_folder, write_text
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.quantities import checked
 from fascicle.core.ranges import check_count, short_repr, shown
-from fascicle.forward.simulation import Simulation
+from fascicle.forward.beat import Beat
 from fascicle.inference.evaluation import Evaluation, best_of
 from fascicle.study.activation_maps import nearest_to_median
 from fascicle.study.evaluations import Stage
@@ -231,7 +231,7 @@ class FittedStudy:
         recording, losses = self.recordings[0], []
         outcomes = self.simulator.of_parameters(rows, recording.scenario)
         for number, outcome in enumerate(outcomes):
-            if not isinstance(outcome, Simulation):
+            if not isinstance(outcome, Beat):
                 raise InputError(f"draws: number {number} gives no network ({outcome.reason})")
             losses.append(recording.align(outcome.leads).loss)
         best = int(np.argmin(losses))
@@ -288,9 +288,7 @@ class FittedStudy:
         if not population_size:
             named, description = {"best": simulated[0]}, "the best network; none was accepted"
         elif networks is None:
-            k = nearest_to_median(
-                np.stack([network.simulation.activation for network in simulated])
-            )
+            k = nearest_to_median(np.stack([network.beat.activation for network in simulated]))
             named, description = {f"{k:03d}": simulated[k]}, "nearest to the median activation map"
         content = {
             "verdict": self.verdict,

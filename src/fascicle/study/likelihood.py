@@ -12,6 +12,7 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import INDEPENDENT_ROWS, LEADS, independent_rows
 from fascicle.core.ranges import short_repr
+from fascicle.forward.beat import Signals
 from fascicle.forward.likelihood import (
     MARGIN,
     Likelihood,
@@ -23,7 +24,6 @@ from fascicle.forward.likelihood import (
     separable,
 )
 from fascicle.forward.loss import placed
-from fascicle.forward.simulation import Signals
 from fascicle.inference.emulator import Singles
 from fascicle.recording.target import Target
 from fascicle.study.ecg_emulator import EcgEmulator, cosines_of, tissue_inputs
@@ -97,7 +97,7 @@ class EmulatedLikelihood:
         scores: Any = emulator.scores(emulator.inputs(columns, self._tissues[places]))
         errors = energy = 0.0
         for network, emulated in zip(networks, emulator.cosines(scores), strict=True):
-            signals = Signals.of(network.simulation)
+            signals = network.beat.signals
             begin = signals.first_activation - BEFORE
             leads = placed(signals.leads, begin, emulator.length)[rows]
             true = cosines_of(leads, emulated.shape[-1])

@@ -20,7 +20,6 @@ from fascicle.core.leads import independent_rows
 from fascicle.core.ranges import short_repr
 from fascicle.forward.activation_sequence import LATE_QRS, SequenceSummary
 from fascicle.forward.likelihood import Likelihood, Replicate
-from fascicle.forward.simulation import Signals
 from fascicle.recording.criteria import frontal_axis
 from fascicle.recording.target import Target
 from fascicle.study.agreement import Agreement, agreement
@@ -193,7 +192,7 @@ def predict_recording(
     `likelihoods` holds the likelihood that belongs to each network.
     """
     pairs = zip(likelihoods, networks, strict=True)
-    drawn = [likelihood.predictive(Signals.of(n.simulation), rng) for likelihood, n in pairs]
+    drawn = [likelihood.predictive(n.beat.signals, rng) for likelihood, n in pairs]
     ecg, noisy = (
         np.array([getattr(replicate, name) for replicate in drawn]) for name in ("ecg", "noisy")
     )

@@ -23,14 +23,16 @@ from fascicle.core.array_cache import ArrayCache
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_ROWS, LEADS
+from fascicle.core.parameters import Infeasible
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.quantities import Changes, quantity, torso_values
 from fascicle.forward.activation_sequence import MAPPED
+from fascicle.forward.beat import Beat
 from fascicle.forward.bodies import random_bodies
+from fascicle.forward.eikonal.activation import Activation
 from fascicle.forward.loss import placed
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
-from fascicle.forward.simulation import SimulatedBeat, Simulation
 from fascicle.study.pool import Pool
 from fascicle.study.prior import UNMAPPED, Prior, growth_and_conduction, is_kept
 
@@ -211,20 +213,15 @@ class PriorSimulations:
         )
 
 
-def _beat(
-    item: tuple[Mapping[str, float], Scenario | None], model: ForwardModel
-) -> SimulatedBeat | None:
+def _beat(item: tuple[Mapping[str, float], Scenario | None], model: ForwardModel) -> Beat | None:
     """Simulate a network, and return its beat without the trees; None if it is infeasible."""
-    simulation = model.simulate(*item)
-    if not isinstance(simulation, Simulation):
+    beat = model.simulate(*item)
+    if isinstance(beat, Infeasible):
         return None
-    names = simulation.lead_names
-    return SimulatedBeat(
-        simulation.leads, simulation.onset, simulation.activation, (), lead_names=names
-    )
+    return replace(beat, trees=(), coupled=Activation(beat.activation))
 
 
-def _from_activation(leads: Floats, beat: SimulatedBeat) -> Floats:
+def _from_activation(leads: Floats, beat: Beat) -> Floats:
     """Leads (n_leads, n) from `BEFORE` the first activation to their end."""
     begin = beat.first_activation - BEFORE
     return placed(leads, begin, int(np.ceil(leads.shape[1] - begin)) + BEFORE)

@@ -49,14 +49,14 @@ def write_results(
         folder / "networks",
         {"best": fitted.best_network} | {f"{k:02d}": networks[k] for k in shown},
     )
-    activations = np.stack([network.simulation.activation for network in networks])
+    activations = np.stack([network.beat.activation for network in networks])
     write_grid(
         folder / "activation.vtu",
         heart.vertices,
         heart.tetrahedra,
         TETRAHEDRON,
         point_data={
-            "activation": since_first(fitted.best_network.simulation.activation),
+            "activation": since_first(fitted.best_network.beat.activation),
             **activation_maps(activations),
         },
     )
@@ -98,7 +98,7 @@ def _write_networks(folder: Path, networks: Mapping[str, Network]) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     with atomic_folder(folder) as temporary:
         for name, network in networks.items():
-            simulation = network.simulation
+            simulation = network.beat
             for tree, times in zip(simulation.trees, simulation.coupled.trees, strict=True):
                 write_tree(temporary / name / f"{tree.side}_tree.vtu", tree, times)
             lines = [f"{key} = {value!r}" for key, value in network.parameters.items()]

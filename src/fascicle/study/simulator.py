@@ -8,17 +8,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fascicle.core.arrays import Floats
+from fascicle.core.parameters import Infeasible
 from fascicle.core.ranges import short_repr
+from fascicle.forward.beat import Beat, Signals
 from fascicle.forward.model import Backend, ForwardModel
 from fascicle.forward.scenario import Scenario
-from fascicle.forward.simulation import Signals, SimulatedBeat, Simulation
-from fascicle.purkinje.tree import InvalidTree
 from fascicle.study.pool import Pool, Threads
 from fascicle.study.prior import Prior, is_kept
-from fascicle.torso.variation.conductor import InvalidTorso
 
 # Simulations by sorted parameters and the `id` of a scenario
-Remembered = dict[tuple[tuple[tuple[str, float], ...], int], Simulation]
+Remembered = dict[tuple[tuple[tuple[str, float], ...], int], Beat]
 
 
 @dataclass(frozen=True)
@@ -39,20 +38,20 @@ class PointSimulator:
         tissues = self.prior.averaged.tissues
         self.model.keep_tissues({**self.prior.fixed, **tissue} for tissue in tissues)
 
-    def keeps(self, point: Floats, beat: SimulatedBeat) -> bool:
+    def keeps(self, point: Floats, beat: Beat) -> bool:
         """Whether the intrinsic beat at a point (d,) belongs to the prior."""
         surfaces = self.model.surfaces
         return not self.prior.mapped or is_kept(point, surfaces.sequence(beat.activation))
 
     def simulate(
         self, points: Iterable[Floats], scenario: Scenario | None = None
-    ) -> Iterator[Simulation | InvalidTree | InvalidTorso]:
+    ) -> Iterator[Beat | Infeasible]:
         """Simulate points, in order."""
         return self.of_parameters([self.prior.from_unit(point) for point in points], scenario)
 
     def of_parameters(
         self, parameters: Iterable[Mapping[str, float]], scenario: Scenario | None = None
-    ) -> Iterator[Simulation | InvalidTree | InvalidTorso]:
+    ) -> Iterator[Beat | Infeasible]:
         """Simulate networks, in order."""
         items = [({**self.prior.fixed, **network}, scenario) for network in parameters]
         return self.pool.map(_simulate, items, self.model)
@@ -75,11 +74,11 @@ class PointSimulator:
         for k, outcome in zip(
             plain, self.backend.signals(self.model, plain_parameters), strict=True
         ):
-            signals[k] = outcome.reason if isinstance(outcome, InvalidTree) else outcome
+            signals[k] = outcome.reason if isinstance(outcome, Infeasible) else outcome
         return signals
 
 
 def _simulate(
     item: tuple[Mapping[str, float], Scenario | None], model: ForwardModel
-) -> Simulation | InvalidTree | InvalidTorso:
+) -> Beat | Infeasible:
     return model.simulate(*item)

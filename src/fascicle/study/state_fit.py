@@ -17,12 +17,12 @@ from fascicle.core.files import DISPOSABLE
 from fascicle.core.progress import Progress
 from fascicle.core.quantities import torso_values
 from fascicle.forward.activation_sequence import SequenceSummary
+from fascicle.forward.beat import Beat
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.likelihood import Likelihood
 from fascicle.forward.model import Backend, ForwardModel, usable
 from fascicle.forward.preparation import share_prepared
 from fascicle.forward.scenario import Scenario
-from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import load_heart, write_heart
 from fascicle.heart.heart import Heart
 from fascicle.purkinje.growth import GrowthRules
@@ -119,7 +119,7 @@ def completed(fitted: FittedStudy, emulated: Emulated, progress: Progress | None
             checks = checked(prediction.checks, likelihoods, recorded_networks)
             if recording.scenario is None:
                 surfaces = fitted.simulator.model.surfaces
-                sequences = [surfaces.sequence(n.simulation.activation) for n in recorded_networks]
+                sequences = [surfaces.sequence(n.beat.activation) for n in recorded_networks]
                 checks = replace(checks, sequence=SequenceSummary.of(sequences))
             predictions.append(replace(prediction, checks=checks))
             agreements.append(prediction.agreement)
@@ -140,7 +140,7 @@ def _check_scenarios(simulator: PointSimulator, recordings: Sequence[TargetCompa
         if recording.scenario is None:
             continue
         for point in simulator.prior.sample(np.random.default_rng(0), 10):
-            if isinstance(next(simulator.simulate([point], recording.scenario)), Simulation):
+            if isinstance(next(simulator.simulate([point], recording.scenario)), Beat):
                 break
 
 

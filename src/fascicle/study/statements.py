@@ -371,7 +371,7 @@ def prediction_statement(values: Floats, prior: Floats) -> str:
 
 def has_few_junctions(network: Network) -> bool:
     """Whether a tree of a network has fewer junctions than a usable tree."""
-    return any(len(tree.junctions) < FEW_JUNCTIONS for tree in network.simulation.trees)
+    return any(len(tree.junctions) < FEW_JUNCTIONS for tree in network.beat.trees)
 
 
 def _warnings(result: Result) -> Iterator[tuple[Kind, str]]:
@@ -408,7 +408,7 @@ def _warnings(result: Result) -> Iterator[tuple[Kind, str]]:
     yield Kind.END_OF_RANGE, _at_end_of_range(result)
     best = result.best_network
     if has_few_junctions(best):
-        trees = best.simulation.trees
+        trees = best.beat.trees
         counts = ", ".join(f"{len(tree.junctions)} ({tree.side.upper()})" for tree in trees)
         yield (
             Kind.FEW_JUNCTIONS,

@@ -11,20 +11,19 @@ import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.leads import independent_rows
+from fascicle.core.parameters import Infeasible
 from fascicle.core.quantities import SIDES
 from fascicle.core.ranges import short_repr
+from fascicle.forward.beat import Beat, Signals
 from fascicle.forward.likelihood import Likelihood
 from fascicle.forward.loss import Alignment, align, mismatch, placed
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
-from fascicle.forward.simulation import Signals, Simulation
 from fascicle.inference.evaluation import Evaluation
-from fascicle.purkinje.tree import InvalidTree
 from fascicle.recording.target import Target, repeated
 from fascicle.study.pool import Threads
 from fascicle.study.prior import is_kept
 from fascicle.study.simulator import PointSimulator, Remembered
-from fascicle.torso.variation.conductor import InvalidTorso
 
 # A point, its parameters, and its intrinsic beat (or why it is infeasible) if a backend made it
 Item = tuple[Floats, Mapping[str, float], Signals | str | None]
@@ -39,7 +38,7 @@ class Network:
     ----------
     parameters : mapping of name to float
         Parameters, in their units.
-    simulation : Simulation
+    beat : Beat
         Output of the forward model for the parameters.
     predicted : (12 + k, n_time) array
         ECG of the network, aligned with the recorded mean beat (mV).
@@ -55,7 +54,7 @@ class Network:
     """
 
     parameters: Mapping[str, float]
-    simulation: Simulation
+    beat: Beat
     predicted: Floats
     under_qrs: float
     gain: float
@@ -202,8 +201,8 @@ def _evaluate(
             signals = intrinsic_signals
         else:
             outcome = _simulated(parameters, recording.scenario, model, remembered)
-            signals = Signals.of(outcome) if isinstance(outcome, Simulation) else outcome.reason
-            if mapped and recording.scenario is None and isinstance(outcome, Simulation):
+            signals = outcome.signals if isinstance(outcome, Beat) else outcome.reason
+            if mapped and recording.scenario is None and isinstance(outcome, Beat):
                 sequence = model.surfaces.sequence(outcome.activation)
                 signals = signals if is_kept(point, sequence) else UNLIKE_MAPPED_HEARTS
         simulated.append(signals)
@@ -234,13 +233,13 @@ def _simulated(
     scenario: Scenario | None,
     model: ForwardModel,
     remembered: Remembered | None,
-) -> Simulation | InvalidTree | InvalidTorso:
+) -> Beat | Infeasible:
     """Simulate parameters, or return the simulation kept from before."""
     key = tuple(sorted(parameters.items())), id(scenario)
     if remembered is not None and key in remembered:
         return remembered[key]
     outcome = model.simulate(parameters, scenario)
-    if remembered is not None and isinstance(outcome, Simulation):
+    if remembered is not None and isinstance(outcome, Beat):
         remembered[key] = outcome
     return outcome
 
@@ -252,7 +251,7 @@ def _network(
     remembered: Remembered | None = None,
 ) -> Network:
     simulation = _simulated(parameters, recording.scenario, model, remembered)
-    if not isinstance(simulation, Simulation):
+    if not isinstance(simulation, Beat):
         raise RuntimeError(f"a network of the population is impossible: {simulation.reason}")
     alignment = recording.align(simulation.leads)
     predicted = recording.predicted(simulation.leads, alignment)

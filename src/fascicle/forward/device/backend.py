@@ -11,18 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats
-from fascicle.core.parameters import complete
+from fascicle.core.parameters import Infeasible, complete
 from fascicle.core.quantities import SIDES, Changes, fascicles, quantity
+from fascicle.forward.beat import Beat, Signals
 from fascicle.forward.device.batch import BATCH_SIZE, Device, Results, Simulator
 from fascicle.forward.device.card import Card
 from fascicle.forward.device.source import BEAT, PLAN
 from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP, leads_from_independent
+from fascicle.forward.eikonal.activation import Activation
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import root_times
-from fascicle.forward.simulation import Signals, SimulatedBeat
 from fascicle.kernels.growth import GROWN, repulsion
 from fascicle.purkinje.growth import tree_of_nodes, tree_outside
-from fascicle.purkinje.tree import InvalidTree
 
 Made = TypeVar("Made")
 # Changes of parameters that the card cannot simulate
@@ -72,7 +72,7 @@ class GpuBackend:
 
     def signals(
         self, model: ForwardModel, parameters: Sequence[Mapping[str, float]]
-    ) -> Iterator[Signals | InvalidTree | None]:
+    ) -> Iterator[Signals | Infeasible | None]:
         """Signals to compare with a recording, in order; None for too large networks."""
 
         def made(number: int, values: Mapping[str, float], results: Results) -> Signals:
@@ -84,18 +84,19 @@ class GpuBackend:
 
     def beats(
         self, model: ForwardModel, parameters: Sequence[Mapping[str, float]]
-    ) -> Iterator[SimulatedBeat | InvalidTree | None]:
+    ) -> Iterator[Beat | Infeasible | None]:
         """Beats of networks, in order; None for too large networks."""
         simulator, prepared = self._simulator(model), model.prepared
 
-        def made(number: int, values: Mapping[str, float], results: Results) -> SimulatedBeat:
+        def made(number: int, values: Mapping[str, float], results: Results) -> Beat:
             trees = tuple(
                 tree_of_nodes(side, simulator.nodes(number, k, size), prepared.charts[side])
                 for k, (side, size) in enumerate(zip(SIDES, results.sizes[number], strict=True))
             )
             activation = np.empty(len(prepared.myocardium.order))
             activation[prepared.myocardium.order] = simulator.activation(number)
-            return SimulatedBeat(_leads(results.channels[number], values), 0.0, activation, trees)
+            leads = _leads(results.channels[number], values)
+            return Beat(leads, 0.0, trees, Activation(activation))
 
         return self._each(model, parameters, made)
 
@@ -104,13 +105,13 @@ class GpuBackend:
         model: ForwardModel,
         parameters: Sequence[Mapping[str, float]],
         made: Callable[[int, Mapping[str, float], Results], Made],
-    ) -> Iterator[Made | InvalidTree | None]:
+    ) -> Iterator[Made | Infeasible | None]:
         """Run networks in batches; yield in order what `made` makes of the results of each."""
         completed = [model.with_root_time(complete(network)) for network in parameters]
         for start in range(0, len(completed), self.batch):
             batch = completed[start : start + self.batch]
-            networks = [network for network in batch if not isinstance(network, InvalidTree)]
-            outcomes: Iterator[Made | InvalidTree | None] = iter(())
+            networks = [network for network in batch if not isinstance(network, Infeasible)]
+            outcomes: Iterator[Made | Infeasible | None] = iter(())
             if networks:
                 results = self._simulator(model).run(
                     np.stack([_plan(model, side, n) for n in networks for side in SIDES]),
@@ -124,7 +125,7 @@ class GpuBackend:
                 )
             # the whole batch before the next one overwrites its results
             yield from [
-                network if isinstance(network, InvalidTree) else next(outcomes) for network in batch
+                network if isinstance(network, Infeasible) else next(outcomes) for network in batch
             ]
 
 
@@ -167,7 +168,7 @@ def _beat(model: ForwardModel, values: Mapping[str, float]) -> tuple[Any, ...]:
 
 def _outside(
     model: ForwardModel, number: int, values: Mapping[str, float], results: Results
-) -> InvalidTree | None:
+) -> Infeasible | None:
     """The first tree that does not fit; None where the network is too large for the card."""
     rows = results.status[number], results.missing[number], results.ends[number]
     for side, status, missing, end in zip(SIDES, *rows, strict=True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -136,15 +136,15 @@ class Activation:
     """
 
     myocardium: Floats
-    trees: tuple[Floats, ...]
-    origin: Integers
-    retrograde: tuple[Booleans, ...]
-    entered_by: tuple[Integers, ...]
-    stimuli: Floats
-    stimulus_times: Floats
-    captured: Booleans
-    junction_distances: tuple[Floats, ...]
-    his: float
+    trees: tuple[Floats, ...] = ()
+    origin: Integers = field(default_factory=lambda: np.empty(0, np.int64))
+    retrograde: tuple[Booleans, ...] = ()
+    entered_by: tuple[Integers, ...] = ()
+    stimuli: Floats = field(default_factory=lambda: np.empty((0, 3)))
+    stimulus_times: Floats = field(default_factory=lambda: np.empty(0))
+    captured: Booleans = field(default_factory=lambda: np.empty(0, bool))
+    junction_distances: tuple[Floats, ...] = ()
+    his: float = np.inf
 
     __repr__ = short_repr
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fascicle.core.arrays import Floats, Singles
+from fascicle.core.arrays import Floats
 from fascicle.forward.blocks import in_state
 from fascicle.forward.primitives import His, Stimulus
 from fascicle.forward.scenario import Scenario
@@ -18,16 +18,13 @@ from fascicle.reporting.names import capitals
 
 
 def marks(
-    scenario: Scenario,
-    values: Mapping[str, float],
-    trees: Sequence[tuple[PurkinjeTree, Singles]],
-    sites: Sites,
+    scenario: Scenario, values: Mapping[str, float], trees: Sequence[PurkinjeTree], sites: Sites
 ) -> list[dict[str, Any]]:
     """Marks for the viewer: kind (``"paced"`` or ``"blocked"``), text and place (mm).
 
     `values` are the network's parameters, `trees` those of its beat in the scenario.
     """
-    network_trees = [tree for tree, _ in trees[: len(trees) - len(scenario.trees)]]
+    network_trees = trees[: len(trees) - len(scenario.trees)]
     scenario = in_state(scenario, values.get("conduction", 0.0))
     marked: list[tuple[str, str, Floats]] = []
     roots = np.array([tree.nodes[tree.root] for tree in network_trees])
@@ -43,13 +40,13 @@ def marks(
         if not primitive.blocked:
             continue
         alone = Scenario((primitive,), scenario.trees)
-        beat = alone.beat(network_trees, values.get("root_time", 0.0), values, sites)
+        excitation = alone.excitation(network_trees, values.get("root_time", 0.0), values, sites)
         text = ", ".join(sorted(structure.removeprefix("the ") for structure in primitive.blocked))
-        branches = beat.his.branches if beat.his is not None else ()
+        branches = excitation.his.branches if excitation.his is not None else ()
         places = [root for root, way in zip(roots, branches, strict=False) if np.isinf(way)]
-        ends = np.cumsum([len(tree.nodes) for tree in beat.trees])
-        parts = np.split(np.broadcast_to(beat.speed, ends[-1]), ends[:-1])
-        for tree, speed in zip(beat.trees, parts, strict=True):
+        ends = np.cumsum([len(tree.nodes) for tree in excitation.trees])
+        parts = np.split(np.broadcast_to(excitation.speed, ends[-1]), ends[:-1])
+        for tree, speed in zip(excitation.trees, parts, strict=True):
             places += _where_blocked(tree, speed)
         marked += [("blocked", text, place) for place in places]
     return [

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS
 from fascicle.core.quantities import parameter_name, quantity
+from fascicle.forward.beat import Beat
 from fascicle.forward.ecg.electrocardiogram import first_sample
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
@@ -20,7 +21,7 @@ from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import ENDOCARDIA, labelled_mesh
 from fascicle.heart.sites import places
 from fascicle.prediction.indices import Territories
-from fascicle.prediction.predicted import RINGING, Predicted, PredictedBeat
+from fascicle.prediction.predicted import RINGING, Predicted
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.reporting.names import scenario_name
 from fascicle.reporting.page.marks import marks, where
@@ -73,7 +74,7 @@ def scene(
     beats = {name: [prediction.beats[k] for k in chosen] for name, prediction in predicted.items()}
     all_beats = [beat for scenario_beats in beats.values() for beat in scenario_beats]
     geometry: dict[bytes, tuple[int, PurkinjeTree]] = {}  # each tree once
-    for tree in (tree for beat in all_beats for tree, _ in beat.trees):
+    for tree in (tree for beat in all_beats for tree in beat.trees):
         geometry.setdefault(_key(tree), (len(geometry), tree))
     trees = [tree for _, tree in geometry.values()]
     drawn = {key: _thinned(tree) for key, (_, tree) in geometry.items()}
@@ -124,15 +125,13 @@ def scene(
                 "activations": [
                     _bytes(since_first(beat.activation)[shown], 0.0, last) for beat in beats[name]
                 ],
-                "trees": [
-                    [geometry[_key(tree)][0] for tree, _ in beat.trees] for beat in beats[name]
-                ],
+                "trees": [[geometry[_key(tree)][0] for tree in beat.trees] for beat in beats[name]],
                 "tree_times": [
                     [_bytes(of_tree, begin, last) for of_tree in beat] for beat in times[name]
                 ],
                 "ecgs": [
-                    _microvolts(_ecg(beat, torso, window))
-                    for beat, torso in zip(beats[name], torsos, strict=True)
+                    _microvolts(_ecg(prediction, k, torso, window))
+                    for k, torso in zip(chosen, torsos, strict=True)
                 ],
                 "marks": [
                     marks(prediction.scenario, networks[k].parameters, beat.trees, model.sites)
@@ -263,10 +262,13 @@ def _numbers(values: Floats) -> list[float | None]:
     return [round(float(v), 2) if np.isfinite(v) else None for v in values]
 
 
-def _tree_times(beat: PredictedBeat, drawn: Mapping[bytes, Thinned]) -> list[Floats]:
+def _tree_times(beat: Beat, drawn: Mapping[bytes, Thinned]) -> list[Floats]:
     """Times of the drawn nodes of each tree (ms); NaN where no front arrives."""
     begin = float(beat.activation.min())
-    drawn_times = [times[drawn[_key(tree)][0]].astype(float) for tree, times in beat.trees]
+    drawn_times = [
+        times[drawn[_key(tree)][0]].astype(float)
+        for tree, times in zip(beat.trees, beat.coupled.trees, strict=True)
+    ]
     return [np.where(np.isfinite(times), times, np.nan) - begin for times in drawn_times]
 
 
@@ -308,10 +310,11 @@ def _in_torso(torso: Floats | None, leads: Floats) -> Floats:
     return leads if torso is None else torso @ leads
 
 
-def _ecg(beat: PredictedBeat, torso: Floats | None, window: Floats) -> Floats:
-    """The twelve leads (12, t) (mV) at times from the first activation on (ms)."""
-    leads = _in_torso(torso, beat.filtered)[: len(LEADS)]
-    begin = first_sample(beat.activation.astype(float)) - float(beat.activation.min()) - RINGING
+def _ecg(prediction: Predicted, k: int, torso: Floats | None, window: Floats) -> Floats:
+    """The twelve leads (12, t) of network `k` (mV) at times from the first activation on (ms)."""
+    leads, activation = _in_torso(torso, prediction.filtered(k)), prediction.beats[k].activation
+    leads = leads[: len(LEADS)]
+    begin = first_sample(activation.astype(float)) - float(activation.min()) - RINGING
     time = begin + np.arange(leads.shape[1])
     return np.array([np.interp(window, time, lead, left=0.0, right=0.0) for lead in leads])
 
@@ -319,7 +322,7 @@ def _ecg(beat: PredictedBeat, torso: Floats | None, window: Floats) -> Floats:
 def _recorded(
     recording: TargetComparison | None,
     predicted: Mapping[str, Predicted],
-    beats: Mapping[str, Sequence[PredictedBeat]],
+    beats: Mapping[str, Sequence[Beat]],
     torsos: Sequence[Floats | None],
 ) -> dict[str, Any] | None:
     """The mean recorded beat, and its start (ms) in each network that was fitted to it."""

@@ -31,13 +31,6 @@ LEAST_COMPRESSION = 0.1
 
 
 @dataclass(frozen=True)
-class InvalidTorso:
-    """Impossible torso, with the reason in one line: an outcome of a search, not an error."""
-
-    reason: str
-
-
-@dataclass(frozen=True)
 class TorsoState:
     """Differences from the heart folder's torso.
 

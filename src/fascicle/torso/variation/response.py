@@ -26,16 +26,11 @@ from scipy.spatial.distance import cdist
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import ELECTRODES
+from fascicle.core.parameters import Infeasible
 from fascicle.core.quantities import torso_values
 from fascicle.core.threads import one_thread
 from fascicle.torso.electrode_sites import Electrode
-from fascicle.torso.variation.conductor import (
-    LEAST_COMPRESSION,
-    InvalidTorso,
-    Morph,
-    SkinMotion,
-    TorsoState,
-)
+from fascicle.torso.variation.conductor import LEAST_COMPRESSION, Morph, SkinMotion, TorsoState
 
 # Places (mm) of chest electrodes along the skin, whose triangles have edges of some 11 mm: beyond
 # the 25 mm of one electrode over a chest of 0.85, and upwards also the 40 mm of all together
@@ -93,7 +88,7 @@ class TorsoResponse:
     axes: Floats  # of the torso (3, 3)
 
     @one_thread
-    def __call__(self, state: TorsoState) -> Floats | InvalidTorso:
+    def __call__(self, state: TorsoState) -> Floats | Infeasible:
         """Coefficients (9 + a, k) of the modes for every electrode.
 
         To be divided by the factor on the myocardium's conductivity; the nine sum to zero.
@@ -101,7 +96,7 @@ class TorsoResponse:
         motion = SkinMotion.of(self.centroid, self.axes, state)
         critical = Morph(self.critical_centres, self.critical_share, self.critical_slope)
         if critical.determinants(motion).min() < LEAST_COMPRESSION:
-            return InvalidTorso("the heart would touch the skin")
+            return Infeasible("the heart would touch the skin", "move it less")
         weights = self._weights(exterior_inputs(state)[None])[0].astype(self.outer.dtype)
         outer = np.empty(self.filled.shape)
         upper = np.triu_indices(len(outer))
@@ -116,7 +111,7 @@ class TorsoResponse:
         try:
             factor = scipy.linalg.cho_factor(energy)
         except scipy.linalg.LinAlgError:  # between torsos solved, A need not be positive
-            return InvalidTorso("the heart nearly touches the skin")
+            return Infeasible("the heart nearly touches the skin", "move it less")
         return np.asarray(scipy.linalg.cho_solve(factor, driven.T).T)
 
     def _placed(self, state: TorsoState, motion: SkinMotion) -> tuple[Floats, Floats]:
@@ -129,12 +124,12 @@ class TorsoResponse:
         """Positions (9 + a, 3) of the electrodes in the heart's coordinates (mm)."""
         return self._placed(state, SkinMotion.of(self.centroid, self.axes, state))[1]
 
-    def coefficients(self, values: Mapping[str, float]) -> Floats | InvalidTorso:
+    def coefficients(self, values: Mapping[str, float]) -> Floats | Infeasible:
         """Coefficients for quantities of the torso; the last few torsos are remembered."""
         return self._remembered(tuple(sorted(torso_values(values).items())))
 
     @cached_property
-    def _remembered(self) -> Callable[[tuple[tuple[str, float], ...]], Floats | InvalidTorso]:
+    def _remembered(self) -> Callable[[tuple[tuple[str, float], ...]], Floats | Infeasible]:
         return lru_cache(8)(lambda values: self(TorsoState.of(dict(values))))
 
     @cached_property

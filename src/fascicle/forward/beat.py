@@ -1,8 +1,8 @@
-"""Results of one run of the forward model."""
+"""A beat: what the forward model gives for the quantities of a network and a scenario."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -28,8 +28,8 @@ LONGEST_ACTIVATION = 100_000.0  # ms that an activation may take; more is a mist
 
 
 @dataclass(frozen=True)
-class SimulatedBeat:
-    """Simulated beat of a network.
+class Beat:
+    """Beat of a network in a scenario: trees, activation, and the ECG that it causes.
 
     Attributes
     ----------
@@ -37,21 +37,44 @@ class SimulatedBeat:
         The twelve leads of `fascicle.core.leads.LEADS`, then additional ones (mV), every 1 ms.
     onset : float
         Time of their first sample (ms).
-    activation : (n,) array
-        Activation time of each vertex of the heart (ms); inf where no front arrives.
     trees : tuple of PurkinjeTree
         The trees, left first.
+    coupled : Activation
+        Times in myocardium and trees, how each junction fired, and the site that fired each vertex;
+        of a beat from a graphics card the times in the myocardium alone.
+    capture_groups : (n_points,) int array
+        Number of the scenario's myocardial stimulus that each of `Activation.stimuli` belongs to:
+        first the stimuli in their order, then the vertices that they capture.
     lead_names : tuple of str
         Names of the leads.
     """
 
     leads: Floats
     onset: float
-    activation: Floats
     trees: tuple[PurkinjeTree, ...]
+    coupled: Activation
+    capture_groups: Integers = field(default_factory=lambda: np.empty(0, np.int64))
     lead_names: tuple[str, ...] = field(default=LEADS, kw_only=True)
 
     __repr__ = short_repr
+    _repr_html_ = html_card
+
+    @property
+    def activation(self) -> Floats:
+        """Activation time of each vertex of the heart (ms), (n,); inf where no front arrives."""
+        return self.coupled.myocardium
+
+    @property
+    def signals(self) -> Signals:
+        """What a recording shows of the beat."""
+        junctions = tuple(len(tree.junctions) for tree in self.trees)
+        return Signals(self.leads, self.first_activation, junctions)
+
+    def in_single_precision(self) -> Beat:
+        """Beat to be kept in numbers: without the sites, its times in single precision."""
+        times: Any = [times.astype(np.float32) for times in (self.activation, *self.coupled.trees)]
+        coupled = Activation(times[0], tuple(times[1:]), captured=self.captured)
+        return replace(self, coupled=coupled, capture_groups=np.arange(len(self.captured)))
 
     @cached_property
     def ecg(self) -> xr.DataArray:
@@ -115,34 +138,14 @@ class SimulatedBeat:
     def _qrs_windows(self) -> QrsWindows:
         return qrs_windows(self.leads)
 
-
-@dataclass(frozen=True)
-class Simulation(SimulatedBeat):
-    """Result of one run of the forward model: a beat, and the activation that caused it.
-
-    Attributes
-    ----------
-    coupled : Activation
-        Times in the trees, how each junction fired, and the site that fired each vertex.
-    capture_groups : (n_points,) int array
-        Number of the scenario's myocardial stimulus that each of `Activation.stimuli` belongs to:
-        first the stimuli in their order, then the vertices that they capture.
-    """
-
-    coupled: Activation
-    capture_groups: Integers
-
     @property
     def captured(self) -> Booleans:
         """Whether each myocardial stimulus came before any front at its site, (n_stimuli,)."""
         return np.asarray(np.bincount(self.capture_groups, self.coupled.captured) > 0)
 
-    __repr__ = short_repr
-    _repr_html_ = html_card
-
     def plot(self, heart: Heart | Path | str | None = None) -> list[Any]:
-        """Draw the ECG, or on a heart the activation, by `fascicle.plot.simulation`."""
-        return list(above("plot").simulation(self, heart))
+        """Draw the ECG, or on a heart the activation, by `fascicle.plot.beat`."""
+        return list(above("plot").beat(self, heart))
 
     def to_pyvista(self, heart: Heart | None = None) -> Any:
         """`pyvista.MultiBlock` (mm) of trees, junctions, and the heart if it is given."""
@@ -167,7 +170,7 @@ class Simulation(SimulatedBeat):
 
 @dataclass(frozen=True)
 class Signals:
-    """The part of a simulation that is compared with a recording.
+    """What a recording shows of a beat: its ECG, and when it begins.
 
     Attributes
     ----------
@@ -182,12 +185,6 @@ class Signals:
     leads: Floats
     first_activation: float
     junctions: tuple[int, ...]
-
-    @classmethod
-    def of(cls, simulation: SimulatedBeat) -> Signals:
-        """Take the signals of a simulation."""
-        junctions = tuple(len(tree.junctions) for tree in simulation.trees)
-        return cls(simulation.leads, simulation.first_activation, junctions)
 
 
 def check_activation(times: Floats) -> None:
