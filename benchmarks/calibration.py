@@ -101,11 +101,11 @@ from fascicle.study.likelihood import EmulatedLikelihood, checked
 from fascicle.study.pool import Threads
 from fascicle.study.population import Population, Posterior
 from fascicle.study.predictive import AXIS, DURATION, Checks, predict_recording
-from fascicle.study.prior import NOT_KNOWN, Prior, is_kept, study_space
+from fascicle.study.prior import NOT_KNOWN, Prior, study_space
 from fascicle.study.prior_simulations import PriorSimulations
 from fascicle.study.refined_emulator import refined_emulators
 from fascicle.study.settings import FitSettings, Method
-from fascicle.study.simulator import PointSimulator
+from fascicle.study.simulator import BeatMemory, PointSimulator
 from fascicle.study.state_fit import REFINEMENT
 from fascicle.study.target_comparison import Network, TargetComparison, evaluate
 from fascicle.study.target_comparison import networks as simulated
@@ -126,19 +126,12 @@ TORSO_GROUPS = ("pose", "electrodes", "conductivities")
 PREDICTED = ("activation time", "with both roots together", "end along the axis", "QRS duration")
 
 
-def truth_of(
-    model: ForwardModel, space: Any, fixed: Any, rng: np.random.Generator, mapped: bool = False
-) -> Any:
-    """Parameters from the prior that give a network, and their simulation.
-
-    With `mapped`, only networks that are activated as mapped hearts are.
-    """
+def truth_of(model: ForwardModel, prior: Prior, rng: np.random.Generator) -> Any:
+    """Parameters from the prior that give a network, and their simulation."""
     while True:
-        point = rng.random(len(space))
-        outcome = model.simulate({**fixed, **space.from_unit(point)})
-        if not isinstance(outcome, Beat):
-            continue
-        if not mapped or is_kept(point, model.surfaces.sequence(outcome.activation)):
+        point = rng.random(len(prior.space))
+        outcome = model.simulate({**prior.fixed, **prior.space.from_unit(point)})
+        if isinstance(outcome, Beat) and prior.keeps(point, model.surfaces, outcome):
             return point, outcome
 
 
@@ -178,7 +171,7 @@ def other_physics(
     rng: np.random.Generator,
     mesh: Callable[[str], Heart] = finer,
     method: Method = "posterior",
-) -> tuple[ForwardModel, Any, Any]:
+) -> tuple[ForwardModel, Prior]:
     """A model of the heart other than the one that is fitted, and its prior."""
     fine = turned(mesh(heart), rng.normal(0, TURNED))
     if fine.lead_fields is not None:  # the ECG will be that of `another_torso`
@@ -196,8 +189,7 @@ def other_physics(
         "lv_fascicles": (3 if method == "posterior" else 2) + int(rng.integers(2)),
         **SOURCES.from_unit(rng.random(len(SOURCES))),
     }
-    space, fixed = study_space(method, choices, fine)
-    return ForwardModel(fine), space, fixed
+    return ForwardModel(fine), Prior(*study_space(method, choices, fine))
 
 
 def another_torso(
@@ -229,7 +221,7 @@ def truth_of_prior(simulations: PriorSimulations, number: int, rng: np.random.Ge
         outcome = model.simulate(values)
         if not isinstance(outcome, Beat):
             continue
-        if is_kept(point, model.surfaces.sequence(outcome.activation)):
+        if simulations.prior.keeps(point, model.surfaces, outcome):
             (body,) = random_bodies(model, rng, 1)
             body = model.with_sources(body, values)
             return values, replace(outcome, leads=body.leads(outcome.activation))
@@ -386,15 +378,14 @@ def one_truth(heart: str, number: int, options: argparse.Namespace) -> dict[str,
     seed = TUNING if options.tuning else HELD_OUT
     rng, true = np.random.default_rng([seed, number]), model
     if options.physics == "other":
-        true, true_space, true_fixed = other_physics(heart, rng, method=settings.method)
-        if not of_paper:
-            true_space = NORMAL.narrowed(true_space, true_fixed)
-        point, simulation = truth_of(true, true_space, true_fixed, rng, simulator.prior.mapped)
-        values = {**true_fixed, **true_space.from_unit(point)}
+        true, prior = other_physics(heart, rng, method=settings.method)
+        prior = prior if of_paper else prior.narrowed(NORMAL)
+        point, simulation = truth_of(true, prior, rng)
+        values = prior.from_unit(point)
         if model.heart.lead_fields is not None:
             simulation = another_torso(model, simulation, len(axis), rng, values)
     elif of_paper:
-        point, simulation = truth_of(model, space, simulator.prior.fixed, rng)
+        point, simulation = truth_of(model, simulator.prior, rng)
         values = simulator.prior.from_unit(point)
     else:
         values, simulation = truth_of_prior(simulations, seed * 100_000 + number, rng)
@@ -437,7 +428,7 @@ def one_truth(heart: str, number: int, options: argparse.Namespace) -> dict[str,
         }
         if options.other_heart is not None:
             other = other_person(options.other_heart)
-            alternatives["another heart"] = record(truth_of(*other, rng, mapped=True)[1])
+            alternatives["another heart"] = record(truth_of(*other, rng)[1])
         result["wrong"] = {}
         most, posterior.MOST_BATCHES = posterior.MOST_BATCHES, 1
         for name, wrong in wrong_inputs(target, rng, alternatives).items():
@@ -459,11 +450,10 @@ def judged(checks: Checks) -> dict[str, Any]:
 
 
 @lru_cache(1)
-def other_person(heart: str) -> tuple[ForwardModel, Any, Any]:
+def other_person(heart: str) -> tuple[ForwardModel, Prior]:
     """Model and prior of another heart."""
     loaded = fascicle.load_heart(heart)
-    space, fixed = study_space("posterior", {}, loaded)
-    return ForwardModel(loaded), NORMAL.narrowed(space, fixed), fixed
+    return ForwardModel(loaded), Prior(*study_space("posterior", {}, loaded)).narrowed(NORMAL)
 
 
 @lru_cache(1)
@@ -495,7 +485,7 @@ def fit(
     emulator: EcgEmulator | None,
 ) -> tuple[Population, list[Network], Checks | None]:
     """Population, its networks, and the checks of a posterior against the recording."""
-    simulator = replace(simulator, remembered={})
+    simulator = replace(simulator, memory=BeatMemory(kept=True))
     population = fitted(simulator, recording, settings, number, emulator)
     learnt = [population.parameters(k) for k in range(len(population))]
     networks, likelihood = list(simulated(simulator, recording, learnt)), recording.likelihood

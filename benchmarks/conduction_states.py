@@ -71,7 +71,6 @@ from fascicle.reporting.style import new_figure, save
 from fascicle.study.conduction_states import STATES
 from fascicle.study.heart_emulator import usual_prior
 from fascicle.study.pool import Threads
-from fascicle.study.prior import Prior
 from fascicle.study.settings import FitSettings
 from fascicle.study.state_classifier import classifier_of, probabilities, simulations_of_states
 
@@ -96,12 +95,12 @@ def truths_of(number: int, options: argparse.Namespace) -> None:
     heart = fascicle.load_heart(options.heart)
     plain, axis = ForwardModel(heart), longest_axis(heart)
     mesh = fascicle.load_heart if options.own_mesh else finer
-    model, space, fixed = other_physics(options.heart, rng, mesh)
+    model, of_all_states = other_physics(options.heart, rng, mesh)
     noise = None if options.noise is None else residuals(read_target(options.noise))
     for row in paths:
         for state, path in zip(STATES, row, strict=True):
-            prior = Prior(space, fixed).narrowed(state)
-            point, simulation = truth_of(model, prior.space, prior.fixed, rng, prior.mapped)
+            prior = of_all_states.narrowed(state)
+            point, simulation = truth_of(model, prior, rng)
             values = prior.from_unit(point)
             true = predicted_and_map(simulation, model.simulate(fired_together(values)), axis)
             if heart.lead_fields is not None:

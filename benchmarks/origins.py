@@ -57,9 +57,9 @@ def one_physics(number: int, options: argparse.Namespace) -> None:
     gc.collect()  # frees the gigabytes of the last draw
     rng = np.random.default_rng([HELD_OUT, number, 5])
     heart = fascicle.load_heart(options.heart)
-    plain, (model, space, fixed) = ForwardModel(heart), other_physics(options.heart, rng)
+    plain, (model, prior) = ForwardModel(heart), other_physics(options.heart, rng)
     # sources are as they are, as in the beats that `fascicle.locate` learns from
-    fixed = {name: value for name, value in fixed.items() if name not in SOURCES.names}
+    fixed = {name: value for name, value in prior.fixed.items() if name not in SOURCES.names}
     centres = heart.vertices[heart.tetrahedra].mean(axis=1)
     judgements = []
     for site in rng.choice(len(centres), SITES, p=heart.volumes / heart.volumes.sum()):
@@ -67,7 +67,7 @@ def one_physics(number: int, options: argparse.Namespace) -> None:
         beat = Scenario((His(time=np.inf), stimulus))
         simulation = None
         while not isinstance(simulation, Beat):
-            values = {**fixed, **space.from_unit(rng.random(len(space)))}
+            values = {**fixed, **prior.space.from_unit(rng.random(len(prior.space)))}
             simulation = model.simulate(values, beat)
         if heart.lead_fields is not None:
             simulation = another_torso(plain, simulation, len(heart.vertices), rng, fixed)

@@ -53,7 +53,6 @@ from fascicle.heart.folder import write_heart
 from fascicle.recording.criteria import frontal_axis
 from fascicle.study.conduction_states import KNOWN_STATES, STATES
 from fascicle.study.heart_emulator import usual_prior
-from fascicle.study.prior import is_kept
 from fascicle.study.state_classifier import NoStateNamed
 
 Array = NDArray[np.float64]
@@ -81,9 +80,7 @@ def normal_networks(
     for point in points:
         values = prior.from_unit(point)
         beat = model.simulate(values)
-        if not isinstance(beat, Beat):
-            continue
-        if is_kept(point, model.surfaces.sequence(beat.activation)):
+        if isinstance(beat, Beat) and prior.keeps(point, model.surfaces, beat):
             yield values, beat
 
 

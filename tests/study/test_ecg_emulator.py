@@ -225,7 +225,9 @@ def test_the_packaged_heart_has_one(default_model, tmp_path):
         point[-1] = 0.3 * (number > 40)  # the plain tissue, and the second one
         values = prior.from_unit(point)
         simulated = default_model.simulate(values)
-        exists = isinstance(simulated, Beat) and simulator.keeps(point, simulated)
+        exists = isinstance(simulated, Beat) and simulator.prior.keeps(
+            point, simulator.model.surfaces, simulated
+        )
         tissue = prior.tissue(point[None])
         inputs = found.inputs(
             {name: np.array([values[name]]) for name in found.names},

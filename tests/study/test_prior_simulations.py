@@ -24,7 +24,7 @@ from fascicle.study import prior_simulations as tested
 from fascicle.study.heart_emulator import emulator_of, made_emulator
 from fascicle.study.likelihood import EmulatedLikelihood
 from fascicle.study.pool import Threads
-from fascicle.study.prior import Prior, is_kept
+from fascicle.study.prior import Prior
 from fascicle.study.prior_simulations import BEFORE, Examples, PriorSimulations
 from fascicle.study.refined_emulator import refined_emulators
 from fascicle.study.simulator import PointSimulator
@@ -251,10 +251,10 @@ def test_networks_that_mapped_hearts_are_not_activated_like_are_marked(model, tm
     examples = prior.examples(COUNT)
     which = np.tile(np.arange(PART) % 3, 2)
     assert_array_equal(examples.feasible, which < 2)
-    unlike = surfaces.sequence(activations[1])
-    assert not unlike.is_mapped
+    unlike = Beat(leads, 0.0, (), Activation(activations[1]))
+    assert not surfaces.sequence(unlike.activation).is_mapped
     expected = [
-        k == 0 or (k == 1 and is_kept(point, unlike))
+        k == 0 or (k == 1 and prior.prior.keeps(point, surfaces, unlike))
         for k, point in zip(which, examples.points, strict=True)
     ]
     assert_array_equal(examples.kept, expected)

@@ -1,6 +1,7 @@
 """What a study learns and what it holds fixed, and settings files."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import HUMAN_SPACE, NETWORK_SPACE, human_space
 from fascicle.forward.activation_sequence import ActivationSequence
-from fascicle.study.prior import UNMAPPED, is_kept, read_settings, study_space
+from fascicle.study.prior import UNMAPPED, Prior, read_settings, study_space
 
 
 def test_the_paper_learns_twelve(default_heart):
@@ -167,6 +168,12 @@ def test_a_prior_of_ones_own_replaces_the_usual_one(default_heart):
 
 MAPPED = ActivationSequence(0.0, 4.0, 8.0, 15.0, 20.0, 30.0, 75.0, "basal lateral left ventricle")
 UNLIKE = replace(MAPPED, total=130.0)
+
+
+def is_kept(point, sequence):
+    surfaces = SimpleNamespace(sequence=lambda activation: sequence)
+    beat = SimpleNamespace(activation=None)
+    return Prior(NETWORK_SPACE, mapped=True).keeps(point, surfaces, beat)
 
 
 def test_all_that_is_mapped_is_kept_and_few_of_the_rest():

@@ -18,7 +18,7 @@ from fascicle.study.fitted import FittedStudy
 from fascicle.study.pool import Threads
 from fascicle.study.prior import Prior
 from fascicle.study.settings import FitSettings
-from fascicle.study.simulator import PointSimulator
+from fascicle.study.simulator import BeatMemory, PointSimulator
 from fascicle.study.target_comparison import TargetComparison, evaluate, networks
 from fascicle.torso.lead_fields import key_of
 
@@ -65,7 +65,9 @@ def test_truth_is_explained_to_the_noise(default_model, target, points):
 def test_networks_that_were_evaluated_are_not_simulated_again(
     default_model, target, points, monkeypatch
 ):
-    simulator = PointSimulator(default_model, Prior(NETWORK_SPACE), Threads(2), remembered={})
+    simulator = PointSimulator(
+        default_model, Prior(NETWORK_SPACE), Threads(2), memory=BeatMemory(True)
+    )
     comparison = TargetComparison(target)
     done = [e for e in evaluate(simulator, [comparison], points) if e.feasible]
     columns = NETWORK_SPACE.columns(np.array([each.point for each in done]))

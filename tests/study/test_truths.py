@@ -35,7 +35,7 @@ def networks(simulator, points):
     for point in points:
         values = simulator.prior.from_unit(point)
         own = simulator.model.simulate(values)
-        if isinstance(own, Beat) and simulator.keeps(point, own):
+        if isinstance(own, Beat) and simulator.prior.keeps(point, simulator.model.surfaces, own):
             yield values, own
 
 

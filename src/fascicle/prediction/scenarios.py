@@ -183,10 +183,9 @@ def prior_networks(fitted: FittedStudy, progress: Progress | None = None) -> lis
     report, networks = stage_progress(progress, "networks of the prior"), []
     for done, number in enumerate(numbers, 1):
         for point in simulator.prior.sample(rng, MOST_TRIED):
-            (simulation,) = simulators[number].simulate([point])
-            if isinstance(simulation, Beat) and simulators[number].keeps(point, simulation):
-                parameters = simulators[number].prior.from_unit(point)
-                networks.append(Network(parameters, simulation, simulation.leads, 1.0, 1.0))
+            (beat,), prior = simulators[number].simulate([point]), simulators[number].prior
+            if isinstance(beat, Beat) and prior.keeps(point, simulator.model.surfaces, beat):
+                networks.append(Network(prior.from_unit(point), beat, beat.leads, 1.0, 1.0))
                 break
         report(done, len(numbers))
     return networks

@@ -35,7 +35,8 @@ from fascicle.core.quantities import (
     stand_ins,
 )
 from fascicle.core.ranges import number, shown
-from fascicle.forward.activation_sequence import ActivationSequence
+from fascicle.forward.activation_sequence import VentricularSurfaces
+from fascicle.forward.beat import Beat
 from fascicle.heart.conduction import Conduction, Region
 from fascicle.heart.heart import Heart
 from fascicle.purkinje.growth import GrowthRules
@@ -156,16 +157,6 @@ class AveragedOver:
 UNMAPPED = 0.03
 
 
-def is_kept(point: Floats, sequence: ActivationSequence) -> bool:
-    """Whether a point (d,) of the unit cube belongs to the prior of mapped hearts.
-
-    A few points with another activation sequence belong to it, too. A hash of the coordinates
-    decides, so that the answer for a point is always the same.
-    """
-    digits = hashlib.sha256(np.ascontiguousarray(point, dtype=float).tobytes()).digest()
-    return sequence.is_mapped or int.from_bytes(digits[:8]) < UNMAPPED * 2**64
-
-
 @dataclass(frozen=True)
 class Prior:
     """Knowledge of the quantities of a heart before its ECG is seen.
@@ -173,7 +164,7 @@ class Prior:
     A point of the unit cube has first the coordinates of what is learnt, then those of what is
     averaged over: a point that is drawn uniformly there is one drawn from the prior. Where the
     sequence of activation is that of mapped hearts, points whose intrinsic beats are activated
-    otherwise are rejected (`is_kept`).
+    otherwise are rejected (`keeps`).
 
     Attributes
     ----------
@@ -255,6 +246,18 @@ class Prior:
     def tissue(self, points: Floats) -> Integers:
         """Index (n,) of the tissue at points (n, d), among those averaged over."""
         return self.averaged.tissue(points[:, len(self.space) :])
+
+    def keeps(self, point: Floats, surfaces: VentricularSurfaces, beat: Beat) -> bool:
+        """Whether the intrinsic beat at a point (d,) belongs to the prior.
+
+        A few points with another activation sequence than that of mapped hearts belong to it, too.
+        A hash of the coordinates decides, so that the answer for a point is always the same.
+        """
+        if not self.mapped:
+            return True
+        digits = hashlib.sha256(np.ascontiguousarray(point, dtype=float).tobytes()).digest()
+        sequence = surfaces.sequence(beat.activation)
+        return sequence.is_mapped or int.from_bytes(digits[:8]) < UNMAPPED * 2**64
 
     def narrowed(self, state: ConductionState) -> Prior:
         """Prior of one conduction state, which must be possible."""

@@ -34,7 +34,7 @@ from fascicle.forward.loss import placed
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.study.pool import Pool
-from fascicle.study.prior import UNMAPPED, Prior, growth_and_conduction, is_kept
+from fascicle.study.prior import UNMAPPED, Prior, growth_and_conduction
 
 PART = 500  # networks in a file
 HELD_OUT = 10  # the last of so many networks is held out
@@ -169,10 +169,8 @@ class PriorSimulations:
                 report(number * PART + k + 1, total)
                 if outcome is None:
                     continue
-                feasible[k] = kept[k] = True
-                if self.prior.mapped:
-                    sequence = self.model.surfaces.sequence(outcome.activation)
-                    kept[k] = is_kept(points[k], sequence)
+                feasible[k] = True
+                kept[k] = self.prior.keeps(points[k], self.model.surfaces, outcome)
                 ecgs.append(_from_activation(outcome.leads[rows], outcome))
                 if k % HELD_OUT == HELD_OUT - 1:
                     leads = outcome.leads

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -14,10 +15,38 @@ from fascicle.forward.beat import Beat, Signals
 from fascicle.forward.model import Backend, ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.study.pool import Pool, Threads
-from fascicle.study.prior import Prior, is_kept
+from fascicle.study.prior import Prior
 
-# Simulations by sorted parameters and the `id` of a scenario
-Remembered = dict[tuple[tuple[tuple[str, float], ...], int], Beat]
+
+class BeatMemory:
+    """Beats that a fit has simulated, for when the same networks are read again.
+
+    Threads of a process share them; a worker process simulates, and keeps nothing.
+    """
+
+    def __init__(self, kept: bool = False) -> None:
+        self._kept = kept
+        self._beats: list[tuple[Scenario | None, dict[tuple[Any, ...], Beat]]] = []
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return BeatMemory, ()
+
+    def simulate(
+        self, model: ForwardModel, parameters: Mapping[str, float], scenario: Scenario | None
+    ) -> Beat | Infeasible:
+        """Simulate parameters, or return the beat that is kept."""
+        if not self._kept:
+            return model.simulate(parameters, scenario)
+        beats = next((beats for other, beats in self._beats if other == scenario), None)
+        if beats is None:
+            self._beats.append((scenario, beats := {}))
+        key = tuple(sorted(parameters.items()))
+        if key in beats:
+            return beats[key]
+        beat = model.simulate(parameters, scenario)
+        if isinstance(beat, Beat):
+            beats[key] = beat
+        return beat
 
 
 @dataclass(frozen=True)
@@ -28,8 +57,7 @@ class PointSimulator:
     prior: Prior
     pool: Pool = field(default=Threads(1), compare=False)
     backend: Backend | None = field(default=None, compare=False)  # in place of the pool
-    # simulations that threads of this process keep, where draws are evaluated and later read again
-    remembered: Remembered | None = field(default=None, compare=False)
+    memory: BeatMemory = field(default_factory=BeatMemory, compare=False)
 
     __repr__ = short_repr
 
@@ -37,11 +65,6 @@ class PointSimulator:
         """Prepare the tissues, which every command on a study needs, once for each heart."""
         tissues = self.prior.averaged.tissues
         self.model.keep_tissues({**self.prior.fixed, **tissue} for tissue in tissues)
-
-    def keeps(self, point: Floats, beat: Beat) -> bool:
-        """Whether the intrinsic beat at a point (d,) belongs to the prior."""
-        surfaces = self.model.surfaces
-        return not self.prior.mapped or is_kept(point, surfaces.sequence(beat.activation))
 
     def simulate(
         self, points: Iterable[Floats], scenario: Scenario | None = None

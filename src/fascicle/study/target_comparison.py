@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,12 +21,9 @@ from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.inference.evaluation import Evaluation
 from fascicle.recording.target import Target, repeated
-from fascicle.study.pool import Threads
-from fascicle.study.prior import is_kept
-from fascicle.study.simulator import PointSimulator, Remembered
+from fascicle.study.prior import Prior
+from fascicle.study.simulator import BeatMemory, PointSimulator
 
-# A point, its parameters, and its intrinsic beat (or why it is infeasible) if a backend made it
-Item = tuple[Floats, Mapping[str, float], Signals | str | None]
 UNLIKE_MAPPED_HEARTS = "not activated in the sequence of mapped human hearts"
 
 
@@ -147,47 +144,27 @@ def evaluate(
     Losses of several recordings add up; the beats are those of the first.
     """
     size = simulator.backend.batch if simulator.backend is not None else max(1, len(points))
+    any_intrinsic = any(recording.scenario is None for recording in recordings)
+    shared = simulator.model, simulator.prior, recordings, simulator.memory
     for start in range(0, len(points), size):
-        yield from _evaluate_part(simulator, recordings, points[start : start + size])
-
-
-def _evaluate_part(
-    simulator: PointSimulator, recordings: Sequence[TargetComparison], points: Sequence[Floats]
-) -> Iterator[Evaluation]:
-    intrinsic = [recording.scenario is None for recording in recordings]
-    backend_signals = simulator.from_backend(points) if any(intrinsic) else [None] * len(points)
-    items: list[Item] = [
-        (point, simulator.prior.from_unit(point), signals)
-        for point, signals in zip(points, backend_signals, strict=True)
-    ]
-    shared, evaluated = (
-        (simulator.model, recordings),
-        partial(_evaluate, mapped=simulator.prior.mapped),
-    )
-    if isinstance(simulator.pool, Threads):
-        yield from simulator.pool.map(evaluated, items, *shared, simulator.remembered)
-        return
-    # points that need no simulation are compared in this process
-    to_simulate = [item for item in items if item[-1] is None or not all(intrinsic)]
-    outcomes = simulator.pool.map(evaluated, to_simulate, *shared) if to_simulate else iter(())
-    for item in items:
-        compared_here = item[-1] is not None and all(intrinsic)
-        yield evaluated(item, *shared) if compared_here else next(outcomes)
+        part = points[start : start + size]
+        signals = simulator.from_backend(part) if any_intrinsic else [None] * len(part)
+        yield from simulator.pool.map(_evaluate, [*zip(part, signals, strict=True)], *shared)
 
 
 def _evaluate(
-    item: Item,
+    item: tuple[Floats, Signals | str | None],
     model: ForwardModel,
+    prior: Prior,
     recordings: Sequence[TargetComparison],
-    remembered: Remembered | None = None,
-    *,
-    mapped: bool = False,
+    memory: BeatMemory,
 ) -> Evaluation:
     """Simulate a point in the scenario of each recording, and compare it with all of them.
 
-    If `mapped`, a point whose intrinsic beat is not of the prior of mapped hearts is infeasible.
+    The item is a point and its intrinsic beat, or why that is infeasible, if a backend made it.
     """
-    point, parameters, intrinsic_signals = item
+    point, from_backend = item
+    parameters = prior.from_unit(point)
     simulated: list[Signals | str] = []
     evaluations: list[Evaluation] = []
     for recording in recordings:
@@ -197,14 +174,16 @@ def _evaluate(
         ]
         if simulated_before:
             signals = simulated_before[0]
-        elif recording.scenario is None and intrinsic_signals is not None:
-            signals = intrinsic_signals
+        elif recording.scenario is None and from_backend is not None:
+            signals = from_backend
         else:
-            outcome = _simulated(parameters, recording.scenario, model, remembered)
-            signals = outcome.signals if isinstance(outcome, Beat) else outcome.reason
-            if mapped and recording.scenario is None and isinstance(outcome, Beat):
-                sequence = model.surfaces.sequence(outcome.activation)
-                signals = signals if is_kept(point, sequence) else UNLIKE_MAPPED_HEARTS
+            beat = memory.simulate(model, parameters, recording.scenario)
+            if isinstance(beat, Infeasible):
+                signals = beat.reason
+            elif recording.scenario is None and not prior.keeps(point, model.surfaces, beat):
+                signals = UNLIKE_MAPPED_HEARTS
+            else:
+                signals = beat.signals
         simulated.append(signals)
         evaluations.append(recording(point, signals))
         if not evaluations[-1].feasible:
@@ -222,37 +201,18 @@ def networks(
 ) -> Iterator[Network]:
     """Simulate networks whose parameters are feasible, as those of a population are."""
     parameters = [{**simulator.prior.fixed, **values} for values in learnt]
-    shared = simulator.model, recording
-    if isinstance(simulator.pool, Threads):
-        return simulator.pool.map(_network, parameters, *shared, simulator.remembered)
-    return simulator.pool.map(_network, parameters, *shared)
-
-
-def _simulated(
-    parameters: Mapping[str, float],
-    scenario: Scenario | None,
-    model: ForwardModel,
-    remembered: Remembered | None,
-) -> Beat | Infeasible:
-    """Simulate parameters, or return the simulation kept from before."""
-    key = tuple(sorted(parameters.items())), id(scenario)
-    if remembered is not None and key in remembered:
-        return remembered[key]
-    outcome = model.simulate(parameters, scenario)
-    if remembered is not None and isinstance(outcome, Beat):
-        remembered[key] = outcome
-    return outcome
+    return simulator.pool.map(_network, parameters, simulator.model, recording, simulator.memory)
 
 
 def _network(
     parameters: Mapping[str, float],
     model: ForwardModel,
     recording: TargetComparison,
-    remembered: Remembered | None = None,
+    memory: BeatMemory,
 ) -> Network:
-    simulation = _simulated(parameters, recording.scenario, model, remembered)
-    if not isinstance(simulation, Beat):
-        raise RuntimeError(f"a network of the population is impossible: {simulation.reason}")
-    alignment = recording.align(simulation.leads)
-    predicted = recording.predicted(simulation.leads, alignment)
-    return Network(parameters, simulation, predicted, alignment.under_qrs, alignment.gain)
+    beat = memory.simulate(model, parameters, recording.scenario)
+    if isinstance(beat, Infeasible):
+        raise RuntimeError(f"a network of the population is impossible: {beat.reason}")
+    alignment = recording.align(beat.leads)
+    predicted = recording.predicted(beat.leads, alignment)
+    return Network(parameters, beat, predicted, alignment.under_qrs, alignment.gain)
