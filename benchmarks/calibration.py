@@ -96,7 +96,8 @@ from fascicle.study import paper, posterior
 from fascicle.study.conduction_states import STATES
 from fascicle.study.ecg_emulator import EcgEmulator
 from fascicle.study.evaluations import Database, Journal
-from fascicle.study.heart_emulator import emulator_of, simulations_of, usual_prior
+from fascicle.study.fit import REFINEMENT
+from fascicle.study.heart_emulator import emulator_of, simulations_for, usual_prior
 from fascicle.study.likelihood import EmulatedLikelihood, checked
 from fascicle.study.pool import Threads
 from fascicle.study.population import Population, Posterior
@@ -106,7 +107,6 @@ from fascicle.study.prior_simulations import PriorSimulations
 from fascicle.study.refined_emulator import refined_emulators
 from fascicle.study.settings import FitSettings, Method
 from fascicle.study.simulator import BeatMemory, PointSimulator
-from fascicle.study.state_fit import REFINEMENT
 from fascicle.study.target_comparison import Network, TargetComparison, evaluate
 from fascicle.study.target_comparison import networks as simulated
 
@@ -304,8 +304,8 @@ def prepared(heart_path: str, method: Method, count: int) -> tuple[Any, ...]:
     if method == "paper":
         return PointSimulator(model, Prior.of(method, {}, heart)), None, None, axis
     simulator = normal_state(model)
-    simulations = simulations_of(model, simulator.prior, heart.folder)
-    return simulator, simulations, emulator_of(simulator, count, heart.folder), axis
+    simulations = simulations_for(model, simulator.prior, heart.folder)
+    return simulator, simulations, emulator_of(simulations, count, simulator.pool), axis
 
 
 def normal_state(model: ForwardModel, processes: int = 1) -> PointSimulator:
@@ -723,7 +723,8 @@ def main() -> None:
         if options.method == "posterior":
             heart = fascicle.load_heart(options.heart)
             simulator = normal_state(ForwardModel(heart, progress=progress), options.processes)
-            emulator_of(simulator, options.prior_simulations, heart.folder, progress)
+            simulations = simulations_for(simulator.model, simulator.prior, heart.folder)
+            emulator_of(simulations, options.prior_simulations, simulator.pool, progress)
         if options.physics == "other" and fascicle.load_heart(options.heart).torso is not None:
             model = ForwardModel(fascicle.load_heart(options.heart), progress=progress)
             model.torso(TORSO_GROUPS)  # kept on disk, where each process finds it

@@ -215,7 +215,7 @@ def test_an_argument_of_the_wrong_kind_is_refused_in_one_line(
 ):
     """Before any work has begun, and so that the line says what was given."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("fascicle.study.state_fit.simulated_and_compared", begun)
+    monkeypatch.setattr("fascicle.study.inputs.ForwardModel", begun)
     monkeypatch.setattr("fascicle.explorer.explore.serve", begun)
     for module in ("heart_emulator", "origin", "state_classifier"):
         monkeypatch.setattr(f"fascicle.study.{module}.ForwardModel", begun)

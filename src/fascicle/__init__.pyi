@@ -49,8 +49,8 @@ from .recording.target_options import TargetOptions as TargetOptions
 from .reporting.page.page import report as report
 from .study.cluster import Cluster as Cluster
 from .study.fit import fit as fit
-from .study.fit import load_study as load_study
 from .study.fitted import FittedStudy as FittedStudy
+from .study.fitted import load_study as load_study
 from .study.origin import Origin as Origin
 from .study.origin import locate as locate
 from .study.pool import ExecutorPool as ExecutorPool

@@ -47,10 +47,8 @@ from fascicle.reporting.scenarios import (
 )
 from fascicle.reporting.study import draw_losses, recorded_ecg_figure
 from fascicle.reporting.style import P, one_axes, user_first
-from fascicle.study.fit import GivenStudy, as_study
-from fascicle.study.fitted import FittedStudy
-from fascicle.study.state_fit import HEART_FOLDER
-from fascicle.study.study import CONFIGURATION
+from fascicle.study.fitted import FittedStudy, StudyLike, as_study
+from fascicle.study.study import CONFIGURATION, HEART_FOLDER
 
 
 def heart(heart: Heart | Path | str, view: str = "anterior", ax: Axes | None = None) -> list[Axes]:
@@ -84,7 +82,7 @@ def prediction(predicted: Predicted) -> list[Axes]:
 
 
 def ecg(
-    fitted: GivenStudy,
+    fitted: StudyLike,
     recording: int = 0,
     progress: Progress | Lines | None = "lines",
     *,
@@ -117,7 +115,7 @@ def scenario_ecg(predicted: Mapping[str, Predicted], name: str) -> list[Axes]:
 
 
 def activation(
-    heart: Heart | GivenStudy, predicted: Mapping[str, Predicted], name: str
+    heart: Heart | StudyLike, predicted: Mapping[str, Predicted], name: str
 ) -> list[Axes]:
     """Activation by the networks with the least, median and largest total activation time.
 
@@ -127,7 +125,7 @@ def activation(
     return _shown(scenario_activation_figure, _heart(heart, predicted), predicted, name)
 
 
-def activation_spread(heart: Heart | GivenStudy, predicted: Mapping[str, Predicted]) -> list[Axes]:
+def activation_spread(heart: Heart | StudyLike, predicted: Mapping[str, Predicted]) -> list[Axes]:
     """Standard deviation of the activation over the networks, a row a scenario."""
     _check_predicted(predicted)
     return _shown(spread_figure, _heart(heart, predicted), predicted)
@@ -139,20 +137,20 @@ def indices(predicted: Mapping[str, Predicted]) -> list[Axes]:
     return _shown(index_figure, predicted)
 
 
-def pairs(fitted: GivenStudy) -> list[Axes]:
+def pairs(fitted: StudyLike) -> list[Axes]:
     """Pairs of the parameters that were learnt, on the whole ranges of their priors."""
     fitted = as_study(fitted)
     population = fitted.population
     return _shown(pair_figure, fitted.simulator.prior.learnt, population.values, population.best)
 
 
-def priors(fitted: GivenStudy) -> list[Axes]:
+def priors(fitted: StudyLike) -> list[Axes]:
     """Prior density of each parameter (lines), and the networks (histograms)."""
     fitted = as_study(fitted)
     return _shown(prior_figure, fitted.simulator.prior.learnt, fitted.population.values)
 
 
-def convergence(fitted: GivenStudy, ax: Axes | None = None) -> list[Axes]:
+def convergence(fitted: StudyLike, ax: Axes | None = None) -> list[Axes]:
     """Mismatch of every evaluation of a study."""
     return _into(ax, draw_losses, as_study(fitted), size=(7.0, 3.8))
 
@@ -171,7 +169,7 @@ def _check_predicted(predicted: Mapping[str, Predicted]) -> None:
         check_kind(prediction, Predicted, f"predicted '{name}'", "what fascicle.predict returned")
 
 
-def _heart(source: Heart | GivenStudy, predicted: Mapping[str, Predicted]) -> Heart:
+def _heart(source: Heart | StudyLike, predicted: Mapping[str, Predicted]) -> Heart:
     """The heart that the predictions are of."""
     if isinstance(source, FittedStudy):
         heart = source.simulator.model.heart

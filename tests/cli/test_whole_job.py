@@ -24,7 +24,7 @@ from fascicle.forward.loss import align
 from fascicle.heart.sites import SEGMENTS
 from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.agreement import agreement
-from fascicle.study.fit import load_study
+from fascicle.study.fitted import load_study
 
 BUDGET = {"prior_simulations": 100, "effective": 20, "workers": 2}
 BUDGET |= {"parameters": {"conduction": "normal"}}

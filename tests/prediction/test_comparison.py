@@ -75,7 +75,7 @@ def test_other_networks_are_refused():
         trees = [
             SimpleNamespace(nodes=np.array([[0.0, 0.0, 0.0], [tip, 0.0, 0.0]])) for tip in tips
         ]
-        return [SimpleNamespace(trees=tuple((tree, None) for tree in trees))]
+        return [SimpleNamespace(trees=tuple(trees))]
 
     one, same, other = (
         predicted(grown(*tips), qrs_area=[1.0]) for tips in ((1.0, 2.0), (1.0, 2.0), (1.0, 3.0))

@@ -394,7 +394,7 @@ def test_the_intrinsic_beat_is_drawn_as_long_as_that_of_the_scenario(shown):
         name: Predicted(Scenario(), [beat], {"total_activation_time": np.ones(1)})
         for name, beat in (
             ("intrinsic", own),
-            ("longer", replace(own, leads=later, filtered=later)),
+            ("longer", replace(own, leads=later)),
         )
     }
     for axes in scenario_ecg_figure(found, "longer").axes:

@@ -9,7 +9,7 @@ import xarray as xr
 
 import fascicle
 from benchmarks.fits import demo_recording
-from fascicle.study.fit import load_study
+from fascicle.study.fitted import load_study
 from tests.study.crashing import killed_at_random
 
 PAPER = {

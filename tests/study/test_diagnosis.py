@@ -26,13 +26,12 @@ from fascicle.study.conduction_states import (
     asked_states,
     states_of,
 )
-from fascicle.study.diagnosis import _apportioned, most_probable
-from fascicle.study.fit import read_inputs
-from fascicle.study.heart_emulator import emulator_of, usual_prior
+from fascicle.study.diagnosis import Diagnosis, most_probable
+from fascicle.study.heart_emulator import emulator_of, simulations_for, usual_prior
+from fascicle.study.inputs import read_inputs
 from fascicle.study.pool import Threads
 from fascicle.study.prior import Prior, read_settings
 from fascicle.study.settings import checked_settings
-from fascicle.study.simulator import PointSimulator
 from fascicle.study.state_classifier import (
     NoStateNamed,
     classifier_of,
@@ -249,7 +248,8 @@ def test_the_packaged_heart_brings_the_emulators_of_all_states(default_model, tm
         narrowed = prior.narrowed(state)
         assert narrowed.mapped == (state.name == "normal")
         assert narrowed.fixed == {"cv": 2.5} | state.blocks
-        emulator = emulator_of(PointSimulator(default_model, narrowed), 8000, tmp_path)
+        simulations = simulations_for(default_model, narrowed, tmp_path)
+        emulator = emulator_of(simulations, 8000, Threads(1))
         assert emulator.report["r_squared"] > 0.6
     assert not [*tmp_path.iterdir()]
 
@@ -475,5 +475,6 @@ def test_a_heart_without_a_classifier_gets_one(default_model, target, tmp_path, 
 
 
 def test_draws_are_apportioned():
-    assert _apportioned(np.array([0.7, 0.28, 0.02]), 10) == [7, 3, 0]
-    assert sum(_apportioned(np.full(7, 1 / 7), 150)) == 150
+    assert Diagnosis({"a": 0.7, "b": 0.25, "c": 0.05}, "", {}).apportioned(10) == [7, 3]
+    even = Diagnosis({f"{k}": 1 / 7 for k in range(7)}, "", {})
+    assert sum(even.apportioned(150)) == 150

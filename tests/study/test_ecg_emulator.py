@@ -24,8 +24,9 @@ from fascicle.study.ecg_emulator import (
     tissue_inputs,
     trained_on,
 )
-from fascicle.study.heart_emulator import emulator_of, usual_prior
+from fascicle.study.heart_emulator import emulator_of, simulations_for, usual_prior
 from fascicle.study.likelihood import EmulatedLikelihood, beat_noise, checked, likelihood_of
+from fascicle.study.pool import Threads
 from fascicle.study.predictive import Checks
 from fascicle.study.prior import AveragedOver, Prior
 from fascicle.study.prior_simulations import BEFORE, BODIES, HELD_OUT, Examples
@@ -217,7 +218,8 @@ def test_the_packaged_heart_has_one(default_model, tmp_path):
     prior = usual_prior(default_model.heart, STATES[0])
     assert prior.mapped
     simulator = PointSimulator(default_model, prior)
-    found = emulator_of(simulator, FitSettings().prior_simulations, tmp_path)
+    simulations = simulations_for(default_model, prior, tmp_path)
+    found = emulator_of(simulations, FitSettings().prior_simulations, Threads(1))
     assert not [*tmp_path.iterdir()]
     assert found.report["r_squared"] > 0.8
     networks, agreed = [], []

@@ -21,7 +21,7 @@ from fascicle.forward.model import ForwardModel
 from fascicle.heart.folder import write_heart
 from fascicle.study import ecg_emulator, heart_emulator, refined_emulator
 from fascicle.study import prior_simulations as tested
-from fascicle.study.heart_emulator import emulator_of, made_emulator
+from fascicle.study.heart_emulator import emulator_of, made_emulator, simulations_for
 from fascicle.study.likelihood import EmulatedLikelihood
 from fascicle.study.pool import Threads
 from fascicle.study.prior import Prior
@@ -262,8 +262,9 @@ def test_networks_that_mapped_hearts_are_not_activated_like_are_marked(model, tm
     assert len(examples.of_the_prior.ecgs) == examples.kept.sum() < len(examples.ecgs)
 
 
-def simulator_of(model, pool, wanted=None):
-    return PointSimulator(model, study(model.heart, wanted), pool)
+def emulator_for(model, folder, pool, wanted=None):
+    simulations = simulations_for(model, study(model.heart, wanted), folder)
+    return emulator_of(simulations, COUNT, pool)
 
 
 def test_an_emulator_serves_all_studies_that_it_covers(prior, model, tmp_path):
@@ -272,16 +273,16 @@ def test_an_emulator_serves_all_studies_that_it_covers(prior, model, tmp_path):
     for file in prior.cache.folder.iterdir():
         (tmp_path / DISPOSABLE / file.name).write_bytes(file.read_bytes())
     pool = Counting()
-    first = emulator_of(simulator_of(model, pool), COUNT, tmp_path)
+    first = emulator_for(model, tmp_path, pool)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(heart_emulator, "learn", None)
-        again = emulator_of(simulator_of(model, pool, {"cv": 2.5}), COUNT, tmp_path)
+        again = emulator_for(model, tmp_path, pool, {"cv": 2.5})
     assert pool.sent == 0
     for name, values in first.arrays().items():
         assert_array_equal(again.arrays()[name], values)
     assert first.report["networks"] == 2 * PART
     with pytest.raises(KeyboardInterrupt):
-        emulator_of(simulator_of(model, Counting(0), {"cv": 5.0}), COUNT, tmp_path)
+        emulator_for(model, tmp_path, Counting(0), {"cv": 5.0})
 
 
 @pytest.mark.parametrize("fixed", [{}, {"anterograde_delay": 1.0}])
@@ -365,7 +366,7 @@ def test_an_emulator_is_refined_with_draws_of_the_posterior(prior, model, tmp_pa
     found = refined_emulators(*given(), np.random.default_rng(0))[0]
     assert pool.sent == PART  # found
     assert_array_equal(found.left, first.left)
-    free = given(simulator_of(model, pool, {"anisotropy_ratio": "free"}), 1)
+    free = given(PointSimulator(model, study(model.heart, {"anisotropy_ratio": "free"}), pool), 1)
     assert refined_emulators(*free, None) == [emulator]
 
     class Moving(Emulated):

@@ -15,7 +15,7 @@ from fascicle.inference import optimisation as bo_step
 from fascicle.inference.abc import ErrorDensity, total_variation
 from fascicle.inference.evaluation import Evaluation
 from fascicle.study.evaluations import Stage
-from fascicle.study.fit import read_inputs
+from fascicle.study.inputs import read_inputs
 from fascicle.study.prior import NOT_KNOWN
 from fascicle.study.settings import FitSettings
 from fascicle.study.study import CHECKED, STUDY_FORMAT, Study, StudyConfig, check_same

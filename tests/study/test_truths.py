@@ -14,7 +14,7 @@ from builders import recorded
 from fascicle.forward.beat import Beat
 from fascicle.forward.scenario_files import read_scenarios
 from fascicle.study.conduction_states import STATES
-from fascicle.study.heart_emulator import emulator_of, usual_prior
+from fascicle.study.heart_emulator import emulator_of, simulations_for, usual_prior
 from fascicle.study.likelihood import EmulatedLikelihood, likelihood_of
 from fascicle.study.posterior import sampled
 from fascicle.study.settings import FitSettings
@@ -50,7 +50,8 @@ def test_intervals_hold_truths(default_model, tmp_path):
     model, rng = default_model, np.random.default_rng(5)
     prior = usual_prior(model.heart, STATES[0])
     simulator, gain_sd = PointSimulator(model, prior), FitSettings().gain_sd
-    emulator = emulator_of(simulator, FitSettings().prior_simulations, tmp_path)
+    simulations = simulations_for(model, prior, tmp_path)
+    emulator = emulator_of(simulations, FitSettings().prior_simulations, simulator.pool)
     truths = networks(simulator, prior.sample(rng, 400))
     parameters, predictions, of_prior = [], [], []
     for values, own in islice(truths, TRUTHS):

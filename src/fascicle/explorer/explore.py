@@ -21,8 +21,7 @@ from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import read_target
-from fascicle.study.fit import load_study
-from fascicle.study.fitted import FittedStudy
+from fascicle.study.fitted import FittedStudy, load_study
 from fascicle.study.study import CONFIGURATION
 from fascicle.study.target_comparison import TargetComparison
 

@@ -23,12 +23,12 @@ from fascicle.recording.pipeline import make_target
 from fascicle.recording.readers.read import existing_file, read_recording
 from fascicle.recording.target_files import read_target
 from fascicle.reporting.page.page import report
-from fascicle.study.fit import fit_inputs, read_inputs
+from fascicle.study.fit import fit_inputs
+from fascicle.study.inputs import Inputs, read_inputs
 from fascicle.study.lock import HeldError, study_lock
 from fascicle.study.pool import Pool
 from fascicle.study.prior import PARAMETERS, read_settings
 from fascicle.study.settings import FitSettings, checked_settings
-from fascicle.study.state_fit import Inputs
 from fascicle.study.study import is_finished
 
 PATIENTS, STUDIES = "patients", "studies"  # folders of a cohort

@@ -24,8 +24,7 @@ from fascicle.prediction.indices import Territories, indices
 from fascicle.prediction.predicted import RINGING, Predicted
 from fascicle.recording.window import qrs_window
 from fascicle.study.conduction_states import states_of
-from fascicle.study.fit import GivenStudy, as_study
-from fascicle.study.fitted import FittedStudy
+from fascicle.study.fitted import FittedStudy, StudyLike, as_study
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.target_comparison import Network, TargetComparison
 
@@ -46,7 +45,7 @@ def with_intrinsic_beat(scenarios: Mapping[str, Scenario]) -> dict[str, Scenario
 
 
 def predict(
-    fitted: GivenStudy,
+    fitted: StudyLike,
     scenarios: Mapping[str, Scenario] | Sequence[str | Path] | str | Path,
     progress: Progress | Lines | None = "lines",
     networks: Sequence[Network] | None = None,

@@ -1,42 +1,55 @@
-"""Fit a population of networks to a target, and read a finished fit back."""
+"""Fit of a study, in the steps of simulation-based inference.
+
+Networks of the prior are simulated, and an emulator of their ECGs is trained; near the posterior it
+is refined. The posterior is sampled with it, its draws are simulated, and the recording is compared
+with what these networks predict. The paper's method is `fascicle.study.paper`.
+"""
 
 from __future__ import annotations
 
-import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from types import NoneType
 from typing import Any
 
+import numpy as np
+
+from fascicle.core.array_cache import ArrayCache
 from fascicle.core.errors import InputError
-from fascicle.core.files import as_path
-from fascicle.core.parameters import FREE
-from fascicle.core.progress import Lines, Progress, shown_progress
-from fascicle.core.quantities import DELAY
+from fascicle.core.files import DISPOSABLE, as_path
+from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
 from fascicle.core.ranges import check_kind
-from fascicle.forward.likelihood import Likelihood, constants
+from fascicle.forward.activation_sequence import SequenceSummary
+from fascicle.forward.likelihood import Likelihood
 from fascicle.forward.model import Backend
-from fascicle.heart.folder import as_heart, load_heart
+from fascicle.forward.preparation import share_prepared
+from fascicle.heart.folder import load_heart, write_heart
 from fascicle.heart.heart import Heart
 from fascicle.purkinje.growth import GrowthRules
-from fascicle.study.conduction_states import ConductionState
-from fascicle.study.diagnosis import diagnosed
-from fascicle.study.ecg_emulator import TORSO_MODES
+from fascicle.study.agreement import Agreement, agreement
+from fascicle.study.diagnosis import classified, mixture
+from fascicle.study.ecg_emulator import EcgEmulator
 from fascicle.study.fitted import FittedStudy
-from fascicle.study.lock import refuse_held
+from fascicle.study.heart_emulator import emulator_of, folder_of_simulations, simulations_for
+from fascicle.study.inputs import Inputs, InverseProblem, checked_likelihoods, read_inputs
+from fascicle.study.likelihood import EmulatedLikelihood, checked
+from fascicle.study.lock import refuse_held, study_lock
 from fascicle.study.pool import Pool, check_pool
-from fascicle.study.population import RESULT, Posterior, read_checks, read_population
-from fascicle.study.prior import Prior, growth_and_conduction
-from fascicle.study.recordings import Given, Recorded, digests, given_recordings, read_recordings
-from fascicle.study.refined_emulator import MOST_ROUNDS, REFINING_NETWORKS
-from fascicle.study.settings import FitSettings, checked_settings
-from fascicle.study.state_fit import HEART_FOLDER, Inputs, fit_state, simulated_and_compared
-from fascicle.study.study import Study, StudyConfig, check_same, check_study_folder
-from fascicle.study.target_comparison import evaluate
+from fascicle.study.population import Posterior
+from fascicle.study.posterior import RUNS
+from fascicle.study.predictive import Checks, Prediction, predict_recording
+from fascicle.study.recordings import Given, write_recordings
+from fascicle.study.refined_emulator import refined_emulators
+from fascicle.study.results import write_results
+from fascicle.study.settings import checked_settings
+from fascicle.study.study import HEART_FOLDER, MAY_CHANGE, STATES_FOLDER, Study, check_study_folder
+from fascicle.study.target_comparison import Network
 
-GivenStudy = FittedStudy | Path | str  # a study, or the path of its folder
+# Likelihood of each recording, by the number of the conduction state
+Emulated = Mapping[float, Sequence[EmulatedLikelihood]]
+PREDICTION, REFINEMENT = 2, 3  # numbers of the random generators
 
 
 def fit(
@@ -111,30 +124,20 @@ def fit(
     >>> fitted = fascicle.fit("HEART", "target.nc", "STUDY", effective=100)  # doctest: +SKIP
     >>> fitted.population.values["cv"].mean()  # doctest: +SKIP
     """
-    checked = checked_settings(settings)
     check_pool(pool)
     check_kind(backend, (Backend, NoneType), "backend", "one such as fascicle.GpuBackend()")
     check_kind(parameters, (Mapping, NoneType), "parameters", "a dict of names to values")
+    fit_settings = checked_settings(settings)
     likelihoods = None
     if likelihood is not None:
         count = len(target) if isinstance(target, list) else 1
-        likelihoods = _given_likelihoods(likelihood, count, checked.method)
+        likelihoods = checked_likelihoods(likelihood, count, fit_settings.method)
     folder = as_path(out, "out")
     check_study_folder(folder)
     refuse_held(folder)
     with shown_progress(progress) as shown:
-        inputs = read_inputs(heart, target, parameters or {}, checked, rules, likelihoods)
+        inputs = read_inputs(heart, target, parameters or {}, fit_settings, rules, likelihoods)
         return fit_inputs(inputs, folder, shown, pool, backend)
-
-
-def _priors(states: Sequence[ConductionState]) -> dict[str, float]:
-    """Prior probabilities of conduction states, scaled to add up to 1.
-
-    Those that add up to 1 already but for rounding are not changed in the last digit.
-    """
-    total = sum(state.probability for state in states)
-    total = 1.0 if math.isclose(total, 1.0) else total
-    return {state.name: state.probability / total for state in states}
 
 
 def fit_inputs(
@@ -145,176 +148,196 @@ def fit_inputs(
     backend: Backend | None = None,
 ) -> FittedStudy:
     """Fit a study in its folder, from where it was interrupted, and write its results."""
+    problem = InverseProblem.of(inputs, pool, progress, backend)
     if inputs.config.states:
-        return diagnosed(inputs, folder, progress, pool, backend)
-    return fit_state(inputs, folder, progress, pool, backend)[0]
+        return fit_states(problem, folder, progress)
+    return fit_state(problem, folder, progress)[0]
 
 
-def _rules(rules: GrowthRules | None) -> GrowthRules:
-    check_kind(rules, (GrowthRules, NoneType), "rules", "fascicle.GrowthRules")
-    return rules or GrowthRules()
+def fit_state(
+    problem: InverseProblem, folder: Path, progress: Progress | None
+) -> tuple[FittedStudy, Sequence[EmulatedLikelihood]]:
+    """Fit the networks of one conduction state, by the posterior's method or by the paper's.
 
-
-def _given_likelihoods(
-    likelihood: Likelihood | Sequence[Likelihood], count: int, method: str
-) -> Sequence[Likelihood]:
-    """Check and list a user's likelihoods, which must be as many as the recordings."""
-    likelihoods: list[Any] = (
-        [*likelihood] if isinstance(likelihood, (list, tuple)) else [likelihood]
-    )
-    for candidate in likelihoods:
-        check_kind(
-            candidate, Likelihood, "likelihood", "an object that has the methods of Likelihood"
-        )
-    if method == "paper" or len(likelihoods) != count:
-        raise InputError(
-            f"{len(likelihoods)} likelihood(s) for {count} recording(s) by the method '{method}'; "
-            "give one for each, to the method 'posterior'"
-        )
-    return likelihoods
-
-
-def read_inputs(
-    heart: Heart | Path | str,
-    target: Given | list[Given],
-    parameters: Mapping[str, Any],
-    settings: FitSettings,
-    rules: GrowthRules | None = None,
-    likelihoods: Sequence[Likelihood] | None = None,
-) -> Inputs:
-    """Read the arguments of `fit`, and settle which quantities are learnt and which are fixed."""
-    rules = _rules(rules)
-    heart = as_heart(heart)
-    recordings = given_recordings(target)
-    if settings.method == "paper" and (len(recordings) > 1 or recordings[0][1] is not None):
-        raise InputError(
-            "the method 'paper' fits one recording of an intrinsic beat; give one without a "
-            "scenario, or use the method 'posterior'"
-        )
-    choices, one_intrinsic_beat = {**parameters}, len(recordings) == 1 and recordings[0][1] is None
-    # the conduction state is learnt by default, unless delays are given, which it would change
-    learnt = settings.method == "posterior" and one_intrinsic_beat and likelihoods is None
-    learnt &= recordings[0][0].earliest_onset is None  # a paced beat shows no conduction state
-    conduction = choices.pop("conduction", FREE if learnt and not {*DELAY} & {*choices} else None)
-    prior = Prior.of(settings.method, choices, heart)
-    states = () if conduction is None else _states(conduction, prior, heart, settings)
-    if len(states) > 1 and not one_intrinsic_beat:
-        raise InputError(
-            "parameter 'conduction': it is learnt from one recording of an intrinsic beat; give "
-            "one without a scenario, or fix the state"
-        )
-    if len(states) == 1:
-        prior = prior.narrowed(states[0])
-    elif states:
-        prior = replace(prior, states=_priors(states))
-    if settings.free_gain and "gain" in {*prior.names, *prior.fixed}:
-        raise InputError("the gain is a parameter already; leave --free-gain out")
-    described: dict[str, float | str] = {}
-    if settings.method == "posterior":
-        constants_of_emulator = {
-            "body_modes": TORSO_MODES,
-            "refining_networks": REFINING_NETWORKS,
-            "refining_rounds": MOST_ROUNDS,
-        }
-        names = ", ".join(type(likelihood).__qualname__ for likelihood in likelihoods or ())
-        described = {"name": names} if names else constants() | constants_of_emulator
-    config = StudyConfig(
-        heart=heart.digest,
-        **_hashes(recordings),
-        space=prior.space.parameters,
-        fixed=prior.fixed,
-        states=prior.states,
-        mapped=prior.mapped,
-        averaged=prior.averaged.space.parameters,
-        tissues=prior.averaged.tissues,
-        likelihood=described,
-        **growth_and_conduction(heart, rules),
-        **settings.model_dump(),
-    )
-    return Inputs(heart, recordings, config, rules, likelihoods)
-
-
-def _states(
-    conduction: Any, prior: Prior, heart: Heart, settings: FitSettings
-) -> tuple[ConductionState, ...]:
-    """Conduction states that the user chose and that the other parameters do not exclude."""
-    if settings.method == "paper":
-        raise InputError(
-            "parameter 'conduction': the method 'paper' knows no conduction states; leave it "
-            "out, or use the method 'posterior'"
-        )
-    return prior.possible_states(conduction, heart)
-
-
-def _hashes(recordings: Sequence[Recorded]) -> dict[str, Any]:
-    """Digests of the recordings, by the field of the study's configuration."""
-    targets, scenarios = zip(*map(digests, recordings), strict=True)
-    return {"target": targets[0], "other_targets": targets[1:], "scenarios": scenarios}
-
-
-def as_study(given: GivenStudy, progress: Progress | Lines | None = None) -> FittedStudy:
-    """Return a fitted study as it is, or read it from its folder by `load_study`."""
-    if isinstance(given, FittedStudy):
-        return given
-    folder = as_path(given, "study", "a fitted study, or the path of its folder")
-    return load_study(folder, progress)
-
-
-def load_study(
-    folder: Path | str,
-    progress: Progress | Lines | None = "lines",
-    pool: Pool | None = None,
-    rules: GrowthRules | None = None,
-) -> FittedStudy:
-    """Read a finished study.
-
-    Parameters
-    ----------
-    folder : path
-        Folder of the study.
-    progress : Progress, "lines" or None
-        Progress callback, called while a large heart is prepared; by default lines on standard
-        error.
-    pool : Pool, optional
-        Where networks are simulated; by default on as many threads as the fit used.
-    rules : GrowthRules, optional
-        Growth rules that `fit` was given, if any.
-
-    Raises
-    ------
-    InputError
-        If the folder is not a study, the study is not finished, or it was made with another
-        version of the forward model.
+    A posterior comes with the likelihoods of its recordings.
     """
-    check_pool(pool)
-    rules, folder = _rules(rules), as_path(folder, "study")
-    study = Study.open(folder)
-    result = folder / RESULT[study.config.method]
-    population = read_population(result)
-    heart = load_heart(folder / HEART_FOLDER)
-    recordings = read_recordings(folder, len(study.config.scenarios))
-    same = all(getattr(study.config, k) == value for k, value in _hashes(recordings).items())
-    for name, unchanged in (
-        (HEART_FOLDER, heart.digest == study.config.heart),
-        ("target.nc", same),
-    ):
-        if not unchanged:
-            raise InputError(
-                f"{folder / name}: not the one that was fitted; put the original back, or fit again"
+    problem.check_scenarios()
+    with study_lock(folder):
+        study = begin(problem.inputs, folder, progress)
+        emulated: Sequence[EmulatedLikelihood] = ()
+        if study.config.method == "posterior":
+            emulators = simulate_and_train(problem, folder, progress)
+            emulated = refine(problem, emulators, folder, progress)
+            problem = problem.with_likelihoods(emulated)
+        population = study.run(problem.evaluate, progress, emulated)  # samples, simulates draws
+        share_prepared(problem.inputs.heart, folder / HEART_FOLDER)
+        fitted = FittedStudy(study, problem.simulator, problem.recordings, population)
+        number = problem.simulator.prior.fixed.get("conduction", 0.0)
+        return check_and_write(fitted, {number: emulated}, progress), emulated
+
+
+def fit_states(problem: InverseProblem, folder: Path, progress: Progress | None) -> FittedStudy:
+    """Fit a mixture of the probable conduction states.
+
+    Each state is a model of its own, with its blocks and its ranges of the quantities that are
+    learnt. The most probable states by a classifier of the heart's simulated recordings are fitted
+    as studies of their own, in folders within that of the study.
+    """
+    with study_lock(folder):
+        study = begin(problem.inputs, folder, progress)
+        diagnosis = classified(problem, _simulations_folder(problem, folder), progress)
+        shares = diagnosis.shares
+        counts = diagnosis.apportioned(-(-problem.config.effective // RUNS))
+        parts: list[tuple[Posterior, int]] = []
+        emulated: dict[float, Sequence[EmulatedLikelihood]] = {}
+        stage = "conduction states"
+        for (name, share), draws in zip(shares.items(), counts, strict=True):
+            message = f"{name}, probability {diagnosis.probable[name]:.2f}"
+            stage_progress(progress, stage, message)(len(parts), len(shares))
+            state, count = diagnosis.simulations[name].state, diagnosis.simulations[name].count
+            state_problem = problem.narrowed(
+                state, prior_simulations=count, share=share, effective=max(RUNS * draws, 20)
             )
-    if not {*study.config.prior.names} <= {*population.best}:
-        raise InputError(
-            f"{result}: its parameters are not those of the study; run 'fascicle fit' "
-            "again to rewrite it"
+            state_folder = _state_folder(state_problem, folder, name)
+            fitted, emulated[state.number] = fit_state(state_problem, state_folder, progress)
+            assert isinstance(fitted.population, Posterior)
+            parts.append((fitted.population.in_state(state.number), draws))
+        stage_progress(progress, stage)(len(shares), len(shares))
+        population = mixture(parts, diagnosis, problem.config.effective)
+        problem = problem.with_states(diagnosis.probable)
+        fitted = FittedStudy(study, problem.simulator, problem.recordings, population)
+        return check_and_write(fitted, emulated, progress)
+
+
+def begin(inputs: Inputs, folder: Path, progress: Progress | None) -> Study:
+    """Create or resume a study in its folder, with copies of the heart and the recordings."""
+    study = Study.create_or_resume(folder, inputs.config, progress)
+    if not _holds(folder / HEART_FOLDER, inputs.heart):
+        write_heart(inputs.heart, folder / HEART_FOLDER)
+    write_recordings(folder, inputs.recordings)
+    return study
+
+
+def simulate_and_train(
+    problem: InverseProblem, folder: Path, progress: Progress | None
+) -> list[EcgEmulator]:
+    """Emulator of the prior for each recording, from the package, the heart's folder, or trained.
+
+    Networks of the prior are simulated in the scenario of each recording, as far as they are
+    missing.
+    """
+    place, count = _simulations_folder(problem, folder), problem.config.prior_simulations
+    simulator = problem.simulator
+    trained: dict[str, EcgEmulator] = {}
+    for scenario, digest in zip(problem.scenarios, problem.config.scenarios, strict=True):
+        if digest not in trained:
+            simulations = simulations_for(simulator.model, simulator.prior, place, scenario)
+            trained[digest] = emulator_of(simulations, count, simulator.pool, progress)
+    return [trained[digest] for digest in problem.config.scenarios]
+
+
+def refine(
+    problem: InverseProblem,
+    emulators: Sequence[EcgEmulator],
+    folder: Path,
+    progress: Progress | None,
+) -> list[EmulatedLikelihood]:
+    """Likelihoods of the recordings by emulators that are refined near the posterior.
+
+    Refined emulators are kept in the study's folder. Those of a user's likelihood are not refined.
+    """
+    if problem.inputs.likelihoods is not None:
+        return problem.likelihoods(emulators)
+    config, cache = problem.config, ArrayCache(folder / DISPOSABLE, "refined")
+    same = config.model_dump_json(exclude={*MAY_CHANGE})
+    keys = [f"{number} of {same}" for number in range(len(config.scenarios))]
+    if any(cache.read(key) is None for key in keys):
+        refined = refined_emulators(
+            emulators,
+            problem.likelihoods,
+            problem.scenarios,
+            config.prior_simulations,
+            folder,
+            np.random.default_rng([config.seed, REFINEMENT]),
+            progress,
         )
-    now = study.config.model_copy(update=growth_and_conduction(heart, rules))
-    check_same(folder, study.config, now)
-    with shown_progress(progress) as shown:
-        simulator, compared = simulated_and_compared(
-            study.config, heart, rules, recordings, pool, shown
+        for key, emulator in zip(keys, refined, strict=True):
+            cache.write(key, emulator.arrays())
+    return problem.likelihoods([EcgEmulator.from_arrays(cache.read(key) or {}) for key in keys])
+
+
+def check_and_write(
+    fitted: FittedStudy, emulated: Emulated, progress: Progress | None
+) -> FittedStudy:
+    """Simulate the networks, compare them with the recordings, and write the results.
+
+    The beats that the fit has kept in memory are let go.
+    """
+    networks = fitted.networks(progress)
+    agreements: list[Agreement] = []
+    predictions: list[Prediction] = []
+    rng = np.random.default_rng([fitted.study.config.seed, PREDICTION])
+    for number, recording in enumerate(fitted.recordings):
+        recorded_networks = networks if number == 0 else fitted.networks(progress, number)
+        if fitted.of_the_paper:
+            agreements.append(agreement(recording.target, recorded_networks))
+        else:
+            predictions.append(_predict(fitted, number, recorded_networks, emulated, rng))
+            agreements.append(predictions[-1].agreement)
+    if predictions:
+        fitted = replace(
+            fitted,
+            checks=Checks.joined([prediction.checks for prediction in predictions]),
+            gains=predictions[0].gains,
+            torsos=predictions[0].torsos,
+            ecgs=tuple(prediction.ecg for prediction in predictions),
         )
-    study.check_objective(partial(evaluate, simulator, compared))
-    if isinstance(population, Posterior):  # compared with the prior of its states
-        prior = replace(simulator.prior, states=population.states)
-        simulator = replace(simulator, prior=prior)
-    return FittedStudy(study, simulator, compared, population, *read_checks(result))
+    states = Counter(network.parameters.get("conduction", 0.0) for network in networks)
+    (most_probable, _), *_ = states.most_common()
+    reports = [dict(likelihood.emulator.report) for likelihood in emulated.get(most_probable, ())]
+    write_results(fitted, networks, agreements, predictions, reports)
+    return replace(fitted, simulator=fitted.simulator.forgetful)
+
+
+def _predict(
+    fitted: FittedStudy,
+    number: int,
+    networks: Sequence[Network],
+    emulated: Emulated,
+    rng: np.random.Generator,
+) -> Prediction:
+    """Predictions of the networks for a recording, and the checks of the fit against it."""
+    recording = fitted.recordings[number]
+    likelihoods = [emulated[n.parameters.get("conduction", 0.0)][number] for n in networks]
+    prediction = predict_recording(
+        recording.target, [e.likelihood for e in likelihoods], networks, rng
+    )
+    checks = checked(prediction.checks, likelihoods, networks)
+    if recording.scenario is None:
+        surfaces = fitted.simulator.model.surfaces
+        sequences = [surfaces.sequence(network.beat.activation) for network in networks]
+        checks = replace(checks, sequence=SequenceSummary.of(sequences))
+    return replace(prediction, checks=checks)
+
+
+def _holds(folder: Path, heart: Heart) -> bool:
+    """Whether a folder holds this heart, undamaged."""
+    try:
+        return load_heart(folder).digest == heart.digest
+    except InputError:
+        return False
+
+
+def _simulations_folder(problem: InverseProblem, folder: Path) -> Path:
+    return folder_of_simulations(problem.inputs.heart, folder / HEART_FOLDER)
+
+
+def _state_folder(problem: InverseProblem, folder: Path, name: str) -> Path:
+    """Folder of the study of a conduction state, which shares the heart of the whole study."""
+    state_folder = folder / STATES_FOLDER / name.replace(" ", "-")
+    # before the link to the heart, since a folder that is not empty and no study is refused
+    Study.create_or_resume(state_folder, problem.config)
+    if not (state_folder / HEART_FOLDER).exists():
+        heart = Path("..", "..", HEART_FOLDER)
+        (state_folder / HEART_FOLDER).symlink_to(heart, target_is_directory=True)
+    return state_folder

@@ -1,4 +1,4 @@
-"""A fitted study: its networks, their simulation, verdict and warnings."""
+"""A fitted study: its networks, their simulation, verdict and warnings; and how it is read."""
 
 from __future__ import annotations
 
@@ -16,21 +16,34 @@ from fascicle.core import above, html_card
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, ValueRefusedError
 from fascicle.core.files import as_path, atomic_folder, check_folder, write_text
-from fascicle.core.progress import Progress, stage_progress
+from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
 from fascicle.core.quantities import checked
 from fascicle.core.ranges import check_count, short_repr, shown
 from fascicle.forward.beat import Beat
+from fascicle.heart.folder import load_heart
 from fascicle.inference.evaluation import Evaluation, best_of
+from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.activation_maps import nearest_to_median
 from fascicle.study.evaluations import Stage
 from fascicle.study.export import Format, write_networks
+from fascicle.study.inputs import Inputs, InverseProblem, checked_rules, recording_digests
 from fascicle.study.lock import LOCK
-from fascicle.study.population import Population, evenly_spread
+from fascicle.study.pool import Pool, check_pool
+from fascicle.study.population import (
+    RESULT,
+    Population,
+    Posterior,
+    evenly_spread,
+    read_checks,
+    read_population,
+)
 from fascicle.study.predictive import Checks
+from fascicle.study.prior import growth_and_conduction
+from fascicle.study.recordings import read_recordings
 from fascicle.study.settings import FitSettings
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.statements import Statements
-from fascicle.study.study import Study
+from fascicle.study.study import HEART_FOLDER, Study, check_same
 from fascicle.study.target_comparison import Network, TargetComparison, networks, null_loss
 
 
@@ -303,3 +316,78 @@ class FittedStudy:
             write_networks(temporary, self.simulator.model, named, to)
             write_text(temporary / "summary.json", json.dumps(content, indent=2) + "\n")
         return content
+
+
+StudyLike = FittedStudy | Path | str  # a study, or the path of its folder
+
+
+def as_study(study: StudyLike, progress: Progress | Lines | None = None) -> FittedStudy:
+    """Return a fitted study as it is, or read it from its folder by `load_study`."""
+    if isinstance(study, FittedStudy):
+        return study
+    folder = as_path(study, "study", "a fitted study, or the path of its folder")
+    return load_study(folder, progress)
+
+
+def load_study(
+    folder: Path | str,
+    progress: Progress | Lines | None = "lines",
+    pool: Pool | None = None,
+    rules: GrowthRules | None = None,
+) -> FittedStudy:
+    """Read a finished study.
+
+    Parameters
+    ----------
+    folder : path
+        Folder of the study.
+    progress : Progress, "lines" or None
+        Progress callback, called while a large heart is prepared; by default lines on standard
+        error.
+    pool : Pool, optional
+        Where networks are simulated; by default on as many threads as the fit used.
+    rules : GrowthRules, optional
+        Growth rules that `fit` was given, if any.
+
+    Raises
+    ------
+    InputError
+        If the folder is not a study, the study is not finished, or it was made with another
+        version of the forward model.
+    """
+    from fascicle import __version__
+
+    check_pool(pool)
+    folder, own_rules = as_path(folder, "study"), rules is not None
+    rules, study = checked_rules(rules), Study.open(folder)
+    result = folder / RESULT[study.config.method]
+    population = read_population(result)
+    heart = load_heart(folder / HEART_FOLDER)
+    recordings = read_recordings(folder, len(study.config.scenarios))
+    digests = recording_digests(recordings)
+    same = all(getattr(study.config, name) == value for name, value in digests.items())
+    for name, unchanged in (
+        (HEART_FOLDER, heart.digest == study.config.heart),
+        ("target.nc", same),
+    ):
+        if not unchanged:
+            raise InputError(
+                f"{folder / name}: not the one that was fitted; put the original back, or fit again"
+            )
+    if not {*study.config.prior.names} <= {*population.best}:
+        raise InputError(
+            f"{result}: its parameters are not those of the study; run 'fascicle fit' "
+            "again to rewrite it"
+        )
+    now = study.config.model_copy(update=growth_and_conduction(heart, rules))
+    check_same(folder, study.config, now)
+    inputs = Inputs(heart, recordings, study.config, rules)
+    with shown_progress(progress) as shown:
+        problem = InverseProblem.of(inputs, pool, shown)
+    if own_rules or population.version != __version__:  # this version's own model is the same
+        study.check_objective(problem.evaluate)
+    if isinstance(population, Posterior):  # compared with the prior of its states
+        problem = problem.with_states(population.states)
+    return FittedStudy(
+        study, problem.simulator, problem.recordings, population, *read_checks(result)
+    )

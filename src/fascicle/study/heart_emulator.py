@@ -26,30 +26,18 @@ from fascicle.study.pool import Pool, Threads, check_pool
 from fascicle.study.prior import Prior
 from fascicle.study.prior_simulations import SEED, PriorSimulations
 from fascicle.study.settings import FitSettings
-from fascicle.study.simulator import PointSimulator
 
 EMULATOR = "emulator"  # kind of file
 
 
-def emulator_of(
-    simulator: PointSimulator,
-    count: int,
-    folder: Path,
-    progress: Progress | None = None,
-    scenario: tuple[Scenario, str] | None = None,
-) -> EcgEmulator:
-    """Find an emulator for a study, or make one from `count` prior simulations.
+def simulations_for(
+    model: ForwardModel, prior: Prior, folder: Path, scenario: tuple[Scenario, str] | None = None
+) -> PriorSimulations:
+    """Prior simulations from which an emulator for a study learns, kept in a heart's folder.
 
-    Emulators of the heart's usual priors serve any study whose quantities lie within their ranges.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the heart, in which simulations and emulator are kept.
-    scenario : (Scenario, str), optional
-        Scenario in which the heart was recorded, and its digest.
+    Simulations of the heart's usual priors serve any study whose quantities lie within their
+    ranges. `scenario` is that of a recording, with its digest.
     """
-    model, prior = simulator.model, simulator.prior
     blocks = {n: v for n, v in prior.fixed.items() if n == "conduction"}
     alike = [state for state in KNOWN_STATES if state.blocks == blocks]
     # The prior of all delays, None, covers every state, but a narrower emulator is more exact.
@@ -58,11 +46,23 @@ def emulator_of(
         simulations_of(model, usual_prior(model.heart, state), folder, scenario) for state in states
     )
     covering = (candidate for candidate in usual if candidate.prior.covers(prior))
-    simulations = next(covering, None) or simulations_of(model, prior, folder, scenario)
+    return next(covering, None) or simulations_of(model, prior, folder, scenario)
+
+
+def emulator_of(
+    simulations: PriorSimulations, count: int, pool: Pool, progress: Progress | None = None
+) -> EcgEmulator:
+    """Emulator of `count` prior simulations, from the package if it has learnt from as many."""
     stored = packaged(EMULATOR, simulations.content)
     if stored is not None and float(stored["report networks"]) >= count:
         return EcgEmulator.from_arrays(stored)
-    return made_emulator(simulations, count, simulator.pool, progress)
+    return made_emulator(simulations, count, pool, progress)
+
+
+def folder_of_simulations(heart: Heart, copy: Path) -> Path:
+    """Folder to keep simulations in: the heart's if it is writable, else its copy's in a study."""
+    writable = heart.folder is not None and os.access(heart.folder, os.W_OK)
+    return heart.folder if writable and heart.folder is not None else copy
 
 
 def packaged(kind: str, key: str) -> Mapping[str, Any] | None:

@@ -6,7 +6,7 @@ import json
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -51,12 +51,15 @@ class Population:
         Parameters with the least mismatch of all evaluations, with those averaged over.
     best_loss : float
         Least mismatch (mV²).
+    version : str
+        Version of fascicle that has written the networks; empty if they were not read.
     """
 
     values: Mapping[str, Floats]
     losses: Floats
     best: Mapping[str, float]
     best_loss: float
+    version: str = field(default="", kw_only=True)
 
     __repr__ = short_repr
 
@@ -131,6 +134,11 @@ class Posterior(Population):
         """Named parameters of network `k`, with those averaged over."""
         rest = {name: float(values[k]) for name, values in self.averaged.items()}
         return super().parameters(k) | {n: value for n, value in rest.items() if np.isfinite(value)}
+
+    def in_state(self, number: float) -> Posterior:
+        """Posterior with the number of its conduction state as the quantity ``conduction``."""
+        averaged = {**self.averaged, "conduction": np.full(len(self), number)}
+        return replace(self, averaged=averaged, best={**self.best, "conduction": number})
 
     @property
     def effective_size(self) -> float:
@@ -301,6 +309,8 @@ def _groups(
 
 def _describe(data: Any, population: Population) -> None:
     """Add units, and attributes of the whole sample, to the data."""
+    from fascicle import __version__
+
     units = {"loss": "mV2", "onset_shift": "ms", "discrepancy": "mV", "gain": "1", "torso": "1"}
     stats = data.sample_stats
     for name in stats.data_vars:
@@ -308,6 +318,7 @@ def _describe(data: Any, population: Population) -> None:
         if unit is not None:
             stats[name].attrs["units"] = unit
     stats.attrs["best_loss"] = population.best_loss
+    stats.attrs["version"] = __version__
     if isinstance(population, Posterior):
         stats.attrs["converged"] = int(population.converged)
         stats.attrs["states"] = json.dumps(dict(population.states))
@@ -332,10 +343,10 @@ def read_population(path: Path) -> Population:
         values = {name: posterior[name].to_numpy().ravel() for name in names}
         losses = stats["loss"].to_numpy().ravel()
         best = {name: float(posterior[name].attrs["best"]) for name in names}
-        best_loss = float(stats.attrs["best_loss"])
+        best_loss, version = float(stats.attrs["best_loss"]), stats.attrs.get("version", "")
         if "distance" in stats:
             distances = stats["distance"].to_numpy().ravel()
-            return PaperPopulation(values, losses, best, best_loss, distances)
+            return PaperPopulation(values, losses, best, best_loss, distances, version=version)
         logs = load_netcdf(path, "log_likelihood")
         numbered = _numbered(list(logs.data_vars))
         stored = {g: load_netcdf(path, g) for g in (FIRST_ALONE, AVERAGED) if g in stats.attrs}
@@ -361,6 +372,7 @@ def read_population(path: Path) -> Population:
             first_alone=groups.get(FIRST_ALONE),
             states=json.loads(stats.attrs.get("states", "{}")),
             unnamed=str(stats.attrs.get("unnamed", "")),
+            version=version,
         )
     except (OSError, KeyError, ValueError, IndexError, TypeError) as error:
         first = (str(error).splitlines() or [type(error).__name__])[0]

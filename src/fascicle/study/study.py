@@ -38,6 +38,7 @@ from fascicle.study.settings import FitSettings, first_problem
 
 CONFIGURATION = "study.json"
 DATABASE = "evaluations.sqlite"
+HEART_FOLDER = "heart"
 STATES_FOLDER = "states"  # folder of the studies of conduction states
 STUDY_FORMAT: Final = 8  # version of the folder's format
 MAY_CHANGE = ("workers", "steps", "samples", "effective", "share")  # when a study is resumed

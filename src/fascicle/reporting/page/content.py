@@ -21,9 +21,8 @@ from fascicle.reporting.names import index_name, scenario_name
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.recordings import recording_paths
 from fascicle.study.settings import OF_THE_PAPER, OF_THE_POSTERIOR
-from fascicle.study.state_fit import HEART_FOLDER
 from fascicle.study.statements import Caution
-from fascicle.study.study import StudyConfig
+from fascicle.study.study import HEART_FOLDER, StudyConfig
 
 CONDUCTIVITY_LABELS = {  # mS/cm; `fascicle.heart.conduction.Conduction` explains them
     "intracellular_l": "intracellular conductivity along the fibre",

@@ -37,8 +37,7 @@ from fascicle.reporting.scenarios import SHOWN
 from fascicle.reporting.study import Drawing, drawings, write_figures
 from fascicle.reporting.style import check_kinds
 from fascicle.study.agreement import Agreement
-from fascicle.study.fit import GivenStudy, as_study
-from fascicle.study.fitted import FittedStudy
+from fascicle.study.fitted import FittedStudy, StudyLike, as_study
 from fascicle.study.population import Posterior
 from fascicle.study.target_comparison import Network
 
@@ -46,7 +45,7 @@ PACINGS = ("his-pacing", "left-bundle-branch-pacing", "biventricular-pacing")
 
 
 def report(
-    fitted: GivenStudy,
+    fitted: StudyLike,
     scenarios: Mapping[str, Scenario] | Sequence[str | Path] | str | Path = PACINGS,
     out: Path | str | None = None,
     progress: Progress | Lines | None = "lines",

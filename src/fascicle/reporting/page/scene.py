@@ -177,7 +177,7 @@ def _scar(heart: Heart, model: ForwardModel | None) -> NDArray[np.bool_]:
 def _chosen(first: Predicted, vertices: int, scenarios: int) -> Integers:
     """Networks evenly spread over total activation time, as many as the page has room for."""
     order = np.argsort(first.indices["total_activation_time"], kind="stable")
-    nodes = sum(len(tree.nodes) for tree, _ in first.beats[order[0]].trees) // 2
+    nodes = sum(len(tree.nodes) for tree in first.beats[order[0]].trees) // 2
     ecg = 2 * len(LEADS) * 250 // ECG_STEP
     size = scenarios * (vertices + nodes + ecg) + 8 * nodes
     count = int(np.clip(MOST_BYTES // size, 3, MOST_NETWORKS))

@@ -1,0 +1,278 @@
+"""Inputs of a fit, and the inverse problem that they pose."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import NoneType
+from typing import Any
+
+import numpy as np
+
+from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError
+from fascicle.core.parameters import FREE
+from fascicle.core.progress import Progress
+from fascicle.core.quantities import DELAY, torso_values
+from fascicle.core.ranges import check_kind
+from fascicle.forward.beat import Beat
+from fascicle.forward.compile_kernels import compile_kernels
+from fascicle.forward.likelihood import Likelihood, constants
+from fascicle.forward.model import Backend, ForwardModel, usable
+from fascicle.forward.scenario import Scenario
+from fascicle.heart.folder import as_heart
+from fascicle.heart.heart import Heart
+from fascicle.inference.evaluation import Evaluation
+from fascicle.purkinje.growth import GrowthRules
+from fascicle.study.conduction_states import ConductionState
+from fascicle.study.ecg_emulator import TORSO_MODES, EcgEmulator
+from fascicle.study.likelihood import EmulatedLikelihood
+from fascicle.study.pool import Pool, Threads
+from fascicle.study.prior import Prior, growth_and_conduction
+from fascicle.study.recordings import Given, Recorded, digests, given_recordings
+from fascicle.study.refined_emulator import MOST_ROUNDS, REFINING_NETWORKS
+from fascicle.study.settings import FitSettings
+from fascicle.study.simulator import BeatMemory, PointSimulator
+from fascicle.study.study import StudyConfig
+from fascicle.study.target_comparison import TargetComparison, evaluate
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Inputs of a study: heart, recordings, configuration, growth rules and likelihoods."""
+
+    heart: Heart
+    recordings: Sequence[Recorded]
+    config: StudyConfig  # all that decides the outcome, with digests of the other inputs
+    rules: GrowthRules
+    likelihoods: Sequence[Likelihood] | None = None  # the user's, in place of those by emulators
+
+
+@dataclass(frozen=True)
+class InverseProblem:
+    """Networks of a prior, and the recordings that they are to explain.
+
+    Attributes
+    ----------
+    inputs : Inputs
+        Inputs of the study.
+    simulator : PointSimulator
+        Simulator of the networks of the study's prior.
+    recordings : tuple of TargetComparison
+        Recordings, in the leads of the heart.
+    """
+
+    inputs: Inputs
+    simulator: PointSimulator
+    recordings: tuple[TargetComparison, ...]
+
+    @classmethod
+    def of(
+        cls,
+        inputs: Inputs,
+        pool: Pool | None = None,
+        progress: Progress | None = None,
+        backend: Backend | None = None,
+    ) -> InverseProblem:
+        """Prepare the forward model, slowly on a new machine or with a new heart."""
+        if progress is not None:
+            compile_kernels(progress)
+        config, heart, prior = inputs.config, inputs.heart, inputs.config.prior
+        model = ForwardModel(heart, rules=inputs.rules, progress=progress)
+        names, (_, scenario), *_ = [*prior.names, *prior.fixed], *inputs.recordings
+        backend = usable(backend, model, [*names, *prior.averaged.space.names], scenario)
+        if torso := torso_values(dict.fromkeys(names, 0.0)):
+            model.torso([*torso])  # built here, not by every worker
+        recordings = tuple(
+            TargetComparison(
+                target.in_leads(heart.leads),
+                scenario,
+                free_gain=config.free_gain if config.method == "paper" else _gain_sd(config) > 0,
+                independent_leads=config.leads == "8",
+                fewest_junctions=config.fewest_junctions,
+            )
+            for target, scenario in inputs.recordings
+        )
+        simulator = PointSimulator(model, prior, pool or Threads(config.workers), backend)
+        return cls(inputs, simulator, recordings)
+
+    @property
+    def config(self) -> StudyConfig:
+        """Configuration of the study."""
+        return self.inputs.config
+
+    @property
+    def scenarios(self) -> list[tuple[Scenario, str] | None]:
+        """Scenario of each recording with its digest; None for an intrinsic beat."""
+        return [
+            None if recording.scenario is None else (recording.scenario, digest)
+            for recording, digest in zip(self.recordings, self.config.scenarios, strict=True)
+        ]
+
+    def narrowed(self, state: ConductionState, **numbers: float) -> InverseProblem:
+        """Problem of one conduction state, with other numbers of the configuration."""
+        prior = self.config.prior.narrowed(state)
+        changes = {
+            "space": prior.space.parameters,
+            "fixed": prior.fixed,
+            "states": prior.states,
+            "mapped": prior.mapped,
+        }
+        config = self.config.model_copy(update=changes | numbers)
+        return replace(
+            self,
+            inputs=replace(self.inputs, config=config),
+            simulator=replace(self.simulator, prior=config.prior),
+        )
+
+    def with_states(self, probable: Mapping[str, float]) -> InverseProblem:
+        """Problem with posterior probabilities of the conduction states in place of the prior's."""
+        prior = replace(self.simulator.prior, states=probable)
+        simulator = replace(self.simulator, prior=prior, memory=BeatMemory(kept=True))
+        return replace(self, simulator=simulator)
+
+    def check_scenarios(self) -> None:
+        """Refuse a scenario that does not fit the heart, by simulating a network of the prior."""
+        for recording in self.recordings:
+            if recording.scenario is None:
+                continue
+            for point in self.simulator.prior.sample(np.random.default_rng(0), 10):
+                if isinstance(next(self.simulator.simulate([point], recording.scenario)), Beat):
+                    break
+
+    def likelihoods(self, emulators: Sequence[EcgEmulator]) -> list[EmulatedLikelihood]:
+        """Likelihoods of the recordings by their emulators: the user's, or the package's."""
+        if self.inputs.likelihoods is None:
+            targets = [recording.target for recording in self.recordings]
+            return EmulatedLikelihood.each(
+                emulators, self.simulator, targets, _gain_sd(self.config)
+            )
+        pairs = zip(emulators, self.inputs.likelihoods, strict=True)
+        return [EmulatedLikelihood(self.simulator, *pair) for pair in pairs]
+
+    def with_likelihoods(self, emulated: Sequence[EmulatedLikelihood]) -> InverseProblem:
+        """Problem whose evaluations have log-likelihoods; its beats are kept in memory."""
+        recordings = tuple(
+            replace(recording, likelihood=likelihood.likelihood)
+            for recording, likelihood in zip(self.recordings, emulated, strict=True)
+        )
+        simulator = replace(self.simulator, memory=BeatMemory(kept=True))
+        return replace(self, simulator=simulator, recordings=recordings)
+
+    def evaluate(self, points: Sequence[Floats]) -> Iterator[Evaluation]:
+        """Evaluate points (d,) of the unit cube, in order."""
+        return evaluate(self.simulator, self.recordings, points)
+
+
+def _gain_sd(config: StudyConfig) -> float:
+    """Prior SD of the gain about 1; 0 if the gain is itself a parameter."""
+    is_parameter = "gain" in {*config.prior.names, *config.fixed}
+    return 0.0 if is_parameter else config.gain_sd
+
+
+def read_inputs(
+    heart: Heart | Path | str,
+    target: Given | list[Given],
+    parameters: Mapping[str, Any],
+    settings: FitSettings,
+    rules: GrowthRules | None = None,
+    likelihoods: Sequence[Likelihood] | None = None,
+) -> Inputs:
+    """Read the arguments of `fit`, and settle which quantities are learnt and which are fixed."""
+    rules = checked_rules(rules)
+    heart = as_heart(heart)
+    recordings = given_recordings(target)
+    if settings.method == "paper" and (len(recordings) > 1 or recordings[0][1] is not None):
+        raise InputError(
+            "the method 'paper' fits one recording of an intrinsic beat; give one without a "
+            "scenario, or use the method 'posterior'"
+        )
+    choices, one_intrinsic_beat = {**parameters}, len(recordings) == 1 and recordings[0][1] is None
+    # the conduction state is learnt by default, unless delays are given, which it would change
+    learnt = settings.method == "posterior" and one_intrinsic_beat and likelihoods is None
+    learnt &= recordings[0][0].earliest_onset is None  # a paced beat shows no conduction state
+    conduction = choices.pop("conduction", FREE if learnt and not {*DELAY} & {*choices} else None)
+    prior = Prior.of(settings.method, choices, heart)
+    if conduction is not None:
+        prior = _with_states(prior, conduction, heart, settings, one_intrinsic_beat)
+    if settings.free_gain and "gain" in {*prior.names, *prior.fixed}:
+        raise InputError("the gain is a parameter already; leave --free-gain out")
+    described: dict[str, float | str] = {}
+    if settings.method == "posterior":
+        constants_of_emulator = {
+            "body_modes": TORSO_MODES,
+            "refining_networks": REFINING_NETWORKS,
+            "refining_rounds": MOST_ROUNDS,
+        }
+        names = ", ".join(type(likelihood).__qualname__ for likelihood in likelihoods or ())
+        described = {"name": names} if names else constants() | constants_of_emulator
+    config = StudyConfig(
+        heart=heart.digest,
+        **recording_digests(recordings),
+        space=prior.space.parameters,
+        fixed=prior.fixed,
+        states=prior.states,
+        mapped=prior.mapped,
+        averaged=prior.averaged.space.parameters,
+        tissues=prior.averaged.tissues,
+        likelihood=described,
+        **growth_and_conduction(heart, rules),
+        **settings.model_dump(),
+    )
+    return Inputs(heart, recordings, config, rules, likelihoods)
+
+
+def _with_states(
+    prior: Prior, conduction: Any, heart: Heart, settings: FitSettings, one_intrinsic_beat: bool
+) -> Prior:
+    """Prior of the conduction states that the user chose and that other quantities allow."""
+    if settings.method == "paper":
+        raise InputError(
+            "parameter 'conduction': the method 'paper' knows no conduction states; leave it "
+            "out, or use the method 'posterior'"
+        )
+    states = prior.possible_states(conduction, heart)
+    if len(states) == 1:
+        return prior.narrowed(states[0])
+    if not one_intrinsic_beat:
+        raise InputError(
+            "parameter 'conduction': it is learnt from one recording of an intrinsic beat; give "
+            "one without a scenario, or fix the state"
+        )
+    total = sum(state.probability for state in states)
+    # probabilities that add up to 1 but for rounding are not changed in the last digit
+    total = 1.0 if math.isclose(total, 1.0) else total
+    return replace(prior, states={state.name: state.probability / total for state in states})
+
+
+def checked_rules(rules: GrowthRules | None) -> GrowthRules:
+    """Growth rules of an argument, by default the usual ones."""
+    check_kind(rules, (GrowthRules, NoneType), "rules", "fascicle.GrowthRules")
+    return rules or GrowthRules()
+
+
+def checked_likelihoods(
+    likelihood: Likelihood | Sequence[Likelihood], count: int, method: str
+) -> Sequence[Likelihood]:
+    """Check and list a user's likelihoods, which must be as many as the recordings."""
+    likelihoods: list[Any] = (
+        [*likelihood] if isinstance(likelihood, (list, tuple)) else [likelihood]
+    )
+    for candidate in likelihoods:
+        check_kind(
+            candidate, Likelihood, "likelihood", "an object that has the methods of Likelihood"
+        )
+    if method == "paper" or len(likelihoods) != count:
+        raise InputError(
+            f"{len(likelihoods)} likelihood(s) for {count} recording(s) by the method '{method}'; "
+            "give one for each, to the method 'posterior'"
+        )
+    return likelihoods
+
+
+def recording_digests(recordings: Sequence[Recorded]) -> dict[str, Any]:
+    """Digests of the recordings, by the field of the study's configuration."""
+    targets, scenarios = zip(*map(digests, recordings), strict=True)
+    return {"target": targets[0], "other_targets": targets[1:], "scenarios": scenarios}
