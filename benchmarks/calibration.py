@@ -81,6 +81,11 @@ from fascicle.core.leads import (
 from fascicle.core.parameters import Infeasible, ParameterSpace
 from fascicle.core.progress import Progress
 from fascicle.core.quantities import stand_ins, torso_values
+from fascicle.emulation.ecg_emulator import EcgEmulator
+from fascicle.emulation.heart_emulator import emulator_of, simulations_for, usual_prior
+from fascicle.emulation.likelihood import EmulatedLikelihood, checked
+from fascicle.emulation.predictive import AXIS, DURATION, Checks, predict_recording
+from fascicle.emulation.refined_emulator import refined_emulators
 from fascicle.forward.beat import Beat
 from fascicle.forward.bodies import random_bodies
 from fascicle.forward.ecg.electrocardiogram import first_sample
@@ -89,26 +94,21 @@ from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenarios
 from fascicle.heart.heart import Heart
+from fascicle.networks.conduction_states import STATES
+from fascicle.networks.prior import NOT_KNOWN, Prior, study_space
+from fascicle.networks.prior_simulations import PriorSimulations
+from fascicle.networks.settings import FitSettings, Method
+from fascicle.networks.simulator import BeatMemory, PointSimulator
+from fascicle.networks.target_comparison import Network, TargetComparison, evaluate
+from fascicle.networks.target_comparison import networks as simulated
+from fascicle.pools.pool import Threads
 from fascicle.recording.target import Target, smooth_noise
 from fascicle.recording.target_files import read_target
 from fascicle.reporting.style import new_figure, save
 from fascicle.study import paper, posterior
-from fascicle.study.conduction_states import STATES
-from fascicle.study.ecg_emulator import EcgEmulator
 from fascicle.study.evaluations import Database, Journal
 from fascicle.study.fit import REFINEMENT
-from fascicle.study.heart_emulator import emulator_of, simulations_for, usual_prior
-from fascicle.study.likelihood import EmulatedLikelihood, checked
-from fascicle.study.pool import Threads
 from fascicle.study.population import Population, Posterior
-from fascicle.study.predictive import AXIS, DURATION, Checks, predict_recording
-from fascicle.study.prior import NOT_KNOWN, Prior, study_space
-from fascicle.study.prior_simulations import PriorSimulations
-from fascicle.study.refined_emulator import refined_emulators
-from fascicle.study.settings import FitSettings, Method
-from fascicle.study.simulator import BeatMemory, PointSimulator
-from fascicle.study.target_comparison import Network, TargetComparison, evaluate
-from fascicle.study.target_comparison import networks as simulated
 
 LEVELS = (0.5, 0.8, 0.9)
 TUNING, HELD_OUT = 2, 3  # seeds of truths: for choosing constants, and for the documentation

@@ -24,10 +24,10 @@ import fascicle
 from fascicle.build.torso import add_electrodes
 from fascicle.core.leads import FRANK, LEADS
 from fascicle.heart.folder import MANIFEST, write_heart
+from fascicle.networks.agreement import agreement, pearson
 from fascicle.prediction.indices import vectorcardiogram
 from fascicle.recording.pipeline import make_target
 from fascicle.recording.readers.read import read_recording
-from fascicle.study.agreement import agreement, pearson
 
 
 def main() -> None:

@@ -22,7 +22,7 @@ from fascicle.core.parameters import ParameterSpace, free
 from fascicle.core.progress import stage_progress
 from fascicle.core.quantities import DELAY, GROUPS, QUANTITIES, TORSO_QUANTITIES
 from fascicle.inference.evaluation import best_of
-from fascicle.study.target_comparison import evaluate
+from fascicle.networks.target_comparison import evaluate
 
 
 def main() -> None:

@@ -27,8 +27,8 @@ from benchmarks.forward import _heart, build_case
 from examples.recover_known_network import TRUTH, synthetic_target
 from fascicle.core.parameters import NETWORK_SPACE
 from fascicle.forward.loss import placed
+from fascicle.networks.target_comparison import TargetComparison
 from fascicle.recording.target import Target
-from fascicle.study.target_comparison import TargetComparison
 
 Array = npt.NDArray[np.float64]
 NEAR = 1e-3  # of the mismatch of a flat line

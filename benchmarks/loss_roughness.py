@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 import fascicle
 from fascicle.core.parameters import Infeasible
 from fascicle.forward.model import ForwardModel
-from fascicle.study.prior import Prior
-from fascicle.study.simulator import PointSimulator
-from fascicle.study.target_comparison import TargetComparison
+from fascicle.networks.prior import Prior
+from fascicle.networks.simulator import PointSimulator
+from fascicle.networks.target_comparison import TargetComparison
 
 Array = NDArray[np.float64]
 Values = dict[str, float]

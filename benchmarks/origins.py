@@ -36,13 +36,13 @@ from benchmarks.calibration import (
 )
 from fascicle.cli.output import TerminalProgress
 from fascicle.core.files import write_text
+from fascicle.emulation.origin import Origin
 from fascicle.forward.beat import Beat
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.primitives import His, Stimulus
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.heart import Heart
-from fascicle.study.origin import Origin
-from fascicle.study.settings import FitSettings
+from fascicle.networks.settings import FitSettings
 
 SITES = 10  # in a draw of another physics
 LEVELS = (0.5, 0.8, 0.9)

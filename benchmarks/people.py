@@ -46,14 +46,14 @@ from fascicle.cli.output import TerminalProgress
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import HUMAN_SPACE
+from fascicle.emulation.heart_emulator import usual_prior
+from fascicle.emulation.state_classifier import NoStateNamed
 from fascicle.forward.beat import Beat
 from fascicle.forward.bodies import random_bodies
 from fascicle.forward.loss import align
 from fascicle.heart.folder import write_heart
+from fascicle.networks.conduction_states import KNOWN_STATES, STATES
 from fascicle.recording.criteria import frontal_axis
-from fascicle.study.conduction_states import KNOWN_STATES, STATES
-from fascicle.study.heart_emulator import usual_prior
-from fascicle.study.state_classifier import NoStateNamed
 
 Array = NDArray[np.float64]
 HEARTS = ("camps-dti004", "default")

@@ -16,15 +16,15 @@ from dataclasses import replace
 import numpy as np
 
 import fascicle
+from fascicle.emulation.heart_emulator import usual_prior
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario_files import read_scenarios
+from fascicle.networks.prior import AveragedOver
+from fascicle.networks.simulator import PointSimulator
+from fascicle.networks.target_comparison import Network, TargetComparison
+from fascicle.pools.pool import Threads
 from fascicle.prediction.scenarios import simulate_scenarios
 from fascicle.recording.target import Target, smooth_noise
-from fascicle.study.heart_emulator import usual_prior
-from fascicle.study.pool import Threads
-from fascicle.study.prior import AveragedOver
-from fascicle.study.simulator import PointSimulator
-from fascicle.study.target_comparison import Network, TargetComparison
 
 SCENARIOS = (
     "intrinsic", "his-pacing", "left-bundle-branch-pacing",

@@ -50,7 +50,7 @@ from fascicle.inference import optimisation
 from fascicle.inference.gaussian_process import ExponentialGP
 from fascicle.inference.optimisation import Surrogates, latin_hypercube, step
 from fascicle.inference.surrogates import Observations
-from fascicle.study.settings import FitSettings
+from fascicle.networks.settings import FitSettings
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -122,9 +122,9 @@ def heart_task(folder: Path) -> Task:
     from examples.recover_known_network import TRUTH, synthetic_target
     from fascicle.core.parameters import NETWORK_SPACE, Infeasible
     from fascicle.forward.model import ForwardModel
-    from fascicle.study.prior import Prior
-    from fascicle.study.simulator import PointSimulator
-    from fascicle.study.target_comparison import TargetComparison, evaluate
+    from fascicle.networks.prior import Prior
+    from fascicle.networks.simulator import PointSimulator
+    from fascicle.networks.target_comparison import TargetComparison, evaluate
 
     model = ForwardModel(_heart(build_case(folder)))
     simulation = model.simulate(TRUTH)

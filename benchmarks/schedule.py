@@ -22,11 +22,11 @@ from pathlib import Path
 import numpy as np
 
 import fascicle
+from fascicle.emulation.heart_emulator import simulations_of, usual_prior
 from fascicle.forward.model import ForwardModel
-from fascicle.study.heart_emulator import simulations_of, usual_prior
-from fascicle.study.pool import parts
-from fascicle.study.prior_simulations import PART, PriorSimulations
-from fascicle.study.settings import FitSettings
+from fascicle.networks.prior_simulations import PART, PriorSimulations
+from fascicle.networks.settings import FitSettings
+from fascicle.pools.pool import parts
 
 FIRST, NETWORKS = 50, 200  # that prepare every tissue; that are timed
 PRIOR = FitSettings().prior_simulations

@@ -54,8 +54,8 @@ def serve(heart: str) -> None:
     from fascicle.forward.eikonal.activation import attach, solve
     from fascicle.forward.model import ForwardModel
     from fascicle.heart.folder import load_heart
+    from fascicle.networks.prior import study_space
     from fascicle.purkinje.growth import grow_from_parameters
-    from fascicle.study.prior import study_space
 
     model = ForwardModel(load_heart(heart))
     space, fixed = study_space("paper", {"alpha": "free"}, model.heart)

@@ -41,6 +41,7 @@ from benchmarks.forward import _heart, build_case
 from examples.recover_known_network import synthetic_target
 from fascicle.cli.output import TerminalProgress
 from fascicle.forward.beat import Beat
+from fascicle.networks.target_comparison import Network, evaluate
 from fascicle.reporting.activation import SINCE_FIRST, ActivationRow, activation_figure
 from fascicle.reporting.ecg import EcgGroup, ecg_figure
 from fascicle.reporting.parameters import pair_figure
@@ -48,7 +49,6 @@ from fascicle.reporting.style import Colour, new_figure, save
 from fascicle.reporting.surfaces import heart_views
 from fascicle.study.evaluations import Stage
 from fascicle.study.fitted import FittedStudy
-from fascicle.study.target_comparison import Network, evaluate
 
 LARGEST_ANGLE = 3 * math.pi / 4
 PAPER = {

@@ -49,7 +49,7 @@ def small_posteriors() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("fascicle.study.posterior.PARTICLES", 200)
         patch.setattr("fascicle.study.posterior.MOST_BATCHES", 1)
-        patch.setattr("fascicle.study.prior_simulations.random_bodies", bodies)
+        patch.setattr("fascicle.networks.prior_simulations.random_bodies", bodies)
         yield
 
 

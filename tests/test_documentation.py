@@ -8,10 +8,10 @@ import pytest
 
 import fascicle
 from fascicle.forward.likelihood import SHARES
+from fascicle.networks.prior import NOT_KNOWN
+from fascicle.networks.prior_simulations import BODIES
+from fascicle.networks.settings import FitSettings
 from fascicle.study.posterior import MOST_BATCHES, PARTICLES
-from fascicle.study.prior import NOT_KNOWN
-from fascicle.study.prior_simulations import BODIES
-from fascicle.study.settings import FitSettings
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DOCS = REPOSITORY / "docs"

@@ -218,7 +218,7 @@ def test_an_argument_of_the_wrong_kind_is_refused_in_one_line(
     monkeypatch.setattr("fascicle.study.inputs.ForwardModel", begun)
     monkeypatch.setattr("fascicle.explorer.explore.serve", begun)
     for module in ("heart_emulator", "origin", "state_classifier"):
-        monkeypatch.setattr(f"fascicle.study.{module}.ForwardModel", begun)
+        monkeypatch.setattr(f"fascicle.emulation.{module}.ForwardModel", begun)
     function, arguments = right[name]
     failures = []
     for argument, known in inspect.signature(function).parameters.items():

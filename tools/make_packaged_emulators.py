@@ -23,21 +23,21 @@ import fascicle
 from fascicle.core.array_cache import ArrayCache
 from fascicle.core.files import DISPOSABLE, PACKAGED
 from fascicle.core.leads import INDEPENDENT_ROWS
-from fascicle.forward.model import ForwardModel
-from fascicle.heart.heart import Heart
-from fascicle.study import origin
-from fascicle.study.ecg_classifier import TRAINING_STEPS, Lessons, learn
-from fascicle.study.heart_emulator import EMULATOR, made_emulator, usual_prior
-from fascicle.study.pool import Threads
-from fascicle.study.prior_simulations import SEED
-from fascicle.study.settings import FitSettings
-from fascicle.study.state_classifier import (
+from fascicle.emulation import origin
+from fascicle.emulation.ecg_classifier import TRAINING_STEPS, Lessons, learn
+from fascicle.emulation.heart_emulator import EMULATOR, made_emulator, usual_prior
+from fascicle.emulation.state_classifier import (
     CLASSIFIER,
     StateSimulations,
     classifier_key,
     lessons,
     simulations_of_states,
 )
+from fascicle.forward.model import ForwardModel
+from fascicle.heart.heart import Heart
+from fascicle.networks.prior_simulations import SEED
+from fascicle.networks.settings import FitSettings
+from fascicle.pools.pool import Threads
 
 FOLDER = Path(fascicle.__file__).parent / "data" / "emulators"
 COUNT = int(FitSettings.model_fields["prior_simulations"].default)

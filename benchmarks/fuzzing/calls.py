@@ -13,8 +13,8 @@ import fascicle
 from benchmarks.fuzzing.kinds import small_model
 from benchmarks.fuzzing.seeds import parameters
 from fascicle.core.quantities import QUANTITIES, TORSO_QUANTITIES
-from fascicle.study.prior import study_space
-from fascicle.study.settings import checked_settings
+from fascicle.networks.prior import study_space
+from fascicle.networks.settings import checked_settings
 
 Call = Callable[[np.random.Generator], Any]
 

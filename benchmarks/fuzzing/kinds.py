@@ -98,8 +98,8 @@ def _parameters(path: Path) -> Any:
 
 
 def _settings(path: Path) -> Any:
-    from fascicle.study.prior import PARAMETERS, read_settings, study_space
-    from fascicle.study.settings import checked_settings
+    from fascicle.networks.prior import PARAMETERS, read_settings, study_space
+    from fascicle.networks.settings import checked_settings
 
     content = read_settings(path)
     parameters = content.pop(PARAMETERS, {})

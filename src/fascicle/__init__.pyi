@@ -7,6 +7,11 @@ from .core.parameters import NETWORK_SPACE as NETWORK_SPACE
 from .core.parameters import Infeasible as Infeasible
 from .core.quantities import QUANTITIES as QUANTITIES
 from .core.quantities import Quantity as Quantity
+from .emulation.origin import Origin as Origin
+from .emulation.origin import locate as locate
+from .emulation.state_classifier import NoStateNamed as NoStateNamed
+from .emulation.state_classifier import simulate_prior as simulate_prior
+from .emulation.state_classifier import state_probabilities as state_probabilities
 from .explorer.explore import explore as explore
 from .forward.beat import Beat as Beat
 from .forward.cable.template import cell_action_potential as cell_action_potential
@@ -32,7 +37,10 @@ from .heart.folder import load_heart as load_heart
 from .heart.heart import Heart as Heart
 from .heart.sites import CoordinateSite as CoordinateSite
 from .kernels.cable import CellModel as CellModel
+from .networks.settings import FitSettings as FitSettings
 from .patients.cohort import cohort as cohort
+from .pools.cluster import Cluster as Cluster
+from .pools.pool import ExecutorPool as ExecutorPool
 from .prediction.comparison import Comparison as Comparison
 from .prediction.comparison import compare as compare
 from .prediction.predicted import Predicted as Predicted
@@ -47,16 +55,8 @@ from .recording.readers.read import read_recording as read_recording
 from .recording.target_files import read_target as read_target
 from .recording.target_options import TargetOptions as TargetOptions
 from .reporting.page.page import report as report
-from .study.cluster import Cluster as Cluster
 from .study.fit import fit as fit
 from .study.fitted import FittedStudy as FittedStudy
 from .study.fitted import load_study as load_study
-from .study.origin import Origin as Origin
-from .study.origin import locate as locate
-from .study.pool import ExecutorPool as ExecutorPool
-from .study.settings import FitSettings as FitSettings
-from .study.state_classifier import NoStateNamed as NoStateNamed
-from .study.state_classifier import simulate_prior as simulate_prior
-from .study.state_classifier import state_probabilities as state_probabilities
 
 __version__: str

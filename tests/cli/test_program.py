@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from fascicle.core.errors import InputError
-from fascicle.study.settings import FitSettings
+from fascicle.networks.settings import FitSettings
 
 PROGRAM = Path(sys.executable).with_name("fascicle")
 HEAVY = ("vtkmodules", "pyvista", "matplotlib", "arviz", "numba", "scipy", "meshio")

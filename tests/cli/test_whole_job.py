@@ -22,8 +22,8 @@ from fascicle.core.leads import LEADS
 from fascicle.core.parameters import HUMAN_SPACE
 from fascicle.forward.loss import align
 from fascicle.heart.sites import SEGMENTS
+from fascicle.networks.agreement import agreement
 from fascicle.purkinje.growth import GrowthRules
-from fascicle.study.agreement import agreement
 from fascicle.study.fitted import load_study
 
 BUDGET = {"prior_simulations": 100, "effective": 20, "workers": 2}
@@ -171,7 +171,7 @@ def test_another_forward_model_is_refused(study, target, monkeypatch):
         alignment = align(*arguments, **options)
         return replace(alignment, loss=1.001 * alignment.loss)
 
-    monkeypatch.setattr("fascicle.study.target_comparison.align", louder)
+    monkeypatch.setattr("fascicle.networks.target_comparison.align", louder)
     names = ("study.json", "evaluations.sqlite", "posterior.nc")
     before = [(study.folder / name).read_bytes() for name in names]
     with pytest.raises(fascicle.InputError, match="another forward model"):

@@ -215,7 +215,7 @@ def test_declarations_that_cannot_be(change):
 def test_the_example_of_the_documentation(monkeypatch, default_model, default_heart):
     """A quantity that is declared outside the package is one of the model."""
     from fascicle.cli.options import fixed_values
-    from fascicle.study.prior import study_space
+    from fascicle.networks.prior import study_space
 
     monkeypatch.setattr("fascicle.ForwardModel", lambda heart: default_model)
     try:

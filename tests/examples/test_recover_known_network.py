@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fascicle.study.target_comparison import evaluate
+from fascicle.networks.target_comparison import evaluate
 
 pytestmark = pytest.mark.slow
 

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.synthetic import INSIDE, PAPER, contraction, experiment
 from fascicle.core.parameters import NETWORK_SPACE
-from fascicle.study.target_comparison import evaluate
+from fascicle.networks.target_comparison import evaluate
 
 
 def at(fitted, point):

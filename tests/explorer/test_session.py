@@ -16,10 +16,10 @@ from fascicle.explorer.explore import session_of
 from fascicle.explorer.session import PageState, Session, _spoken
 from fascicle.forward.scenario_files import read_scenario
 from fascicle.forward.simulation_files import write_ecg
+from fascicle.networks.prior import Prior
+from fascicle.networks.target_comparison import TargetComparison
 from fascicle.recording.pipeline import analyse
 from fascicle.study.population import Population
-from fascicle.study.prior import Prior
-from fascicle.study.target_comparison import TargetComparison
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.emulation.predictive import DURATION, Checks
 from fascicle.forward.activation_sequence import (
     MAPPED,
     PARTS,
@@ -17,7 +18,6 @@ from fascicle.forward.activation_sequence import (
     VentricularSurfaces,
 )
 from fascicle.heart.sites import RIGHT, SEGMENTS, Sites
-from fascicle.study.predictive import DURATION, Checks
 
 # ms; first of each part, in a mapped heart, and the end
 MAPPED_TIMES = {

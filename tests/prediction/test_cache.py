@@ -8,13 +8,13 @@ import pytest
 
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
 from fascicle.forward.model import ForwardModel
+from fascicle.networks.prior import Prior
+from fascicle.networks.target_comparison import Network
+from fascicle.pools.pool import Threads
 from fascicle.prediction.comparison import compare
 from fascicle.prediction.scenarios import predict
 from fascicle.study.fitted import FittedStudy
-from fascicle.study.pool import Threads
 from fascicle.study.population import Population
-from fascicle.study.prior import Prior
-from fascicle.study.target_comparison import Network
 
 ROOT_TIMES = np.array([-50.0, -20.0])
 

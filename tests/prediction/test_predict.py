@@ -13,6 +13,8 @@ from fascicle.forward.beat import Beat
 from fascicle.forward.primitives import His, Stimulus
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import find_scenario, library, read_scenario, read_scenarios
+from fascicle.networks.target_comparison import Network
+from fascicle.pools.pool import Threads
 from fascicle.prediction.predicted import RINGING, Predicted
 from fascicle.prediction.scenarios import (
     LEAD_IN,
@@ -20,8 +22,6 @@ from fascicle.prediction.scenarios import (
     simulate_scenarios,
     with_intrinsic_beat,
 )
-from fascicle.study.pool import Threads
-from fascicle.study.target_comparison import Network
 
 OF_THE_TISSUE = (
     "biventricular-pacing", "left-bundle-branch-pacing-nonselective", "left-septal-pacing",

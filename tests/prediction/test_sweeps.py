@@ -9,6 +9,8 @@ from builders import case
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.primitives import His, Stimulus
+from fascicle.networks.target_comparison import Network
+from fascicle.pools.pool import Threads
 from fascicle.prediction.sweeps import (
     RADIUS,
     SEGMENT,
@@ -18,8 +20,6 @@ from fascicle.prediction.sweeps import (
     segments,
     simulate_sweep,
 )
-from fascicle.study.pool import Threads
-from fascicle.study.target_comparison import Network
 
 HIS = His(time=np.inf)
 PAIR = case((Stimulus(5.0, site="rv apex"), Stimulus(10.0, (1.0, 2.0, 3.0))), his=HIS)

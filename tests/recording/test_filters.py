@@ -11,6 +11,7 @@ from benchmarks.fits import demo_recording
 from benchmarks.synthetic_recordings.rhythms import RHYTHMS, Synthesis, synthetic_recording
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.networks.recordings import target_digest
 from fascicle.recording.detection import r_peaks
 from fascicle.recording.filter_estimate import estimated_lowpass, passed_filters
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin, applied_filters
@@ -19,7 +20,6 @@ from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Filters, Recording
 from fascicle.recording.target import Target
 from fascicle.recording.target_options import TargetOptions
-from fascicle.study.recordings import target_digest
 
 RECORDER = FilterOrigin.FILE
 

@@ -15,6 +15,8 @@ from benchmarks.fits import demo_recording
 from fascicle import cli
 from fascicle.core.quantities import QUANTITIES
 from fascicle.forward.scenario_files import read_scenarios
+from fascicle.networks.prior import growth_and_conduction, study_space
+from fascicle.networks.settings import OF_THE_PAPER, OF_THE_POSTERIOR, checked_settings
 from fascicle.prediction.scenarios import with_intrinsic_beat
 from fascicle.purkinje.growth import GrowthRules
 from fascicle.recording.target_files import read_target
@@ -27,8 +29,6 @@ from fascicle.reporting.page.content import (
     settings,
     target_words,
 )
-from fascicle.study.prior import growth_and_conduction, study_space
-from fascicle.study.settings import OF_THE_PAPER, OF_THE_POSTERIOR, checked_settings
 from fascicle.study.study import StudyConfig
 
 

@@ -14,8 +14,10 @@ import numpy as np
 import pytest
 
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, Parameter, ParameterSpace
+from fascicle.emulation.predictive import Checks
 from fascicle.forward.primitives import His, SlowConduction, Stimulus
 from fascicle.forward.scenario import Scenario
+from fascicle.networks.prior import Prior
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import Predicted
 from fascicle.recording.criteria import Criterion
@@ -26,8 +28,6 @@ from fascicle.reporting.page.page import _safe, _template
 from fascicle.reporting.page.scene import MOST_NETWORKS, NONE, scene
 from fascicle.reporting.scenarios import scenario_activation_figure, scenario_ecg_figure
 from fascicle.study.population import Posterior
-from fascicle.study.predictive import Checks
-from fascicle.study.prior import Prior
 from fascicle.study.statements import Caution, ParameterStatement, Statements
 
 SPACE = ParameterSpace(
@@ -392,10 +392,7 @@ def test_the_intrinsic_beat_is_drawn_as_long_as_that_of_the_scenario(shown):
     later[:, : simulation.leads.shape[1]] += simulation.leads
     found = {
         name: Predicted(Scenario(), [beat], {"total_activation_time": np.ones(1)})
-        for name, beat in (
-            ("intrinsic", own),
-            ("longer", replace(own, leads=later)),
-        )
+        for name, beat in (("intrinsic", own), ("longer", replace(own, leads=later)))
     }
     for axes in scenario_ecg_figure(found, "longer").axes:
         first, last = (line.get_xdata() for line in axes.lines)

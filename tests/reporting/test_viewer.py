@@ -19,11 +19,11 @@ from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.primitives import His
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.conduction import Region
+from fascicle.networks.target_comparison import TargetComparison
 from fascicle.prediction.indices import Territories
 from fascicle.prediction.predicted import Predicted
 from fascicle.reporting.page.page import _file
 from fascicle.reporting.page.scene import scene
-from fascicle.study.target_comparison import TargetComparison
 
 VIEWS = ("AP", "LAO 45°", "RAO 30°", "left lateral", "inferior", "base")
 BACKGROUND = 0.98  # of light; the page is white

@@ -13,32 +13,33 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_LEADS, limb_leads_from
 from fascicle.core.parameters import HUMAN_SPACE, ParameterSpace, free
 from fascicle.core.quantities import CONDUCTION, fascicle_names
-from fascicle.forward.beat import Beat
-from fascicle.prediction.scenarios import prior_networks
-from fascicle.recording.target import smooth_noise
-from fascicle.reporting.page.content import settings_file
-from fascicle.reporting.study import drawings
-from fascicle.study import ecg_classifier, prior_simulations, state_classifier
-from fascicle.study.conduction_states import (
-    KNOWN_STATES,
-    PREVALENCE,
-    STATES,
-    asked_states,
-    states_of,
-)
-from fascicle.study.diagnosis import Diagnosis, most_probable
-from fascicle.study.heart_emulator import emulator_of, simulations_for, usual_prior
-from fascicle.study.inputs import read_inputs
-from fascicle.study.pool import Threads
-from fascicle.study.prior import Prior, read_settings
-from fascicle.study.settings import checked_settings
-from fascicle.study.state_classifier import (
+from fascicle.emulation import ecg_classifier, state_classifier
+from fascicle.emulation.heart_emulator import emulator_of, simulations_for, usual_prior
+from fascicle.emulation.state_classifier import (
     NoStateNamed,
     classifier_of,
     probabilities,
     simulations_of_states,
     state_probabilities,
 )
+from fascicle.forward.beat import Beat
+from fascicle.networks import prior_simulations
+from fascicle.networks.conduction_states import (
+    KNOWN_STATES,
+    PREVALENCE,
+    STATES,
+    asked_states,
+    states_of,
+)
+from fascicle.networks.prior import Prior, read_settings
+from fascicle.networks.settings import checked_settings
+from fascicle.pools.pool import Threads
+from fascicle.prediction.scenarios import prior_networks
+from fascicle.recording.target import smooth_noise
+from fascicle.reporting.page.content import settings_file
+from fascicle.reporting.study import drawings
+from fascicle.study.diagnosis import Diagnosis, most_probable
+from fascicle.study.inputs import read_inputs
 from fascicle.study.statements import Statements
 
 BLOCK = "left bundle branch block"

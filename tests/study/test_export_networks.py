@@ -18,10 +18,10 @@ from fascicle.forward.primitives import Stimulus
 from fascicle.heart.conduction import Conduction, Region
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.opencarp import read_opencarp_mesh, read_vtx
+from fascicle.networks.activation_maps import nearest_to_median
+from fascicle.networks.target_comparison import Network
 from fascicle.purkinje.tree_files import read_tree
-from fascicle.study.activation_maps import nearest_to_median
 from fascicle.study.export import STIMULUS_STEP, tissue_table, tissue_tags, write_networks
-from fascicle.study.target_comparison import Network
 
 LATE_LEFT = EXAMPLE_PARAMETERS | {"root_time": -50.0}  # whose left junctions the tissue reaches
 # What openCARP's manual lists of its parameters, as far as they are used here

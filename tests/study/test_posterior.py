@@ -10,13 +10,13 @@ import pytest
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import Parameter, ParameterSpace, free
+from fascicle.emulation.predictive import DURATION, Checks, Prediction
 from fascicle.forward.activation_sequence import ActivationSequence, SequenceSummary
 from fascicle.heart.conduction import Conduction
 from fascicle.inference.evaluation import Evaluation
+from fascicle.networks.prior import AveragedOver, Prior
 from fascicle.study.evaluations import Stage
 from fascicle.study.population import Posterior, read_checks, read_population, write_population
-from fascicle.study.predictive import DURATION, Checks, Prediction
-from fascicle.study.prior import AveragedOver, Prior
 from fascicle.study.statements import (
     Caution,
     Statements,

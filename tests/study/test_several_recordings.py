@@ -16,12 +16,17 @@ from fascicle.forward.likelihood import QrsLikelihood, cosines, matern, separabl
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.primitives import SlowConduction, Stimulus
 from fascicle.forward.scenario_files import find_scenario, read_scenario, scenario_text
+from fascicle.networks.prior import Prior
+from fascicle.networks.recordings import (
+    digests,
+    given_recordings,
+    read_recordings,
+    write_recordings,
+)
+from fascicle.networks.simulator import PointSimulator
+from fascicle.networks.target_comparison import TargetComparison, evaluate
 from fascicle.recording.target import Target, smooth_noise
 from fascicle.reporting.study import drawings
-from fascicle.study.prior import Prior
-from fascicle.study.recordings import digests, given_recordings, read_recordings, write_recordings
-from fascicle.study.simulator import PointSimulator
-from fascicle.study.target_comparison import TargetComparison, evaluate
 
 SMALL = {"prior_simulations": 100, "effective": 20, "workers": 2}
 EVERYTHING = case(

@@ -7,13 +7,13 @@ import pytest
 
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import NETWORK_SPACE
+from fascicle.emulation.predictive import Checks
 from fascicle.heart.conduction import Conduction
 from fascicle.inference.evaluation import Evaluation
+from fascicle.networks.prior import Prior
 from fascicle.study.evaluations import Stage
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import Population
-from fascicle.study.predictive import Checks
-from fascicle.study.prior import Prior
 from fascicle.study.statements import Kind
 
 MIDDLE = NETWORK_SPACE.from_unit(np.full(len(NETWORK_SPACE), 0.5))

@@ -14,10 +14,10 @@ from fascicle.core.parameters import Parameter, ParameterSpace, free
 from fascicle.inference import optimisation as bo_step
 from fascicle.inference.abc import ErrorDensity, total_variation
 from fascicle.inference.evaluation import Evaluation
+from fascicle.networks.prior import NOT_KNOWN
+from fascicle.networks.settings import FitSettings
 from fascicle.study.evaluations import Stage
 from fascicle.study.inputs import read_inputs
-from fascicle.study.prior import NOT_KNOWN
-from fascicle.study.settings import FitSettings
 from fascicle.study.study import CHECKED, STUDY_FORMAT, Study, StudyConfig, check_same
 
 SPACE = ParameterSpace((Parameter("cv", "mm/ms", 2.0, 4.0), Parameter("root_time", "ms", -75, 50)))

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from builders import recorded
 
+from fascicle.emulation.heart_emulator import emulator_of, simulations_for, usual_prior
+from fascicle.emulation.likelihood import EmulatedLikelihood, likelihood_of
+from fascicle.emulation.sampling import sampled
 from fascicle.forward.beat import Beat
 from fascicle.forward.scenario_files import read_scenarios
-from fascicle.study.conduction_states import STATES
-from fascicle.study.heart_emulator import emulator_of, simulations_for, usual_prior
-from fascicle.study.likelihood import EmulatedLikelihood, likelihood_of
-from fascicle.study.posterior import sampled
-from fascicle.study.settings import FitSettings
-from fascicle.study.simulator import PointSimulator
+from fascicle.networks.conduction_states import STATES
+from fascicle.networks.settings import FitSettings
+from fascicle.networks.simulator import PointSimulator
 
 TRUTHS, DRAWS = 20, 30
 PACING = read_scenarios("rv-apical-pacing")["rv-apical-pacing"]

@@ -214,7 +214,7 @@ def fit(
     ```
     """
     from fascicle.cli.printing import print_fit
-    from fascicle.study.prior import PARAMETERS, read_settings
+    from fascicle.networks.prior import PARAMETERS, read_settings
 
     fit_settings = read_settings(settings_file) if settings_file is not None else {}
     learnt = fit_settings.pop(PARAMETERS, {}) | wanted_parameters(free, fix)
@@ -256,9 +256,9 @@ def locate(
     interrupted: run again, it continues where it stopped.
     """
     from fascicle.core.files import check_folder
+    from fascicle.emulation.origin import ORIGIN_PICTURE
     from fascicle.reporting.origin import origin_figure
     from fascicle.reporting.style import save
-    from fascicle.study.origin import ORIGIN_PICTURE
 
     check_folder(out)
     with TerminalProgress() as progress:
@@ -304,7 +304,7 @@ def states(
     A heart of your own is simulated once, which takes minutes; a packaged one has been. Parameters
     of a settings file, such as priors of another species, are simulated once for each heart.
     """
-    from fascicle.study.prior import PARAMETERS, read_settings
+    from fascicle.networks.prior import PARAMETERS, read_settings
 
     file_settings = read_settings(settings_file) if settings_file is not None else {}
     with TerminalProgress() as progress:

@@ -15,8 +15,8 @@ from typer import Argument, Option
 import fascicle
 from fascicle.core.errors import InputError, given_in
 from fascicle.core.progress import Progress
+from fascicle.networks.settings import FitSettings
 from fascicle.prediction.index_names import COMPARED, INDICES
-from fascicle.study.settings import FitSettings
 
 HeartArgument = Annotated[
     str,

@@ -19,11 +19,11 @@ from fascicle.explorer.session import Session
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
+from fascicle.networks.target_comparison import TargetComparison
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import read_target
 from fascicle.study.fitted import FittedStudy, load_study
 from fascicle.study.study import CONFIGURATION
-from fascicle.study.target_comparison import TargetComparison
 
 # Script of the notebook; the page calls the same `fascicleExplorer`, and has a socket
 RENDER = """

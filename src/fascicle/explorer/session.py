@@ -44,12 +44,12 @@ from fascicle.forward.primitives import His, SlowConduction, Stimulus
 from fascicle.forward.scenario import Primitive, Scenario
 from fascicle.forward.scenario_files import library, read_scenarios, scenario_text
 from fascicle.heart.conduction import Region
+from fascicle.networks.target_comparison import TargetComparison
 from fascicle.prediction.scenarios import INTRINSIC
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.reporting.names import scenario_name
 from fascicle.reporting.page.scene import body_axes, boundary
 from fascicle.study.fitted import FittedStudy
-from fascicle.study.target_comparison import TargetComparison
 from fascicle.torso.variation.conductor import TorsoState
 
 BLOCKED_WITHIN = 3.0  # mm of a place in a tree that is blocked there

@@ -16,11 +16,11 @@ from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.threads import cores
 from fascicle.patients.outcome import Outcome, Status
 from fascicle.patients.patient import PATIENTS, STUDIES, Patient, fit_patient, part_of, read_table
+from fascicle.pools.pool import Threads, check_pool
 from fascicle.study.lock import HeldError
-from fascicle.study.pool import Threads, check_pool
 
 if TYPE_CHECKING:
-    from fascicle.study.cluster import Cluster
+    from fascicle.pools.cluster import Cluster
 
 PAGE, RESULTS = "index.html", "results.csv"  # of a cohort
 

@@ -18,7 +18,10 @@ from fascicle.core.files import PACKAGED, as_path, check_file, write_text
 from fascicle.core.progress import Progress
 from fascicle.core.ranges import shown
 from fascicle.heart.folder import MANIFEST
+from fascicle.networks.prior import PARAMETERS, read_settings
+from fascicle.networks.settings import FitSettings, checked_settings
 from fascicle.patients.outcome import Outcome, Status
+from fascicle.pools.pool import Pool
 from fascicle.recording.pipeline import make_target
 from fascicle.recording.readers.read import existing_file, read_recording
 from fascicle.recording.target_files import read_target
@@ -26,9 +29,6 @@ from fascicle.reporting.page.page import report
 from fascicle.study.fit import fit_inputs
 from fascicle.study.inputs import Inputs, read_inputs
 from fascicle.study.lock import HeldError, study_lock
-from fascicle.study.pool import Pool
-from fascicle.study.prior import PARAMETERS, read_settings
-from fascicle.study.settings import FitSettings, checked_settings
 from fascicle.study.study import is_finished
 
 PATIENTS, STUDIES = "patients", "studies"  # folders of a cohort

@@ -24,9 +24,9 @@ from fascicle.core.files import is_outside_allowed, outside_allowed
 from fascicle.core.progress import Progress
 from fascicle.patients.outcome import Outcome, Status
 from fascicle.patients.patient import Patient, fit_patient
-from fascicle.study.cluster import Cluster
+from fascicle.pools.cluster import Cluster
+from fascicle.pools.pool import Threads
 from fascicle.study.lock import HeldError
-from fascicle.study.pool import Threads
 
 
 def fit_on_workers(

@@ -18,8 +18,8 @@ from fascicle.core.ranges import short_repr
 from fascicle.forward.beat import Beat
 from fascicle.forward.loss import Response, placed
 from fascicle.forward.scenario import Scenario
+from fascicle.networks.activation_maps import activation_maps
 from fascicle.prediction.index_names import INDICES
-from fascicle.study.activation_maps import activation_maps
 
 RINGING = 40  # samples on either side, for the ringing of the recorder's filters
 

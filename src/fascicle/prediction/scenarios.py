@@ -18,15 +18,15 @@ from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenarios
+from fascicle.networks.conduction_states import states_of
+from fascicle.networks.simulator import PointSimulator
+from fascicle.networks.target_comparison import Network, TargetComparison
 from fascicle.prediction.cache import PredictionCache
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.indices import Territories, indices
 from fascicle.prediction.predicted import RINGING, Predicted
 from fascicle.recording.window import qrs_window
-from fascicle.study.conduction_states import states_of
 from fascicle.study.fitted import FittedStudy, StudyLike, as_study
-from fascicle.study.simulator import PointSimulator
-from fascicle.study.target_comparison import Network, TargetComparison
 
 INTRINSIC = "intrinsic"  # the scenario that others are compared with
 LEAD_IN, LEAD_OUT = 10, 20  # samples before the QRS onset (`RINGING` at most), after the last's end

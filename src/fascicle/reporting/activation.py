@@ -21,6 +21,7 @@ from fascicle.forward.beat import Beat
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import triangle_normals
+from fascicle.networks.activation_maps import since_first
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.reporting import style
 from fascicle.reporting.style import Colour
@@ -32,7 +33,6 @@ from fascicle.reporting.surfaces import (
     largest,
     scale_bar,
 )
-from fascicle.study.activation_maps import since_first
 
 TIME_COLOURS = "viridis_r"  # perceptually uniform; early is light, late is dark
 SINCE_FIRST = "time since the first activation (ms)"

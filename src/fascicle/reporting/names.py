@@ -23,7 +23,7 @@ class Measure(NamedTuple):
         return f"{self.name} ({self.meaning})" if self.meaning else self.name
 
 
-# By their names in `fascicle.study.agreement.Agreement`
+# By their names in `fascicle.networks.agreement.Agreement`
 MEASURES = {
     "qrs_duration_ms": Measure("window QRS duration", "ms", "all leads together"),
     "global_qrs_duration_ms": Measure(

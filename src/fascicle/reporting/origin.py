@@ -7,10 +7,10 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from fascicle.emulation.origin import Origin
 from fascicle.reporting import style
 from fascicle.reporting.style import Colour
 from fascicle.reporting.surfaces import DrawnSurface, draw_surfaces, heart_views, largest, scale_bar
-from fascicle.study.origin import Origin
 
 LEVELS = (0.5, 0.9, 0.99)  # of the regions that are drawn
 REGION_COLOURS = ("#B2182B", "#EF8A62", "#FDDBC7", Colour.LIGHT_GREY)

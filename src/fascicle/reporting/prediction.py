@@ -20,6 +20,7 @@ from fascicle.heart.heart import Heart
 from fascicle.heart.sites import SEGMENTS
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid
+from fascicle.networks.activation_maps import since_first
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import INTRINSIC, qrs_aligned
@@ -28,7 +29,6 @@ from fascicle.reporting import scenarios
 from fascicle.reporting.activation import ActivationRow, activation_figure, total_time
 from fascicle.reporting.ecg import EcgGroup, ecg_figure
 from fascicle.reporting.style import KINDS, Colour, mark, save
-from fascicle.study.activation_maps import since_first
 from fascicle.study.fitted import FittedStudy
 
 

@@ -13,6 +13,9 @@ from matplotlib.figure import Figure
 
 from fascicle.build.check import check_heart
 from fascicle.core.leads import INDEPENDENT_LEADS
+from fascicle.networks.activation_maps import activation_maps
+from fascicle.networks.agreement import Agreement, agreement
+from fascicle.networks.target_comparison import Network
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import check_population
 from fascicle.recording.target import Target
@@ -23,10 +26,7 @@ from fascicle.reporting.names import MEASURES
 from fascicle.reporting.parameters import draw_convergence, pair_figure, prior_figure
 from fascicle.reporting.scenarios import index_figure
 from fascicle.reporting.style import Colour, mark, new_figure, one_axes, save
-from fascicle.study.activation_maps import activation_maps
-from fascicle.study.agreement import Agreement, agreement
 from fascicle.study.fitted import FittedStudy
-from fascicle.study.target_comparison import Network
 
 
 class Drawing(NamedTuple):

@@ -15,18 +15,18 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.progress import Progress
-from fascicle.inference.tempered_sampling import RunAgreement
-from fascicle.study.ecg_classifier import classified_rows
-from fascicle.study.inputs import InverseProblem
-from fascicle.study.population import Posterior, evenly_spread
-from fascicle.study.posterior import RUNS
-from fascicle.study.state_classifier import (
+from fascicle.emulation.ecg_classifier import classified_rows
+from fascicle.emulation.sampling import RUNS
+from fascicle.emulation.state_classifier import (
     StateSimulations,
     classifier_of,
     probabilities,
     simulations_of_states,
     unlike,
 )
+from fascicle.inference.tempered_sampling import RunAgreement
+from fascicle.study.inputs import InverseProblem
+from fascicle.study.population import Posterior, evenly_spread
 
 COVERED = 0.9  # least total probability of the states that are fitted
 

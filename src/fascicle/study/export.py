@@ -25,8 +25,8 @@ from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import labelled_mesh
 from fascicle.mesh.formats.opencarp import write_values, write_vtx
+from fascicle.networks.target_comparison import Network
 from fascicle.purkinje.tree_files import directions, write_opencarp_tree
-from fascicle.study.target_comparison import Network
 
 if TYPE_CHECKING:
     from pandas import DataFrame

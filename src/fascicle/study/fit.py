@@ -21,31 +21,31 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE, as_path
 from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
 from fascicle.core.ranges import check_kind
+from fascicle.emulation.ecg_emulator import EcgEmulator
+from fascicle.emulation.heart_emulator import emulator_of, folder_of_simulations, simulations_for
+from fascicle.emulation.likelihood import EmulatedLikelihood, checked
+from fascicle.emulation.predictive import Checks, Prediction, predict_recording
+from fascicle.emulation.refined_emulator import refined_emulators
+from fascicle.emulation.sampling import RUNS
 from fascicle.forward.activation_sequence import SequenceSummary
 from fascicle.forward.likelihood import Likelihood
 from fascicle.forward.model import Backend
 from fascicle.forward.preparation import share_prepared
 from fascicle.heart.folder import load_heart, write_heart
 from fascicle.heart.heart import Heart
+from fascicle.networks.agreement import Agreement, agreement
+from fascicle.networks.recordings import Given, write_recordings
+from fascicle.networks.settings import checked_settings
+from fascicle.networks.target_comparison import Network
+from fascicle.pools.pool import Pool, check_pool
 from fascicle.purkinje.growth import GrowthRules
-from fascicle.study.agreement import Agreement, agreement
 from fascicle.study.diagnosis import classified, mixture
-from fascicle.study.ecg_emulator import EcgEmulator
 from fascicle.study.fitted import FittedStudy
-from fascicle.study.heart_emulator import emulator_of, folder_of_simulations, simulations_for
 from fascicle.study.inputs import Inputs, InverseProblem, checked_likelihoods, read_inputs
-from fascicle.study.likelihood import EmulatedLikelihood, checked
 from fascicle.study.lock import refuse_held, study_lock
-from fascicle.study.pool import Pool, check_pool
 from fascicle.study.population import Posterior
-from fascicle.study.posterior import RUNS
-from fascicle.study.predictive import Checks, Prediction, predict_recording
-from fascicle.study.recordings import Given, write_recordings
-from fascicle.study.refined_emulator import refined_emulators
 from fascicle.study.results import write_results
-from fascicle.study.settings import checked_settings
 from fascicle.study.study import HEART_FOLDER, MAY_CHANGE, STATES_FOLDER, Study, check_study_folder
-from fascicle.study.target_comparison import Network
 
 # Likelihood of each recording, by the number of the conduction state
 Emulated = Mapping[float, Sequence[EmulatedLikelihood]]

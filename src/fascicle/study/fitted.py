@@ -19,16 +19,22 @@ from fascicle.core.files import as_path, atomic_folder, check_folder, write_text
 from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
 from fascicle.core.quantities import checked
 from fascicle.core.ranges import check_count, short_repr, shown
+from fascicle.emulation.predictive import Checks
 from fascicle.forward.beat import Beat
 from fascicle.heart.folder import load_heart
 from fascicle.inference.evaluation import Evaluation, best_of
+from fascicle.networks.activation_maps import nearest_to_median
+from fascicle.networks.prior import growth_and_conduction
+from fascicle.networks.recordings import read_recordings
+from fascicle.networks.settings import FitSettings
+from fascicle.networks.simulator import PointSimulator
+from fascicle.networks.target_comparison import Network, TargetComparison, networks, null_loss
+from fascicle.pools.pool import Pool, check_pool
 from fascicle.purkinje.growth import GrowthRules
-from fascicle.study.activation_maps import nearest_to_median
 from fascicle.study.evaluations import Stage
 from fascicle.study.export import Format, write_networks
 from fascicle.study.inputs import Inputs, InverseProblem, checked_rules, recording_digests
 from fascicle.study.lock import LOCK
-from fascicle.study.pool import Pool, check_pool
 from fascicle.study.population import (
     RESULT,
     Population,
@@ -37,14 +43,8 @@ from fascicle.study.population import (
     read_checks,
     read_population,
 )
-from fascicle.study.predictive import Checks
-from fascicle.study.prior import growth_and_conduction
-from fascicle.study.recordings import read_recordings
-from fascicle.study.settings import FitSettings
-from fascicle.study.simulator import PointSimulator
 from fascicle.study.statements import Statements
 from fascicle.study.study import HEART_FOLDER, Study, check_same
-from fascicle.study.target_comparison import Network, TargetComparison, networks, null_loss
 
 
 @dataclass(frozen=True)
@@ -273,7 +273,7 @@ class FittedStudy:
             with units in the names of their columns. 'fascicle docs exchange' lists the files.
         networks : int, optional
             Number of networks, evenly spread over the population; by default one, whose activation
-            map is nearest to the median map (`fascicle.study.activation_maps.nearest_to_median`).
+            map is nearest to the median map.
         progress : Progress, optional
             Progress callback, called after every network that is simulated.
 

@@ -17,6 +17,9 @@ from fascicle.core.parameters import FREE
 from fascicle.core.progress import Progress
 from fascicle.core.quantities import DELAY, torso_values
 from fascicle.core.ranges import check_kind
+from fascicle.emulation.ecg_emulator import TORSO_MODES, EcgEmulator
+from fascicle.emulation.likelihood import EmulatedLikelihood
+from fascicle.emulation.refined_emulator import MOST_ROUNDS, REFINING_NETWORKS
 from fascicle.forward.beat import Beat
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.likelihood import Likelihood, constants
@@ -25,18 +28,15 @@ from fascicle.forward.scenario import Scenario
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
 from fascicle.inference.evaluation import Evaluation
+from fascicle.networks.conduction_states import ConductionState
+from fascicle.networks.prior import Prior, growth_and_conduction
+from fascicle.networks.recordings import Given, Recorded, digests, given_recordings
+from fascicle.networks.settings import FitSettings
+from fascicle.networks.simulator import BeatMemory, PointSimulator
+from fascicle.networks.target_comparison import TargetComparison, evaluate
+from fascicle.pools.pool import Pool, Threads
 from fascicle.purkinje.growth import GrowthRules
-from fascicle.study.conduction_states import ConductionState
-from fascicle.study.ecg_emulator import TORSO_MODES, EcgEmulator
-from fascicle.study.likelihood import EmulatedLikelihood
-from fascicle.study.pool import Pool, Threads
-from fascicle.study.prior import Prior, growth_and_conduction
-from fascicle.study.recordings import Given, Recorded, digests, given_recordings
-from fascicle.study.refined_emulator import MOST_ROUNDS, REFINING_NETWORKS
-from fascicle.study.settings import FitSettings
-from fascicle.study.simulator import BeatMemory, PointSimulator
 from fascicle.study.study import StudyConfig
-from fascicle.study.target_comparison import TargetComparison, evaluate
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,9 @@ from fascicle.inference.evaluation import Evaluation, best_of
 from fascicle.inference.gaussian_process import Hyperparameters
 from fascicle.inference.optimisation import Surrogates, iterations, latin_hypercube, step
 from fascicle.inference.surrogates import LossGP, Observations
+from fascicle.networks.settings import FitSettings
 from fascicle.study.evaluations import Journal, Stage
 from fascicle.study.population import PaperPopulation
-from fascicle.study.settings import FitSettings
 
 
 @dataclass(frozen=True)

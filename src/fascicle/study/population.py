@@ -19,12 +19,12 @@ from fascicle.core.netcdf import load_netcdf
 from fascicle.core.parameters import MixedParameter, ParameterSpace
 from fascicle.core.quantities import CONDUCTION
 from fascicle.core.ranges import short_repr
+from fascicle.emulation.predictive import Checks, Prediction
 from fascicle.inference.evaluation import Evaluation
 from fascicle.inference.tempered_sampling import SamplingRun
+from fascicle.networks.prior import Prior
+from fascicle.networks.settings import Method
 from fascicle.recording.target import Target
-from fascicle.study.predictive import Checks, Prediction
-from fascicle.study.prior import Prior
-from fascicle.study.settings import Method
 
 if TYPE_CHECKING:  # imports the surrogate, which takes long to load
     from fascicle.inference.abc import Accepted

@@ -6,29 +6,24 @@ them. All that is reported of a posterior comes from simulated networks.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
-from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.progress import Progress
 from fascicle.core.threads import one_thread
+from fascicle.emulation.sampling import RUNS, Emulated, sampled
 from fascicle.inference.evaluation import Evaluation, best_of
-from fascicle.inference.tempered_sampling import SamplingRun, State, agreement, pooled, temper
+from fascicle.inference.tempered_sampling import SamplingRun, agreement, pooled
+from fascicle.networks.prior import Prior
+from fascicle.networks.settings import FitSettings
 from fascicle.study.evaluations import Journal, Stage
 from fascicle.study.population import Posterior
-from fascicle.study.prior import Prior
-from fascicle.study.settings import FitSettings
 
-RUNS = 2
 PARTICLES = 600  # least number of particles in a batch
 MOST_BATCHES = 16  # batches that are pooled to a run at most, where runs do not agree
-
-Emulated = Callable[[Floats], Floats]  # log-likelihoods (n,) of a recording at points (n, d)
 
 
 @dataclass(frozen=True)
@@ -140,46 +135,3 @@ class PosteriorFit:
             message,
             self.progress,
         )
-
-
-def of_all(emulated: Sequence[Emulated], points: Floats) -> Floats:
-    """Log-likelihoods (n,) of all recordings together at points (n, d)."""
-    return np.asarray(np.sum([log_likelihoods(points) for log_likelihoods in emulated], axis=0))
-
-
-def sampled(
-    emulated: Sequence[Emulated],
-    dimension: int,
-    rngs: Sequence[np.random.Generator],
-    count: int,
-    said: str,
-    progress: Progress | None,
-) -> list[SamplingRun]:
-    """Sample the posterior of recordings by runs of `count` particles, one with each generator."""
-    states: dict[int, State] = {}
-
-    def one(run: int, rng: np.random.Generator) -> SamplingRun:
-        def reported(state: State) -> None:
-            states[run] = state
-            _report(states, len(rngs), said, progress)
-
-        try:
-            sampled_run: SamplingRun = temper(
-                partial(of_all, emulated), dimension, rng, count, reported
-            )
-        except ValueError as error:  # hardly any point has a likelihood, as by a user's own
-            raise InputError(f"{error}, and the likelihood") from None
-        return sampled_run
-
-    with ThreadPoolExecutor(len(rngs)) as pool:
-        return list(pool.map(one, range(len(rngs)), rngs))
-
-
-def _report(states: Mapping[int, State], runs: int, said: str, progress: Progress | None) -> None:
-    if progress is None or len(states) < runs:
-        return
-    evidences = " and ".join(f"{states[k].log_evidence:.1f}" for k in range(runs))
-    # the logarithm of the temperature rises about evenly in time
-    coldest = min(state.temperature for state in states.values())
-    done = round(100 * (1 + np.log10(max(coldest, 1e-3)) / 3))
-    progress("sampling", max(1, done), 100, f"{said}, log evidence {evidences}")

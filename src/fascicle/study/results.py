@@ -11,17 +11,17 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.files import atomic_folder, write_text
+from fascicle.emulation.predictive import Prediction
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid
+from fascicle.networks.activation_maps import activation_maps, since_first
+from fascicle.networks.agreement import Agreement
+from fascicle.networks.target_comparison import Network
 from fascicle.purkinje.tree_files import write_tree
-from fascicle.study.activation_maps import activation_maps, since_first
-from fascicle.study.agreement import Agreement
 from fascicle.study.evaluations import Stage
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import RESULT, Posterior, write_population
-from fascicle.study.predictive import Prediction
 from fascicle.study.statements import has_few_junctions
-from fascicle.study.target_comparison import Network
 
 TREES_WRITTEN = 30  # networks whose trees are written; the parameters of all are
 

@@ -15,16 +15,16 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.parameters import Parameter
 from fascicle.core.quantities import CONDUCTION, parameter_name, region_labels
+from fascicle.emulation.predictive import Checks
 from fascicle.inference.evaluation import Evaluation
 from fascicle.inference.tempered_sampling import EVIDENCE_APART, MEANS_APART
+from fascicle.networks.agreement import pearson
+from fascicle.networks.conduction_states import state_label
+from fascicle.networks.settings import FitSettings
+from fascicle.networks.simulator import PointSimulator
+from fascicle.networks.target_comparison import Network, TargetComparison
 from fascicle.purkinje.tree import FEW_JUNCTIONS
-from fascicle.study.agreement import pearson
-from fascicle.study.conduction_states import state_label
 from fascicle.study.population import Population, Posterior
-from fascicle.study.predictive import Checks
-from fascicle.study.settings import FitSettings
-from fascicle.study.simulator import PointSimulator
-from fascicle.study.target_comparison import Network, TargetComparison
 
 INTERVAL = (5, 95)  # percentiles of a 90 % credible interval
 LEAST_NAMED = 0.02  # least probability of a conduction state that is named

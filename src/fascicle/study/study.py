@@ -29,12 +29,12 @@ from fascicle.core.files import write_text
 from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.core.progress import Progress
 from fascicle.inference.evaluation import Evaluation, Objective
+from fascicle.networks.prior import AveragedOver, Prior
+from fascicle.networks.settings import FitSettings, first_problem
 from fascicle.purkinje.growth import REPULSION
 from fascicle.study.evaluations import Database, Journal, Record, Stage
 from fascicle.study.lock import LOCK, study_lock
 from fascicle.study.population import RESULT, Population
-from fascicle.study.prior import AveragedOver, Prior
-from fascicle.study.settings import FitSettings, first_problem
 
 CONFIGURATION = "study.json"
 DATABASE = "evaluations.sqlite"

@@ -12,6 +12,8 @@ import numpy as np
 from fascicle.core.parameters import Parameter
 from fascicle.core.quantities import SIDES, SPEED, fascicles, parameter_name, quantity
 from fascicle.forward.scenario_files import name_in_library
+from fascicle.networks.recordings import recording_paths
+from fascicle.networks.settings import OF_THE_PAPER, OF_THE_POSTERIOR
 from fascicle.prediction.comparison import compare, missing_blocks
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import INTRINSIC
@@ -19,8 +21,6 @@ from fascicle.purkinje.growth import GrowthRules
 from fascicle.recording.target import Target
 from fascicle.reporting.names import index_name, scenario_name
 from fascicle.study.fitted import FittedStudy
-from fascicle.study.recordings import recording_paths
-from fascicle.study.settings import OF_THE_PAPER, OF_THE_POSTERIOR
 from fascicle.study.statements import Caution
 from fascicle.study.study import HEART_FOLDER, StudyConfig
 

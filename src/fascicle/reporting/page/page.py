@@ -21,6 +21,8 @@ from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.quantities import parameter_name
 from fascicle.core.ranges import check_text
 from fascicle.forward.scenario import Scenario
+from fascicle.networks.agreement import Agreement
+from fascicle.networks.target_comparison import Network
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import (
     INTRINSIC,
@@ -36,10 +38,8 @@ from fascicle.reporting.prediction import latest_segments
 from fascicle.reporting.scenarios import SHOWN
 from fascicle.reporting.study import Drawing, drawings, write_figures
 from fascicle.reporting.style import check_kinds
-from fascicle.study.agreement import Agreement
 from fascicle.study.fitted import FittedStudy, StudyLike, as_study
 from fascicle.study.population import Posterior
-from fascicle.study.target_comparison import Network
 
 PACINGS = ("his-pacing", "left-bundle-branch-pacing", "biventricular-pacing")
 

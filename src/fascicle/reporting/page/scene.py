@@ -20,15 +20,15 @@ from fascicle.forward.scenario import Scenario
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import ENDOCARDIA, labelled_mesh
 from fascicle.heart.sites import places
+from fascicle.networks.activation_maps import since_first
+from fascicle.networks.target_comparison import Network, TargetComparison
 from fascicle.prediction.indices import Territories
 from fascicle.prediction.predicted import RINGING, Predicted
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.reporting.names import scenario_name
 from fascicle.reporting.page.marks import marks, where
 from fascicle.reporting.surfaces import heart_views
-from fascicle.study.activation_maps import since_first
 from fascicle.study.population import evenly_spread
-from fascicle.study.target_comparison import Network, TargetComparison
 from fascicle.torso.variation.conductor import torso_axes
 
 NONE = 65_535  # marks a missing quantised value; others are lower

@@ -18,13 +18,13 @@ from fascicle.core.files import DISPOSABLE
 from fascicle.core.progress import Progress
 from fascicle.core.quantities import Changes, quantity
 from fascicle.core.threads import one_thread
+from fascicle.emulation.ecg_emulator import EcgEmulator, trained_on
+from fascicle.emulation.likelihood import EmulatedLikelihood
+from fascicle.emulation.sampling import RUNS, of_all, sampled
 from fascicle.forward.scenario import Scenario
 from fascicle.inference.emulator import Singles
 from fascicle.inference.tempered_sampling import effective_size
-from fascicle.study.ecg_emulator import EcgEmulator, trained_on
-from fascicle.study.likelihood import EmulatedLikelihood
-from fascicle.study.posterior import RUNS, of_all, sampled
-from fascicle.study.prior_simulations import PriorSimulations
+from fascicle.networks.prior_simulations import PriorSimulations
 
 REFINING_NETWORKS, SHARE = (
     500,

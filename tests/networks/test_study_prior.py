@@ -9,7 +9,7 @@ import pytest
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import HUMAN_SPACE, NETWORK_SPACE, human_space
 from fascicle.forward.activation_sequence import ActivationSequence
-from fascicle.study.prior import UNMAPPED, Prior, read_settings, study_space
+from fascicle.networks.prior import UNMAPPED, Prior, read_settings, study_space
 
 
 def test_the_paper_learns_twelve(default_heart):

@@ -13,22 +13,22 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE
 from fascicle.core.leads import INDEPENDENT_ROWS
 from fascicle.core.quantities import fascicles
+from fascicle.emulation import ecg_emulator, heart_emulator, refined_emulator
+from fascicle.emulation.heart_emulator import emulator_of, made_emulator, simulations_for
+from fascicle.emulation.likelihood import EmulatedLikelihood
+from fascicle.emulation.refined_emulator import refined_emulators
+from fascicle.emulation.state_classifier import simulate_prior
 from fascicle.forward.beat import Beat
 from fascicle.forward.bodies import random_bodies
 from fascicle.forward.eikonal.activation import Activation
 from fascicle.forward.loss import placed
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.folder import write_heart
-from fascicle.study import ecg_emulator, heart_emulator, refined_emulator
-from fascicle.study import prior_simulations as tested
-from fascicle.study.heart_emulator import emulator_of, made_emulator, simulations_for
-from fascicle.study.likelihood import EmulatedLikelihood
-from fascicle.study.pool import Threads
-from fascicle.study.prior import Prior
-from fascicle.study.prior_simulations import BEFORE, Examples, PriorSimulations
-from fascicle.study.refined_emulator import refined_emulators
-from fascicle.study.simulator import PointSimulator
-from fascicle.study.state_classifier import simulate_prior
+from fascicle.networks import prior_simulations as tested
+from fascicle.networks.prior import Prior
+from fascicle.networks.prior_simulations import BEFORE, Examples, PriorSimulations
+from fascicle.networks.simulator import PointSimulator
+from fascicle.pools.pool import Threads
 
 PART, COUNT = 40, 70
 
@@ -58,7 +58,7 @@ def small():
         patch.setattr(tested, "random_bodies", random_bodies)
         patch.setattr(ecg_emulator, "FEWEST_NETWORKS", 20)
         patch.setattr(ecg_emulator, "EPOCHS", 1)
-        patch.setattr("fascicle.study.prior.TISSUES", ({}, {"anisotropy_ratio": 2.0}))
+        patch.setattr("fascicle.networks.prior.TISSUES", ({}, {"anisotropy_ratio": 2.0}))
         yield
 
 

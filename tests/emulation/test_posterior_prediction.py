@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fascicle.emulation.predictive import BEST, LEAST_PROBABLE, Checks, predict_recording
 from fascicle.forward.beat import Beat
 from fascicle.forward.eikonal.activation import Activation
 from fascicle.forward.likelihood import (
@@ -16,10 +17,9 @@ from fascicle.forward.likelihood import (
     separable,
 )
 from fascicle.forward.loss import placed
+from fascicle.networks.target_comparison import Network
 from fascicle.recording.criteria import frontal_axis
 from fascicle.recording.target import Target
-from fascicle.study.predictive import BEST, LEAST_PROBABLE, Checks, predict_recording
-from fascicle.study.target_comparison import Network
 
 QRS, TIME = 80, np.arange(-100.0, 160.0)
 FIRST = 10.0  # sample of the simulations' first activation

@@ -39,9 +39,9 @@ from fascicle.forward.activation_sequence import VentricularSurfaces
 from fascicle.forward.beat import Beat
 from fascicle.heart.conduction import Conduction, Region
 from fascicle.heart.heart import Heart
+from fascicle.networks.conduction_states import ConductionState, asked_states, united
+from fascicle.networks.settings import FitSettings, Method
 from fascicle.purkinje.growth import GrowthRules
-from fascicle.study.conduction_states import ConductionState, asked_states, united
-from fascicle.study.settings import FitSettings, Method
 
 PRIOR_KEYS = ("prior", "lower", "upper", "median", "sd")
 PARAMETERS = "parameters"  # table of a settings file

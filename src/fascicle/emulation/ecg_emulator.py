@@ -42,8 +42,8 @@ from fascicle.inference.emulator import (
     train_together,
     weight_arrays,
 )
-from fascicle.study.prior import AveragedOver, Prior
-from fascicle.study.prior_simulations import BEFORE, BODIES, PART, Examples
+from fascicle.networks.prior import AveragedOver, Prior
+from fascicle.networks.prior_simulations import BEFORE, BODIES, PART, Examples
 
 NETWORKS = 2  # neural networks, whose outputs are averaged
 COMPONENTS = 60  # principal components; they leave a thousandth of the variance unexplained

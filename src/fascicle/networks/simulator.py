@@ -14,8 +14,8 @@ from fascicle.core.ranges import short_repr
 from fascicle.forward.beat import Beat, Signals
 from fascicle.forward.model import Backend, ForwardModel
 from fascicle.forward.scenario import Scenario
-from fascicle.study.pool import Pool, Threads
-from fascicle.study.prior import Prior
+from fascicle.networks.prior import Prior
+from fascicle.pools.pool import Pool, Threads
 
 
 class BeatMemory:

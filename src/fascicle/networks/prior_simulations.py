@@ -33,8 +33,8 @@ from fascicle.forward.eikonal.activation import Activation
 from fascicle.forward.loss import placed
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
-from fascicle.study.pool import Pool
-from fascicle.study.prior import UNMAPPED, Prior, growth_and_conduction
+from fascicle.networks.prior import UNMAPPED, Prior, growth_and_conduction
+from fascicle.pools.pool import Pool
 
 PART = 500  # networks in a file
 HELD_OUT = 10  # the last of so many networks is held out

@@ -22,14 +22,7 @@ from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS
 from fascicle.core.parameters import FREE
 from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.ranges import check_kind
-from fascicle.forward.compile_kernels import compile_kernels
-from fascicle.forward.model import ForwardModel
-from fascicle.heart.heart import Heart
-from fascicle.inference.emulator import Singles
-from fascicle.recording.target import Target
-from fascicle.recording.target_files import as_target
-from fascicle.study.conduction_states import STATES, ConductionState, state_label
-from fascicle.study.ecg_classifier import (
+from fascicle.emulation.ecg_classifier import (
     LENGTH,
     EcgClassifier,
     Lessons,
@@ -38,16 +31,23 @@ from fascicle.study.ecg_classifier import (
     in_leads,
     learn,
 )
-from fascicle.study.heart_emulator import (
+from fascicle.emulation.heart_emulator import (
     for_simulations,
     learnt_or_made,
     made_emulator,
     simulations_of,
     usual_prior,
 )
-from fascicle.study.pool import Pool
-from fascicle.study.prior import Prior
-from fascicle.study.prior_simulations import SEED, PriorSimulations
+from fascicle.forward.compile_kernels import compile_kernels
+from fascicle.forward.model import ForwardModel
+from fascicle.heart.heart import Heart
+from fascicle.inference.emulator import Singles
+from fascicle.networks.conduction_states import STATES, ConductionState, state_label
+from fascicle.networks.prior import Prior
+from fascicle.networks.prior_simulations import SEED, PriorSimulations
+from fascicle.pools.pool import Pool
+from fascicle.recording.target import Target
+from fascicle.recording.target_files import as_target
 
 CLASSIFIER = "classifier"  # kind of file
 RECORDINGS = 40_000  # recordings of each state in the training set
@@ -141,7 +141,7 @@ def state_probabilities(
         A recording of the intrinsic beat.
     priors : mapping of str to float, optional
         Prior probabilities of the states; by default their prevalence in adults who are referred
-        for an ECG (`fascicle.study.conduction_states.PREVALENCE`).
+        for an ECG (`fascicle.networks.conduction_states.PREVALENCE`).
     parameters : mapping of name to value, optional
         Quantities with other priors, or fixed, as in `fascicle.fit`; its ``"conduction"`` replaces
         `priors`. Prior simulations of these are made once for each heart.

@@ -13,9 +13,9 @@ from fascicle.forward.device import batch
 from fascicle.forward.device import card as card_module
 from fascicle.forward.device.backend import GpuBackend
 from fascicle.forward.primitives import His
-from fascicle.study.prior import AveragedOver
+from fascicle.networks.prior import AveragedOver
+from fascicle.networks.target_comparison import evaluate, networks
 from fascicle.study.study import SAME_LOSS
-from fascicle.study.target_comparison import evaluate, networks
 
 
 @pytest.fixture

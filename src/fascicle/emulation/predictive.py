@@ -20,11 +20,11 @@ from fascicle.core.leads import independent_rows
 from fascicle.core.ranges import short_repr
 from fascicle.forward.activation_sequence import LATE_QRS, SequenceSummary
 from fascicle.forward.likelihood import Likelihood, Replicate
+from fascicle.networks.agreement import Agreement, agreement
+from fascicle.networks.settings import FitSettings
+from fascicle.networks.target_comparison import Network
 from fascicle.recording.criteria import frontal_axis
 from fascicle.recording.target import Target
-from fascicle.study.agreement import Agreement, agreement
-from fascicle.study.settings import FitSettings
-from fascicle.study.target_comparison import Network
 
 # A fit is poor if the recording would be rare among those that the model predicts, or if not even
 # the best networks explain the QRS. The share that the other networks explain shows how wide the
@@ -38,7 +38,7 @@ LEAST_IN_TORSO = 0.75  # share in a torso, which is never quite the patient's
 MOST_OFF = 1.5  # largest error of the emulator in the networks' ECGs, over that in held-out ECGs
 MOST_SCALED = 2.5  # largest distance of the median gain from 1, in SD of the gain's prior
 DURATION, AXIS, ALL_LEADS = "QRS duration", "frontal axis", "all leads together"
-# Name in `fascicle.study.agreement.Agreement`, and unit
+# Name in `fascicle.networks.agreement.Agreement`, and unit
 MEASURED = {DURATION: ("global_qrs_duration_ms", " ms"), AXIS: ("axis_degrees", "°")}
 
 

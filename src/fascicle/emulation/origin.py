@@ -27,19 +27,7 @@ from fascicle.core.parameters import ParameterSpace, free, network_space, ordere
 from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.quantities import SPEED, Changes, quantity
 from fascicle.core.ranges import short_repr
-from fascicle.forward.compile_kernels import compile_kernels
-from fascicle.forward.model import ForwardModel
-from fascicle.forward.primitives import His, Stimulus
-from fascicle.forward.scenario import Scenario
-from fascicle.heart.fibres import Wall
-from fascicle.heart.heart import Heart
-from fascicle.heart.sites import SEGMENTS, Places, places
-from fascicle.inference.emulator import Singles
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON
-from fascicle.mesh.formats.vtk import write_grid
-from fascicle.recording.target import Target
-from fascicle.recording.target_files import as_target
-from fascicle.study.ecg_classifier import (
+from fascicle.emulation.ecg_classifier import (
     LENGTH,
     EcgClassifier,
     Lessons,
@@ -50,10 +38,22 @@ from fascicle.study.ecg_classifier import (
     learn,
     most_alike,
 )
-from fascicle.study.heart_emulator import for_simulations, learnt_or_made
-from fascicle.study.pool import Pool
-from fascicle.study.prior import AveragedOver, Prior
-from fascicle.study.prior_simulations import HELD_OUT, PART, SEED, PriorSimulations
+from fascicle.emulation.heart_emulator import for_simulations, learnt_or_made
+from fascicle.forward.compile_kernels import compile_kernels
+from fascicle.forward.model import ForwardModel
+from fascicle.forward.primitives import His, Stimulus
+from fascicle.forward.scenario import Scenario
+from fascicle.heart.fibres import Wall
+from fascicle.heart.heart import Heart
+from fascicle.heart.sites import SEGMENTS, Places, places
+from fascicle.inference.emulator import Singles
+from fascicle.mesh.formats.mesh_file import TETRAHEDRON
+from fascicle.mesh.formats.vtk import write_grid
+from fascicle.networks.prior import AveragedOver, Prior
+from fascicle.networks.prior_simulations import HELD_OUT, PART, SEED, PriorSimulations
+from fascicle.pools.pool import Pool
+from fascicle.recording.target import Target
+from fascicle.recording.target_files import as_target
 
 ORIGIN_CLASSIFIER = "origin"  # kind of file
 # Place of origin of each of ten beats: some share one, since finding the rays from a place takes

@@ -23,6 +23,7 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import INDEPENDENT_LEADS, LEADS, independent_rows
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.threads import one_thread
+from fascicle.emulation.ecg_emulator import all_leads, body_modes
 from fascicle.forward.likelihood import (
     HALF_PERIOD,
     SHARES,
@@ -39,10 +40,9 @@ from fascicle.inference.emulator import (
     train_together,
     weight_arrays,
 )
+from fascicle.networks.prior_simulations import BEFORE, Examples
+from fascicle.networks.settings import FitSettings
 from fascicle.recording.target import Target
-from fascicle.study.ecg_emulator import all_leads, body_modes
-from fascicle.study.prior_simulations import BEFORE, Examples
-from fascicle.study.settings import FitSettings
 
 LENGTH = 300  # samples (ms) of an ECG, of which `BEFORE` are before the first activation
 COSINES = round(LENGTH / HALF_PERIOD)  # cosines of each lead, as in the likelihood

@@ -12,14 +12,14 @@ from fascicle.core.leads import LEADS
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.conduction import Conduction
+from fascicle.networks.prior import Prior
+from fascicle.networks.settings import FitSettings
+from fascicle.networks.simulator import BeatMemory, PointSimulator
+from fascicle.networks.target_comparison import TargetComparison, evaluate, networks
+from fascicle.pools.pool import Threads
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
 from fascicle.recording.target import Target
 from fascicle.study.fitted import FittedStudy
-from fascicle.study.pool import Threads
-from fascicle.study.prior import Prior
-from fascicle.study.settings import FitSettings
-from fascicle.study.simulator import BeatMemory, PointSimulator
-from fascicle.study.target_comparison import TargetComparison, evaluate, networks
 from fascicle.torso.lead_fields import key_of
 
 NOISE = 0.02  # mV

@@ -20,9 +20,9 @@ from fascicle.forward.loss import Alignment, align, mismatch, placed
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.inference.evaluation import Evaluation
+from fascicle.networks.prior import Prior
+from fascicle.networks.simulator import BeatMemory, PointSimulator
 from fascicle.recording.target import Target, repeated
-from fascicle.study.prior import Prior
-from fascicle.study.simulator import BeatMemory, PointSimulator
 
 UNLIKE_MAPPED_HEARTS = "not activated in the sequence of mapped human hearts"
 

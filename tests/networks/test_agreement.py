@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fascicle.core.leads import LEADS
+from fascicle.networks.agreement import agreement
 from fascicle.recording.target import Target
-from fascicle.study.agreement import agreement
 
 N = 5
 

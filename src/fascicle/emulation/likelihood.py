@@ -12,6 +12,8 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import INDEPENDENT_ROWS, LEADS, independent_rows
 from fascicle.core.ranges import short_repr
+from fascicle.emulation.ecg_emulator import EcgEmulator, cosines_of, tissue_inputs
+from fascicle.emulation.predictive import LEAST_EXPLAINED, LEAST_IN_TORSO, Checks
 from fascicle.forward.beat import Signals
 from fascicle.forward.likelihood import (
     MARGIN,
@@ -25,12 +27,10 @@ from fascicle.forward.likelihood import (
 )
 from fascicle.forward.loss import placed
 from fascicle.inference.emulator import Singles
+from fascicle.networks.prior_simulations import BEFORE
+from fascicle.networks.simulator import PointSimulator
+from fascicle.networks.target_comparison import Network
 from fascicle.recording.target import Target
-from fascicle.study.ecg_emulator import EcgEmulator, cosines_of, tissue_inputs
-from fascicle.study.predictive import LEAST_EXPLAINED, LEAST_IN_TORSO, Checks
-from fascicle.study.prior_simulations import BEFORE
-from fascicle.study.simulator import PointSimulator
-from fascicle.study.target_comparison import Network
 
 
 def likelihood_of(target: Target, emulator: EcgEmulator, gain_sd: float) -> QrsLikelihood:

@@ -7,8 +7,7 @@ import pytest
 from scipy.fft import idct
 
 from fascicle.core.leads import INDEPENDENT_ROWS
-from fascicle.recording.target import Target
-from fascicle.study.ecg_classifier import (
+from fascicle.emulation.ecg_classifier import (
     CHUNK,
     COSINES,
     FAMILIAR,
@@ -22,8 +21,9 @@ from fascicle.study.ecg_classifier import (
     learn,
     most_alike,
 )
-from fascicle.study.prior_simulations import BEFORE
-from fascicle.study.state_classifier import unlike
+from fascicle.emulation.state_classifier import unlike
+from fascicle.networks.prior_simulations import BEFORE
+from fascicle.recording.target import Target
 
 ROWS = np.array(INDEPENDENT_ROWS)
 

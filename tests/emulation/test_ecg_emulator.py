@@ -11,28 +11,28 @@ from scipy.fft import dct, idct
 from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, limb_leads_from
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, HUMAN_SPACE, ParameterSpace, free
-from fascicle.forward.beat import Beat, Signals
-from fascicle.forward.loss import placed
-from fascicle.heart.conduction import Conduction
-from fascicle.recording.target import Target, smooth_noise
-from fascicle.study import ecg_emulator as tested
-from fascicle.study.conduction_states import STATES
-from fascicle.study.ecg_emulator import (
+from fascicle.emulation import ecg_emulator as tested
+from fascicle.emulation.ecg_emulator import (
     EcgEmulator,
     _on_another_clock,
     learn,
     tissue_inputs,
     trained_on,
 )
-from fascicle.study.heart_emulator import emulator_of, simulations_for, usual_prior
-from fascicle.study.likelihood import EmulatedLikelihood, beat_noise, checked, likelihood_of
-from fascicle.study.pool import Threads
-from fascicle.study.predictive import Checks
-from fascicle.study.prior import AveragedOver, Prior
-from fascicle.study.prior_simulations import BEFORE, BODIES, HELD_OUT, Examples
-from fascicle.study.settings import FitSettings
-from fascicle.study.simulator import PointSimulator
-from fascicle.study.target_comparison import Network
+from fascicle.emulation.heart_emulator import emulator_of, simulations_for, usual_prior
+from fascicle.emulation.likelihood import EmulatedLikelihood, beat_noise, checked, likelihood_of
+from fascicle.emulation.predictive import Checks
+from fascicle.forward.beat import Beat, Signals
+from fascicle.forward.loss import placed
+from fascicle.heart.conduction import Conduction
+from fascicle.networks.conduction_states import STATES
+from fascicle.networks.prior import AveragedOver, Prior
+from fascicle.networks.prior_simulations import BEFORE, BODIES, HELD_OUT, Examples
+from fascicle.networks.settings import FitSettings
+from fascicle.networks.simulator import PointSimulator
+from fascicle.networks.target_comparison import Network
+from fascicle.pools.pool import Threads
+from fascicle.recording.target import Target, smooth_noise
 
 SPACE = ParameterSpace(tuple(free(name) for name in ("root_time", "cv", "alpha", "gain")))
 AVERAGED = AveragedOver(

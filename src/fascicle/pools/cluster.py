@@ -19,7 +19,7 @@ from fascicle.core.errors import InputError, one_line
 from fascicle.core.progress import Lines, Progress, progress_of
 from fascicle.core.ranges import shown
 from fascicle.core.threads import keep_one_thread
-from fascicle.study.pool import Remote, run_part
+from fascicle.pools.pool import Remote, run_part
 
 TIMEOUT = 30  # s, until a scheduler has answered
 ANSWERED = 5  # s that a scheduler has to say which workers it has

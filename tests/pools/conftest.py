@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
+from fascicle.networks.prior import Prior
+from fascicle.networks.simulator import PointSimulator
+from fascicle.networks.target_comparison import TargetComparison, evaluate
 from fascicle.recording.target import Target
-from fascicle.study.prior import Prior
-from fascicle.study.simulator import PointSimulator
-from fascicle.study.target_comparison import TargetComparison, evaluate
 
 
 @pytest.fixture(scope="module")

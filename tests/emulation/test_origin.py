@@ -9,15 +9,16 @@ from builders import recorded
 
 import fascicle
 from fascicle.core.errors import InputError
+from fascicle.emulation import heart_emulator
+from fascicle.emulation import origin as origin_module
+from fascicle.emulation.heart_emulator import packaged
+from fascicle.emulation.origin import Origin, ectopic_beats, levels, of_tetrahedra
 from fascicle.heart.folder import write_heart
 from fascicle.heart.sites import Sites
+from fascicle.networks import prior_simulations
+from fascicle.pools.pool import Threads
 from fascicle.recording.target import Target
 from fascicle.reporting.origin import origin_figure
-from fascicle.study import heart_emulator, prior_simulations
-from fascicle.study import origin as origin_module
-from fascicle.study.heart_emulator import packaged
-from fascicle.study.origin import Origin, ectopic_beats, levels, of_tetrahedra
-from fascicle.study.pool import Threads
 
 
 @pytest.fixture(scope="module")

@@ -16,16 +16,16 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE
 from fascicle.core.progress import Progress
 from fascicle.core.ranges import check_count
+from fascicle.emulation.ecg_emulator import SOONER, EcgEmulator, learn
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
-from fascicle.study.conduction_states import KNOWN_STATES, ConductionState
-from fascicle.study.ecg_emulator import SOONER, EcgEmulator, learn
-from fascicle.study.pool import Pool, Threads, check_pool
-from fascicle.study.prior import Prior
-from fascicle.study.prior_simulations import SEED, PriorSimulations
-from fascicle.study.settings import FitSettings
+from fascicle.networks.conduction_states import KNOWN_STATES, ConductionState
+from fascicle.networks.prior import Prior
+from fascicle.networks.prior_simulations import SEED, PriorSimulations
+from fascicle.networks.settings import FitSettings
+from fascicle.pools.pool import Pool, Threads, check_pool
 
 EMULATOR = "emulator"  # kind of file
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import LIMB_LEADS
+from fascicle.networks.target_comparison import Network
 from fascicle.recording.criteria import frontal_axis
 from fascicle.recording.target import Target
-from fascicle.study.target_comparison import Network
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,8 @@ from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.core.shared_files import read_shared, write_shared
 from fascicle.forward import model as model_module
 from fascicle.forward.primitives import His
-from fascicle.study.pool import ExecutorPool, Pool, Threads, parts
-from fascicle.study.target_comparison import evaluate, networks
+from fascicle.networks.target_comparison import evaluate, networks
+from fascicle.pools.pool import ExecutorPool, Pool, Threads, parts
 from tests.dask_processes import LOST, a_local_cluster, a_scheduler, a_worker_of
 
 KILLS = 4
@@ -165,7 +165,7 @@ def cluster():
 def scheduler(monkeypatch):
     """Give the process of a scheduler without workers, and its address."""
     pytest.importorskip("distributed")
-    from fascicle.study import cluster
+    from fascicle.pools import cluster
 
     monkeypatch.setattr(cluster, "TIMEOUT", 5)
     with a_scheduler() as found:
@@ -175,7 +175,7 @@ def scheduler(monkeypatch):
 @pytest.fixture
 def connected():
     """Give a function for a cluster at an address, whose client is closed in the end."""
-    from fascicle.study.cluster import Cluster
+    from fascicle.pools.cluster import Cluster
 
     with ExitStack() as stack:
 
@@ -189,7 +189,7 @@ def connected():
 
 class TestCluster:
     def test_the_same_as_here(self, cluster, simulator, recordings, points, expected):
-        from fascicle.study.cluster import Cluster
+        from fascicle.pools.cluster import Cluster
 
         pool = Cluster(cluster.scheduler_address)
         assert pool.workers == 2
@@ -206,7 +206,7 @@ class TestCluster:
         """Nothing is lost, and nothing is counted twice."""
         from distributed.core import Status
 
-        from fascicle.study.cluster import Cluster
+        from fascicle.pools.cluster import Cluster
 
         def watch(*news):
             waits.append(news)
@@ -258,7 +258,7 @@ class TestCluster:
 
     def test_a_scheduler_that_is_silent_and_then_lost(self, scheduler, connected, monkeypatch):
         """While results are fetched: it is waited for as long as it is there."""
-        from fascicle.study import cluster
+        from fascicle.pools import cluster
 
         monkeypatch.setattr(cluster, "ANSWERED", 0.2)
         process, address = scheduler
@@ -325,7 +325,7 @@ class TestCluster:
         """It is said once a second that nobody works, until somebody does."""
         import distributed
 
-        from fascicle.study.cluster import Cluster
+        from fascicle.pools.cluster import Cluster
 
         seen = []
         with distributed.LocalCluster(n_workers=0, processes=True, dashboard_address=None) as empty:
@@ -344,13 +344,13 @@ class TestCluster:
 
     @pytest.mark.parametrize("address", ["", "http://a:1", "tcp://a:b"])
     def test_what_is_no_address(self, address):
-        from fascicle.study.cluster import Cluster
+        from fascicle.pools.cluster import Cluster
 
         with pytest.raises(InputError, match="is not an address of a Dask scheduler; it prints"):
             Cluster(address)
 
     def test_where_no_scheduler_is(self, monkeypatch):
-        from fascicle.study import cluster
+        from fascicle.pools import cluster
 
         monkeypatch.setattr(cluster, "TIMEOUT", 1)
         with pytest.raises(InputError, match=r"127.0.0.1:1: no Dask scheduler answers .*; start"):

@@ -1,0 +1,1 @@
+"""Pools that run networks: threads, executors, a Dask cluster."""
