@@ -69,6 +69,7 @@ import fascicle
 from examples.recover_known_network import synthetic_target
 from fascicle.build.refinement import refined
 from fascicle.cli.output import TerminalProgress
+from fascicle.core.conduction_states import CONDUCTION_STATES
 from fascicle.core.files import write_text
 from fascicle.core.leads import (
     ELECTRODES,
@@ -94,7 +95,6 @@ from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenarios
 from fascicle.heart.heart import Heart
-from fascicle.networks.conduction_states import STATES
 from fascicle.networks.prior import NOT_KNOWN, Prior, study_space
 from fascicle.networks.prior_simulations import PriorSimulations
 from fascicle.networks.settings import FitSettings, Method
@@ -120,7 +120,7 @@ FIRST_ACTIVATION_SD = 3.0  # ms; as in the likelihood
 PAD = 100  # samples before and after the simulated ECG
 COLUMNS, PANEL = 6, 1.6  # of the figure; inch
 MAPPED = 60  # draws whose activation is simulated
-NORMAL = STATES[0]  # whose networks are those of mapped hearts
+NORMAL = CONDUCTION_STATES["normal"]  # whose networks are those of mapped hearts
 SOURCES = ParameterSpace(tuple(p for p in NOT_KNOWN if p.name.endswith("_source")))
 TORSO_GROUPS = ("pose", "electrodes", "conductivities")
 PREDICTED = ("activation time", "with both roots together", "end along the axis", "QRS duration")

@@ -63,17 +63,18 @@ from benchmarks.calibration import (
     truth_of,
 )
 from fascicle.cli.output import TerminalProgress
+from fascicle.core.conduction_states import told_apart
 from fascicle.core.files import write_text
 from fascicle.core.leads import INDEPENDENT_ROWS
 from fascicle.emulation.heart_emulator import usual_prior
 from fascicle.emulation.state_classifier import classifier_of, probabilities, simulations_of_states
 from fascicle.forward.model import ForwardModel
-from fascicle.networks.conduction_states import STATES
 from fascicle.networks.settings import FitSettings
 from fascicle.pools.pool import Threads
 from fascicle.recording.target_files import read_target, write_target
 from fascicle.reporting.style import new_figure, save
 
+STATES = told_apart()
 NAMES = tuple(state.name for state in STATES)
 NETWORKS = 3  # of each state in a physics
 BINS = np.linspace(0, 1, 11)

@@ -43,6 +43,7 @@ from fascicle.build.build_heart import build_heart
 from fascicle.build.read_anatomy import Source
 from fascicle.build.torso import TorsoOptions
 from fascicle.cli.output import TerminalProgress
+from fascicle.core.conduction_states import CONDUCTION_STATES
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import HUMAN_SPACE
@@ -52,7 +53,6 @@ from fascicle.forward.beat import Beat
 from fascicle.forward.bodies import random_bodies
 from fascicle.forward.loss import align
 from fascicle.heart.folder import write_heart
-from fascicle.networks.conduction_states import KNOWN_STATES, STATES
 from fascicle.recording.criteria import frontal_axis
 
 Array = NDArray[np.float64]
@@ -74,7 +74,7 @@ def normal_networks(
     model: fascicle.ForwardModel, count: int, seed: int
 ) -> Iterator[tuple[dict[str, float], Beat]]:
     """Networks of the prior of the normal state, with their beats."""
-    prior = usual_prior(model.heart, STATES[0])
+    prior = usual_prior(model.heart, CONDUCTION_STATES["normal"])
     points = prior.sample(np.random.default_rng(seed), count)
     points[:, -1] = np.sort(points[:, -1])  # a tissue takes seconds to prepare
     for point in points:
@@ -137,7 +137,7 @@ def blocks() -> None:
     for name in HEARTS:
         model = fascicle.ForwardModel(name)
         networks = [*normal_networks(model, 240, 3)][:60]
-        for state in KNOWN_STATES[1:]:
+        for state in [*CONDUCTION_STATES.values()][1:]:
             turned, changed = [], []
             for values, beat in networks:
                 late = {

@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.fft import dct, idct
 
+from fascicle.core.conduction_states import CONDUCTION_STATES
 from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, limb_leads_from
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, HUMAN_SPACE, ParameterSpace, free
@@ -25,7 +26,6 @@ from fascicle.emulation.predictive import Checks
 from fascicle.forward.beat import Beat, Signals
 from fascicle.forward.loss import placed
 from fascicle.heart.conduction import Conduction
-from fascicle.networks.conduction_states import STATES
 from fascicle.networks.prior import AveragedOver, Prior
 from fascicle.networks.prior_simulations import BEFORE, BODIES, HELD_OUT, Examples
 from fascicle.networks.settings import FitSettings
@@ -215,7 +215,7 @@ def with_fast_noise(simulation):
 
 def test_the_packaged_heart_has_one(default_model, tmp_path):
     """Of its present priors, so that its fits simulate nothing beforehand."""
-    prior = usual_prior(default_model.heart, STATES[0])
+    prior = usual_prior(default_model.heart, CONDUCTION_STATES["normal"])
     assert prior.mapped
     simulator = PointSimulator(default_model, prior)
     simulations = simulations_for(default_model, prior, tmp_path)

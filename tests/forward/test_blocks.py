@@ -5,9 +5,8 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import fascicle
+from fascicle.core.conduction_states import CONDUCTION_STATES
 from fascicle.core.errors import ValueRefusedError
-from fascicle.core.quantities import CONDUCTION
-from fascicle.forward.blocks import BLOCKED
 from fascicle.forward.scenario_files import read_scenarios
 
 
@@ -19,10 +18,6 @@ def simulated(model, conduction, scenario=None):
 
 def duration(*given):
     return np.ptp(simulated(*given).activation)
-
-
-def test_blocked_states_have_names():
-    assert {*BLOCKED} <= {*CONDUCTION}
 
 
 @pytest.mark.parametrize(
@@ -39,7 +34,7 @@ def test_a_state_is_the_scenario_of_the_same_name(default_model, state):
     (scenario,) = read_scenarios(state.replace(" ", "-")).values()
     expected = default_model.simulate(fascicle.EXAMPLE_PARAMETERS, scenario)
     assert_array_equal(blocked.leads, expected.leads)
-    number = CONDUCTION.index(state)
+    number = CONDUCTION_STATES[state].number
     assert_array_equal(simulated(default_model, number).leads, blocked.leads)
     usual = simulated(default_model, "normal")
     assert np.abs(blocked.activation - usual.activation).max() > 5

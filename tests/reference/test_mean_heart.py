@@ -5,7 +5,7 @@ import pytest
 from clinical import assert_left_bundle_branch_block, assert_normal
 
 import fascicle
-from fascicle.core.quantities import CONDUCTION
+from fascicle.core.conduction_states import CONDUCTION_STATES
 from fascicle.mesh.topology import boundary_loops
 
 pytestmark = pytest.mark.slow
@@ -55,7 +55,7 @@ def test_normal_ecg(model):
 
 
 def test_left_bundle_branch_block(model):
-    block = {"conduction": float(CONDUCTION.index("left bundle branch block"))}
+    block = {"conduction": CONDUCTION_STATES["left bundle branch block"].number}
     found = model.simulate(fascicle.example_parameters(model) | block)
     assert_left_bundle_branch_block(found)
     met = {criterion.name for criterion in found.conventional_criteria if criterion.met}

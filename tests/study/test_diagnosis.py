@@ -9,10 +9,11 @@ import pytest
 from builders import recorded
 
 import fascicle
+from fascicle.core.conduction_states import CONDUCTION_STATES, told_apart
 from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_LEADS, limb_leads_from
 from fascicle.core.parameters import HUMAN_SPACE, ParameterSpace, free
-from fascicle.core.quantities import CONDUCTION, fascicle_names
+from fascicle.core.quantities import fascicle_names
 from fascicle.emulation import ecg_classifier, state_classifier
 from fascicle.emulation.heart_emulator import emulator_of, simulations_for, usual_prior
 from fascicle.emulation.state_classifier import (
@@ -24,13 +25,7 @@ from fascicle.emulation.state_classifier import (
 )
 from fascicle.forward.beat import Beat
 from fascicle.networks import prior_simulations
-from fascicle.networks.conduction_states import (
-    KNOWN_STATES,
-    PREVALENCE,
-    STATES,
-    asked_states,
-    states_of,
-)
+from fascicle.networks.conduction_states import asked_states, narrowed, states_of
 from fascicle.networks.prior import Prior, read_settings
 from fascicle.networks.settings import checked_settings
 from fascicle.pools.pool import Threads
@@ -73,7 +68,7 @@ def test_a_block_is_recognised(fitted):
 def test_each_network_has_its_state(fitted):
     numbers = fitted.population.averaged["conduction"]
     assert len(numbers) == 20
-    assert (numbers == CONDUCTION.index(BLOCK)).mean() > 0.9
+    assert (numbers == CONDUCTION_STATES[BLOCK].number).mean() > 0.9
     assert fitted.population.parameters(0)["conduction"] == numbers[0]
     data = az.from_netcdf(fitted.folder / "posterior.nc")
     attributes = data.averaged_over["conduction"].attrs
@@ -208,7 +203,7 @@ def test_states_are_learnt_of_one_intrinsic_beat_unless_something_speaks_against
         given = read_inputs("default", target, parameters, checked_settings({}), **more)
         return given.config.states
 
-    assert [*learnt(target, {})] == [*learnt(target, {"cv": 2.5})] == [s.name for s in STATES]
+    assert [*learnt(target, {})] == [*learnt(target, {"cv": 2.5})] == [s.name for s in told_apart()]
     assert sum(learnt(target, {}).values()) == pytest.approx(1)
     assert learnt(target, {"conduction": "normal"}) == {}
     assert learnt(target, {"root_time": -60.0}) == {}
@@ -245,7 +240,7 @@ def test_normal_alone_is_activated_as_mapped_hearts_are(target):
 def test_the_packaged_heart_brings_the_emulators_of_all_states(default_model, tmp_path):
     """Also where a quantity is fixed; else this would simulate thousands of networks."""
     prior = Prior.of("posterior", {"cv": 2.5}, default_model.heart)
-    for state in STATES:
+    for state in told_apart():
         narrowed = prior.narrowed(state)
         assert narrowed.mapped == (state.name == "normal")
         assert narrowed.fixed == {"cv": 2.5} | state.blocks
@@ -288,33 +283,28 @@ def test_the_method_of_the_paper_knows_no_states(target, tmp_path):
         )
 
 
-def named(name):
-    return next(state for state in KNOWN_STATES if state.name == name)
-
-
 def test_six_states_are_told_apart_and_all_are_known():
     """Fascicular blocks belong to normal, and can still be asked for alone."""
-    assert [state.name for state in asked_states("free")] == [*PREVALENCE]
-    assert sum(state.probability for state in STATES) == pytest.approx(1)
-    assert len(STATES) == 6
-    assert {*CONDUCTION} == {state.name for state in KNOWN_STATES}
-    assert len(KNOWN_STATES) == 9
+    assert asked_states("free") == told_apart()
+    assert sum(state.probability for state in told_apart()) == pytest.approx(1)
+    assert len(told_apart()) == 6
+    assert len(CONDUCTION_STATES) == 9
     (fascicular,) = asked_states("left posterior fascicular block")
-    assert fascicular.blocks == {"conduction": CONDUCTION.index(fascicular.name)}
+    assert fascicular.blocks == {"conduction": fascicular.number}
     assert [s.probability for s in states_of({"normal": 0.2, fascicular.name: 0.8})] == [0.2, 0.8]
 
 
 def test_states_have_ranges_of_their_own(default_heart):
     prior = usual_prior(default_heart)
-    mixed = replace(prior, states={state.name: state.probability for state in STATES}).learnt
+    mixed = replace(prior, states={state.name: state.probability for state in told_apart()}).learnt
     ends = {p.name: (p.lower, p.upper) for p in mixed.parameters}
     assert ends["interventricular_delay"] == (-40.0, 40.0)
     assert ends["fibre_speed"] == (0.2, 0.8)
     assert ends["cv"] == (1.0, 3.5)
     assert mixed.parameters[0] == prior.learnt.parameters[0]
     draws = mixed.columns(np.random.default_rng(0).random((20_000, len(mixed))))
-    delays, slow = draws["interventricular_delay"], PREVALENCE["intraventricular delay"]
-    late = {side: PREVALENCE[f"{side} bundle branch delay"] for side in ("left", "right")}
+    delays, slow = (draws["interventricular_delay"], probability("intraventricular delay"))
+    late = {side: probability(f"{side} bundle branch delay") for side in ("left", "right")}
     together = (delays >= TOGETHER[0]) & (delays <= TOGETHER[1])
     assert together.mean() == pytest.approx(1 - sum(late.values()), abs=0.006)
     assert (delays < 0).mean() == pytest.approx(late["left"], abs=0.003)
@@ -326,26 +316,34 @@ def test_states_have_ranges_of_their_own(default_heart):
         assert np.histogram(shares, 5, (0, 1))[0] == pytest.approx([4000] * 5, rel=0.05)
 
 
+def space_in(name, space, fixed):
+    return narrowed(CONDUCTION_STATES[name], space, fixed)
+
+
+def probability(name):
+    return CONDUCTION_STATES[name].probability
+
+
 def test_what_is_asked_for_excludes_states():
     usual = map(free, fascicle_names("lv", 2))
     late = ParameterSpace((free("root_time", lower=10.0, upper=30.0), free("cv"), *usual))
-    assert named("left bundle branch delay").narrowed(late, {}) is None
-    narrowed = named("right bundle branch delay").narrowed(late, {})
-    assert [(p.lower, p.upper) for p in narrowed.parameters[:2]] == [(20.0, 30.0), (2.0, 4.0)]
+    assert space_in("left bundle branch delay", late, {}) is None
+    space = space_in("right bundle branch delay", late, {})
+    assert [(p.lower, p.upper) for p in space.parameters[:2]] == [(20.0, 30.0), (2.0, 4.0)]
     for asked, range_ in (
         ({"lower": 10.0, "upper": 30.0}, (15.0, 30.0)), ({"lower": -75.0, "upper": 60.0}, (15, 40))
     ):  # fmt: skip
         delay = ParameterSpace((free("interventricular_delay", **asked), *late.parameters[1:]))
-        narrowed = named("right bundle branch delay").narrowed(delay, {}).parameters[0]
-        assert (narrowed.lower, narrowed.upper) == range_
-        left = named("left bundle branch delay").narrowed(delay, {})
+        space = space_in("right bundle branch delay", delay, {}).parameters[0]
+        assert (space.lower, space.upper) == range_
+        left = space_in("left bundle branch delay", delay, {})
         assert (left is None) == (asked["lower"] == 10.0)
     rest = ParameterSpace(late.parameters[1:])
-    assert named("normal").narrowed(rest, {"root_time": -30.0}) is None
-    assert named("normal").narrowed(rest, {"interventricular_delay": 2.0}) is None
-    assert named("normal").narrowed(rest, {"interventricular_delay": 3.0}) is not None
+    assert space_in("normal", rest, {"root_time": -30.0}) is None
+    assert space_in("normal", rest, {"interventricular_delay": 2.0}) is None
+    assert space_in("normal", rest, {"interventricular_delay": 3.0}) is not None
     one = ParameterSpace(tuple(map(free, fascicle_names("lv", 1))))
-    assert named("left anterior fascicular block").narrowed(one, {}) is None
+    assert space_in("left anterior fascicular block", one, {}) is None
 
 
 def test_a_known_speed_excludes_slow_tissue(default_heart, target):
@@ -353,7 +351,7 @@ def test_a_known_speed_excludes_slow_tissue(default_heart, target):
         heart = replace(default_heart, values=known, folder=None)
         free = {"conduction": "free"}
         states = read_inputs(heart, target, free, checked_settings({})).config.states
-        assert {*states} == {*PREVALENCE} - {"intraventricular delay"}
+        assert {*states} == {state.name for state in told_apart()} - {"intraventricular delay"}
     slow = {"conduction": "intraventricular delay"}
     with pytest.raises(InputError, match="the heart's values or the ranges exclude what was asked"):
         read_inputs(heart, target, slow, checked_settings({}))
@@ -387,15 +385,15 @@ def test_states_have_simulations_of_their_own(default_model, tmp_path):
     """Those of the usual priors, where they are of what is asked for."""
     prior = usual_prior(default_model.heart)
     known = simulations_of_states(default_model, prior, tmp_path, 2000)
-    assert [*known] == [state.name for state in STATES]
+    assert [*known] == [state.name for state in told_apart()]
     usual = {name: each.simulations.content for name, each in known.items()}
-    assert len({*usual.values()}) == len(STATES)
+    assert len({*usual.values()}) == len(told_apart())
     delays = {}
     for name, each in known.items():
         its = each.simulations.prior
         (delay,) = (p for p in its.learnt.parameters if p.name == "interventricular_delay")
         delays[name] = delay.lower, delay.upper
-        assert its.fixed == named(name).blocks
+        assert its.fixed == CONDUCTION_STATES[name].blocks
         assert its.mapped == (name == "normal")
         assert each.count == (2000 if name == "normal" else 1000)  # of which many are left out
     assert delays.pop("left bundle branch delay") == (-40.0, -5.0)
@@ -413,7 +411,9 @@ def test_states_of_a_recording_without_a_fit(target, default_model):
     found = state_probabilities("default", target, progress=None)
     assert not isinstance(found, NoStateNamed)
     assert next(iter(found)) == "normal or fascicular block"
-    assert {*found} - {"normal or fascicular block"} == {*PREVALENCE} - {"normal"}
+    assert {*found} - {"normal or fascicular block"} == {state.name for state in told_apart()} - {
+        "normal"
+    }
     assert sum(found.values()) == pytest.approx(1)
     left = BLOCK, "left bundle branch delay"
     assert sum(found[name] for name in left) > 0.9
@@ -439,7 +439,7 @@ def test_no_state_is_named_of_noise(target):
     assert isinstance(found, NoStateNamed)
     assert found.reason.startswith("the recording is unlike all simulated ones of this heart (")
     assert str(found) == f"no conduction state is named: {found.reason}"
-    assert found.unreliable.keys() == PREVALENCE.keys()
+    assert found.unreliable.keys() == {state.name for state in told_apart()}
     assert sum(found.unreliable.values()) == pytest.approx(1)
 
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from builders import recorded
 
+from fascicle.core.conduction_states import CONDUCTION_STATES
 from fascicle.emulation.heart_emulator import emulator_of, simulations_for, usual_prior
 from fascicle.emulation.likelihood import EmulatedLikelihood, likelihood_of
 from fascicle.emulation.sampling import sampled
 from fascicle.forward.beat import Beat
 from fascicle.forward.scenario_files import read_scenarios
-from fascicle.networks.conduction_states import STATES
 from fascicle.networks.settings import FitSettings
 from fascicle.networks.simulator import PointSimulator
 
@@ -48,7 +48,7 @@ def holds(draws, truth):
 def test_intervals_hold_truths(default_model, tmp_path):
     """Of 20 truths, 90 % intervals of parameters and of a prediction of pacing."""
     model, rng = default_model, np.random.default_rng(5)
-    prior = usual_prior(model.heart, STATES[0])
+    prior = usual_prior(model.heart, CONDUCTION_STATES["normal"])
     simulator, gain_sd = PointSimulator(model, prior), FitSettings().gain_sd
     simulations = simulations_for(model, prior, tmp_path)
     emulator = emulator_of(simulations, FitSettings().prior_simulations, simulator.pool)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import fascicle
 from fascicle import Beat, FittedStudy, Predicted
+from fascicle.core.conduction_states import CONDUCTION_STATES
 from fascicle.core.progress import Progress
-from fascicle.core.quantities import CONDUCTION
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation_files import write_ecg
 from fascicle.prediction.scenarios import INTRINSIC
@@ -47,7 +47,7 @@ def treat_block(
     model = fascicle.ForwardModel(DEMO_HEART, progress=progress)
     truth = {
         **fascicle.example_parameters(model),
-        "conduction": float(CONDUCTION.index(DEMO_BLOCK)),
+        "conduction": CONDUCTION_STATES[DEMO_BLOCK].number,
     }
     scenarios = fascicle.read_scenarios(PACINGS)
     beat, *paced = (_simulated(model, truth, case) for case in (None, *scenarios.values()))

@@ -10,26 +10,15 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
+from fascicle.core.conduction_states import BLOCKABLE, CONDUCTION_STATES, ConductionState
 from fascicle.core.errors import ValueRefusedError
 from fascicle.core.ranges import Range, check_kind, did_you_mean, shown
 
 SIDES = ("lv", "rv")
-# States that `conduction` numbers; `fascicle.forward.blocks` has what each of them blocks
-CONDUCTION = (
-    "normal",
-    "left bundle branch block",
-    "left bundle branch delay",
-    "left anterior fascicular block",
-    "left posterior fascicular block",
-    "right bundle branch block",
-    "right bundle branch delay",
-    "right bundle branch and left anterior fascicular block",
-    "intraventricular delay",
-)
 
 
 class Changes(StrEnum):
@@ -188,10 +177,10 @@ def _of_conduction() -> Iterator[Quantity]:
             f"{name}_delay", "ms", 0.0, (0.0, 10_000.0), (0.0, 10.0), meaning, times, also=math.inf,
             aliases=("junctiondelay", "pmjdelay"),
         )  # fmt: skip
-    most = (0, len(CONDUCTION) - 1)
+    most = (0, len(CONDUCTION_STATES) - 1)
     yield Quantity(
         "conduction", "1", 0, most, most, "conduction state of the bundle branches and fascicles",
-        Changes.BLOCKS, is_integer=True, choices=CONDUCTION,
+        Changes.BLOCKS, is_integer=True, choices=(*CONDUCTION_STATES,),
     )  # fmt: skip
     yield Quantity("gain", "1", 1.0, (1e-3, 1e3), (0.2, 5.0), "factor on the simulated ECG", times)
     meaning = "factor on the sources of the right ventricle's free wall"
@@ -265,6 +254,25 @@ def declare(known: Quantity) -> None:
             "Changes.TIMES or Changes.TISSUE"
         )
     QUANTITIES[known.name] = known
+
+
+def declare_state(state: ConductionState) -> None:
+    """Add a conduction state to the model; studies tell it apart if it has a prior probability.
+
+    Raises ValueRefusedError if there is such a state, or it names an unknown quantity or part.
+    """
+    if state.name in CONDUCTION_STATES:
+        raise ValueRefusedError(f"conduction state '{state.name}' is taken; choose another name")
+    for part in state.blocked:
+        if part not in BLOCKABLE:
+            raise ValueRefusedError(f"'{part}' cannot be blocked; give some of {BLOCKABLE}")
+    for name in state.ranges:
+        quantity(name)
+    CONDUCTION_STATES[state.name] = state
+    most = (0, len(CONDUCTION_STATES) - 1)
+    QUANTITIES["conduction"] = replace(
+        QUANTITIES["conduction"], valid_range=most, prior_range=most, choices=(*CONDUCTION_STATES,)
+    )
 
 
 def default_of(name: str) -> float:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from fascicle.core.array_cache import ArrayCache
+from fascicle.core.conduction_states import CONDUCTION_STATES, ConductionState
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE
 from fascicle.core.progress import Progress
@@ -21,7 +22,6 @@ from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
-from fascicle.networks.conduction_states import KNOWN_STATES, ConductionState
 from fascicle.networks.prior import Prior
 from fascicle.networks.prior_simulations import SEED, PriorSimulations
 from fascicle.networks.settings import FitSettings
@@ -39,7 +39,7 @@ def simulations_for(
     ranges. `scenario` is that of a recording, with its digest.
     """
     blocks = {n: v for n, v in prior.fixed.items() if n == "conduction"}
-    alike = [state for state in KNOWN_STATES if state.blocks == blocks]
+    alike = [state for state in CONDUCTION_STATES.values() if state.blocks == blocks]
     # The prior of all delays, None, covers every state, but a narrower emulator is more exact.
     states = alike if blocks else [*alike, None]
     usual = (

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.arrays import Integers
+from fascicle.core.conduction_states import ConductionState, told_apart
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE
 from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS
@@ -42,7 +43,7 @@ from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.heart import Heart
 from fascicle.inference.emulator import Singles
-from fascicle.networks.conduction_states import STATES, ConductionState, state_label
+from fascicle.networks.conduction_states import state_label
 from fascicle.networks.prior import Prior
 from fascicle.networks.prior_simulations import SEED, PriorSimulations
 from fascicle.pools.pool import Pool
@@ -141,7 +142,7 @@ def state_probabilities(
         A recording of the intrinsic beat.
     priors : mapping of str to float, optional
         Prior probabilities of the states; by default their prevalence in adults who are referred
-        for an ECG (`fascicle.networks.conduction_states.PREVALENCE`).
+        for an ECG (`fascicle.core.conduction_states`).
     parameters : mapping of name to value, optional
         Quantities with other priors, or fixed, as in `fascicle.fit`; its ``"conduction"`` replaces
         `priors`. Prior simulations of these are made once for each heart.
@@ -173,7 +174,7 @@ def state_probabilities(
     prior = Prior.of("posterior", choices, heart)
     states = prior.possible_states(conduction, heart)
     state_priors = {state.name: state.probability for state in states}
-    if untold := {*state_priors} - {state.name for state in STATES}:
+    if untold := {*state_priors} - {state.name for state in told_apart()}:
         raise InputError(
             f"priors: '{min(untold)}' is not told apart from normal; give others, or leave them out"
         )

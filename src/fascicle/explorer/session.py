@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field, ValidationError
 
 from fascicle.core.arrays import Floats, Integers
+from fascicle.core.conduction_states import CONDUCTION_STATES
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import (
@@ -29,14 +30,7 @@ from fascicle.core.parameters import (
     free,
 )
 from fascicle.core.progress import Progress, ProgressLines
-from fascicle.core.quantities import (
-    CONDUCTION,
-    SPEED,
-    TORSO_QUANTITIES,
-    parameter_name,
-    quantity,
-    torso_values,
-)
+from fascicle.core.quantities import SPEED, TORSO_QUANTITIES, parameter_name, quantity, torso_values
 from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP
 from fascicle.forward.example import example_parameters
 from fascicle.forward.model import ForwardModel
@@ -179,7 +173,7 @@ class Session:
                 {"name": name, "sliders": [self._slider(parameter) for parameter in parameters]}
                 for name, parameters in self.groups.items()
             ],
-            "conduction": CONDUCTION,
+            "conduction": [*CONDUCTION_STATES],
             "scenarios": {name: scenario_name(name) for name in (INTRINSIC, *library())},
             "start": _spoken(self.start),
             "verdict": None if self.study is None else self.study.verdict,

@@ -4,38 +4,30 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from fascicle.core.quantities import CONDUCTION
+from fascicle.core.conduction_states import CONDUCTION_STATES
 from fascicle.forward.primitives import His, SlowConduction
 from fascicle.forward.scenario import Primitive, Scenario
 
-ANTERIOR, POSTERIOR = (
-    SlowConduction(tree="lv", part=f"{which} fascicle", speed=0.0)
-    for which in ("anterior", "posterior")
-)
-BLOCKED: dict[str, tuple[Primitive, ...]] = {
-    "left bundle branch block": (His(left=0.0),),
-    "left anterior fascicular block": (ANTERIOR,),
-    "left posterior fascicular block": (POSTERIOR,),
-    "right bundle branch block": (His(right=0.0),),
-    "right bundle branch and left anterior fascicular block": (His(right=0.0), ANTERIOR),
-}
-
 
 def in_state(scenario: Scenario, conduction: float) -> Scenario:
-    """Add the blocks of a conduction state, a number of `CONDUCTION`, to a scenario.
+    """Add the blocks of a conduction state, a value of ``conduction``, to a scenario.
 
     A bundle branch is not blocked if the scenario has a His bundle with a root time of its own:
     pacing that recruits both branches.
     """
-    blocked = BLOCKED.get(CONDUCTION[int(conduction)], ())
+    blocked = [*CONDUCTION_STATES.values()][int(conduction)].blocked
     if not blocked:
         return scenario
-    state_his = [primitive for primitive in blocked if isinstance(primitive, His)]
-    scenario_his = scenario.of(His)
-    if state_his and scenario_his:
-        (block,), (his,) = state_his, scenario_his
-        if his.root_time is None:
-            his = replace(his, left=his.left * block.left, right=his.right * block.right)
-        state_his = [his]
-    rest = (p for p in (*blocked, *scenario.primitives) if not isinstance(p, His))
-    return replace(scenario, primitives=(*(state_his or scenario_his), *rest))
+    his = scenario.of(His)
+    left, right = (float(f"{side} bundle branch" not in blocked) for side in ("left", "right"))
+    if left * right == 0.0 and not his:
+        his = [His(left=left, right=right)]
+    elif left * right == 0.0 and his[0].root_time is None:
+        his = [replace(his[0], left=his[0].left * left, right=his[0].right * right)]
+    fascicles: list[Primitive] = [
+        SlowConduction(tree="lv", part=part.removeprefix("left "), speed=0.0)
+        for part in blocked
+        if part.endswith("fascicle")
+    ]
+    others = (primitive for primitive in scenario.primitives if not isinstance(primitive, His))
+    return replace(scenario, primitives=(*his, *fascicles, *others))

@@ -12,6 +12,7 @@ from typing import Any, get_args
 import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
+from fascicle.core.conduction_states import ConductionState
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file, read_toml
 from fascicle.core.parameters import (
@@ -39,7 +40,7 @@ from fascicle.forward.activation_sequence import VentricularSurfaces
 from fascicle.forward.beat import Beat
 from fascicle.heart.conduction import Conduction, Region
 from fascicle.heart.heart import Heart
-from fascicle.networks.conduction_states import ConductionState, asked_states, united
+from fascicle.networks.conduction_states import asked_states, narrowed, united
 from fascicle.networks.settings import FitSettings, Method
 from fascicle.purkinje.growth import GrowthRules
 
@@ -261,7 +262,7 @@ class Prior:
 
     def narrowed(self, state: ConductionState) -> Prior:
         """Prior of one conduction state, which must be possible."""
-        space = state.narrowed(self.space, self.fixed)
+        space = narrowed(state, self.space, self.fixed)
         assert space is not None
         fixed = {**self.fixed, **state.blocks}
         mapped = state.is_mapped({*space.names, *fixed})
@@ -277,7 +278,9 @@ class Prior:
         """
         settled = {**heart.values, **self.fixed}
         states = asked_states(conduction)
-        states = tuple(state for state in states if state.narrowed(self.space, settled) is not None)
+        states = tuple(
+            state for state in states if narrowed(state, self.space, settled) is not None
+        )
         if not states:
             raise InputError(
                 "parameter 'conduction': what is fixed, the heart's values or the ranges exclude "

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from fascicle.core.arrays import Floats
+from fascicle.core.conduction_states import ConductionState
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import FREE
 from fascicle.core.progress import Progress
@@ -28,7 +29,6 @@ from fascicle.forward.scenario import Scenario
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
 from fascicle.inference.evaluation import Evaluation
-from fascicle.networks.conduction_states import ConductionState
 from fascicle.networks.prior import Prior, growth_and_conduction
 from fascicle.networks.recordings import Given, Recorded, digests, given_recordings
 from fascicle.networks.settings import FitSettings

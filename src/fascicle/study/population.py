@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from fascicle.core.arrays import Floats
+from fascicle.core.conduction_states import CONDUCTION_STATES
 from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_path
 from fascicle.core.netcdf import load_netcdf
 from fascicle.core.parameters import MixedParameter, ParameterSpace
-from fascicle.core.quantities import CONDUCTION
 from fascicle.core.ranges import short_repr
 from fascicle.emulation.predictive import Checks, Prediction
 from fascicle.inference.evaluation import Evaluation
@@ -261,8 +261,11 @@ def write_population(
                 for name in population.best.keys() & variables.keys() if group == AVERAGED else ():
                     held[name].attrs["best"] = population.best[name]
                 if "conduction" in held:  # as the CF conventions name flags
-                    meanings = " ".join(name.replace(" ", "_") for name in CONDUCTION)
-                    flags = {"flag_values": np.arange(len(CONDUCTION)), "flag_meanings": meanings}
+                    meanings = " ".join(name.replace(" ", "_") for name in CONDUCTION_STATES)
+                    flags = {
+                        "flag_values": np.arange(len(CONDUCTION_STATES)),
+                        "flag_meanings": meanings,
+                    }
                     held["conduction"].attrs.update(flags)
                 data.sample_stats.attrs[group] = 1
                 data.add_groups({group: held}, warn_on_custom_groups=False)

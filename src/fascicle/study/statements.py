@@ -13,8 +13,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from fascicle.core.arrays import Floats
+from fascicle.core.conduction_states import NORMAL
 from fascicle.core.parameters import Parameter
-from fascicle.core.quantities import CONDUCTION, parameter_name, region_labels
+from fascicle.core.quantities import parameter_name, region_labels
 from fascicle.emulation.predictive import Checks
 from fascicle.inference.evaluation import Evaluation
 from fascicle.inference.tempered_sampling import EVIDENCE_APART, MEANS_APART
@@ -254,7 +255,7 @@ class Statements:
         Empty if there is no difference, or no posterior.
         """
         checks, states = self._result.checks, getattr(self._result.population, "states", {})
-        blocked = bool(states) and max(states, key=lambda name: states[name]) != CONDUCTION[0]
+        blocked = bool(states) and max(states, key=lambda name: states[name]) != NORMAL
         return "" if checks is None or blocked else checks.unmapped
 
     @property
