@@ -6,7 +6,7 @@ Sources of the ranges and probabilities are in docs/diagnosis.md.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 Ranges = Mapping[str, tuple[float, float]]
 
@@ -42,7 +42,7 @@ class ConductionState:
 
     name: str
     probability: float = 0.0
-    ranges: Ranges = TOGETHER
+    ranges: Ranges = field(default_factory=lambda: TOGETHER)
     blocked: tuple[str, ...] = ()
 
     def is_mapped(self, names: Collection[str]) -> bool:
