@@ -14,8 +14,8 @@ from fascicle.emulation.ecg_classifier import (
     GAIN_SD,
     LENGTH,
     EcgClassifier,
-    Lessons,
     Recorder,
+    RecordingSet,
     in_cosines,
     in_leads,
     learn,
@@ -33,7 +33,7 @@ def normal(rng, means, count):
     kinds = np.repeat(np.arange(len(means)), count)
     recordings = rng.normal(0, 0.2, (len(kinds), 8, COSINES)).astype(np.float32)
     recordings[:, 0, 0] = rng.normal(np.asarray(means)[kinds], 1.0)
-    return Lessons(recordings, np.eye(len(means), dtype=np.float32)[kinds])
+    return RecordingSet(recordings, np.eye(len(means), dtype=np.float32)[kinds])
 
 
 @pytest.fixture(scope="module")
@@ -54,34 +54,36 @@ def test_probabilities_are_those_of_bayes(classifier):
 
 def test_how_often_it_is_right_is_of_held_out_recordings(classifier):
     # of the best possible one: cuts at -0.5 and 1
-    assert classifier.right == pytest.approx((0.691 + 0.533 + 0.841) / 3, abs=0.02)
+    assert classifier.accuracy == pytest.approx((0.691 + 0.533 + 0.841) / 3, abs=0.02)
 
 
 def test_it_is_stored_as_it_is(classifier):
     arrays = classifier.arrays()
     again = EcgClassifier.from_arrays(arrays)
-    assert again.right == classifier.right
+    assert again.accuracy == classifier.accuracy
     recordings = np.random.default_rng(1).normal(0, 1, (20, 8, COSINES))
     np.testing.assert_allclose(
         again.of_cosines(recordings), classifier.of_cosines(recordings), atol=0.01
     )
-    assert again.most_outside == classifier.most_outside
-    np.testing.assert_allclose(again.outside(recordings), classifier.outside(recordings), atol=1e-5)
-    without = replace(classifier, most_outside=None).arrays()  # as those of origins are kept
+    assert again.most_unexplained == classifier.most_unexplained
+    np.testing.assert_allclose(
+        again.unexplained(recordings), classifier.unexplained(recordings), atol=1e-5
+    )
+    without = replace(classifier, most_unexplained=None).arrays()  # as those of origins are kept
     assert "most_outside" not in without
-    assert EcgClassifier.from_arrays(without).most_outside is None
+    assert EcgClassifier.from_arrays(without).most_unexplained is None
 
 
 def test_what_lies_outside_the_components(classifier):
     """Nothing of a sum of components, all of what is orthogonal to them, whatever the size."""
     flat = classifier.components[:3].sum(axis=0)
     inside = flat.reshape(1, 8, COSINES)
-    np.testing.assert_allclose(classifier.outside(7 * inside), 0, atol=1e-5)
+    np.testing.assert_allclose(classifier.unexplained(7 * inside), 0, atol=1e-5)
     other = np.random.default_rng(6).normal(size=flat.shape)
     other -= classifier.components.T @ (classifier.components @ other)
-    np.testing.assert_allclose(classifier.outside(other.reshape(1, 8, COSINES)), 1, atol=1e-5)
+    np.testing.assert_allclose(classifier.unexplained(other.reshape(1, 8, COSINES)), 1, atol=1e-5)
     held_out = normal(np.random.default_rng(3), (-1.0, 0.0, 2.0), 2000).recordings
-    familiar = (classifier.outside(held_out) <= classifier.most_outside).mean()
+    familiar = (classifier.unexplained(held_out) <= classifier.most_unexplained).mean()
     assert familiar == pytest.approx(FAMILIAR, abs=0.01)
 
 
@@ -95,11 +97,11 @@ def target_of(cosines):
 
 def test_what_is_unlike_all_simulated_recordings_is_said(classifier):
     """A recording of components alone is like them; noise is unlike them."""
-    of_few = replace(classifier, most_outside=0.1)
+    of_few = replace(classifier, most_unexplained=0.1)
     like = classifier.components[:3].sum(axis=0).reshape(8, COSINES)
     assert unlike(of_few, target_of(like)) == ""
     strange = target_of(3 * np.random.default_rng(8).normal(size=(8, COSINES)))
-    (outside,) = of_few.outside(of_few.cosines(strange))
+    (outside,) = of_few.unexplained(of_few.cosines(strange))
     assert unlike(of_few, strange) == (
         f"the recording is unlike all simulated ones of this heart ({outside:.0%} of its QRS, "
         "10% at most expected)"

@@ -15,10 +15,10 @@ from fascicle.core.parameters import EXAMPLE_PARAMETERS, HUMAN_SPACE, ParameterS
 from fascicle.emulation import ecg_emulator as tested
 from fascicle.emulation.ecg_emulator import (
     EcgEmulator,
-    _on_another_clock,
+    _scaled_in_time,
     learn,
+    refined,
     tissue_inputs,
-    trained_on,
 )
 from fascicle.emulation.heart_emulator import emulator_of, simulations_for, usual_prior
 from fascicle.emulation.likelihood import EmulatedLikelihood, beat_noise, checked, likelihood_of
@@ -122,14 +122,16 @@ def test_it_learns_and_says_how_well(examples, emulator):
     error = np.sqrt(((given - own) ** 2).sum() / (given**2).sum())
     assert size["error"] == pytest.approx(error, abs=0.02)
     # of what bodies add, sums of the leads are known; what is left is what components hold of it
-    rest, unknown = slow(examples.in_bodies) - own, size["error_in_bodies"] ** 2
+    rest, unknown = slow(examples.in_torsos) - own, size["error_in_bodies"] ** 2
     assert (rest**2).sum() / (given**2).sum() > 1.3 * unknown
-    left = emulator.left_leads[:, list(INDEPENDENT_ROWS)]
+    left = emulator.residual_leads[:, list(INDEPENDENT_ROWS)]
     assert 0.6 * unknown < (left**2).sum() < 1.2 * unknown
-    assert 0.1 < (emulator.left_by_bodies**2).sum() / (emulator.left**2).sum() < 0.9
-    added = emulator.bodies_of_all_leads[0] @ leads[0]
+    assert (
+        0.1 < (emulator.torso_residual_factor**2).sum() / (emulator.residual_factor**2).sum() < 0.9
+    )
+    added = emulator.torso_modes_of_all_leads[0] @ leads[0]
     assert_allclose(added[2:6], limb_leads_from(INDEPENDENT_LEADS)[2:, :2] @ added[:2], atol=1e-9)
-    into = emulator.bodies[0] / np.abs(emulator.bodies[0]).max()
+    into = emulator.torso_modes[0] / np.abs(emulator.torso_modes[0]).max()
     assert np.abs(np.diag(np.roll(into, -1, axis=0))).mean() > 2 * np.abs(into).mean()
     limb = limb_leads_from(INDEPENDENT_LEADS)
     assert_allclose(leads[:, :6], np.einsum("al,nlt->nat", limb[:, :2], leads[:, :2]), atol=1e-9)
@@ -150,7 +152,7 @@ def test_trained_on_where_a_posterior_lies(emulator):
     changed = 1.3 * ecgs_of(near)  # as no network of the prior was
     noise = 0.05 * smooth_noise(rng, changed.shape, 1.0).astype(np.float32)
     train, unseen = slice(0, 300), slice(300, None)
-    found = trained_on(emulator, of(near[train]), (changed + noise)[train], of(usual), rng, 200)
+    found = refined(emulator, of(near[train]), (changed + noise)[train], of(usual), rng, 200)
     off = {}
     for name, each in (("before", emulator), ("after", found)):
         own = emulated_ecgs(each, near[unseen])[0][:, list(INDEPENDENT_ROWS)]
@@ -159,7 +161,7 @@ def test_trained_on_where_a_posterior_lies(emulator):
     noisy, clean = slow(changed + noise), slow(changed)
     error = np.sqrt(((noisy - clean) ** 2).sum() / (noisy**2).sum())
     assert found.expected_error == pytest.approx(np.hypot(error, off["after"]), rel=0.25)
-    left = (found.left**2).sum() - (found.left_by_bodies**2).sum()
+    left = (found.residual_factor**2).sum() - (found.torso_residual_factor**2).sum()
     assert 0.6 < left / found.expected_error**2 < 1.1  # what components hold of it
     far = rng.random((200, 6))
     one, other = (emulated_ecgs(each, far)[0] for each in (emulator, found))
@@ -274,7 +276,7 @@ def test_a_faster_heart_is_the_same_on_another_clock(default_model, network, spe
 
     now = np.array([ecg(values)] * 4, np.float32)
     here = {name: np.full(4, values[name]) for name in ends}
-    others, expected = _on_another_clock(here, ends, now, np.random.default_rng(2))
+    others, expected = _scaled_in_time(here, ends, now, np.random.default_rng(2))
     clock = others["cv"] / 3.0
     assert np.ptp(clock) > 0.2
     assert others[delay] == pytest.approx(values[delay] / clock)
@@ -324,4 +326,4 @@ def test_the_likelihood_knows_what_the_emulator_does_not_say(emulator, target):
         energy = (given.qrs[list(INDEPENDENT_ROWS)] ** 2).sum()
         known = likelihood_of(given, emulator[0], 0.3).known
         seen = np.trace(known - beat_noise(given)) / energy
-        assert 0.75 < seen / (emulator[0].left ** 2).sum() < 1
+        assert 0.75 < seen / (emulator[0].residual_factor ** 2).sum() < 1

@@ -115,9 +115,9 @@ def test_those_held_out_have_bodies(prior):
     """Other ones than the plain one, with the same activation."""
     examples = prior.examples(COUNT)
     plain = examples.ecgs[examples.held_out[examples.feasible]]
-    assert 0 < len(plain) == len(examples.in_bodies)
+    assert 0 < len(plain) == len(examples.in_torsos)
     assert examples.held_out.sum() == 2 * PART / tested.HELD_OUT
-    for one, other in zip(plain, examples.in_bodies, strict=True):
+    for one, other in zip(plain, examples.in_torsos, strict=True):
         apart = ((one - other) ** 2).sum() / (one**2).sum()
         assert 1e-3 < apart < 3
         assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.3
@@ -221,8 +221,8 @@ def test_examples_of_the_prior_leave_out_what_does_not_belong_to_it():
     assert_array_equal(found.points, examples.points)
     assert_array_equal(found.feasible, kept)
     assert_array_equal(found.ecgs[:, 0, 0], numbers[kept])
-    assert_array_equal(found.in_bodies[:, 0, 0], [-19])
-    assert_array_equal(found.bodies, [7])
+    assert_array_equal(found.in_torsos[:, 0, 0], [-19])
+    assert_array_equal(found.torsos, [7])
     assert_array_equal(found.held_out, examples.held_out)
     assert_array_equal(found.of_the_prior.ecgs, found.ecgs)
 
@@ -300,7 +300,7 @@ def test_only_hearts_without_fixed_delays_are_the_same_on_any_clock(
     monkeypatch.setattr(PriorSimulations, "simulate", lambda self, *given: None)
     with pytest.raises(KeyboardInterrupt):
         heart_emulator.made_emulator(with_prior(prior, fixed=fixed), 1, Threads(1))
-    assert asked["same_on_any_clock"] == (not fixed)
+    assert asked["time_scaling"] == (not fixed)
 
 
 @pytest.mark.slow
@@ -365,7 +365,7 @@ def test_an_emulator_is_refined_with_draws_of_the_posterior(prior, model, tmp_pa
     assert len([*(tmp_path / DISPOSABLE).glob("posterior-*.npz")]) == 1
     found = refined_emulators(*given(), np.random.default_rng(0))[0]
     assert pool.sent == PART  # found
-    assert_array_equal(found.left, first.left)
+    assert_array_equal(found.residual_factor, first.residual_factor)
     free = given(PointSimulator(model, study(model.heart, {"anisotropy_ratio": "free"}), pool), 1)
     assert refined_emulators(*free, None) == [emulator]
 

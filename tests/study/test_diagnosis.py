@@ -468,7 +468,7 @@ def test_a_heart_without_a_classifier_gets_one(default_model, target, tmp_path, 
     two = {name: known[name] for name in ("left bundle branch delay", "right bundle branch delay")}
     rows, pool = np.array([0, 1, 6, 7, 8]), Threads(2)
     made = classifier_of(two, rows, tmp_path, 200, pool)
-    assert made.right > 0.6
+    assert made.accuracy > 0.6
     late = probabilities(made, two, dict.fromkeys(two, 1.0), target)
     assert late["left bundle branch delay"] > 0.6
     again = classifier_of(two, rows, tmp_path, 200, None)

@@ -23,7 +23,7 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import INDEPENDENT_LEADS, LEADS, independent_rows
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.threads import one_thread
-from fascicle.emulation.ecg_emulator import all_leads, body_modes
+from fascicle.emulation.ecg_emulator import all_leads, torso_modes_of
 from fascicle.forward.likelihood import (
     HALF_PERIOD,
     SHARES,
@@ -61,17 +61,17 @@ class Recorder:
 
     Attributes
     ----------
-    bodies : (k, 8, 8) array
+    torso_modes : (k, 8, 8) array
         Torso modes: matrices that a torso adds to the independent leads, each times a standard
         normal factor.
-    left : (h, 8, COSINES) array
+    residuals : (h, 8, COSINES) array
         Residuals of the torso modes in simulated ECGs in random torsos, over the norms of the ECGs.
     discrepancy : (8 · COSINES, 8 · COSINES) array
         Square root of the discrepancy's covariance, of unit size.
     """
 
-    bodies: Floats
-    left: Floats
+    torso_modes: Floats
+    residuals: Floats
     discrepancy: Floats
 
     @classmethod
@@ -80,15 +80,15 @@ class Recorder:
         count = len(INDEPENDENT_LEADS)
         held_out = examples.held_out[examples.feasible]
         plain = in_cosines(examples.ecgs[held_out, :count])
-        in_bodies = in_cosines(examples.in_bodies[:, :count])
-        bodies, factors = body_modes(plain, in_bodies, examples.bodies)
-        mixing = np.einsum("hk,kab->hab", factors[examples.bodies], bodies) + np.eye(count)
-        residuals = (in_bodies - mixing @ plain) / _norms(plain)[:, None, None]
+        in_torsos = in_cosines(examples.in_torsos[:, :count])
+        torso_modes, factors = torso_modes_of(plain, in_torsos, examples.torsos)
+        mixing = np.einsum("hk,kab->hab", factors[examples.torsos], torso_modes) + np.eye(count)
+        residuals = (in_torsos - mixing @ plain) / _norms(plain)[:, None, None]
         first_half, second_half = np.array_split(examples.ecgs[:CHUNK, :count].astype(float), 2)
         pattern = lead_pattern(first_half[: len(second_half)] - second_half)
         modes = idct(np.eye(LENGTH)[:, :COSINES], axis=0, norm="ortho")
         values, vectors = np.linalg.eigh(separable(pattern, discrepancy_in_time(LENGTH), modes))
-        return cls(bodies, residuals, vectors * np.sqrt(np.maximum(values, 0)))
+        return cls(torso_modes, residuals, vectors * np.sqrt(np.maximum(values, 0)))
 
     def recordings(
         self, ecgs: NDArray[Any], rows: Integers, count: int, rng: np.random.Generator
@@ -103,17 +103,19 @@ class Recorder:
         return np.concatenate([leads @ self.recorded(ecgs[k], rng) for k in parts]), chosen
 
     def recorded(
-        self, ecgs: NDArray[Any], rng: np.random.Generator, *, in_bodies: bool = False
+        self, ecgs: NDArray[Any], rng: np.random.Generator, *, in_torsos: bool = False
     ) -> Singles:
         """Make recordings (n, 8, COSINES) of ECGs (n, 8, LENGTH), perhaps in torsos already."""
         count, norms = len(ecgs), _norms(ecgs)
         recordings = in_cosines(_shifted(ecgs, rng))
-        if not in_bodies:
-            factors = rng.standard_normal((count, len(self.bodies)))
+        if not in_torsos:
+            factors = rng.standard_normal((count, len(self.torso_modes)))
             recordings = (
-                np.tensordot(factors, self.bodies, 1) + np.eye(ecgs.shape[1])
+                np.tensordot(factors, self.torso_modes, 1) + np.eye(ecgs.shape[1])
             ) @ recordings
-            recordings += norms[:, None, None] * self.left[rng.integers(len(self.left), size=count)]
+            recordings += (
+                norms[:, None, None] * self.residuals[rng.integers(len(self.residuals), size=count)]
+            )
         size = rng.choice(SHARES, count) * norms / np.sqrt(ecgs.shape[1] * _durations(ecgs))
         drawn = rng.standard_normal((count, len(self.discrepancy))) @ self.discrepancy.T
         recordings += size[:, None, None] * drawn.reshape(recordings.shape)
@@ -133,11 +135,11 @@ class EcgClassifier:
         Leads that the classifier uses, as rows of `fascicle.core.leads.LEADS`.
     mean, components, scale : arrays
         Mean of the cosines, their principal components, and the scales that divide these.
-    networks : tuple of Network
+    networks : tuple of NeuralNetwork
         Neural networks, whose probabilities are averaged.
-    right : float
+    accuracy : float
         Share of held-out recordings whose most probable kind is the true one.
-    most_outside : float, optional
+    most_unexplained : float, optional
         Share of energy outside the components that 98 % of held-out recordings do not exceed; None
         if it was not stored.
     """
@@ -147,8 +149,8 @@ class EcgClassifier:
     components: Floats
     scale: Floats
     networks: tuple[NeuralNetwork, ...]
-    right: float
-    most_outside: float | None = None
+    accuracy: float
+    most_unexplained: float | None = None
 
     def probabilities(self, target: Target) -> Floats:
         """Probability (c,) of each kind, given a recording."""
@@ -167,7 +169,7 @@ class EcgClassifier:
         by_network = [softmax(network(inputs)) for network in self.networks]
         return np.asarray(np.mean(by_network, axis=0), dtype=float)
 
-    def outside(self, recordings: NDArray[Any]) -> Floats:
+    def unexplained(self, recordings: NDArray[Any]) -> Floats:
         """Share (n,) of the energy of recordings (n, r, COSINES) outside the components."""
         flat = recordings.reshape(len(recordings), -1).astype(float)
         inside = ((flat @ self.components.T) ** 2).sum(axis=1)
@@ -176,10 +178,10 @@ class EcgClassifier:
     def arrays(self) -> dict[str, Any]:
         """Arrays of all attributes, for a file; weights of networks in half precision."""
         arrays = {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)[:4]}
-        arrays["right"] = np.asarray(self.right)
+        arrays["right"] = np.asarray(self.accuracy)
         arrays["components"] = arrays["components"].astype(np.float32)
-        if self.most_outside is not None:
-            arrays["most_outside"] = np.asarray(self.most_outside)
+        if self.most_unexplained is not None:
+            arrays["most_outside"] = np.asarray(self.most_unexplained)
         return arrays | weight_arrays("networks", self.networks)
 
     @classmethod
@@ -187,13 +189,15 @@ class EcgClassifier:
         """Make a classifier from its `arrays`."""
         parts = ("rows", "mean", "components", "scale")
         rows, mean, components, scale = (np.asarray(arrays[name]) for name in parts)
-        most_outside = float(arrays["most_outside"]) if "most_outside" in arrays else None
+        most_unexplained = float(arrays["most_outside"]) if "most_outside" in arrays else None
         networks = networks_from("networks", arrays)
-        return cls(rows, mean, components, scale, networks, float(arrays["right"]), most_outside)
+        return cls(
+            rows, mean, components, scale, networks, float(arrays["right"]), most_unexplained
+        )
 
 
 @dataclass(frozen=True)
-class Lessons:
+class RecordingSet:
     """Training or held-out set: recordings (n, r, COSINES), and probabilities of kinds (n, c)."""
 
     recordings: Singles
@@ -202,15 +206,15 @@ class Lessons:
 
 @one_thread
 def learn(
-    seen: Lessons,
-    held_out: Lessons,
+    training_set: RecordingSet,
+    held_out: RecordingSet,
     rows: Integers,
     rng: np.random.Generator,
     progress: Progress | None = None,
     steps: int = TRAINING_STEPS,
 ) -> EcgClassifier:
     """Train a classifier of recordings in the leads `rows` (`fascicle.core.leads.LEADS`)."""
-    training = seen.recordings.reshape(len(seen.kinds), -1)
+    training = training_set.recordings.reshape(len(training_set.kinds), -1)
     mean = training.mean(axis=0, dtype=float)
     sample = training[rng.integers(len(training), size=6000)] - mean
     components = np.linalg.svd(sample, full_matrices=False)[2][:CLASSIFIER_COMPONENTS]
@@ -218,7 +222,7 @@ def learn(
     sds = (sample @ components.T).std(axis=0)
     scale = np.sqrt(sds * sds.max())
     inputs = _inputs(training, mean, components, scale)
-    of_kinds = partial(train, inputs, seen.kinds, width=WIDTH, steps=steps, link=softmax)
+    of_kinds = partial(train, inputs, training_set.kinds, width=WIDTH, steps=steps, link=softmax)
     report = stage_progress(progress, "training")
     total = CLASSIFIERS * steps
     networks = train_together([of_kinds] * CLASSIFIERS, rng, lambda done: report(done, total))
@@ -226,11 +230,11 @@ def learn(
     guessed = classifier.of_cosines(held_out.recordings).argmax(axis=1)
     classifier = replace(
         classifier,
-        right=float((guessed == held_out.kinds.argmax(axis=1)).mean()),
-        most_outside=float(np.quantile(classifier.outside(held_out.recordings), FAMILIAR)),
+        accuracy=float((guessed == held_out.kinds.argmax(axis=1)).mean()),
+        most_unexplained=float(np.quantile(classifier.unexplained(held_out.recordings), FAMILIAR)),
     )
     if progress is not None:
-        progress("classifier", 1, 1, f"{classifier.right:.0%} of held-out recordings told right")
+        progress("classifier", 1, 1, f"{classifier.accuracy:.0%} of held-out recordings told right")
     return classifier
 
 

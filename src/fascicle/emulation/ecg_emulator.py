@@ -55,7 +55,14 @@ EPOCHS = 12  # times that every example of the prior is seen
 EPOCHS_ON = 20  # times that every example of a posterior is seen
 FOLDS = 4  # of cross-validation on the examples of a posterior
 FASTER = ("alpha", "fibre_speed", "cv")  # multiplied by c in time scaling
-SMALL = ("mean", "components", "bodies", "left", "left_by_bodies")  # stored in single precision
+# Names in files of the attributes that are stored in single precision
+STORED = {
+    "mean": "mean",
+    "components": "components",
+    "torso_modes": "bodies",
+    "residual_factor": "left",
+    "torso_residual_factor": "left_by_bodies",
+}
 SOONER = (*DELAY, "anterograde_delay", "retrograde_delay", "his_time")  # divided by c
 
 
@@ -79,14 +86,14 @@ class EcgEmulator:
         Root mean square of the components (mV).
     length : int
         Samples (1 ms) of an ECG, which begins `BEFORE` the first activation.
-    bodies : (k, 8 + a, 8 + a) array
+    torso_modes : (k, 8 + a, 8 + a) array
         Torso modes: matrices that a torso adds to the independent leads, each times a factor that
         is standard normal over random torsos.
-    left : (q, q) array
+    residual_factor : (q, q) array
         Residual covariance factor: rows, in components, whose outer products add up to the mean
         outer product of the residuals of held-out ECGs in random torsos. A residual is what
         emulator and torso modes leave unexplained, over the norm of the emulated ECG.
-    left_by_bodies : (q, q) array
+    torso_residual_factor : (q, q) array
         Residual covariance factor of the torso modes alone, applied to simulated ECGs.
     report : mapping of str to float
         Quality for held-out networks: explained share of the variance; root mean square error over
@@ -103,20 +110,20 @@ class EcgEmulator:
     components: Floats
     unit: float
     length: int
-    bodies: Floats
-    left: Floats
-    left_by_bodies: Floats
+    torso_modes: Floats
+    residual_factor: Floats
+    torso_residual_factor: Floats
     report: Mapping[str, float]
 
     @property
-    def said(self) -> str:
+    def summary(self) -> str:
         """Quality for held-out networks, in a line."""
         report = self.report
         leads = sorted((error, name) for name, error in report.items() if "error_V" in name)
         (least, best), (most, worst) = leads[0], leads[-1]
         return (
             f"held-out ECGs: R² {report['r_squared']:.2f}, {report['error']:.0%} off ({least:.0%} "
-            f"{best[6:]} to {most:.0%} {worst[6:]}; {report['error_in_bodies']:.0%} in bodies)"
+            f"{best[6:]} to {most:.0%} {worst[6:]}; {report['error_in_bodies']:.0%} in torsos)"
         )
 
     @property
@@ -142,8 +149,8 @@ class EcgEmulator:
         """Cosines (n, 8 + k, f) of the ECGs that have scores (n, q)."""
         return np.asarray(self.mean + np.tensordot(self.unit * scores, self.components, 1))
 
-    def root_of(self, errors: Floats, emulated: Floats) -> Floats:
-        """Residual covariance factor (q, q) of errors over the norms of emulated ECGs (`left`)."""
+    def residual_factor_of(self, errors: Floats, emulated: Floats) -> Floats:
+        """Residual covariance factor (q, q) of errors over the norms of emulated ECGs."""
         flat = self.components.reshape(len(self.components), -1)
         norms = np.sqrt((emulated**2).sum(axis=(1, 2)))
         rows = errors.reshape(len(errors), -1) @ flat.T / norms[:, None]
@@ -160,18 +167,22 @@ class EcgEmulator:
         return np.asarray(_in_time(self.mean[None], self.length)[0])
 
     @cached_property
-    def bodies_of_all_leads(self) -> Floats:
+    def torso_modes_of_all_leads(self) -> Floats:
         """Torso modes (k, 12 + a, 12 + a) of all leads."""
-        all_from_independent = all_leads(np.eye(self.bodies.shape[1]))
+        all_from_independent = all_leads(np.eye(self.torso_modes.shape[1]))
         rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(all_from_independent))]
-        modes = np.zeros((len(self.bodies), len(all_from_independent), len(all_from_independent)))
-        modes[:, :, rows] = all_from_independent @ self.bodies
+        modes = np.zeros(
+            (len(self.torso_modes), len(all_from_independent), len(all_from_independent))
+        )
+        modes[:, :, rows] = all_from_independent @ self.torso_modes
         return modes
 
     @cached_property
-    def left_leads(self) -> Floats:
+    def residual_leads(self) -> Floats:
         """Residual covariance factor (q, 12 + k, length) in all leads, for ECGs of unit norm."""
-        return _in_time(np.einsum("hq,qlf->hlf", self.left, self.components), self.length)
+        return _in_time(
+            np.einsum("hq,qlf->hlf", self.residual_factor, self.components), self.length
+        )
 
     def arrays(self) -> dict[str, Any]:
         """Arrays of all attributes, for a file; weights of networks in half precision."""
@@ -183,8 +194,8 @@ class EcgEmulator:
                 arrays |= weight_arrays(field.name, group)
             elif field.name == "report":
                 arrays |= {f"report {name}": number for name, number in value.items()}
-            elif field.name in SMALL:
-                arrays[field.name] = value.astype(np.float32)
+            elif field.name in STORED:
+                arrays[STORED[field.name]] = value.astype(np.float32)
             else:
                 arrays[field.name] = value
         return arrays
@@ -193,7 +204,7 @@ class EcgEmulator:
     def from_arrays(cls, arrays: Mapping[str, Any]) -> EcgEmulator:
         """Make an emulator from its `arrays`."""
         parts = {n: np.asarray(arrays[n]) for n in ("centre", "scale")}
-        parts |= {name: np.asarray(arrays[name], float) for name in SMALL}
+        parts |= {name: np.asarray(arrays[key], float) for name, key in STORED.items()}
         (validity,) = networks_from("validity", arrays)
         return cls(
             names=tuple(map(str, arrays["names"])),
@@ -251,7 +262,7 @@ def learn(
     plain_ratio: float,
     rng: np.random.Generator,
     *,
-    same_on_any_clock: bool = True,
+    time_scaling: bool = True,
     progress: Progress | None = None,
 ) -> EcgEmulator:
     """Train an emulator on the examples that are not held out.
@@ -260,7 +271,7 @@ def learn(
     ----------
     plain_ratio : float
         Conduction velocity along over across the fibre in the plain tissue.
-    same_on_any_clock : bool
+    time_scaling : bool
         Whether time scaling holds; it does not where a scenario has times.
     """
     points, averaged = examples.points, prior.averaged
@@ -282,7 +293,7 @@ def learn(
         np.empty(0), np.empty(0), {},
     )  # fmt: skip
 
-    def lesson(values: Mapping[str, Floats], ecgs: Floats) -> tuple[Singles, Floats]:
+    def example(values: Mapping[str, Floats], ecgs: Floats) -> tuple[Singles, Floats]:
         centred = (ecgs - mean).reshape(len(ecgs), -1)
         return emulator.inputs(values, tissues[feasible][trained]), centred @ components.T / unit
 
@@ -290,13 +301,13 @@ def learn(
     ends = {
         p.name: (p.lower, p.upper) for p in (*prior.learnt.parameters, *averaged.space.parameters)
     }
-    pairs = [lesson(plain_values, cosines[trained])]
+    pairs = [example(plain_values, cosines[trained])]
     scalable = "cv" in names and {*DELAY} & {*names} and {*FASTER[:2]} & {*names}
-    for _ in range(COPIES if same_on_any_clock and scalable else 0):
-        scaled_values, scaled_ecgs = _on_another_clock(
+    for _ in range(COPIES if time_scaling and scalable else 0):
+        scaled_values, scaled_ecgs = _scaled_in_time(
             plain_values, ends, examples.ecgs[trained], rng
         )
-        pairs.append(lesson(scaled_values, cosines_of(scaled_ecgs, count)))
+        pairs.append(example(scaled_values, cosines_of(scaled_ecgs, count)))
     inputs, outputs = (
         np.concatenate(arrays).astype(np.float32) for arrays in zip(*pairs, strict=True)
     )
@@ -306,7 +317,7 @@ def learn(
         inputs, outputs, all_inputs[free], validity_outputs, rng, progress
     )
     emulator = replace(emulator, networks=tuple(networks), validity=validity)
-    return _with_what_is_left(emulator, examples.of_the_prior, count, all_inputs)
+    return _with_residuals(emulator, examples.of_the_prior, count, all_inputs)
 
 
 def _refuse(examples: Examples, names: tuple[str, ...], raw: Floats) -> None:
@@ -348,7 +359,7 @@ def cosines_of(ecgs: NDArray[Any], count: int) -> Floats:
     return np.asarray(dct(ecgs, axis=-1, norm="ortho")[..., :count], dtype=float)
 
 
-def _on_another_clock(
+def _scaled_in_time(
     values: Mapping[str, Floats],
     ends: Mapping[str, tuple[float, float]],
     ecgs: NDArray[np.float32],
@@ -376,20 +387,20 @@ def _on_another_clock(
     return scaled, early * (1 - share) + late * share
 
 
-def _with_what_is_left(
+def _with_residuals(
     emulator: EcgEmulator, examples: Examples, count: int, inputs: Singles
 ) -> EcgEmulator:
     """Add torso modes, residual covariance factors and report, by the held-out ECGs."""
     held_out = examples.held_out
     emulated = emulator.cosines(emulator.scores(inputs[held_out & examples.feasible]))
-    in_bodies = cosines_of(examples.in_bodies, count)
+    in_torsos = cosines_of(examples.in_torsos, count)
     true = cosines_of(examples.ecgs[held_out[examples.feasible]], count)
-    bodies, factors = body_modes(true, in_bodies, examples.bodies)
-    mixing = np.einsum("hk,kab->hab", factors[examples.bodies], bodies) + np.eye(true.shape[1])
-    errors_in_bodies = in_bodies - mixing @ emulated
-    left, left_by_bodies = (
-        emulator.root_of(errors, emulated)
-        for errors in (errors_in_bodies, in_bodies - mixing @ true)
+    modes, factors = torso_modes_of(true, in_torsos, examples.torsos)
+    mixing = np.einsum("hk,kab->hab", factors[examples.torsos], modes) + np.eye(true.shape[1])
+    errors_in_torsos = in_torsos - mixing @ emulated
+    factor, torso_factor = (
+        emulator.residual_factor_of(errors, emulated)
+        for errors in (errors_in_torsos, in_torsos - mixing @ true)
     )
     errors, squares = ((true - emulated) ** 2).sum(), (true**2).sum()
     spread = ((true - true.mean(axis=0)) ** 2).sum()
@@ -397,15 +408,21 @@ def _with_what_is_left(
     report = {
         "networks": float(len(examples.points)),
         "r_squared": 1 - float(errors / max(spread, 1e-12)),
-        "error_in_bodies": float(np.sqrt((errors_in_bodies**2).sum() / squares)),
+        "error_in_bodies": float(np.sqrt((errors_in_torsos**2).sum() / squares)),
         "validity": float(((odds > 0) == feasible).mean()),
         **_errors("error", true, emulated),
     }
-    return replace(emulator, bodies=bodies, left=left, left_by_bodies=left_by_bodies, report=report)
+    return replace(
+        emulator,
+        torso_modes=modes,
+        residual_factor=factor,
+        torso_residual_factor=torso_factor,
+        report=report,
+    )
 
 
 @one_thread
-def trained_on(
+def refined(
     emulator: EcgEmulator,
     inputs: Singles,
     ecgs: NDArray[np.float32],
@@ -446,11 +463,11 @@ def trained_on(
         without_fold = replace(emulator, networks=tuple(networks[k * count : (k + 1) * count]))
         emulated[fold == k] = without_fold.cosines(without_fold.scores(inputs[fold == k]))
     true, emulated = true[-latest:], emulated[-latest:]
-    local = emulator.root_of(true - emulated, emulated)
+    local = emulator.residual_factor_of(true - emulated, emulated)
     return replace(
         emulator,
         networks=tuple(networks[-count:]),
-        left=_root(np.concatenate([local, emulator.left_by_bodies])),
+        residual_factor=_root(np.concatenate([local, emulator.torso_residual_factor])),
         report={**emulator.report, **_errors("error_of_posterior", true, emulated)},
     )
 
@@ -470,7 +487,7 @@ def _root(rows: Floats) -> Floats:
     return np.asarray(np.sqrt(np.maximum(values, 0))[:, None] * vectors.T)
 
 
-def body_modes(plain: Floats, in_bodies: Floats, numbers: Integers) -> tuple[Floats, Floats]:
+def torso_modes_of(plain: Floats, in_torsos: Floats, numbers: Integers) -> tuple[Floats, Floats]:
     """Torso modes: matrices (k, 8 + a, 8 + a) on the leads, and factors (torsos, k) of each torso.
 
     Leads that see the same activation front from slightly different places are nearly linear
@@ -484,12 +501,14 @@ def body_modes(plain: Floats, in_bodies: Floats, numbers: Integers) -> tuple[Flo
     root, differences = np.linalg.cholesky(power), np.zeros((BODIES, rows, rows))
     for number in np.unique(numbers):
         plain_ecgs = plain[numbers == number].transpose(1, 0, 2).reshape(rows, -1)
-        torso_ecgs = in_bodies[numbers == number].transpose(1, 0, 2).reshape(rows, -1)
+        torso_ecgs = in_torsos[numbers == number].transpose(1, 0, 2).reshape(rows, -1)
         ridge = plain_ecgs @ plain_ecgs.T + 1e-3 * plain_ecgs.shape[1] * power
         differences[number] = np.linalg.solve(ridge, plain_ecgs @ (torso_ecgs - plain_ecgs).T).T
     # in uncorrelated leads of unit power, so that the largest modes add the most energy
     flat = (differences @ root).reshape(BODIES, -1)
     factors, sizes, modes = np.linalg.svd(flat, full_matrices=False)
     sds = sizes[:TORSO_MODES] / np.sqrt(BODIES)
-    bodies = sds[:, None, None] * modes[:TORSO_MODES].reshape(-1, rows, rows) @ np.linalg.inv(root)
-    return bodies, factors[:, :TORSO_MODES] * np.sqrt(BODIES)
+    matrices = (
+        sds[:, None, None] * modes[:TORSO_MODES].reshape(-1, rows, rows) @ np.linalg.inv(root)
+    )
+    return matrices, factors[:, :TORSO_MODES] * np.sqrt(BODIES)

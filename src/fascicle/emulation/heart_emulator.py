@@ -101,13 +101,13 @@ def made_emulator(
         fixed_times = {*SOONER} & {*prior.fixed, *model.heart.values}  # which do not scale
         arrays = learn(
             simulations.examples(count), prior, ratio, np.random.default_rng(SEED),
-            same_on_any_clock=simulations.scenario is None and not fixed_times, progress=progress,
+            time_scaling=simulations.scenario is None and not fixed_times, progress=progress,
         ).arrays()  # fmt: skip
         cache.write(key, arrays, compress=True)
     # from arrays even if it was just made, so that weights have the stored precision
     emulator = EcgEmulator.from_arrays(arrays)
     if progress is not None:
-        progress("emulator", 1, 1, emulator.said)
+        progress("emulator", 1, 1, emulator.summary)
     return emulator
 
 

@@ -40,11 +40,13 @@ def likelihood_of(target: Target, emulator: EcgEmulator, gain_sd: float) -> QrsL
     """
     rows, modes = independent_rows(target.used), cosines(target.qrs.shape[1])
     size = np.sqrt((target.qrs[rows] ** 2).sum())
-    residuals = size * emulator.left_leads[:, rows, BEFORE - MARGIN :][:, :, : len(modes)]
+    residuals = size * emulator.residual_leads[:, rows, BEFORE - MARGIN :][:, :, : len(modes)]
     coefficients = (residuals @ modes[: residuals.shape[2]]).reshape(len(residuals), -1)
     covariance = beat_noise(target) + coefficients.T @ coefficients
     discrepancy = separable(lead_pattern(residuals), discrepancy_in_time(len(modes)), modes)
-    return QrsLikelihood(target, covariance, discrepancy, gain_sd, emulator.bodies_of_all_leads)
+    return QrsLikelihood(
+        target, covariance, discrepancy, gain_sd, emulator.torso_modes_of_all_leads
+    )
 
 
 @dataclass(frozen=True)
@@ -153,17 +155,15 @@ def checked(
 
     `emulated` holds the likelihood that belongs to each network.
     """
-    off = whole = expected = 0.0
+    errors = energy = expected = 0.0
     for likelihood in {id(candidate): candidate for candidate in emulated}.values():
-        own_networks = [
-            n for n, candidate in zip(networks, emulated, strict=True) if candidate is likelihood
-        ]
-        false, energy = likelihood.energies(own_networks)
-        off, whole = off + false, whole + energy
-        expected += likelihood.emulator.expected_error**2 * energy
+        pairs = zip(networks, emulated, strict=True)
+        of_state = likelihood.energies([n for n, candidate in pairs if candidate is likelihood])
+        errors, energy = errors + of_state[0], energy + of_state[1]
+        expected += likelihood.emulator.expected_error**2 * of_state[1]
     in_torso = emulated[0].simulator.model.heart.lead_fields is not None
     return replace(
         checks,
-        emulator=[float(np.sqrt(off / whole)), float(np.sqrt(expected / whole))],
+        emulator=[float(np.sqrt(errors / energy)), float(np.sqrt(expected / energy))],
         least_explained=LEAST_IN_TORSO if in_torso else LEAST_EXPLAINED,
     )

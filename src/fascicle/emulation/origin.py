@@ -30,8 +30,8 @@ from fascicle.core.ranges import short_repr
 from fascicle.emulation.ecg_classifier import (
     LENGTH,
     EcgClassifier,
-    Lessons,
     Recorder,
+    RecordingSet,
     classified_rows,
     in_cosines,
     in_leads,
@@ -372,11 +372,11 @@ def _learnt(
     recorder, independent = Recorder.of(examples), slice(len(INDEPENDENT_LEADS))
     ecgs = examples.ecgs[~held_out[feasible], independent]
     recordings, chosen = recorder.recordings(ecgs, rows, ORIGIN_RECORDINGS, rng)
-    in_torsos = examples.in_bodies[:, independent]
-    held_out_recordings = leads @ recorder.recorded(in_torsos, rng, in_bodies=True)
+    in_torsos = examples.in_torsos[:, independent]
+    held_out_recordings = leads @ recorder.recorded(in_torsos, rng, in_torsos=True)
     classifier = learn(
-        Lessons(recordings, _near(patches, centres[training_origins])[chosen]),
-        Lessons(held_out_recordings, _near(patches, centres[held_out_origins])),
+        RecordingSet(recordings, _near(patches, centres[training_origins])[chosen]),
+        RecordingSet(held_out_recordings, _near(patches, centres[held_out_origins])),
         rows, rng, progress, ORIGIN_STEPS,
     )  # fmt: skip
     reference = leads @ in_cosines(ecgs[rng.permutation(len(ecgs))[:REFERENCE]])

@@ -119,7 +119,7 @@ class Checks:
         return not self.failures
 
     @property
-    def said(self) -> str:
+    def explained_in_words(self) -> str:
         """Share of the QRS that the best networks explain, in words."""
         # rounded down, so that a value below a limit is not shown as the limit
         share = math.floor(100 * self.explained + 1e-9)
@@ -152,7 +152,7 @@ class Checks:
         if leads := [name for name in rare if name not in self.measured]:
             failures.append(f"{', '.join(leads)} not reproduced")
         if self.explained < self.least_explained:
-            failures.append(f"{self.said}, less than {self.least_explained:.0%}")
+            failures.append(f"{self.explained_in_words}, less than {self.least_explained:.0%}")
         gain, low, high = self.gain
         if not low <= gain <= high:
             failures.append(f"ECG scaled by {gain:.2g}, {low:.2g} to {high:.2g} expected")

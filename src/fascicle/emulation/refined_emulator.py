@@ -18,7 +18,8 @@ from fascicle.core.files import DISPOSABLE
 from fascicle.core.progress import Progress
 from fascicle.core.quantities import Changes, quantity
 from fascicle.core.threads import one_thread
-from fascicle.emulation.ecg_emulator import EcgEmulator, trained_on
+from fascicle.emulation.ecg_emulator import EcgEmulator
+from fascicle.emulation.ecg_emulator import refined as refined_by
 from fascicle.emulation.likelihood import EmulatedLikelihood
 from fascicle.emulation.sampling import RUNS, of_all, sampled
 from fascicle.forward.scenario import Scenario
@@ -98,7 +99,7 @@ def refined_emulators(
             )
             seen[digest].append((inputs, new_examples.ecgs))
             examples = map(np.concatenate, zip(*seen[digest], strict=True))
-            refined[digest] = trained_on(emulator, *examples, usual_inputs, rng, latest=len(inputs))
+            refined[digest] = refined_by(emulator, *examples, usual_inputs, rng, latest=len(inputs))
         before, now = now, emulated_by([refined[digest] for digest in digests])
         log_weights = of_all(now, run_points) - of_all(before, run_points)
         if effective_size(log_weights - log_weights.max()) > MOVED * len(run_points):

@@ -26,8 +26,8 @@ from fascicle.core.ranges import check_kind
 from fascicle.emulation.ecg_classifier import (
     LENGTH,
     EcgClassifier,
-    Lessons,
     Recorder,
+    RecordingSet,
     classified_rows,
     in_leads,
     learn,
@@ -83,7 +83,7 @@ class StateSimulations:
         examples = self.simulations.examples(self.count, LENGTH).of_the_prior
         independent = slice(len(INDEPENDENT_LEADS))
         training_ecgs = examples.ecgs[~examples.held_out[examples.feasible], independent]
-        held_out_ecgs = examples.in_bodies[:, independent]
+        held_out_ecgs = examples.in_torsos[:, independent]
         if len(training_ecgs) < FEWEST_OF_STATE or not len(held_out_ecgs):
             raise InputError(
                 f"only {len(training_ecgs)} networks of the prior of '{self.state.name}' fit this "
@@ -93,10 +93,10 @@ class StateSimulations:
 
 
 def probabilities(
-    classifier: EcgClassifier, known: Iterable[str], priors: Mapping[str, float], target: Target
+    classifier: EcgClassifier, states: Iterable[str], priors: Mapping[str, float], target: Target
 ) -> dict[str, float]:
-    """Posterior probabilities of states by a classifier, which knows the states `known`."""
-    by_classifier = zip(known, classifier.probabilities(target), strict=True)
+    """Posterior probabilities of states by a classifier, which knows the states `states`."""
+    by_classifier = zip(states, classifier.probabilities(target), strict=True)
     products = {name: p * priors[name] for name, p in by_classifier if name in priors}
     total = sum(products.values())
     return {name: float(p / total) for name, p in products.items()}
@@ -193,13 +193,13 @@ def state_probabilities(
 
 def unlike(classifier: EcgClassifier, target: Target) -> str:
     """Reason why a recording is unlike the training set of a classifier; empty if it is alike."""
-    assert classifier.most_outside is not None
-    (outside,) = classifier.outside(classifier.cosines(target))
-    if outside <= classifier.most_outside:
+    assert classifier.most_unexplained is not None
+    (unexplained,) = classifier.unexplained(classifier.cosines(target))
+    if unexplained <= classifier.most_unexplained:
         return ""
     return (
-        f"the recording is unlike all simulated ones of this heart ({outside:.0%} of its QRS, "
-        f"{classifier.most_outside:.0%} at most expected)"
+        f"the recording is unlike all simulated ones of this heart ({unexplained:.0%} of its QRS, "
+        f"{classifier.most_unexplained:.0%} at most expected)"
     )
 
 
@@ -232,7 +232,7 @@ def _of_each(
 
 
 def classifier_of(
-    known: Mapping[str, StateSimulations],
+    states: Mapping[str, StateSimulations],
     rows: Integers,
     folder: Path,
     count: int,
@@ -242,39 +242,41 @@ def classifier_of(
     """Classifier of states by the leads `rows`: from the package, a heart's folder, or made."""
 
     def make() -> Mapping[str, Any]:
-        for number, of_state in enumerate(known.values(), 1):
-            message = f"{of_state.state.name} ({number} of {len(known)} states)"
+        for number, of_state in enumerate(states.values(), 1):
+            message = f"{of_state.state.name} ({number} of {len(states)} states)"
             of_state.simulations.simulate(of_state.count, pool, progress, message)
         rng = np.random.default_rng(SEED)
-        arrays: Mapping[str, Any] = learn(*lessons(known, rows, rng), rows, rng, progress).arrays()
+        arrays: Mapping[str, Any] = learn(
+            *training_and_held_out(states, rows, rng), rows, rng, progress
+        ).arrays()
         return arrays
 
-    stored = learnt_or_made(CLASSIFIER, classifier_key(known, rows), count, folder, make)
+    stored = learnt_or_made(CLASSIFIER, classifier_key(states, rows), count, folder, make)
     return EcgClassifier.from_arrays(stored)
 
 
-def classifier_key(known: Mapping[str, StateSimulations], rows: Integers) -> str:
+def classifier_key(states: Mapping[str, StateSimulations], rows: Integers) -> str:
     """Text that identifies all that the classifier of states by the leads `rows` depends on."""
-    return "; ".join([str(rows), *(of_state.content for of_state in known.values())])
+    return "; ".join([str(rows), *(of_state.content for of_state in states.values())])
 
 
-def lessons(
-    known: Mapping[str, StateSimulations], rows: Integers, rng: np.random.Generator
-) -> tuple[Lessons, Lessons]:
+def training_and_held_out(
+    states: Mapping[str, StateSimulations], rows: Integers, rng: np.random.Generator
+) -> tuple[RecordingSet, RecordingSet]:
     """Training set of a heart's recordings, as many of each state, and a held-out set."""
-    first, *_ = known.values()
+    first, *_ = states.values()
     recorder = Recorder.of(first.simulations.examples(first.count, LENGTH).of_the_prior)
     training: list[Singles] = []
     held_out: list[Singles] = []
-    for state in known.values():
-        ecgs, in_bodies = state.ecgs()
+    for state in states.values():
+        ecgs, in_torsos = state.ecgs()
         training.append(recorder.recordings(ecgs, rows, RECORDINGS, rng)[0])
-        held_out.append(in_leads(rows) @ recorder.recorded(in_bodies, rng, in_bodies=True))
+        held_out.append(in_leads(rows) @ recorder.recorded(in_torsos, rng, in_torsos=True))
     sets = []
     for recordings in (training, held_out):
         one_each = np.eye(len(recordings), dtype=np.float32)
         kinds = np.repeat(one_each, [len(ecgs) for ecgs in recordings], axis=0)
-        sets.append(Lessons(np.concatenate(recordings), kinds))
+        sets.append(RecordingSet(np.concatenate(recordings), kinds))
     return sets[0], sets[1]
 
 

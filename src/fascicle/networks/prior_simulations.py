@@ -56,7 +56,7 @@ class Examples:
         Whether a point gives a network, and whether that network belongs to the prior.
     ecgs : (m, 8 + k, length) array
         Independent leads (mV) of the feasible networks, from `BEFORE` the first activation on.
-    in_bodies, bodies : (h, 8 + k, length) and (h,) arrays
+    in_torsos, torsos : (h, 8 + k, length) and (h,) arrays
         Independent leads (mV) of the feasible held-out networks in a random torso, and the
         torso's number.
     """
@@ -65,8 +65,8 @@ class Examples:
     feasible: Booleans
     kept: Booleans
     ecgs: NDArray[np.float32]
-    in_bodies: NDArray[np.float32]
-    bodies: Integers
+    in_torsos: NDArray[np.float32]
+    torsos: Integers
 
     @property
     def held_out(self) -> Booleans:
@@ -82,8 +82,8 @@ class Examples:
             self,
             feasible=self.kept,
             ecgs=self.ecgs[kept],
-            in_bodies=self.in_bodies[held_out],
-            bodies=self.bodies[held_out],
+            in_torsos=self.in_torsos[held_out],
+            torsos=self.torsos[held_out],
         )
 
 

@@ -165,7 +165,7 @@ class Statements:
         """Summary of the networks, and whether to trust them, in one line."""
         population, checks = self._result.population, self._result.checks
         if isinstance(population, Posterior) and checks is not None:
-            fit = f"fit acceptable: {checks.said}"
+            fit = f"fit acceptable: {checks.explained_in_words}"
             if not checks.acceptable:
                 ends = ", ".join(map(parameter_name, _crowded(self._result)))
                 failures = [

@@ -76,7 +76,7 @@ def meaning(fitted: FittedStudy) -> list[str]:
         )
     if checks is not None and checks.acceptable:
         sentences.append(
-            f"{checks.said}. The QRS duration, the frontal axis and the independent "
+            f"{checks.explained_in_words}. The QRS duration, the frontal axis and the independent "
             "leads are within the range that the networks predict."
         )
     elif checks is not None:
