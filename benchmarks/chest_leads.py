@@ -14,7 +14,7 @@ without Dower's matrix: a lead is like its neighbours. T waves alone are the sam
 each QRS replaced by a line, and pieces of them from the end of a QRS to the next one; counted are
 those that become a target at all.
 
-The constants of `fascicle.recording.quality.checks` were tuned on recordings from `TUNING` on;
+The constants of `fascicle.recording.quality` were tuned on recordings from `TUNING` on;
 `--held-out` takes those from `HELD_OUT` on, which took no part in it.
 """
 
@@ -40,7 +40,7 @@ from fascicle.forward.ecg.electrocardiogram import build_electrocardiograph
 from fascicle.forward.ecg.lead_field import unbounded_gradients
 from fascicle.forward.scenario_files import find_scenario, read_scenario
 from fascicle.mesh.measures import barycentric_gradients
-from fascicle.recording.quality.checks import CHEST, FASTEST_QRS, check_chest_leads, check_mean_beat
+from fascicle.recording.quality import CHEST, FASTEST_QRS, check_chest_leads, check_mean_beat
 from fascicle.recording.recording import Recording
 from fascicle.recording.window import qrs_window
 

@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import LEADS
 from fascicle.recording.pipeline import make_target
-from fascicle.recording.recording import BRIDGED_GAP, bridge_gaps
+from fascicle.recording.recording import bridge_gaps
 
 
 def changes(seed: int) -> tuple[float, float, float]:
@@ -25,13 +25,11 @@ def changes(seed: int) -> tuple[float, float, float]:
     recording, _ = synthetic_recording(rng, Synthesis(noise_db=25.0))
     before = make_target(recording)
     signal, row = recording.signal.copy(), int(rng.integers(6, 12))
-    margin, lost = (
-        500,
-        round(BRIDGED_GAP / 1000 * recording.sampling_rate),
-    )  # samples; no beat cut off
+    gap = 10.0  # ms; the longest that is interpolated
+    margin, lost = 500, round(gap / 1000 * recording.sampling_rate)  # samples; no beat cut off
     steepest = margin + int(np.argmax(np.abs(np.diff(signal[row, margin:-margin]))))
     signal[row, steepest - lost // 2 :][:lost] = np.nan
-    bridged, remarks = bridge_gaps(signal, recording.sampling_rate, LEADS)
+    bridged, remarks = bridge_gaps(signal, recording.sampling_rate, LEADS, longest=gap)
     assert len(remarks) == 1
     after = make_target(replace(recording, signal=bridged))
     ends = (after.qrs_onset - before.qrs_onset, after.qrs_offset - before.qrs_offset)

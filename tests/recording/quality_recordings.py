@@ -1,15 +1,17 @@
-"""Recordings whose faults are known, for the tests of the checks."""
+"""Recordings of which the beats, or the faults, are known."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.synthetic_recordings.rhythms import Synthesis, Truth, synthetic_recording
 from fascicle.core.leads import LEADS, lead_matrix
-from fascicle.recording.quality.check_result import CheckResult, Severity
+from fascicle.recording.quality import CheckResult, Severity
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Recording
 
@@ -76,3 +78,20 @@ def fatal(findings: list[CheckResult] | tuple[CheckResult, ...]) -> list[str]:
 def warned(findings: list[CheckResult] | tuple[CheckResult, ...]) -> list[str]:
     """Messages of what is suspicious."""
     return [finding.message for finding in findings if finding.severity is Severity.WARNING]
+
+
+def synthetic(seed: int | list[int], **options: Any) -> tuple[Recording, Truth]:
+    """A synthetic recording (`Synthesis` tells the options), and what it was made of."""
+    return synthetic_recording(np.random.default_rng(seed), Synthesis(**options))
+
+
+def on_paper(recording: Recording, rhythm_strip: str | None = None) -> Recording:
+    """The recording as on paper: four groups in turn, perhaps one lead all along."""
+    n = recording.signal.shape[1]
+    signal = np.full_like(recording.signal, np.nan)
+    for k in range(4):
+        group, part = slice(3 * k, 3 * k + 3), slice(k * n // 4, (k + 1) * n // 4)
+        signal[group, part] = recording.signal[group, part]
+    if rhythm_strip is not None:
+        signal[LEADS.index(rhythm_strip)] = row(recording, rhythm_strip)
+    return replace(recording, signal=signal)

@@ -142,16 +142,6 @@ def test_of_groups_one_after_another(tmp_path, recording, long):
     np.testing.assert_allclose(target.mean[12], 0.7 * target.mean[11], atol=1e-5)
 
 
-def test_later_ones_do_not_move_the_marks(recording):
-    """Two leads in which the QRS ends 10 ms later, which would confirm each other."""
-    later = np.roll(recording.signal[7], 5)
-    plain = make_target(recording)
-    target = make_target(replace(recording, additional={"X": 3.0 * later, "Y": 2.0 * later}))
-    assert (target.qrs_onset, target.qrs_offset) == (plain.qrs_onset, plain.qrs_offset)
-    assert (target.offset_sd, target.global_qrs) == (plain.offset_sd, plain.global_qrs)
-    assert target.global_qrs_sd == plain.global_qrs_sd
-
-
 def test_are_checked_and_corrected(more):
     flat = replace(more, additional=more.additional | {"V7": 0.0 * more.signal[0]})
     with pytest.raises(

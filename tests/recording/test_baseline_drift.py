@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from quality_recordings import synthetic
 
-from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import LEADS
 from fascicle.recording.beats import Unused
 from fascicle.recording.pipeline import analyse
@@ -17,8 +17,7 @@ V6 = LEADS.index("V6")
 
 
 def sinus(seed=3, **more):
-    made_of = Synthesis(heart_rate=72.0, **{"noise_db": 30.0} | more)
-    return synthetic_recording(np.random.default_rng(seed), made_of)[0]
+    return synthetic(seed, heart_rate=72.0, **{"noise_db": 30.0} | more)[0]
 
 
 def settling(recording, size=1.2, time_constant=0.3, start=0.0):

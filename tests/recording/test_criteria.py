@@ -5,8 +5,7 @@ import pytest
 
 import fascicle
 from fascicle.core.leads import LEADS
-from fascicle.recording.criteria import conventional_criteria
-from fascicle.recording.waves import Qrs
+from fascicle.recording.criteria import Qrs, conventional_criteria
 
 ONSET = 20
 NORMAL = {lead: [(0, 50, 0.8)] for lead in LEADS} | {

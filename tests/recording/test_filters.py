@@ -4,20 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from quality_recordings import beating, real
+from quality_recordings import beating, real, synthetic
 from scipy.signal import bessel, butter, ellip, filtfilt, firwin, sosfilt, sosfiltfilt
 
 from benchmarks.fits import demo_recording
-from benchmarks.synthetic_recordings.rhythms import RHYTHMS, Synthesis, synthetic_recording
+from benchmarks.synthetic_recordings.rhythms import RHYTHMS
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.networks.recordings import target_digest
 from fascicle.recording.detection import r_peaks
 from fascicle.recording.filter_estimate import estimated_lowpass, passed_filters
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin, applied_filters
 from fascicle.recording.pipeline import analyse
 from fascicle.recording.readers.read import read_recording
-from fascicle.recording.recording import Filters, Recording
+from fascicle.recording.recording import Filters
 from fascicle.recording.target import Target
 from fascicle.recording.target_options import TargetOptions
 
@@ -183,30 +182,9 @@ def test_steep_filters_on_real_recordings_are_found_and_gentle_ones_not(data_fol
 def test_nothing_is_found_in_synthetic_recordings(rhythm, noise_db):
     """Their QRS are sums of Gaussians, whose spectra fall faster and faster."""
     for seed, rate in ((0, 500), (1, 1000)):
-        options = Synthesis(rhythm=rhythm, rate=rate, noise_db=noise_db)
-        recording, truth = synthetic_recording(np.random.default_rng(seed), options)
+        recording, truth = synthetic(seed, rhythm=rhythm, rate=rate, noise_db=noise_db)
         peaks = np.round(truth.r_times * rate).astype(int)
         assert estimate(recording.signal, rate, peaks) is None
-
-
-@pytest.fixture(scope="module")
-def simulated(default_model):
-    """Ten beats of a simulated QRS, each 0.8 s, with noise of 3 uV, and their R peaks."""
-    leads = default_model.simulate(EXAMPLE_PARAMETERS).leads
-    beat = np.pad(leads, ((0, 0), (300, 500 - leads.shape[1])))
-    signal = np.tile(beat, 10)
-    signal = signal + 3e-3 * np.random.default_rng(0).standard_normal(signal.shape)
-    peak = int(np.argmax((beat**2).sum(axis=0)))
-    return Recording(signal, 1000.0, "simulated"), peak + 800 * np.arange(10)
-
-
-@pytest.mark.parametrize("cutoff", [40.0, 100.0])
-def test_filters_on_simulated_recordings_are_found(simulated, cutoff):
-    recording, peaks = simulated
-    assert estimate(recording.signal, 1000, peaks) is None
-    for shape, apply in steep(cutoff, 1000).items():
-        found = estimate(apply(recording.signal), 1000, peaks)
-        assert found == pytest.approx(cut_off(apply, 1000), abs=5.0), shape
 
 
 def test_one_averaged_beat_of_a_subject(data_folder):

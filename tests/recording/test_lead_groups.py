@@ -4,35 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from quality_recordings import on_paper, synthetic
 
-from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.recording.lead_groups import lead_groups
 from fascicle.recording.pipeline import analyse, make_target
-from fascicle.recording.recording import Recording
 from fascicle.recording.target_options import TargetOptions
 
 GROUPS = (("I", "II", "III"), ("aVR", "aVL", "aVF"), ("V1", "V2", "V3"), ("V4", "V5", "V6"))
 
 
-def on_paper(recording, rhythm_strip=None):
-    """The recording as on paper: each group for a quarter of the time, perhaps one all along."""
-    n = recording.signal.shape[1]
-    signal = np.full_like(recording.signal, np.nan)
-    for k, group in enumerate(GROUPS):
-        part = slice(k * n // 4, (k + 1) * n // 4)
-        for lead in group:
-            signal[LEADS.index(lead), part] = recording.signal[LEADS.index(lead), part]
-    if rhythm_strip is not None:
-        row = LEADS.index(rhythm_strip)
-        signal[row] = recording.signal[row]
-    return replace(recording, signal=signal)
-
-
 def whole(seed, **more):
-    options = {"heart_rate": 80.0, "respiration": 0.02, "noise_db": 30.0} | more
-    return synthetic_recording(np.random.default_rng(seed), Synthesis(**options))[0]
+    return synthetic(seed, **{"heart_rate": 80.0, "respiration": 0.02, "noise_db": 30.0} | more)[0]
 
 
 def parts_of(recording):
@@ -102,13 +86,6 @@ def test_pacing_spikes_at_the_end_of_a_group_leave_it_whole():
     analysis = analyse(paper)
     assert len(analysis.spikes) > 5
     assert (np.isfinite(analysis.signal).sum(axis=1) == 2500).all()
-
-
-def test_a_gap_in_one_lead_makes_no_group():
-    signal = whole(2).signal.copy()
-    signal[7, 4000:] = np.nan
-    with pytest.raises(InputError, match="lead V2 lacks 1000 samples"):
-        Recording(signal, 500.0, "file")
 
 
 def test_beats_of_several_shapes_are_not_matched_by_chance():

@@ -13,8 +13,14 @@ from fascicle.core.arrays import Floats
 from fascicle.core.leads import CHEST_LEADS
 from fascicle.recording.detection import r_peaks
 from fascicle.recording.pipeline import analyse, make_target
-from fascicle.recording.quality.check_result import CheckResult, Severity
-from fascicle.recording.quality.checks import CHEST, FASTEST_QRS, check_chest_leads, check_mean_beat
+from fascicle.recording.quality import (
+    CHEST,
+    FASTEST_QRS,
+    CheckResult,
+    Severity,
+    check_chest_leads,
+    check_mean_beat,
+)
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Recording
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from quality_recordings import synthetic
 
-from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import independent_rows
 from fascicle.recording.filters import resample
 from fascicle.recording.lead_groups import cluster_morphology, lead_groups, noise_energy
@@ -13,11 +13,9 @@ from fascicle.recording.spikes import find_spikes, remove_spikes
 from fascicle.recording.target_options import TargetOptions
 
 
-def synthetic(rhythm, seed, noise_db=None, **more):
-    recording, truth = synthetic_recording(
-        np.random.default_rng(seed), Synthesis(rhythm=rhythm, noise_db=noise_db, **more)
-    )
-    return recording, truth, resample(recording.signal, 500.0)[independent_rows(recording.recorded)]
+def independent(recording):
+    """Independent leads (k, n), mV, every 1 ms."""
+    return resample(recording.signal, 500.0)[independent_rows(recording.recorded)]
 
 
 def found_beats(recording):
@@ -32,7 +30,8 @@ def found_beats(recording):
 def test_one_class_for_each_kind_of_beat(rhythm, noise_db):
     """Given the true R peaks, every class holds one kind, and every kind is one class."""
     for seed in range(4):
-        _, truth, signal = synthetic(rhythm, seed, noise_db)
+        recording, truth = synthetic(seed, rhythm=rhythm, noise_db=noise_db)
+        signal = independent(recording)
         classes, _ = cluster_morphology(
             signal, np.round(1000 * truth.r_times).astype(np.int64), noise_energy(signal)
         )
@@ -41,7 +40,8 @@ def test_one_class_for_each_kind_of_beat(rhythm, noise_db):
 
 
 def test_marks_that_are_off_are_put_right():
-    _, truth, signal = synthetic("sinus", 5, 20.0)
+    recording, truth = synthetic(5, noise_db=20.0)
+    signal = independent(recording)
     peaks = np.round(1000 * truth.r_times).astype(np.int64)
     off = peaks + np.random.default_rng(1).integers(-30, 31, len(peaks))
     _, aligned = cluster_morphology(signal, off, noise_energy(signal))
@@ -51,7 +51,7 @@ def test_marks_that_are_off_are_put_right():
 
 def test_bigeminy_has_two_classes_of_which_the_narrower_comes_first():
     for seed in range(4):
-        recording, truth, _ = synthetic("bigeminy", seed, 20.0, heart_rate=70.0)
+        recording, truth = synthetic(seed, rhythm="bigeminy", noise_db=20.0, heart_rate=70.0)
         found = found_beats(recording)
         kinds = dict(zip(truth.kinds, truth.offsets - truth.onsets, strict=True))
         assert set(found.labels) == {"A", "B"}
@@ -62,19 +62,20 @@ def test_bigeminy_has_two_classes_of_which_the_narrower_comes_first():
 
 
 def test_ectopic_and_paced_beats_are_described():
-    recording, truth, _ = synthetic("ectopics", 2, 25.0, seconds=20.0)
+    recording, truth = synthetic(2, rhythm="ectopics", noise_db=25.0, seconds=20.0)
     found = found_beats(recording)
     assert found.describe("A") == ""
     assert "early" in found.describe("B")
     assert len(found.of_class("B")) == list(truth.kinds).count("ectopic") > 0
-    assert found_beats(synthetic("paced", 3, 25.0)[0]).describe("A").startswith("paced")
+    paced, _ = synthetic(3, rhythm="paced", noise_db=25.0)
+    assert found_beats(paced).describe("A").startswith("paced")
 
 
 @pytest.mark.parametrize("rhythm", ["fibrillation", "pauses"])
 def test_no_beat_is_there_twice(rhythm):
     """A high T wave has the R peak of the QRS next to it."""
     for seed in range(12):
-        recording, truth, _ = synthetic(rhythm, [seed, 7], 20.0, tall_t=8.0)
+        recording, truth = synthetic([seed, 7], rhythm=rhythm, noise_db=20.0, tall_t=8.0)
         found = found_beats(recording)
         assert found.intervals[1:].min() > 120
         assert len(found.labels) == len(found.peaks)

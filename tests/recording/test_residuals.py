@@ -80,12 +80,6 @@ def test_shrinking_brings_the_estimate_closer():
     assert np.mean(shrunk) < np.mean(raw)
 
 
-def test_the_variance_is_that_of_the_beats():
-    target, *_ = known(np.random.default_rng(1), 30)
-    variance = np.einsum("ltlt->lt", full(residual_covariance(target)))
-    assert np.sqrt(variance) == pytest.approx(target.standard_deviation[:, target.qrs_samples])
-
-
 def test_unused_leads_have_none_and_stated_noise_is_white():
     target, *_ = known(np.random.default_rng(2), 10)
     beats = target.beats.copy()

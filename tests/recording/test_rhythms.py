@@ -2,13 +2,10 @@
 
 import numpy as np
 import pytest
+from quality_recordings import synthetic
 
-from benchmarks.synthetic_recordings.rhythms import NOISES, RHYTHMS, Synthesis, synthetic_recording
+from benchmarks.synthetic_recordings.rhythms import NOISES, RHYTHMS
 from fascicle.core.leads import INDEPENDENT_ROWS
-
-
-def made(seed, **options):
-    return synthetic_recording(np.random.default_rng(seed), Synthesis(**options))
 
 
 def inside(truth, n, rate):
@@ -19,7 +16,7 @@ def inside(truth, n, rate):
 @pytest.mark.parametrize("rhythm", RHYTHMS)
 @pytest.mark.parametrize("heart_rate", [35, 100, 180])
 def test_beats_are_where_and_as_often_as_stated(rhythm, heart_rate):
-    recording, truth = made(1, rhythm=rhythm, heart_rate=heart_rate, seconds=20.0)
+    recording, truth = synthetic(1, rhythm=rhythm, heart_rate=heart_rate, seconds=20.0)
     assert len(truth.r_times) == len(truth.kinds) > 5
     assert truth.onsets[0] >= 0
     assert truth.offsets[-1] <= recording.duration
@@ -31,7 +28,7 @@ def test_beats_are_where_and_as_often_as_stated(rhythm, heart_rate):
 
 @pytest.mark.parametrize("rhythm", ["bigeminy", "blocked"])
 def test_the_qrs_is_zero_outside_its_ends_and_not_inside(rhythm):
-    recording, truth = made(2, rhythm=rhythm, rate=2000.0, tall_t=0.0, respiration=0.0)
+    recording, truth = synthetic(2, rhythm=rhythm, rate=2000.0, tall_t=0.0, respiration=0.0)
     size = np.abs(recording.signal).max(axis=0)
     t = np.arange(len(size)) / 2000
 
@@ -48,7 +45,7 @@ def test_the_qrs_is_zero_outside_its_ends_and_not_inside(rhythm):
 
 @pytest.mark.parametrize("noise", NOISES)
 def test_height_and_signal_to_noise_ratio(noise):
-    recording, truth = made(
+    recording, truth = synthetic(
         3, noise_db=12.0, noise=(noise,), height=1.4, respiration=0.0, beat_spread=0.0
     )
     assert np.abs(truth.clean).max() == pytest.approx(1.4, rel=0.02)
@@ -58,38 +55,14 @@ def test_height_and_signal_to_noise_ratio(noise):
     assert 10 * np.log10(signal / added) == pytest.approx(12.0, abs=0.1)
 
 
-def test_kinds_of_beats():
-    def widths(rhythm, seed=4):
-        _, truth = made(seed, rhythm=rhythm, seconds=30.0)
-        width = truth.offsets - truth.onsets
-        return {kind: width[np.array(truth.kinds) == kind].mean() for kind in truth.kinds}
-
-    assert widths("sinus").keys() == {"normal"}
-    assert widths("sinus")["normal"] < 0.115
-    assert widths("bigeminy").keys() == {"normal", "ectopic"}
-    assert widths("bigeminy")["ectopic"] > 0.125
-    assert widths("blocked")["blocked"] > 0.115
-    assert widths("fibrillation", seed=0)["aberrant"] > 0.115
-    assert widths("paced").keys() == {"paced"}
-
-
-def test_spikes_precede_the_qrs():
-    for seed in range(4):
-        _, truth = made(seed, rhythm="paced", rate=1000.0, spike_size=5.0)
-        lag = truth.onsets - truth.spikes[np.searchsorted(truth.spikes, truth.onsets) - 1]
-        assert ((lag >= 0.003) & (lag <= 0.031)).all()
-        sample = int(truth.spikes[0] * 1000)
-        assert np.ptp(truth.clean[:, sample - 4 : sample + 6], axis=1).max() > 3
-
-
 def test_einthoven_holds_in_noise_and_the_same_seed_gives_the_same():
-    recording, again = (made(8, noise_db=10.0, noise=tuple(NOISES))[0] for _ in range(2))
+    recording, again = (synthetic(8, noise_db=10.0, noise=tuple(NOISES))[0] for _ in range(2))
     assert recording.signal[0] + recording.signal[2] == pytest.approx(recording.signal[1])
     assert np.array_equal(recording.signal, again.signal)
 
 
 def test_noise_without_a_beat_is_an_error():
     options = {"seconds": 1.6, "heart_rate": 25}
-    seed = next(seed for seed in range(50) if not len(made(seed, **options)[1].r_times))
+    seed = next(seed for seed in range(50) if not len(synthetic(seed, **options)[1].r_times))
     with pytest.raises(ValueError, match="no beat in"):
-        made(seed, noise_db=10.0, **options)
+        synthetic(seed, noise_db=10.0, **options)

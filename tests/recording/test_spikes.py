@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from quality_recordings import synthetic
 
 from benchmarks.pacing_spikes import DISTURBANCES, PACING, UNPACED, counts, disturbed, paced
 from benchmarks.synthetic_recordings.rhythms import RHYTHMS, Synthesis, synthetic_recording
@@ -17,9 +18,8 @@ from fascicle.recording.spikes import find_spikes, remove_spikes
 def test_atrial_and_ventricular_spikes_are_found(rate, size, noise_db):
     total, atrial = np.zeros(3), 0
     for seed in range(6):
-        recording, truth = synthetic_recording(
-            np.random.default_rng(seed),
-            Synthesis(rhythm="paced", rate=rate, spike_size=size, noise_db=noise_db),
+        recording, truth = synthetic(
+            seed, rhythm="paced", rate=rate, spike_size=size, noise_db=noise_db
         )
         total += counts(find_spikes(recording.signal, rate), truth.spikes, rate)
         atrial += len(truth.spikes) - len(truth.r_times)
@@ -35,9 +35,7 @@ def test_beats_and_noise_are_no_spikes(rhythm):
     for seed in range(2):
         for rate in (250.0, 1000.0):
             for options in ({"height": 5.0}, {"noise_db": 10.0, "noise": ("white", "muscle")}):
-                recording, truth = synthetic_recording(
-                    np.random.default_rng(seed), Synthesis(rhythm=rhythm, rate=rate, **options)
-                )
+                recording, truth = synthetic(seed, rhythm=rhythm, rate=rate, **options)
                 assert len(truth.r_times) > 2
                 assert find_spikes(recording.signal, rate).shape == (0, 2)
 
@@ -58,10 +56,8 @@ def test_artefacts_of_one_electrode_are_no_spikes():
 @pytest.mark.parametrize("rate", [250.0, 500.0, 1000.0])
 def test_spikes_lie_about_the_pulse_and_what_is_left_is_the_beat(rate):
     options = {"rhythm": "paced", "rate": rate, "respiration": 0.0}
-    recording, truth = synthetic_recording(
-        np.random.default_rng(3), Synthesis(spike_size=20.0, **options)
-    )
-    bare, _ = synthetic_recording(np.random.default_rng(3), Synthesis(spike_size=1e-9, **options))
+    recording, truth = synthetic(3, spike_size=20.0, **options)
+    bare, _ = synthetic(3, spike_size=1e-9, **options)
     assert np.abs(recording.signal - bare.signal).max() > 10
     spikes = find_spikes(recording.signal, rate)
     assert np.abs(remove_spikes(recording.signal, spikes) - bare.signal).max() < 0.1
@@ -69,22 +65,6 @@ def test_spikes_lie_about_the_pulse_and_what_is_left_is_the_beat(rate):
     assert (spikes[:, 0] / rate <= truth.spikes + 1 / rate).all()
     assert (spikes[:, 1] / rate >= truth.spikes).all()
     assert (np.diff(spikes, axis=1) <= max(0.008 * rate, 5)).all()
-
-
-def test_leads_recorded_one_group_after_another():
-    recording, truth = synthetic_recording(
-        np.random.default_rng(6), Synthesis(rhythm="paced", rate=500.0, spike_size=10.0)
-    )
-    signal = np.full_like(recording.signal, np.nan)
-    for group in range(4):
-        rows, samples = slice(3 * group, 3 * group + 3), slice(1250 * group, 1250 * (group + 1))
-        signal[rows, samples] = recording.signal[rows, samples]
-    spikes = find_spikes(signal, 500.0)
-    found, missed, false = counts(spikes, truth.spikes, 500.0)
-    assert found > 5
-    assert missed <= 0.15 * found
-    assert false == 0
-    assert np.array_equal(np.isnan(remove_spikes(signal, spikes)), np.isnan(signal))
 
 
 @pytest.mark.parametrize("rate", [250.0, 800.0])
@@ -144,14 +124,6 @@ def test_a_single_beat_keeps_its_spikes():
         beat = signal[:, start : start + 500]
         inside = times[(times > start / 500 + 0.05) & (times < start / 500 + 0.5)] - start / 500
         assert counts(find_spikes(beat, 500.0), inside, 500.0)[:2].tolist() == [len(inside), 0]
-
-
-@pytest.mark.parametrize("name", ["c05_spike_decay.hea", "c08_rv_slow_150.xml"])
-def test_spikes_of_recordings_with_tails_and_filters(data_folder, name):
-    recording = read_recording(data_folder / "cases" / name)
-    spikes = find_spikes(recording.signal, recording.sampling_rate)
-    assert len(spikes) == 10
-    assert np.diff(spikes[:, 0]) == pytest.approx(475, abs=1)  # 63 per minute
 
 
 @pytest.mark.parametrize("digit", [0.005, 0.02])

@@ -22,7 +22,7 @@ from fascicle.recording.readers.formats import known_formats
 if TYPE_CHECKING:
     from fascicle.recording.criteria import Criterion
     from fascicle.recording.pipeline import Analysis
-    from fascicle.recording.quality.check_result import CheckResult
+    from fascicle.recording.quality import CheckResult
     from fascicle.recording.target import Target
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from itertools import accumulate
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -19,9 +19,6 @@ from fascicle.recording.lead_groups import LARGEST_SHIFT, LeadGroup, cut, detren
 from fascicle.recording.spikes import spike_tail
 from fascicle.recording.target_options import TargetOptions
 from fascicle.recording.window import qrs_window, spatial_velocity
-
-KNOT = 20  # samples in which the isoelectric level of a beat is read: one period of 50 Hz
-FEW_ALIKE = 0.7  # share of the beats that should be alike
 
 
 class Unused(Enum):
@@ -74,8 +71,12 @@ class DetectedBeat:
         return "" if self.unused is None else self.unused.value
 
 
-class AlignedBeats(NamedTuple):
+@dataclass(frozen=True)
+class AlignedBeats:
     """Beats on one time axis."""
+
+    # samples in which the isoelectric level of a beat is read: one period of 50 Hz
+    level_samples: ClassVar[int] = 20
 
     beats: Floats  # (n_beats, 12 + k, n_time), mV, less the isoelectric level and its drift
     before: int  # sample of the R peak in each
@@ -110,7 +111,8 @@ def cut_beats(group: LeadGroup, members: Integers, onset: float | None) -> Align
     """Cut out the beats `members` (n_beats,) of a group, and subtract their isoelectric lines.
 
     The lines are found in the twelve leads alone, or from the `onset` (ms from R) that the user
-    gave.
+    gave. Each runs through the isoelectric level before the QRS and that of the nearest beat; where
+    none is near, as for a single beat, the level alone is subtracted.
     """
     before, after = extent(group)
     peaks = group.peaks[members]
@@ -129,22 +131,11 @@ def cut_beats(group: LeadGroup, members: Integers, onset: float | None) -> Align
     # The isoelectric level is read where the beat is slowest, 60 to 5 samples before the QRS:
     # further back is the P wave; nearer, the first slope of the QRS is smoothed in.
     earliest = max(first - 60, 0)
-    velocity = spatial_velocity(median)[earliest : max(first - 5, earliest + KNOT)]
-    slowest = np.argmin(np.convolve(velocity, np.full(KNOT, 1 / KNOT), mode="valid"))
+    width = AlignedBeats.level_samples
+    velocity = spatial_velocity(median)[earliest : max(first - 5, earliest + width)]
+    slowest = np.argmin(np.convolve(velocity, np.full(width, 1 / width), mode="valid"))
     knots = peaks - before + int(earliest + slowest)
-    beats = _detrended_beats(signal, knots, peaks, before, after)
-    return AlignedBeats(beats, before, not_before)
-
-
-def _detrended_beats(
-    signal: Floats, knots: Integers, peaks: Integers, before: int, after: int
-) -> Floats:
-    """Beats (n_beats, 12 + k, n), mV, with a straight line removed from each lead.
-
-    The line runs through the isoelectric level before the QRS, from the sample `knots` on, and that
-    of the nearest beat; where none is near, as for a single beat, the level alone is removed.
-    """
-    level = np.stack([signal[:, max(k, 0) : k + KNOT].mean(axis=1) for k in knots])
+    level = np.stack([signal[:, max(k, 0) : k + width].mean(axis=1) for k in knots])
     slope = np.zeros_like(level)  # mV per sample
     for beat, knot in enumerate(knots):
         neighbours = [k for k in (beat + 1, beat - 1) if 0 <= k < len(knots)]
@@ -152,9 +143,10 @@ def _detrended_beats(
         distance = int(knots[near] - knot)
         if 0 < abs(distance) <= 2500:  # samples; over more, drift does not follow a straight line
             slope[beat] = (level[near] - level[beat]) / distance
-    since = (peaks - knots)[:, None] - (KNOT - 1) / 2 + np.arange(-before, after + 1)
+    since = (peaks - knots)[:, None] - (width - 1) / 2 + np.arange(-before, after + 1)
     beats = cut(signal, peaks, before, after)
-    return np.asarray(beats - level[:, :, None] - slope[:, :, None] * since[:, None])
+    beats = np.asarray(beats - level[:, :, None] - slope[:, :, None] * since[:, None])
+    return AlignedBeats(beats, before, not_before)
 
 
 def drifting_beats(group: LeadGroup, members: Integers, onset: float | None) -> dict[int, Drift]:
@@ -170,7 +162,8 @@ def drifting_beats(group: LeadGroup, members: Integers, onset: float | None) -> 
     while len(members) >= 5:
         aligned = cut_beats(group, members, onset)
         end = qrs_window(np.median(aligned.beats, axis=0), aligned.not_before)[1]
-        levels = aligned.beats[:, : len(LEADS), end : end + KNOT].mean(axis=2)
+        after = slice(end, end + aligned.level_samples)
+        levels = aligned.beats[:, : len(LEADS), after].mean(axis=2)
         off = np.asarray(levels - np.median(levels, axis=0))
         spread = 1.4826 * np.median(np.abs(off), axis=0)  # of a normal distribution
         spread = np.maximum(spread, np.nanmedian(spread))
@@ -306,7 +299,7 @@ def _check_classes(
 ) -> None:
     """Refuse a class without beats, and beats of several shapes in several lead groups."""
     for group in groups:
-        mixed = len(group.of_class(label)) < FEW_ALIKE * len(group.peaks)
+        mixed = len(group.of_class(label)) < options.few_alike * len(group.peaks)
         if len(groups) > 1 and mixed and options.beats is None:
             raise InputError(
                 f"{source}: leads were recorded one group after another and the beats are of "

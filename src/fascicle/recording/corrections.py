@@ -65,11 +65,20 @@ def swap(recording: Recording, first: str, second: str) -> Recording:
     Chest leads are measured against the mean of the limb electrodes, which no reversal alters.
     InputError where the two are not of one kind.
     """
-    names = f"{first}-{second}"
+    names, kept = f"{first}-{second}", list(recording.measured_leads)
     if {first, second} <= set(ELECTRODES[:3]) and first != second:
-        signal, kept = _limb_swapped(recording, first, second)
-    elif {first, second} <= set(recording.measured_leads) and first != second:
-        signal, kept = recording.signal[_order(LEADS, first, second)], recording.measured_leads
+        limb, signal = lead_matrix()[: len(LIMB_LEADS)], recording.signal.copy()
+        kept = [lead for lead in kept if lead not in LIMB_LEADS]
+        # each limb lead is taken from the one that was recorded in its place
+        for row, reversed_lead in enumerate(limb[:, _order(ELECTRODES, first, second)]):
+            product = limb @ reversed_lead
+            product = product / np.linalg.norm(limb, axis=1) / np.linalg.norm(reversed_lead)
+            source = int(np.argmax(np.abs(product)))  # that lead, perhaps upside down: +1 or -1
+            signal[row] = np.sign(product[source]) * recording.signal[source]
+            if LIMB_LEADS[source] in recording.measured_leads:
+                kept.append(LIMB_LEADS[row])
+    elif {first, second} <= set(kept) and first != second:
+        signal = recording.signal[_order(LEADS, first, second)]
     else:
         raise InputError(
             f"{recording.source}: cannot swap {names}; give two of the electrodes RA, LA, LL, or "
@@ -77,21 +86,6 @@ def swap(recording: Recording, first: str, second: str) -> Recording:
         )
     gainless = replace(recording, digits_per_millivolt=None)  # the gains were exchanged, too
     return _changed(gainless, signal, kept, "swapped", names)
-
-
-def _limb_swapped(recording: Recording, first: str, second: str) -> tuple[Floats, Sequence[str]]:
-    """Signal with each limb lead taken from the one that was recorded in its place."""
-    limb = lead_matrix()[: len(LIMB_LEADS)]
-    recorded, signal = recording.measured_leads, recording.signal.copy()
-    kept = [lead for lead in recorded if lead not in LIMB_LEADS]
-    for row, reversed_lead in enumerate(limb[:, _order(ELECTRODES, first, second)]):
-        product = limb @ reversed_lead
-        product = product / np.linalg.norm(limb, axis=1) / np.linalg.norm(reversed_lead)
-        source = int(np.argmax(np.abs(product)))  # the same lead, perhaps upside down: +1 or -1
-        signal[row] = np.sign(product[source]) * recording.signal[source]
-        if LIMB_LEADS[source] in recorded:
-            kept.append(LIMB_LEADS[row])
-    return signal, kept
 
 
 def _order(names: Sequence[str], first: str, second: str) -> list[int]:

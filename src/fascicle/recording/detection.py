@@ -46,10 +46,16 @@ def r_peaks(signal: Floats, sampling_rate: float) -> Integers:
     The signal (12, n), mV, has no pacing spikes and a rate of at least 250 Hz; rows with NaN are
     left out. Returned is the sample of each R peak, to within 2 ms, (n_beats,), increasing.
     """
+    from scipy.signal import butter, sosfiltfilt
+
     factor = max(round(sampling_rate / 250.0), 1)  # Hz; enough for a band that ends at 15 Hz
     rate = sampling_rate / factor
     leads = np.stack([block_means(signal[row], factor) for row in complete_leads(signal)])
-    slopes = _normalised_slopes(leads, rate)
+    # steepness of each lead in units of its usual QRS, at most 2; zero for flat leads
+    band = butter(1, (5.0, 15.0), "bandpass", fs=rate, output="sos")  # Hz; Pan and Tompkins
+    steep = np.abs(np.gradient(sosfiltfilt(band, leads, axis=-1), axis=-1))
+    usual = _usual_height(steep, rate)
+    slopes = np.minimum(steep / np.where(usual > 0, usual, np.inf)[:, None], 2.0)
     moving = slopes.any(axis=1)
     if not moving.any():
         return np.empty(0, dtype=np.int64)
@@ -61,18 +67,13 @@ def r_peaks(signal: Floats, sampling_rate: float) -> Integers:
     marks = _beats(slope, level, rate)
     baseline = gaussian_filter1d(level, 0.2 * rate, axis=-1, mode="nearest")  # s
     height = np.sqrt(np.mean((level - baseline) ** 2, axis=0))
-    return np.asarray(_tops(height, marks, rate) * factor + factor // 2, dtype=np.int64)
-
-
-def _normalised_slopes(leads: Floats, rate: float) -> Floats:
-    """Steepness of each lead in units of its usual QRS, at most 2; zero for flat leads."""
-    from scipy.signal import butter, sosfiltfilt
-
-    band = butter(1, (5.0, 15.0), "bandpass", fs=rate, output="sos")  # Hz; Pan and Tompkins
-    steep = np.abs(np.gradient(sosfiltfilt(band, leads, axis=-1), axis=-1))
-    usual = _usual_height(steep, rate)
-    scale = np.where(usual > 0, usual, np.inf)[:, None]
-    return np.asarray(np.minimum(steep / scale, 2.0))
+    smooth = gaussian_filter1d(height, 0.012 * rate)  # merges the notches of one QRS
+    reach = round(0.1 * rate)
+    tops = [
+        start + int(np.argmax(smooth[start : mark + reach]))
+        for start, mark in zip(np.maximum(marks - reach, 0), marks, strict=True)
+    ]
+    return np.unique(np.array(tops, dtype=np.int64)) * factor + factor // 2
 
 
 def _usual_height(x: Floats, rate: float) -> Floats:
@@ -160,14 +161,3 @@ def _height(wave: Floats, start: float, stop: float) -> float:
     """Root mean square over the leads of the peak-to-peak potential between two samples (mV)."""
     spans = np.ptp(wave[:, max(round(start), 0) : round(stop) + 1], axis=1)
     return float(np.sqrt(np.mean(spans**2)))
-
-
-def _tops(height: Floats, marks: Integers, rate: float) -> Integers:
-    """Sample at which the smoothed height is largest within 0.1 s of each mark."""
-    smooth = gaussian_filter1d(height, 0.012 * rate)  # merges the notches of one QRS
-    reach = round(0.1 * rate)
-    tops = [
-        start + int(np.argmax(smooth[start : mark + reach]))
-        for start, mark in zip(np.maximum(marks - reach, 0), marks, strict=True)
-    ]
-    return np.unique(np.array(tops, dtype=np.int64))

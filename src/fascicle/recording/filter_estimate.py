@@ -9,7 +9,9 @@ parabola above it. Gentle filters look like the spectrum of a smooth QRS and are
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import combinations
+from typing import ClassVar
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -20,7 +22,6 @@ from fascicle.core.errors import InputError
 from fascicle.recording.filters import (
     DECIBELS,
     MAINS,
-    NOTCH_QUALITY,
     Filter,
     FilterKind,
     FilterOrigin,
@@ -29,13 +30,6 @@ from fascicle.recording.filters import (
 )
 from fascicle.recording.recording import Recording
 from fascicle.recording.target_options import TargetOptions
-
-# Electrocardiographs state where they are 3 dB down (ANSI/AAMI EC11, IEC 60601-2-25), not how
-# steeply they fall from there; an analogue stage of second order is usual.
-RECORDER_ORDER = 2.0
-RESOLUTION, BANDWIDTH = 0.5, 2.0  # Hz; of the spectrum, by padding, and of one value of the fit
-CUTOFFS = (0.7, 1.4)  # range of a fitted cut-off, as shares of the centre of its search
-KNEE = 0.7  # share of that centre at which the line is pinned
 
 
 def passed_filters(
@@ -50,12 +44,14 @@ def passed_filters(
         )
     if (cutoff := named if named is not None else stated) is not None:
         origin = FilterOrigin.STATED if named is None else FilterOrigin.FILE
-        filters = [Filter(FilterKind.LOW_PASS, cutoff, origin, RECORDER_ORDER)]
+        kind = FilterKind.LOW_PASS
+        filters = [Filter(kind, cutoff, origin, kind.usual_shape)]
     else:
         estimate = estimated_lowpass(recording.signal, recording.sampling_rate, r_peaks)
         filters = [] if estimate is None else [estimate]
     if (notch := recording.filters.notch) is not None:
-        filters.append(Filter(FilterKind.NOTCH, notch, FilterOrigin.FILE, NOTCH_QUALITY))
+        kind = FilterKind.NOTCH
+        filters.append(Filter(kind, notch, FilterOrigin.FILE, kind.usual_shape))
     return (*filters, *applied_filters(options.lowpass, options.notch))
 
 
@@ -65,20 +61,20 @@ def estimated_lowpass(signal: Floats, sampling_rate: float, r_peaks: Integers) -
     Of a signal (n_leads, n), mV, at a rate (Hz), with beats at the samples `r_peaks` (n_beats,). It
     is the Butterworth low-pass that describes the fall best; its order need not be whole.
     """
-    if (spectrum := _beat_spectrum(signal, sampling_rate, r_peaks)) is None:
+    if (levels := _levels(signal, sampling_rate, r_peaks)) is None:
         return None
-    frequency, level = _levels(*spectrum, sampling_rate)
+    frequency, level = levels
     believed = []
     for centre in (20.0, 30.0, 40.0, 55.0, 75.0, 100.0, 130.0):  # Hz
         near = (frequency > 0.4 * centre) & (frequency < 2.5 * centre)
-        if near.sum() < 15 or frequency[-1] < CUTOFFS[1] * centre:
+        if near.sum() < 15 or frequency[-1] < _Fall.cutoffs[1] * centre:
             continue
         # Where levels fall by less, from one frequency to 1.4 times that, there is no low-pass of
         # the order and depth that count.
-        here, its = frequency[near], level[near]
-        fall = its - np.interp(1.4 * here, here, its)
-        if fall[1.4 * here <= here[-1]].max(initial=0.0) > 15.0:  # dB
-            believed.append(_fit(frequency[near], level[near], centre))
+        x, y = frequency[near], level[near]
+        fall = y - np.interp(1.4 * x, x, y)
+        if fall[1.4 * x <= x[-1]].max(initial=0.0) > 15.0:  # dB
+            believed.append(_Fall(x, y, centre).fit())
     # A true low-pass is found about more than one centre.
     fits = combinations(filter(None, believed), 2)
     agreeing = [min(a, b) for a, b in fits if abs(a[1] / b[1] - 1) < 0.05]
@@ -88,9 +84,13 @@ def estimated_lowpass(signal: Floats, sampling_rate: float, r_peaks: Integers) -
     return Filter(FilterKind.LOW_PASS, cutoff, FilterOrigin.ESTIMATED, order)
 
 
-def _beat_spectrum(signal: Floats, rate: float, r_peaks: Integers) -> tuple[Floats, Floats] | None:
-    """Frequencies (Hz) and mean energy (mV² s²) over beats and leads; None without a whole beat."""
-    size = round(rate / RESOLUTION)
+def _levels(signal: Floats, rate: float, r_peaks: Integers) -> tuple[Floats, Floats] | None:
+    """Middle (Hz) and level (dB, mean over beats and leads) of bands; None without a whole beat.
+
+    Bands of power-line interference are left out.
+    """
+    resolution, bandwidth = 0.5, 2.0  # Hz; of the spectrum, by padding, and of one value of the fit
+    size = round(rate / resolution)
     before, after = round(0.25 * rate), round(0.45 * rate)  # s about R
     energies = []
     for peak in r_peaks[:: max(len(r_peaks) // 30, 1)]:  # more do not make it smoother
@@ -101,99 +101,99 @@ def _beat_spectrum(signal: Floats, rate: float, r_peaks: Integers) -> tuple[Floa
             continue
         along = np.linspace(0.0, 1.0, stop - start)
         beat = beat - beat[:, :1] - along * (beat[:, -1:] - beat[:, :1])
-        spectrum = np.fft.rfft(beat * _taper(peak - start, stop - start, rate), size)
-        energies.append((np.abs(spectrum) ** 2).mean(axis=0))
+        # The taper falls to 0 at both ends by halves of a Blackman-Harris window, from where the
+        # QRS ends (s about R).
+        rise = max(peak - start - round(0.04 * rate), 1)
+        fall = max(stop - 1 - peak - round(0.06 * rate), 1)
+        taper = np.ones(stop - start)
+        taper[:rise] = blackmanharris(2 * rise + 1)[:rise]
+        taper[-fall:] *= blackmanharris(2 * fall + 1)[-fall:]
+        energies.append((np.abs(np.fft.rfft(beat * taper, size)) ** 2).mean(axis=0))
     if not energies:
         return None
     frequency = np.asarray(np.fft.rfftfreq(size, 1 / rate), dtype=np.float64)
-    return frequency, np.asarray(np.mean(energies, axis=0)) / rate**2
-
-
-def _taper(peak: int, size: int, rate: float) -> Floats:
-    """Weights (size,), 1 about R, that fall to 0 at both ends by halves of a Blackman-Harris."""
-    rise = max(peak - round(0.04 * rate), 1)  # s about R without a taper: the QRS
-    fall = max(size - 1 - peak - round(0.06 * rate), 1)
-    ends = np.ones(size)
-    ends[:rise] = blackmanharris(2 * rise + 1)[:rise]
-    ends[-fall:] *= blackmanharris(2 * fall + 1)[-fall:]
-    return ends
-
-
-def _levels(frequency: Floats, energy: Floats, sampling_rate: float) -> tuple[Floats, Floats]:
-    """Middle (Hz) and level (dB) of bands, without those of power-line interference."""
+    energy = np.asarray(np.mean(energies, axis=0)) / rate**2  # mV² s²
     # below 10 Hz are P and T waves
-    starts = np.arange(10.0, 0.36 * sampling_rate - BANDWIDTH, BANDWIDTH)
-    middles = starts + BANDWIDTH / 2
+    starts = np.arange(10.0, 0.36 * rate - bandwidth, bandwidth)
+    middles = starts + bandwidth / 2
     lines = np.outer(MAINS, np.arange(1, 11)).ravel()  # with harmonics
     kept = (np.abs(middles[:, None] - lines) > 3.0).all(axis=1)
-    width = round(BANDWIDTH / RESOLUTION)
-    first = np.searchsorted(frequency, starts - RESOLUTION / 2)
+    width = round(bandwidth / resolution)
+    first = np.searchsorted(frequency, starts - resolution / 2)
     means = np.array([energy[k : k + width].mean() for k in first])
     return middles[kept], 10 * np.log10(means[kept] + 1e-30)
 
 
-def _fit(frequency: Floats, level: Floats, centre: float) -> tuple[float, float, float] | None:
-    """Fit a low-pass to levels (k,), dB: misfit over that without one, cut-off (Hz) and order.
+@dataclass(frozen=True)
+class _Fall:
+    """Levels (k,), dB, at frequencies (k,), Hz, about the `centre` (Hz) of a search."""
 
-    None where a smooth wave looks like it, too.
-    """
-    lowest, highest = float(level.min()), float(level.max())
-    knee = float(np.interp(KNEE * centre, frequency, level))
-    middle = float(np.interp(centre, frequency, level))
-    floor = float(level[-5:].mean())
-    lower, upper = [lowest - 60, -10.0, lowest - 20, 0.0], [highest + 40, 400.0, highest, 60.0]
-    starts = [
-        [knee, 5.0, floor, 1.0, np.log(centre), np.log(order), noise]
-        for order in (5.0, 12.0)
-        for noise in (middle - 20, middle)
-    ]
-    cost, best = _least_cost(
-        lambda p: _with_lowpass(p, frequency, centre) - level,
-        starts,
-        [*lower, np.log(CUTOFFS[0] * centre), np.log(2.0), lowest - 20],  # orders 2 to 40
-        [*upper, np.log(CUTOFFS[1] * centre), np.log(40.0), highest],
-    )
-    free, _ = _least_cost(
-        lambda p: _without_lowpass(p, frequency, centre) - level,
-        [[knee, 5.0, floor, 1.0, 5.0]],
-        [*lower, -1000.0],
-        [*upper, 1000.0],
-    )
-    cutoff, order = float(np.exp(best[4])), float(np.exp(best[5]))
-    fine = np.geomspace(frequency[0], frequency[-1], 500)
-    qrs_level, floor_there = _own_and_floor(best, fine, centre)
-    above = _power_sum(qrs_level, best[6]) - floor_there
-    depth = float(np.minimum(attenuation(fine / cutoff, order), above).max())
-    qrs_slope = float(best[1]) / centre * cutoff * np.log(2)  # dB per octave, downward
-    misfit = float(np.sqrt(cost / free))
-    believed = (
-        25.0 <= cutoff <= 130.0  # Hz
-        and min(abs(cutoff / (share * centre) - 1) for share in CUTOFFS) >= 0.01  # not at a bound
-        and order >= 8.0  # 48 dB per octave
-        and depth >= 20.0  # dB that it removes above the floor
-        and 20 * np.log10(2) * order >= 2.0 * qrs_slope
-        and misfit <= 0.8
-    )
-    return (misfit, cutoff, order) if believed else None
+    frequency: Floats
+    level: Floats
+    centre: float
 
+    cutoffs: ClassVar[tuple[float, float]] = (0.7, 1.4)  # range of a fitted one, over the centre
+    knee: ClassVar[float] = 0.7  # share of the centre at which the line is pinned
 
-def _own_and_floor(p: Floats, frequency: Floats, centre: float) -> tuple[Floats, Floats]:
-    """Straight lines (dB): the QRS's own spectrum, and the floor, which no filter lowers."""
-    relative = frequency / centre - KNEE
-    return p[0] - p[1] * relative, p[2] - p[3] * relative
+    def fit(self) -> tuple[float, float, float] | None:
+        """Fit a low-pass: its misfit over that without one, cut-off (Hz) and order.
 
+        None where a smooth wave looks like it, too.
+        """
+        frequency, level, centre = self.frequency, self.level, self.centre
+        lowest, highest = float(level.min()), float(level.max())
+        knee = float(np.interp(self.knee * centre, frequency, level))
+        middle = float(np.interp(centre, frequency, level))
+        floor = float(level[-5:].mean())
+        lower, upper = [lowest - 60, -10.0, lowest - 20, 0.0], [highest + 40, 400.0, highest, 60.0]
+        starts = [
+            [knee, 5.0, floor, 1.0, np.log(centre), np.log(order), noise]
+            for order in (5.0, 12.0)
+            for noise in (middle - 20, middle)
+        ]
+        cost, best = _least_cost(
+            self.misfit_with_lowpass,
+            starts,
+            [*lower, np.log(self.cutoffs[0] * centre), np.log(2.0), lowest - 20],  # orders 2 to 40
+            [*upper, np.log(self.cutoffs[1] * centre), np.log(40.0), highest],
+        )
+        free, _ = _least_cost(
+            self.misfit_without, [[knee, 5.0, floor, 1.0, 5.0]], [*lower, -1000.0], [*upper, 1000.0]
+        )
+        cutoff, order = float(np.exp(best[4])), float(np.exp(best[5]))
+        fine = np.geomspace(frequency[0], frequency[-1], 500)
+        qrs_level, floor_level = self.qrs_and_floor(best, fine)
+        above = _power_sum(qrs_level, best[6]) - floor_level
+        depth = float(np.minimum(attenuation(fine / cutoff, order), above).max())
+        qrs_slope = float(best[1]) / centre * cutoff * np.log(2)  # dB per octave, downward
+        misfit = float(np.sqrt(cost / free))
+        at_bound = min(abs(cutoff / (share * centre) - 1) for share in self.cutoffs) < 0.01
+        believed = (
+            25.0 <= cutoff <= 130.0  # Hz
+            and not at_bound
+            and order >= 8.0  # 48 dB per octave
+            and depth >= 20.0  # dB that it removes above the floor
+            and 20 * np.log10(2) * order >= 2.0 * qrs_slope
+            and misfit <= 0.8
+        )
+        return (misfit, cutoff, order) if believed else None
 
-def _with_lowpass(p: Floats, frequency: Floats, centre: float) -> Floats:
-    """Levels (dB): a line and noise, p[6], both behind the low-pass, above the floor."""
-    qrs_level, floor = _own_and_floor(p, frequency, centre)
-    damping = attenuation(frequency / np.exp(p[4]), float(np.exp(p[5])))
-    return _power_sum(_power_sum(qrs_level, p[6]) - damping, floor)
+    def qrs_and_floor(self, p: Floats, frequency: Floats) -> tuple[Floats, Floats]:
+        """Straight lines (dB): the spectrum of the QRS, and the floor, which no filter lowers."""
+        relative = frequency / self.centre - self.knee
+        return p[0] - p[1] * relative, p[2] - p[3] * relative
 
+    def misfit_with_lowpass(self, p: Floats) -> Floats:
+        """Misfit (dB) of a line and noise, p[6], both behind the low-pass, above the floor."""
+        qrs_level, floor = self.qrs_and_floor(p, self.frequency)
+        damping = attenuation(self.frequency / np.exp(p[4]), float(np.exp(p[5])))
+        return _power_sum(_power_sum(qrs_level, p[6]) - damping, floor) - self.level
 
-def _without_lowpass(p: Floats, frequency: Floats, centre: float) -> Floats:
-    """Levels (dB): a parabola, p[4] its curvature (dB per centre squared), above the floor."""
-    qrs_level, floor = _own_and_floor(p, frequency, centre)
-    return _power_sum(qrs_level - p[4] * (frequency / centre - KNEE) ** 2, floor)
+    def misfit_without(self, p: Floats) -> Floats:
+        """Misfit (dB) of a parabola, of curvature p[4] (dB per centre squared), above the floor."""
+        qrs_level, floor = self.qrs_and_floor(p, self.frequency)
+        parabola = qrs_level - p[4] * (self.frequency / self.centre - self.knee) ** 2
+        return _power_sum(parabola, floor) - self.level
 
 
 def _power_sum(level: Floats, other: Floats) -> Floats:

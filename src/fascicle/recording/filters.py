@@ -19,7 +19,6 @@ from fascicle.core.arrays import Floats
 SAMPLING_STEP = 1.0  # ms; targets and simulated ECGs share it
 TARGET_RATE = 1000.0 / SAMPLING_STEP  # Hz
 MAINS = (50.0, 60.0)  # Hz
-NOTCH_QUALITY = 30.0  # frequency over width of a notch filter: 50 Hz +- 0.8 Hz
 DECIBELS = 10 / math.log(10)  # dB in one neper of power
 
 
@@ -28,6 +27,21 @@ class FilterKind(Enum):
 
     LOW_PASS = "low-pass"
     NOTCH = "notch"
+
+    @property
+    def shape_name(self) -> str:
+        """Name of the shape of such a filter: the order of a low-pass, the quality of a notch."""
+        return "order" if self is FilterKind.LOW_PASS else "quality"
+
+    @property
+    def usual_shape(self) -> float:
+        """Shape of such a filter where none is stated.
+
+        Electrocardiographs state where they are 3 dB down (ANSI/AAMI EC11, IEC 60601-2-25), not how
+        steeply they fall from there; an analogue stage of second order is usual. The quality of a
+        notch is its frequency over its width: 50 Hz +- 0.8 Hz.
+        """
+        return 2.0 if self is FilterKind.LOW_PASS else 30.0
 
 
 class FilterOrigin(Enum):
@@ -62,24 +76,21 @@ class Filter:
 
     def gain(self, frequency: Floats) -> Floats:
         """Factor (0 to 1) by which amplitudes at frequencies (k,), in Hz, are multiplied."""
-        if self.sampling_rate is not None:
-            return self._digital_gain(frequency, self.sampling_rate)
+        if (rate := self.sampling_rate) is not None:
+            from scipy.signal import butter, freqz, freqz_sos, iirnotch
+
+            if self.kind is FilterKind.LOW_PASS:
+                sections = butter(round(self.shape), self.frequency, fs=rate, output="sos")
+                response = freqz_sos(sections, worN=frequency, fs=rate)[1]
+            else:
+                coefficients = iirnotch(self.frequency, self.shape, fs=rate)
+                response = freqz(*coefficients, worN=frequency, fs=rate)[1]
+            return np.asarray(np.abs(response) ** 2)  # forward and backward
         ratio = np.asarray(frequency, dtype=np.float64) / self.frequency
         if self.kind is FilterKind.LOW_PASS:
             return np.asarray(np.exp(-attenuation(ratio, self.shape) / (2 * DECIBELS)))
         passed = np.abs(1 - ratio**2)
         return np.asarray(passed / np.hypot(passed, ratio / self.shape))
-
-    def _digital_gain(self, frequency: Floats, rate: float) -> Floats:
-        from scipy.signal import butter, freqz, freqz_sos, iirnotch
-
-        if self.kind is FilterKind.LOW_PASS:
-            sections = butter(round(self.shape), self.frequency, fs=rate, output="sos")
-            response = freqz_sos(sections, worN=frequency, fs=rate)[1]
-        else:
-            coefficients = iirnotch(self.frequency, self.shape, fs=rate)
-            response = freqz(*coefficients, worN=frequency, fs=rate)[1]
-        return np.asarray(np.abs(response) ** 2)  # forward and backward
 
     def apply(self, signal: Floats) -> Floats:
         """Signal (n_leads, n) after this digital filter, without delay; NaN leads stay NaN."""
@@ -93,11 +104,8 @@ class Filter:
 
     def __str__(self) -> str:
         """Description, such as ``low-pass 40 Hz (order 2), applied by this program``."""
-        name = "order" if self.kind is FilterKind.LOW_PASS else "quality"
-        return (
-            f"{self.kind.value} {self.frequency:.3g} Hz ({name} {self.shape:.3g}), "
-            f"{self.origin.value}"
-        )
+        shape = f"{self.kind.shape_name} {self.shape:.3g}"
+        return f"{self.kind.value} {self.frequency:.3g} Hz ({shape}), {self.origin.value}"
 
 
 def attenuation(ratio: Floats, order: float) -> Floats:
@@ -115,12 +123,13 @@ def applied_filters(lowpass: float | None, mains: float | None) -> tuple[Filter,
     `lowpass` is the cut-off (Hz) of a low-pass, where it halves amplitudes, and `mains` the
     frequency (Hz) of the power-line interference that a notch removes.
     """
-    filters, by = [], FilterOrigin.APPLIED
-    if lowpass is not None:  # of order 2, run forward and backward: 4 in effect
-        filters.append(Filter(FilterKind.LOW_PASS, lowpass, by, 2.0, TARGET_RATE))
-    if mains is not None:
-        filters.append(Filter(FilterKind.NOTCH, mains, by, NOTCH_QUALITY, TARGET_RATE))
-    return tuple(filters)
+    # a low-pass of order 2, run forward and backward, has an order of 4 in effect
+    frequencies = ((FilterKind.LOW_PASS, lowpass), (FilterKind.NOTCH, mains))
+    return tuple(
+        Filter(kind, frequency, FilterOrigin.APPLIED, kind.usual_shape, TARGET_RATE)
+        for kind, frequency in frequencies
+        if frequency is not None
+    )
 
 
 def resample(signal: Floats, sampling_rate: float) -> Floats:

@@ -112,7 +112,28 @@ def lead_groups(recording: Recording, spikes: Integers, options: TargetOptions) 
     In the order of time. A lead that runs through several stretches, such as a rhythm strip, is in
     each. The pacing `spikes` (k, 2), first sample and the one after the last, are taken out.
     """
-    return [_group(recording, spikes, *stretch, options) for stretch in stretches(recording)]
+    rate, groups = recording.sampling_rate, []
+    all_leads = np.array([*recording.signal, *recording.additional.values()])
+    for first, stop in stretches(recording):
+        leads = resample(complete_in(all_leads, first, stop), rate)
+        for filter_ in applied_filters(options.lowpass, options.notch):
+            leads = filter_.apply(leads)
+        signal, additional = leads[: len(LEADS)], leads[len(LEADS) :]
+        inside = spikes[(spikes[:, 0] >= first) & (spikes[:, 0] < stop)] - first
+        inside = np.round(inside * (TARGET_RATE / rate)).astype(np.int64)
+        independent = signal[_independent(signal)]
+        noise = noise_energy(independent)
+        if signal.shape[1] < 1.5 * TARGET_RATE:  # one beat, as recorders print it
+            peaks = np.array([int(np.argmax(magnitude(detrended(signal))))])
+        else:
+            peaks, margin = r_peaks(signal, TARGET_RATE), 40.0 / SAMPLING_STEP  # ms from the ends
+            peaks = peaks[(peaks >= margin) & (peaks < signal.shape[1] - margin)]
+        labels: tuple[str, ...] = ()
+        if len(peaks):
+            classes, peaks = cluster_morphology(independent, peaks, noise)
+            peaks, labels = _name_classes(signal, classes, peaks, inside)
+        groups.append(LeadGroup(first / rate, signal, inside, noise, peaks, labels, additional))
+    return groups
 
 
 def stretches(recording: Recording) -> list[tuple[int, int]]:
@@ -129,31 +150,6 @@ def stretches(recording: Recording) -> list[tuple[int, int]]:
         else:
             distinct.append((first, stop))
     return sorted(distinct)
-
-
-def _group(
-    recording: Recording, spikes: Integers, first: int, stop: int, options: TargetOptions
-) -> LeadGroup:
-    rate = recording.sampling_rate
-    leads = np.array([*recording.signal, *recording.additional.values()])
-    leads = resample(complete_in(leads, first, stop), rate)
-    for filter_ in applied_filters(options.lowpass, options.notch):
-        leads = filter_.apply(leads)
-    signal, additional = leads[: len(LEADS)], leads[len(LEADS) :]
-    inside = spikes[(spikes[:, 0] >= first) & (spikes[:, 0] < stop)] - first
-    inside = np.round(inside * (TARGET_RATE / rate)).astype(np.int64)
-    independent = signal[_independent(signal)]
-    noise = noise_energy(independent)
-    if signal.shape[1] < 1.5 * TARGET_RATE:  # one beat, as recorders print it
-        peaks = np.array([int(np.argmax(magnitude(detrended(signal))))])
-    else:
-        peaks, margin = r_peaks(signal, TARGET_RATE), 40.0 / SAMPLING_STEP  # ms from the ends
-        peaks = peaks[(peaks >= margin) & (peaks < signal.shape[1] - margin)]
-    labels: tuple[str, ...] = ()
-    if len(peaks):
-        classes, peaks = cluster_morphology(independent, peaks, noise)
-        peaks, labels = _name_classes(signal, classes, peaks, inside)
-    return LeadGroup(first / rate, signal, inside, noise, peaks, labels, additional)
 
 
 def complete_in(signal: Floats, first: int, stop: int) -> Floats:
@@ -181,7 +177,12 @@ def _name_classes(
     for number in np.unique(classes):
         moved[classes == number] += _to_r_peak(signal, peaks[classes == number], spikes)
     moved = np.clip(moved, 0, signal.shape[1] - 1)
-    kept = _distinct_beats(moved, np.abs(moved - peaks))
+    distances, kept = np.abs(moved - peaks), list[int]()
+    for k in np.argsort(moved, kind="stable"):  # the least moved of those within 120 ms stays
+        if kept and (moved[k] - moved[kept[-1]]) * SAMPLING_STEP < 120.0:
+            kept[-1] = k if distances[k] < distances[kept[-1]] else kept[-1]
+        else:
+            kept.append(k)
     peaks, classes = moved[kept], classes[kept]
     of_class = {k: peaks[classes == k] for k in np.unique(classes).tolist()}
     heights = {k: _height(signal, beats) for k, beats in of_class.items()}
@@ -194,17 +195,6 @@ def _name_classes(
         again, letter = divmod(place, len(ascii_uppercase))
         names[k] = ascii_uppercase[letter] + (str(again + 1) if again else "")
     return peaks, tuple(names[k] for k in classes)
-
-
-def _distinct_beats(peaks: Integers, moved: Integers) -> Integers:
-    """Indices of the peaks to keep, in order: the least moved of those within 120 ms."""
-    kept: list[int] = []
-    for k in np.argsort(peaks, kind="stable"):
-        if kept and (peaks[k] - peaks[kept[-1]]) * SAMPLING_STEP < 120.0:
-            kept[-1] = k if moved[k] < moved[kept[-1]] else kept[-1]
-        else:
-            kept.append(k)
-    return np.array(kept, dtype=np.int64)
 
 
 def _to_r_peak(signal: Floats, peaks: Integers, spikes: Integers) -> int:

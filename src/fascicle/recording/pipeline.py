@@ -16,7 +16,6 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.ranges import check_kind, short_repr
 from fascicle.recording.beats import (
-    FEW_ALIKE,
     AlignedBeats,
     DetectedBeat,
     by_name,
@@ -28,14 +27,16 @@ from fascicle.recording.detection import magnitude
 from fascicle.recording.filter_estimate import passed_filters
 from fascicle.recording.filters import TARGET_RATE, Filter, resample
 from fascicle.recording.lead_groups import LeadGroup, complete_in, lead_groups, stretches
-from fascicle.recording.quality.check_result import CheckResult, Severity, listed
-from fascicle.recording.quality.checks import check_leads, check_mean_beat, check_recording
-from fascicle.recording.recording import (
-    CHECKSUMS_AGREE,
-    MissingMetadataError,
-    Recording,
-    with_remarks,
+from fascicle.recording.limb_leads import check_identities, check_reversal
+from fascicle.recording.quality import (
+    CheckResult,
+    Severity,
+    check_leads,
+    check_mean_beat,
+    check_recording,
+    listed,
 )
+from fascicle.recording.recording import MissingMetadataError, Recording, with_remarks
 from fascicle.recording.spikes import find_spikes, remove_spikes
 from fascicle.recording.target import Target
 from fascicle.recording.target_options import TargetOptions, check_window
@@ -45,13 +46,6 @@ from fascicle.recording.window import (
     smoothing_against_ringing,
     window_uncertainty,
 )
-
-# QRS of a person, peak to peak in the largest lead (mV). Below 0.5 mV in the limb leads and 1.0 mV
-# in the chest leads the voltage is low (E. W. Hancock et al., AHA/ACCF/HRS recommendations, part V,
-# J. Am. Coll. Cardiol. 53:992, 2009); the 98th percentiles of R and S are up to 3 mV in a lead (P.
-# R. Rijnbeek et al., J. Electrocardiol. 47:914, 2014), and hypertrophy adds to that.
-USUAL_QRS = (0.5, 5.0)
-POSSIBLE_QRS = (0.3, 6.0)  # outside, gain or unit may be wrong, and the user is asked
 
 
 @dataclass(frozen=True)
@@ -181,7 +175,9 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
         r_peaks = np.round(times * rate).astype(np.int64)
         filters = passed_filters(recording, r_peaks, options)
         checked = replace(clean, additional={lead: clean.additional[lead] for lead in whole})
-        findings += check_recording(checked, r_peaks, filters, paced=len(spikes) > 0)
+        reversal = check_reversal(checked, r_peaks, paced=len(spikes) > 0)
+        findings += (*check_identities(checked), reversal)
+        findings += check_recording(checked, r_peaks, filters)
         _refuse(findings, recording)
         by_group, label = select_beats(groups, options, source)
         pairs = zip(groups, by_group, strict=True)
@@ -241,9 +237,18 @@ def _with_beats_checked(recording: Recording, groups: Sequence[LeadGroup]) -> Re
 
 
 def _check_amplitude(recording: Recording, height: float) -> list[str]:
-    """Check the height (mV) of beats in the largest lead: refuse it, ask, or return a warning."""
-    ranges = (0.05, 20.0), POSSIBLE_QRS, USUAL_QRS
-    possible, likely, usual = (low <= height <= high for low, high in ranges)
+    """Check the height (mV) of beats in the largest lead: refuse it, ask, or return a warning.
+
+    Below 0.5 mV in the limb leads and 1.0 mV in the chest leads the voltage is low (E. W. Hancock
+    et al., AHA/ACCF/HRS recommendations, part V, J. Am. Coll. Cardiol. 53:992, 2009); the 98th
+    percentiles of R and S are up to 3 mV in a lead (P. R. Rijnbeek et al., J. Electrocardiol.
+    47:914, 2014), and hypertrophy adds to that.
+    """
+    usual_range = (0.5, 5.0)  # mV, of a person
+    likely_range = (0.3, 6.0)  # mV; outside, gain or unit may be wrong, and the user is asked
+    possible, likely, usual = (
+        low <= height <= high for low, high in ((0.05, 20.0), likely_range, usual_range)
+    )
     notes = recording.provenance  # of a file, with what the user has said of its amplitude
     if not possible:
         raise InputError(
@@ -258,14 +263,14 @@ def _check_amplitude(recording: Recording, height: float) -> list[str]:
             gain = f" (--shared-gain --digits-per-mv, in place of {np.nanmedian(gains):g})"
         raise MissingMetadataError(
             f"{recording.source}: the QRS spans {height:.2g} mV in its largest lead, that of a "
-            f"person {POSSIBLE_QRS[0]:g} to {POSSIBLE_QRS[1]:g} mV; correct the gain{gain}, or "
+            f"person {likely_range[0]:g} to {likely_range[1]:g} mV; correct the gain{gain}, or "
             "confirm the unit that the file states by --unit",
             "unit",
         )
-    size = "low" if height < USUAL_QRS[0] else "high"
+    size = "low" if height < usual_range[0] else "high"
     return [
         f"{size} voltage: the QRS spans {height:.2g} mV in its largest lead, usually "
-        f"{USUAL_QRS[0]:g} to {USUAL_QRS[1]:g} mV; are unit and gain right?"
+        f"{usual_range[0]:g} to {usual_range[1]:g} mV; are unit and gain right?"
     ]
 
 
@@ -325,14 +330,27 @@ def _target(
     smoothing = smoothing_against_ringing(filters)
     onset, offset, onset_sd, offset_sd = _window(aligned, smoothing, options, source)
     intervals = [beat.interval for beat in beats if math.isfinite(beat.interval)]
+    notes = {
+        "source": source,
+        "sampling_rate_hz": f"{recording.sampling_rate:g}",
+        "recording_duration_s": f"{recording.duration:.3f}",
+        "beats_found": str(len(beats)),
+        "beats_used": str(count),
+        "beat_numbers": ", ".join(str(beat.number) for beat in beats if beat.used),
+        "beat_class": ", ".join(sorted({beat.label for beat in beats if beat.used})),
+        "qrs_onset_from": "detected" if options.onset is None else "given",
+        "qrs_offset_from": "detected" if options.offset is None else "given",
+    }
+    lists = {"derived_leads": recording.derived, "ignored_channels": recording.ignored}
+    notes |= {name: ", ".join(channels) for name, channels in lists.items() if channels}
+    notes = recording.provenance | notes | options.described()
     return Target(
         beats=aligned.beats,
         time=aligned.time,
         qrs_onset=onset,
         qrs_offset=offset,
         heart_rate=60000.0 / float(np.mean(intervals)) if intervals else None,
-        provenance=_provenance(recording, beats, count, options)
-        | {"filters": "\n".join(map(str, filters)) or "none known"},
+        provenance=notes | {"filters": "\n".join(map(str, filters)) or "none known"},
         onset_sd=onset_sd,
         offset_sd=offset_sd,
         noise=options.noise,
@@ -377,25 +395,6 @@ def _window(
     return start, end, deviations[0], deviations[1]
 
 
-def _provenance(
-    recording: Recording, beats: Sequence[DetectedBeat], n_used: int, options: TargetOptions
-) -> dict[str, str]:
-    notes = {
-        "source": recording.source,
-        "sampling_rate_hz": f"{recording.sampling_rate:g}",
-        "recording_duration_s": f"{recording.duration:.3f}",
-        "beats_found": str(len(beats)),
-        "beats_used": str(n_used),
-        "beat_numbers": ", ".join(str(beat.number) for beat in beats if beat.used),
-        "beat_class": ", ".join(sorted({beat.label for beat in beats if beat.used})),
-        "qrs_onset_from": "detected" if options.onset is None else "given",
-        "qrs_offset_from": "detected" if options.offset is None else "given",
-    }
-    lists = {"derived_leads": recording.derived, "ignored_channels": recording.ignored}
-    notes |= {name: ", ".join(channels) for name, channels in lists.items() if channels}
-    return recording.provenance | notes | options.described()
-
-
 def _warnings(analysis: Analysis, options: TargetOptions) -> list[str]:
     recording, target, beats = analysis.recording, analysis.target, analysis.beats
     warned = [finding for finding in analysis.findings if finding.severity is Severity.WARNING]
@@ -409,7 +408,7 @@ def _warnings(analysis: Analysis, options: TargetOptions) -> list[str]:
             f"together, aligned {how}"
         )
     notes = recording.provenance
-    if notes.get("checksums", CHECKSUMS_AGREE) != CHECKSUMS_AGREE:
+    if notes.get("checksums", "agree") != "agree":
         warnings.append(f"checksums of the file {notes['checksums']}: it may be damaged")
     warnings += notes.get("remarks", "").splitlines()
     rate = target.heart_rate
@@ -423,7 +422,7 @@ def _warnings(analysis: Analysis, options: TargetOptions) -> list[str]:
             "beats of two classes alternate: every second one is ectopic, or twice as many were "
             "found as there are, with T waves among them; look at the picture (--class chooses)"
         )
-    elif options.beats is None and alike < FEW_ALIKE * len(beats):
+    elif options.beats is None and alike < options.few_alike * len(beats):
         warnings.append(
             f"only {alike} of {len(beats)} beats are of class {analysis.chosen}; look at the rhythm"
         )

@@ -6,6 +6,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -13,12 +14,6 @@ from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import CHEST_LEADS, LEADS, LIMB_LEADS, limb_leads_from
 from fascicle.core.ranges import RANGES, check_array, number, short_repr
-
-CHECKSUMS_AGREE = "agree"  # provenance "checksums" where those of the file are right
-# ms; longest gap that is interpolated: where a QRS is steepest, it moves the mean of ten beats by
-# 0.02 mV, less than beats vary
-BRIDGED_GAP = 10.0
-SHORTEST, LONGEST = 0.4, 1800.0  # s; less does not hold a beat, more takes much memory
 
 
 @dataclass(frozen=True)
@@ -45,7 +40,7 @@ class Recording:
     source : str
         Origin, usually the file name; error messages start with it.
     provenance : dict
-        Text about the file: its format, its hash.
+        Text about the file: its format, its hash; ``checksums`` is ``agree`` where they are right.
     filters : Filters
         Filters that the recorder applied to the signal.
     digits_per_millivolt : (12,) array, optional
@@ -68,6 +63,8 @@ class Recording:
     derived: tuple[str, ...] = ()
     ignored: tuple[str, ...] = ()
     additional: dict[str, Floats] = field(default_factory=dict)
+
+    shortest: ClassVar[float] = 0.4  # s; less does not hold a beat
 
     __repr__ = short_repr
 
@@ -150,23 +147,26 @@ def check_extent(samples: int, sampling_rate: float, source: str) -> None:
             f"see the QRS, and {possible.high:g} Hz is the most; correct it, or export the "
             "recording at its full rate"
         )
-    seconds = samples / sampling_rate
-    if seconds < SHORTEST:
+    seconds, longest = samples / sampling_rate, 1800.0  # s; more takes much memory
+    if seconds < Recording.shortest:
         raise InputError(
-            f"{source}: recording is {seconds:.2f} s long; at least {SHORTEST:g} s are needed for "
-            "one beat, give 10 s"
+            f"{source}: recording is {seconds:.2f} s long; at least {Recording.shortest:g} s are "
+            "needed for one beat, give 10 s"
         )
-    if seconds > LONGEST or samples > 5_000_000:
+    if seconds > longest or samples > 5_000_000:
         raise InputError(
             f"{source}: recording is {seconds:.0f} s long, with {samples} samples a lead; cut it "
-            f"to {LONGEST:.0f} s and 5,000,000 samples or less, 10 s are enough"
+            f"to {longest:.0f} s and 5,000,000 samples or less, 10 s are enough"
         )
 
 
-def bridge_gaps(signal: Floats, rate: float, leads: Sequence[str]) -> tuple[Floats, list[str]]:
+def bridge_gaps(
+    signal: Floats, rate: float, leads: Sequence[str], longest: float = 10.0
+) -> tuple[Floats, list[str]]:
     """Interpolate a few lost samples of leads (n_leads, n), and cut off ragged ends.
 
-    A cubic spline bridges gaps of at most `BRIDGED_GAP` where no more than 1 % of the lead is lost.
+    A cubic spline bridges gaps of at most `longest` ms where no more than 1 % of the lead is lost:
+    where a QRS is steepest, 10 ms move the mean of ten beats by 0.02 mV, less than beats vary.
     Where leads begin or end at different times, the time that they share is kept if it is 90 % of
     the recording. Returned are the leads, and a line for each of these changes.
     """
@@ -177,7 +177,7 @@ def bridge_gaps(signal: Floats, rate: float, leads: Sequence[str]) -> tuple[Floa
         recorded = np.flatnonzero(np.isfinite(values))
         lengths = np.diff(recorded) - 1
         lost = int(lengths.sum())
-        if not 0 < lost <= 0.01 * len(recorded) or lengths.max() * 1000.0 > BRIDGED_GAP * rate:
+        if not 0 < lost <= 0.01 * len(recorded) or lengths.max() * 1000.0 > longest * rate:
             continue
         missing = np.setdiff1d(np.arange(recorded[0], recorded[-1]), recorded)
         values[missing] = CubicSpline(recorded, values[recorded])(missing)
@@ -259,28 +259,25 @@ def _check_gaps(recording: Recording) -> None:
                 ends = np.diff(~missing.any(axis=0), prepend=False, append=False)
                 runs = np.flatnonzero(ends).reshape(-1, 2).tolist()
                 part = max(runs, key=lambda run: run[1] - run[0], default=part)
-            lost = int(np.argmax(gaps))
+            leads = [lead for lead in recording.measured_leads if lead in gap_free]
+            remedies = []
+            if limb_leads_from(leads) is not None and set(leads) & set(CHEST_LEADS):
+                remedies.append(f"go on without: --leads {','.join(leads)}")
+            part_start, part_end = (sample / rate for sample in part)
+            if part_end - part_start >= 2.0:  # s; less holds hardly a beat
+                remedies.append(
+                    f"cut the recording to {part_start:.3f} to {part_end:.3f} s, which has no gaps"
+                )
+            lost, remedy = int(np.argmax(gaps)), ", or ".join(remedies)
             raise InputError(
                 f"{source}: lead {LEADS[row]} lacks {gaps.sum()} samples (first: sample {lost}, "
-                f"at {lost / rate:.3f} s); {_without_gaps(recording, gap_free, part)}"
+                f"at {lost / rate:.3f} s); {remedy or 'give another recording'}"
             )
-        if (end - begin) / rate < SHORTEST:
+        if (end - begin) / rate < recording.shortest:
             raise InputError(
                 f"{source}: lead {LEADS[row]} covers only {(end - begin) / rate:.2f} s; at least "
-                f"{SHORTEST:g} s of each lead are needed"
+                f"{recording.shortest:g} s of each lead are needed"
             )
-
-
-def _without_gaps(recording: Recording, gap_free: Collection[str], part: Sequence[int]) -> str:
-    """Advice about gaps: to use the leads, or the longest part (samples), that have none."""
-    leads = [lead for lead in recording.measured_leads if lead in gap_free]
-    begin, end = (sample / recording.sampling_rate for sample in part)
-    remedies = []
-    if limb_leads_from(leads) is not None and set(leads) & set(CHEST_LEADS):
-        remedies.append(f"go on without: --leads {','.join(leads)}")
-    if end - begin >= 2.0:  # s; less holds hardly a beat
-        remedies.append(f"cut the recording to {begin:.3f} to {end:.3f} s, which has no gaps")
-    return ", or ".join(remedies) or "give another recording"
 
 
 class MissingMetadataError(InputError):

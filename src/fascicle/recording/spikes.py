@@ -38,7 +38,9 @@ def find_spikes(signal: Floats, sampling_rate: float) -> Integers:
             continue
         # at the ends of a lead, the samples on one side are unknown
         at = slice(int(finite[0]), int(finite[-1]) + 1)
-        height = _prominence(lead[at], reach)
+        before, after = (lead[at] - _offset(lead[at], by) for by in (-reach, reach))
+        beyond_both = before * after > 0
+        height = np.where(beyond_both, np.minimum(np.abs(before), np.abs(after)), 0.0)
         height[: 3 * reach] = height[-3 * reach :] = 0.0
         recorded[at] += 1
         surroundings = _around(height**2, reach)
@@ -111,13 +113,6 @@ def spike_tail(beat: Floats, end: int) -> Floats:
 def _offset(lead: Floats, by: int) -> Floats:
     """Value `by` samples later; beyond its ends the recording keeps its first or last value."""
     return np.asarray(lead[np.clip(np.arange(len(lead)) + by, 0, len(lead) - 1)])
-
-
-def _prominence(lead: Floats, reach: int) -> Floats:
-    """Distance (mV) of each sample from the samples `reach` away, where beyond both of them."""
-    before, after = lead - _offset(lead, -reach), lead - _offset(lead, reach)
-    same_side = before * after > 0
-    return np.where(same_side, np.minimum(np.abs(before), np.abs(after)), 0.0)
 
 
 def _movement(lead: Floats, reach: int) -> Floats:

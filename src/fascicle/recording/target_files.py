@@ -22,8 +22,7 @@ from fascicle.recording.target import Target, residual_covariance
 if TYPE_CHECKING:
     import xarray as xr
 
-TARGET_FORMAT = "fascicle target"
-FORMAT_VERSION = 3
+FORMAT: dict[str, str | int] = {"format": "fascicle target", "format_version": 3}
 NUMBERS = {  # attribute of the file: field of the target, and whether it is always there
     "qrs_onset_ms": ("qrs_onset", True),
     "qrs_offset_ms": ("qrs_offset", True),
@@ -43,11 +42,11 @@ def write_target(target: Target, path: str | Path) -> None:
     write_bytes(path, _to_dataset(target).to_netcdf(engine="h5netcdf"))
 
 
-def as_target(given: Target | Path | str) -> Target:
+def as_target(target: Target | Path | str) -> Target:
     """Return a target as it is, or read it from its file."""
-    if isinstance(given, Target):
-        return given
-    return read_target(as_path(given, "target", "a target, or its netCDF file"))
+    if isinstance(target, Target):
+        return target
+    return read_target(as_path(target, "target", "a target, or its netCDF file"))
 
 
 def read_target(path: str | Path) -> Target:
@@ -151,7 +150,7 @@ def _attributes(target: Target) -> dict[str, str | float | int]:
         {
             "kind": filter_.kind.value,
             "frequency_Hz": filter_.frequency,
-            _shape_of(filter_.kind): filter_.shape,
+            filter_.kind.shape_name: filter_.shape,
             "origin": filter_.origin.value,
             "sampling_rate_Hz": filter_.sampling_rate,
         }
@@ -160,8 +159,7 @@ def _attributes(target: Target) -> dict[str, str | float | int]:
     return {
         "Conventions": "CF-1.11",
         "title": "QRS target: aligned beats of one electrocardiogram",
-        "format": TARGET_FORMAT,
-        "format_version": FORMAT_VERSION,
+        **FORMAT,
         "software": f"fascicle {version('fascicle')}",
         "comment": (
             "The QRS window, which all leads together decide and fits see, lasts from "
@@ -186,10 +184,6 @@ def _attributes(target: Target) -> dict[str, str | float | int]:
     }
 
 
-def _shape_of(kind: FilterKind) -> str:
-    return "order" if kind is FilterKind.LOW_PASS else "quality"
-
-
 def _filters_from(text: object) -> tuple[Filter, ...]:
     """Filters of a list in JSON; ValueError when the text is no such list."""
     try:
@@ -198,7 +192,7 @@ def _filters_from(text: object) -> tuple[Filter, ...]:
                 kind=FilterKind(entry["kind"]),
                 frequency=float(entry["frequency_Hz"]),
                 origin=FilterOrigin(entry["origin"]),
-                shape=float(entry[_shape_of(FilterKind(entry["kind"]))]),
+                shape=float(entry[FilterKind(entry["kind"]).shape_name]),
                 sampling_rate=entry["sampling_rate_Hz"] and float(entry["sampling_rate_Hz"]),
             )
             for entry in json.loads(str(text))
@@ -210,10 +204,10 @@ def _filters_from(text: object) -> tuple[Filter, ...]:
 def _problems(dataset: xr.Dataset) -> Iterator[str]:
     """Problems of a file; each check may rely on the absence of the problems before it."""
     attributes = dataset.attrs
-    if attributes.get("format") != TARGET_FORMAT:
+    if attributes.get("format") != FORMAT["format"]:
         yield f"not a target (format is {attributes.get('format')!r})"
-    if (number := attributes.get("format_version")) != FORMAT_VERSION:
-        yield f"target of format version {number}, this fascicle reads {FORMAT_VERSION}"
+    if (number := attributes.get("format_version")) != (readable := FORMAT["format_version"]):
+        yield f"target of format version {number}, this fascicle reads {readable}"
     missing = [name for name in ("beats", "lead", "time") if name not in dataset.variables]
     needed = [*(name for name, (_, always) in NUMBERS.items() if always), "filters"]
     missing += [name for name in needed if name not in attributes]

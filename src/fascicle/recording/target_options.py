@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from numbers import Integral
+from typing import ClassVar
 
 from fascicle.core.errors import InputError
 from fascicle.core.ranges import check_items, check_text, number, within
@@ -48,6 +49,8 @@ class TargetOptions:
     lowpass: float | None = None
     notch: float | None = None
     recorder_lowpass: float | None = None
+
+    few_alike: ClassVar[float] = 0.7  # share of the beats that should be of the chosen class
 
     def __post_init__(self) -> None:
         for kind, value, label in (

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -22,19 +22,9 @@ from fascicle.recording.detection import complete_leads
 from fascicle.recording.filters import MAINS, Filter, FilterKind
 
 SMOOTHING = 4.0  # ms; standard deviation of the Gaussian derivative
-# Error of the method without noise (ms), that of the experts included, and the share of how far the
-# leads disagree that adds to it: 95 % within two standard deviations
-ONSET_ERROR, OFFSET_ERROR, DISAGREEMENT = 5.0, 4.5, 0.4
-CORE_SMOOTHING = 10.0  # ms; leaves 1 % of 50 Hz interference
-STANDS_OUT = 2.2  # ratio of a speed above noise to the speed of the quietest stretch nearby
-ESCALATION = 1.1  # factor by which a level rises that is too low for noise
-WINDOWS = 50  # mean beats, changed by noise, in which the window is found again
-MOVING = 0.001  # mV/ms from which the leads are not at rest
-VISIBLE = 0.02  # mV from which the QRS is seen to differ from the PR or ST segment
-VISIBLE_NOISE = 3.0  # limit of visibility, too, in standard deviations of the noise of a mean beat
-# ms by which the window begins earlier and ends later than the QRS is seen in two leads, and by
-# which the global QRS does, which experts mark in the outermost lead
-FIRST_ACTIVATION, EXPERT = (4, 4), (17, 11)
+# Error of the method without noise (ms), that of the experts included: 95 % within two standard
+# deviations
+ONSET_ERROR, OFFSET_ERROR = 5.0, 4.5
 
 
 class NoQrsError(ValueError):
@@ -71,10 +61,18 @@ class _Velocity:
     slope: Floats
     curvature: Floats
 
+    # ratio of a speed above noise to the speed of the quietest stretch nearby
+    stands_out: ClassVar[float] = 2.2
+    escalation: ClassVar[float] = 1.1  # factor by which a level rises that is too low for noise
+
     @classmethod
     def of(cls, leads: Floats, smoothing: float) -> _Velocity:
         """Velocity of leads (k, n), mV, smoothed by a Gaussian of `smoothing` ms."""
-        return cls(_derivative(leads, smoothing, 1), _derivative(leads, smoothing, 2))
+        slope, curvature = (
+            np.asarray(gaussian_filter1d(leads, smoothing, axis=-1, order=order, mode="nearest"))
+            for order in (1, 2)
+        )
+        return cls(slope, curvature)
 
     def speed(self, turning: float, trend: Floats | float = 0.0) -> Floats:
         """Root mean square over the leads, (n,), of how fast they leave lines of slope `trend`.
@@ -94,7 +92,7 @@ def spatial_velocity(signal: Floats) -> Floats:
     The signal is (12, n), mV, every ms; the mean is over the independent leads that were recorded,
     each smoothed by a Gaussian of `SMOOTHING` ms.
     """
-    slope = _derivative(signal[complete_leads(signal)], SMOOTHING, 1)
+    slope = _Velocity.of(signal[complete_leads(signal)], SMOOTHING).slope
     return np.asarray(np.sqrt(np.mean(slope**2, axis=0)))
 
 
@@ -114,17 +112,17 @@ def qrs_windows(signal: Floats, not_before: int = 0, smoothing: float = SMOOTHIN
 
     The fastest stretches of the beat, and the samples before them that are far from the isoelectric
     level, are the core of the QRS. From there outward the leads are followed until they rest for 10
-    ms, slower than a level or than `STANDS_OUT` times the quietest stretch nearby. Their speed is
-    the root mean square over the leads, less the fastest, of
+    ms, slower than a level or than 2.2 times the quietest stretch nearby. Their speed is the root
+    mean square over the leads, less the fastest, of
     :math:`\sqrt{(\dot V - \dot V_0)^2 + (\tau \ddot V)^2}`, with derivatives by a Gaussian,
     :math:`\tau` a time and :math:`\dot V_0` the slope of the PR or ST segment. From rest back
-    inward, a lead is in the QRS from where it is `VISIBLE` from the line through the segment.
-    Power-line interference is subtracted. A P wave that runs into the QRS is no part of it, nor is
-    a T wave that begins at the J point.
+    inward, a lead is in the QRS from where it is 0.02 mV, or three standard deviations of its
+    noise, from the line through the segment. Power-line interference is subtracted. A P wave that
+    runs into the QRS is no part of it, nor is a T wave that begins at the J point.
 
     Two marks must confirm each other: one of the limb leads, which share electrodes, and one of
-    each chest lead. The ends of the window are `FIRST_ACTIVATION` (ms) further out than the second
-    mark; `EXPERT` further out an expert would mark the QRS in the outermost of twelve leads.
+    each chest lead. The ends of the window are 4 ms further out than the second mark. An expert
+    would mark the QRS in the outermost of twelve leads 17 ms before it and 11 ms after it.
 
     Parameters
     ----------
@@ -147,8 +145,8 @@ def qrs_windows(signal: Floats, not_before: int = 0, smoothing: float = SMOOTHIN
     J. L. Willems et al., Eur. Heart J. 6:815 (1985), on the global QRS.
     """
     marks = _marks(signal, not_before, smoothing)
-    first, last = marks.further_out(FIRST_ACTIVATION)
-    onset, offset = marks.further_out(EXPERT)
+    first, last = marks.further_out((4, 4))
+    onset, offset = marks.further_out((17, 11))
     return QrsWindows(
         (max(first, not_before), min(last, signal.shape[1] - 1)),
         (max(onset, not_before) if not_before else onset, offset),
@@ -167,12 +165,6 @@ class _Marks(NamedTuple):
 
     onsets: Integers
     offsets: Integers
-
-    @property
-    def apart(self) -> tuple[int, int]:
-        """Samples from the first to the fourth onset, and offset."""
-        k = min(3, len(self.onsets) - 1)
-        return int(self.onsets[k] - self.onsets[0]), int(self.offsets[0] - self.offsets[k])
 
     def further_out(self, by: tuple[int, int]) -> tuple[int, int]:
         """Samples `by` ms before the second onset and after the second offset (or the only one)."""
@@ -196,7 +188,8 @@ def _marks(signal: Floats, not_before: int, smoothing: float) -> _Marks:
         core, velocity, leads, first = _core_and_leads(beat, smoothing, False)
     # A share of the height in ECGs of another size than a person's, such as uncalibrated ones
     height = float(np.ptp(leads[:, first : core[1] + 1], axis=1).max())
-    visible = float(np.clip(VISIBLE, 0.005 * height, 0.04 * height))
+    # mV from which the QRS is seen to differ from the PR or ST segment
+    visible = float(np.clip(0.02, 0.005 * height, 0.04 * height))
     last = leads.shape[1] - 1
     backward = _Velocity(-velocity.slope[:, ::-1], velocity.curvature[:, ::-1])
     ends = []
@@ -205,11 +198,12 @@ def _marks(signal: Floats, not_before: int, smoothing: float) -> _Marks:
         (_OFFSET, velocity, leads, core[1], core[1]),
     ):
         high = _highest(velocity.speed(search.turning))
-        level = float(np.clip(MOVING, 0.005 * high, 0.04 * high))
+        # mV/ms from which the leads are not at rest
+        level = float(np.clip(0.001, 0.005 * high, 0.04 * high))
         rest = _isoelectric_from(moving, start, search, level)
         away = _away_from_segment(outward, rest, search, smoothing)
         noise = np.sqrt((away[:, rest : rest + search.trend] ** 2).mean(axis=1))
-        least = np.maximum(visible, VISIBLE_NOISE * np.maximum(noise, np.median(noise)))
+        least = np.maximum(visible, 3.0 * np.maximum(noise, np.median(noise)))
         seen = np.abs(away[:, inside : rest + 1]) > least[:, None]
         until = np.where(seen.any(axis=1), seen.shape[1] - 1 - np.argmax(seen[:, ::-1], axis=1), 0)
         ends.append(
@@ -233,7 +227,7 @@ def _core_and_leads(
     velocity = _Velocity.of(independent, smoothing)
     for wider in (wider for wider in (5.0, 6.0, 8.0) if wider > smoothing):  # ms
         speed = velocity.speed(_OFFSET.turning)
-        if STANDS_OUT * _quietest(speed) <= 0.025 * _highest(speed):
+        if velocity.stands_out * _quietest(speed) <= 0.025 * _highest(speed):
             break
         velocity = _Velocity.of(independent, wider)
     leads = _without_interference(beat[np.isfinite(beat).all(axis=1)], core)
@@ -290,11 +284,6 @@ def _end_of_p_wave(leads: Floats, velocity: _Velocity, first: int, core: tuple[i
     return first + lowest if alone and slower else 0
 
 
-def _derivative(leads: Floats, smoothing: float, order: int) -> Floats:
-    """Derivative (mV/ms or mV/ms²) of leads (k, n), by a Gaussian of `smoothing` ms."""
-    return np.asarray(gaussian_filter1d(leads, smoothing, axis=-1, order=order, mode="nearest"))
-
-
 def _without_interference(leads: Floats, core: tuple[int, int]) -> Floats:
     """Leads (k, n) without power-line interference where it is most of what is fast at rest."""
     time = np.arange(leads.shape[1])
@@ -333,8 +322,9 @@ def _core_of(leads: Floats, paced: bool) -> tuple[int, int]:
     any QRS, because noise or a T wave are fast, the level rises. Then only half of a slow paced QRS
     may be left; the other half, unlike most T waves, has half of the highest speed or more.
     """
+    smoothing = 10.0  # ms; leaves 1 % of 50 Hz interference
     # Curvature has much weight in the core: tall T waves are steep, but turn slowly.
-    speed = _Velocity.of(leads, CORE_SMOOTHING).speed(turning=10.0)
+    speed = _Velocity.of(leads, smoothing).speed(turning=10.0)
     highest = _highest(speed)
     if not highest > 0:
         raise NoQrsError("no QRS: the leads do not move, or one of many alone")
@@ -345,14 +335,14 @@ def _core_of(leads: Floats, paced: bool) -> tuple[int, int]:
         group = next(group for group in groups if group[0] <= peak <= group[-1])
         if group[-1] - group[0] <= 220:  # ms
             break
-        level *= ESCALATION
+        level *= _Velocity.escalation
     first, last, end = int(group[0]), int(group[-1]), len(speed) - 1
     sure, reach = np.flatnonzero(speed >= 0.5 * highest), 110
     sure = sure[(sure >= first - reach) & (sure <= last + reach)]
     if paced and sure.size and max(last, sure[-1]) - min(first, sure[0]) <= 300:  # ms
         first, last = min(first, int(sure[0])), max(last, int(sure[-1]))
     # smoothing has moved the ends outward, unless they are those of the array
-    spread = round(CORE_SMOOTHING)
+    spread = round(smoothing)
     return (
         min(first + spread, peak) if first else 0,
         max(last - spread, peak) if last < end else end,
@@ -389,14 +379,14 @@ def _slow_after(speed: Floats, core: int, level: float, reach: int) -> int:
     end = len(outward) - 1
     # Right before the end of the array there may be no rest.
     near = outward[:reach] if end > 60 else speed
-    level = max(level, STANDS_OUT * _quietest(near))
+    level = max(level, _Velocity.stands_out * _quietest(near))
     outward = np.append(outward, np.zeros(10))[: reach + 10]
     fastest = np.lib.stride_tricks.sliding_window_view(outward, 10).max(axis=1)
     while True:
         slow = np.flatnonzero(fastest < level)
         if slow.size:
             return min(int(slow[0]), end)
-        level *= ESCALATION
+        level *= _Velocity.escalation
 
 
 def window_uncertainty(
@@ -405,20 +395,20 @@ def window_uncertainty(
     """Standard deviations (ms) of the ends of the QRS that `qrs_window` finds in the mean beat.
 
     The beats (n_beats, 12, n), mV, are aligned; the results hold for the global QRS, too. The
-    window is found again in `WINDOWS` mean beats: of beats drawn with replacement (bootstrap,
-    Efron, Ann. Statist. 7:1, 1979) or, where the `noise` (mV) of a beat is stated, as for a single
-    one, with that much noise added. The method's own error, `ONSET_ERROR` and `OFFSET_ERROR`, adds
-    to the spread of these windows, as does `DISAGREEMENT` times the time from the first to the
-    fourth lead that is in the QRS. The draws are the same in every call.
+    window is found again in 50 mean beats: of beats drawn with replacement (bootstrap, Efron, Ann.
+    Statist. 7:1, 1979) or, where the `noise` (mV) of a beat is stated, as for a single one, with
+    that much noise added. The method's own error, `ONSET_ERROR` and `OFFSET_ERROR`, adds to the
+    spread of these windows, as does 0.4 times the time from the first to the fourth lead that is in
+    the QRS. The draws are the same in every call.
     """
-    rng = np.random.default_rng(0)
+    rng, n_means = np.random.default_rng(0), 50
     n_beats, beats = len(beats), beats[:, : len(LEADS)]
     if noise is None:
-        draws = rng.multinomial(n_beats, np.full(n_beats, 1 / n_beats), size=WINDOWS) / n_beats
+        draws = rng.multinomial(n_beats, np.full(n_beats, 1 / n_beats), size=n_means) / n_beats
         means = np.tensordot(draws, beats, axes=1)
         inflation = n_beats / (n_beats - 1)  # the drawn beats vary about their mean, not the true
     else:
-        white = rng.standard_normal((WINDOWS, *beats.shape[1:]))
+        white = rng.standard_normal((n_means, *beats.shape[1:]))
         # as smooth as a recorder's (2 ms)
         smooth = np.asarray(gaussian_filter1d(white, 2.0, axis=-1, mode="wrap"))
         means = beats.mean(axis=0) + np.asarray(smooth / smooth.std()) * noise / n_beats**0.5
@@ -427,7 +417,8 @@ def window_uncertainty(
     # 68 % of a normal distribution; a few means in which another wave stands out do not count
     low, high = np.quantile(windows, [0.16, 0.84], axis=0)
     by_noise = inflation * ((high - low) / 2) ** 2
-    apart = _marks(beats.mean(axis=0), not_before, smoothing).apart
-    by_leads = np.square(DISAGREEMENT * np.array(apart))
+    onsets, offsets = _marks(beats.mean(axis=0), not_before, smoothing)
+    fourth = min(3, len(onsets) - 1)
+    by_leads = np.square(0.4 * np.array([onsets[fourth] - onsets[0], offsets[0] - offsets[fourth]]))
     onset, offset = np.sqrt(by_noise + by_leads + np.square([ONSET_ERROR, OFFSET_ERROR]))
     return float(onset), float(offset)

@@ -106,38 +106,6 @@ def muse(
     )
 
 
-def default_code(value: int) -> str:
-    """Bits of one value in the default Huffman table of EN 1064, 5.5."""
-    size = abs(value)
-    if value == 0:
-        return "0"
-    if size <= 8:
-        return "1" * size + "0" + ("1" if value < 0 else "0")
-    if -128 <= value <= 127:
-        return "1111111110" + format(value & 0xFF, "08b")
-    return "1111111111" + format(value & 0xFFFF, "016b")
-
-
-def differences(row, order: int):
-    """Values as EN 1064, 5.9.4 stores them: the first `order` as they are, then differences."""
-    row = np.asarray(row)
-    return np.concatenate([row[:order], np.diff(row, order)])
-
-
-def bit_bytes(bits: str) -> bytes:
-    """Bits, the first one highest, filled up with zeros to an even number of bytes."""
-    bits += "0" * (-len(bits) % 16)
-    return int(bits, 2).to_bytes(len(bits) // 8, "big")
-
-
-def lead_bytes(row, order: int, huffman: bool) -> bytes:
-    """Samples of one lead as sections 5 and 6 store them."""
-    values = differences(row, order)
-    if huffman:
-        return bit_bytes("".join(default_code(int(value)) for value in values))
-    return values.astype("<i2").tobytes()
-
-
 def section(number: int, content: bytes) -> bytes:
     """A section with its header and checksum, padded to an even length."""
     content += b"\0" * (len(content) % 2)
@@ -162,8 +130,8 @@ def scp_record(sections: Mapping[int, bytes]) -> bytes:
 
 
 def scp_sections(
-    digits: Sequence, *, names=INDEPENDENT_LEADS, starts=None, order=0, huffman=False,
-    nanovolts=4880, interval=2000, flags=None,
+    digits: Sequence, *, names=INDEPENDENT_LEADS, starts=None, nanovolts=4880, interval=2000,
+    flags=None,
 ) -> dict[int, bytes]:  # fmt: skip
     """Contents of the sections of a 12-lead recording, to be changed by a test."""
     starts = [1] * len(names) if starts is None else starts
@@ -172,18 +140,15 @@ def scp_sections(
         for name, start, row in zip(names, starts, digits, strict=True)
     ]
     flags = 0x04 | len(names) << 3 if flags is None else flags
-    data = [lead_bytes(row, order, huffman) for row in digits]
+    data = [np.asarray(row).astype("<i2").tobytes() for row in digits]
     tags = b"\x1b\x02\x00" + struct.pack("<H", 5) + b"\x1c\x02\x00" + struct.pack("<H", 150)
     tags += b"\x1d\x01\x00\x02" + b"\xff\x00\x00"
-    sections = {
+    return {
         1: b"\x02\x05\x004711\x00" + tags,
         3: bytes([len(leads), flags & 0xFF]) + b"".join(leads),
-        6: struct.pack(f"<HHBB{len(data)}H", nanovolts, interval, order, 0, *map(len, data))
+        6: struct.pack(f"<HHBB{len(data)}H", nanovolts, interval, 0, 0, *map(len, data))
         + b"".join(data),
     }
-    if huffman:
-        sections[2] = struct.pack("<H", 19999)
-    return sections
 
 
 def scp(digits, **options) -> bytes:

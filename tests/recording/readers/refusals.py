@@ -1,10 +1,10 @@
-"""Signals to write, and what every reader must do with files that it cannot use."""
+"""Signals to write, what every reader must read, and do with files that it cannot use."""
 
 import numpy as np
 import pytest
 
 from fascicle.core.errors import InputError
-from fascicle.core.leads import lead_matrix
+from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
 from fascicle.recording.readers.read import read_recording
 
 
@@ -24,3 +24,11 @@ def refused(path, *words, **options):
     for word in words:
         assert word in message, message
     return message
+
+
+def read_as(path, signal, tolerance=1e-9, **options):
+    """Recording of a file, whose twelve or eight independent leads must be these (mV)."""
+    recording = read_recording(path, **options)
+    leads = recording.signal[INDEPENDENT_ROWS] if len(signal) == 8 else recording.signal
+    np.testing.assert_allclose(leads, signal, rtol=1e-9, atol=tolerance)
+    return recording

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pydicom.data import get_testdata_file
-from refusals import refused
+from refusals import read_as, refused
 
 from fascicle.core.leads import LEADS, lead_matrix
 from fascicle.recording.readers.formats import READERS, Reader, reader_of, register_reader
@@ -144,8 +144,7 @@ class TestChecks:
         self.found = {"units": [None] * 12, "rate": None}
         refused(path, "no sampling rate in the file", "sampling_rate=")
         refused(path, "unknown unit of lead I (the file names none)", sampling_rate=400)
-        recording = read_recording(path, unit="uV", sampling_rate=400)
-        assert recording.signal == pytest.approx(1e-3 * expected)
+        recording = read_as(path, 1e-3 * expected, unit="uV", sampling_rate=400)
         assert recording.digits_per_millivolt == pytest.approx(np.full(12, 2e5))
         assert recording.provenance["choice_unit"] == "uV"
 
@@ -172,8 +171,7 @@ class TestChecks:
     def test_limb_leads_follow_from_two(self, path):
         expected = read_recording(path).signal
         self.found = {"names": ["I", "II", *"xyzu", *LEADS[6:]]}
-        recording = read_recording(path)
-        assert recording.signal == pytest.approx(expected, abs=1e-12)
+        recording = read_as(path, expected)
         assert recording.derived == ("III", "aVR", "aVL", "aVF")
         assert recording.ignored == ("u",)
         assert [*recording.additional] == ["X", "Y", "Z"]
@@ -181,8 +179,7 @@ class TestChecks:
     def test_leads_without_signal_were_not_recorded(self, path):
         expected = read_recording(path).signal
         self.found = {"silent": [2, 3]}
-        recording = read_recording(path)
-        assert recording.signal == pytest.approx(expected, abs=1e-12)
+        recording = read_as(path, expected)
         assert recording.derived == ("III", "aVR")
         assert recording.provenance["remarks"].endswith("empty from start to end: III, aVR")
         self.found = {"silent": [8]}

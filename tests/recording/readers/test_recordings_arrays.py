@@ -1,15 +1,12 @@
 """Recordings from HDF5 and MATLAB files, good, bad and damaged."""
 
-import time
-
 import h5py
 import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse
-from refusals import refused, waves
+from refusals import read_as, refused, waves
 
-from fascicle.core import isolated
 from fascicle.core.leads import LEADS
 from fascicle.recording.readers.read import read_recording
 
@@ -67,30 +64,23 @@ def save_matlab_73(path, signal, names=LEADS, kind=b"cell"):
 
 class TestHdf5:
     def test_one_dataset_a_lead(self, tmp_path, signal):
-        path = save_hdf5(tmp_path / "a.h5", by_lead(signal) | {"resp": np.zeros(9), "note": "x"})
-        recording = read_recording(path)
-        assert recording.signal == pytest.approx(signal, abs=0)
+        names = [f"patient/ecg/lead_{lead.lower()}" for lead in LEADS]
+        datasets = by_lead(1000 * signal, names) | {"patient/ecg/resp": np.zeros(9)}
+        attributes = {"fs": RATE, "patient/ecg:units": "uV"}
+        path = save_hdf5(tmp_path / "a.h5", datasets, attributes)
+        recording = read_as(path, signal)
         assert recording.sampling_rate == 500
         assert recording.ignored == ("resp",)
         assert recording.provenance["format"] == "HDF5"
 
-    @pytest.mark.parametrize("group", ["ecg", "patient/ecg"])
-    def test_leads_in_a_group(self, tmp_path, signal, group):
-        names = [f"{group}/lead_{lead.lower()}" for lead in LEADS]
-        path = save_hdf5(
-            tmp_path / "a.hdf5", by_lead(1000 * signal, names), {"fs": RATE, f"{group}:units": "uV"}
-        )
-        assert read_recording(path).signal == pytest.approx(signal, abs=1e-12)
-
-    @pytest.mark.parametrize("key", ["leads", "sig_name", "ch_names", "labels", "Lead Names"])
+    @pytest.mark.parametrize("key", ["sig_name", "Lead Names"])
     @pytest.mark.parametrize("turned", [False, True])
     def test_matrix_with_names(self, tmp_path, signal, key, turned):
         matrix = signal.T if turned else signal
         names = ["Resp", *reversed(LEADS)]
         matrix = np.insert(signal[::-1], 0, 7.0, axis=0)
         path = save_hdf5(tmp_path / "a.h5", {"ecg": matrix.T if turned else matrix, key: names})
-        recording = read_recording(path)
-        assert recording.signal == pytest.approx(signal, abs=0)
+        recording = read_as(path, signal)
         assert recording.ignored == ("Resp",)
 
     @pytest.mark.parametrize(
@@ -99,8 +89,7 @@ class TestHdf5:
     def test_names_rate_and_unit_as_attributes(self, tmp_path, signal, names):
         attributes = {"ecg:leads": names, "ecg:Sampling Rate": "500 sps", "ecg:unit": "uV"}
         path = save_hdf5(tmp_path / "a.h5", {"ecg": 1000 * signal[None]}, attributes)
-        recording = read_recording(path)
-        assert recording.signal == pytest.approx(signal, abs=1e-12)
+        recording = read_as(path, signal)
         assert recording.sampling_rate == 500
 
     @pytest.mark.parametrize(
@@ -133,12 +122,6 @@ class TestHdf5:
         dataset = xarray.Dataset({"ecg": ecg}, attrs={"sampling_rate": 500.0})
         dataset.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
         assert read_recording(tmp_path / "a.nc").signal == pytest.approx(signal, abs=0)
-
-    def test_fill_values_are_missing_samples(self, tmp_path, signal):
-        digits = np.round(1000 * signal).astype(np.int16)
-        digits[4, 10:20] = -32768
-        attributes = {"fs": RATE, "units": "uV", "aVL:_FillValue": np.int16(-32768)}
-        refused(save_hdf5(tmp_path / "a.h5", by_lead(digits), attributes), "aVL lacks 10 samples")
 
 
 class TestStated:
@@ -218,9 +201,8 @@ class TestHdf5Refused:
 
     @pytest.mark.parametrize(
         "dtype",
-        [np.complex128, [("re", float), ("im", float)], h5py.vlen_dtype(float), h5py.ref_dtype,
-         np.bool_, "V8"],
-    )  # fmt: skip
+        [np.complex128, [("re", float), ("im", float)], h5py.vlen_dtype(float), h5py.ref_dtype],
+    )
     def test_what_is_no_number(self, tmp_path, signal, dtype):
         path = save_hdf5(tmp_path / "a.h5", by_lead(signal))
         with h5py.File(path, "a") as file:
@@ -254,18 +236,6 @@ class TestHdf5Refused:
 class TestIsolated:
     """Whatever the library does, the caller sees one refusal."""
 
-    def test_endless_loop(self, tmp_path, signal, monkeypatch):
-        """The library looks for the end of a damaged heap of texts for ever."""
-        path = save_hdf5(tmp_path / "a.h5", {"ecg": signal, "leads": list(LEADS)})
-        content = bytearray(path.read_bytes())
-        start = content.index(b"GCOL") + 16
-        content[start : start + 16] = bytes(16)
-        path.write_bytes(content)
-        monkeypatch.setattr(isolated, "SECONDS", 2.0)
-        started = time.monotonic()
-        refused(path, "not read within 2 s of computing")
-        assert time.monotonic() - started < 15
-
     def test_module_in_the_working_folder_is_not_run(self, tmp_path, signal, monkeypatch):
         (tmp_path / "h5py.py").write_text("raise SystemExit(3)")
         path = save_hdf5(tmp_path / "a.h5", by_lead(signal))
@@ -277,8 +247,7 @@ class TestMatlab:
     @pytest.mark.parametrize("options", [{}, {"do_compression": True}, {"format": "4"}])
     def test_one_variable_a_lead(self, tmp_path, signal, options):
         variables = by_lead(1000 * signal) | {"fs": 500.0, "units": "uV", "x": np.ones(3)}
-        recording = read_recording(save_matlab(tmp_path / "a.mat", variables, **options))
-        assert recording.signal == pytest.approx(signal, abs=1e-12)
+        recording = read_as(save_matlab(tmp_path / "a.mat", variables, **options), signal)
         assert recording.sampling_rate == 500
         assert recording.ignored == ("x",)
         assert recording.provenance["format"] == f"MATLAB {options.get('format', '5')}"
@@ -287,9 +256,9 @@ class TestMatlab:
     @pytest.mark.parametrize("turned", [False, True])
     def test_matrix_with_names(self, tmp_path, signal, names, turned):
         matrix = signal.T if turned else signal
-        variables = {"ecg": matrix, "leads": names, "Fs": 500, "unit": "mV"}
-        recording = read_recording(save_matlab(tmp_path / "a.mat", variables))
-        assert recording.signal == pytest.approx(signal, abs=0)
+        loop_index = np.arange(9.0)  # is no lead I
+        variables = {"ecg": matrix, "leads": names, "Fs": 500, "unit": "mV", "i": loop_index}
+        read_as(save_matlab(tmp_path / "a.mat", variables), signal)
 
     def test_structure(self, tmp_path, signal):
         names = np.array(LEADS, dtype=object)
@@ -306,16 +275,10 @@ class TestMatlab:
 
     def test_version_7_3(self, tmp_path, signal):
         path = save_matlab_73(tmp_path / "a.mat", signal)
-        recording = read_recording(path)
-        assert recording.signal == pytest.approx(signal, abs=0)
+        recording = read_as(path, signal)
         assert recording.provenance["format"] == "MATLAB 7.3"
         path = save_matlab_73(tmp_path / "b.mat", signal, kind=b"string")
         refused(path, "'leads' (no numbers)")
-
-    def test_loop_index_is_no_lead(self, tmp_path, signal):
-        variables = {"ecg": signal, "leads": np.array(LEADS), "fs": 500, "units": "mV"}
-        path = save_matlab(tmp_path / "a.mat", variables | {"i": np.arange(9.0)})
-        assert read_recording(path).signal == pytest.approx(signal, abs=0)
 
     @pytest.mark.parametrize(
         "value", [np.ones(N, dtype=complex), "text", scipy.sparse.eye(9).tocsc()]
@@ -323,12 +286,6 @@ class TestMatlab:
     def test_what_is_no_number(self, tmp_path, signal, value):
         variables = by_lead(signal) | {"fs": 500, "units": "mV", "V1": value}
         refused(save_matlab(tmp_path / "a.mat", variables), "lead V1 missing")
-
-    def test_names_that_are_no_texts(self, tmp_path, signal):
-        names = np.empty(12, dtype=object)
-        names[:] = [np.arange(3.0)] * 12
-        path = save_matlab(tmp_path / "a.mat", {"ecg": signal, "leads": names, "fs": 500})
-        refused(path, "'leads' (no numbers)")
 
     def test_twice_the_same_variable(self, tmp_path, signal):
         path = save_matlab(tmp_path / "a.mat", by_lead(signal))

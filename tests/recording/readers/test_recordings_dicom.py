@@ -14,7 +14,7 @@ from pydicom.uid import (
     ImplicitVRLittleEndian,
     JPEGBaseline8Bit,
 )
-from refusals import refused
+from refusals import read_as, refused
 
 from fascicle.core.leads import LEADS
 from fascicle.recording.pipeline import make_target
@@ -41,7 +41,7 @@ class TestPublished:
         filters = recording.filters
         assert (filters.highpass, filters.lowpass, filters.notch) == (0.05, 300, None)
 
-    @pytest.mark.parametrize("size", [0, 100, 400, 2000, 100_000, 240_000])
+    @pytest.mark.parametrize("size", [0, 400, 2000, 240_000])
     def test_truncated(self, path, tmp_path, size):
         with open(path, "rb") as file:
             (tmp_path / "a.dcm").write_bytes(file.read(size))
@@ -51,25 +51,9 @@ class TestPublished:
 @pytest.mark.parametrize(
     "syntax", [ExplicitVRLittleEndian, ImplicitVRLittleEndian, DeflatedExplicitVRLittleEndian]
 )
-@pytest.mark.parametrize("dtype", ["i1", "<i2", "<i4"])
-def test_sample_types_and_transfer_syntaxes(tmp_path, syntax, dtype):
-    recording = read_recording(write(tmp_path, group(digits(), dtype=dtype), syntax=syntax))
-    assert recording.signal == pytest.approx(0.025 * digits())
+def test_transfer_syntaxes(tmp_path, syntax):
+    recording = read_as(write(tmp_path, group(digits()), syntax=syntax), 0.025 * digits())
     assert recording.sampling_rate == RATE
-
-
-@pytest.mark.parametrize(("dtype", "zero"), [("u1", 128), ("<u2", 32768), ("<u4", 2**31)])
-def test_unsigned_samples_with_a_baseline(tmp_path, dtype, zero):
-    item = change_leads(group(digits() + zero, dtype=dtype), ChannelBaseline=str(-25 * zero))
-    assert read_recording(write(tmp_path, item)).signal == pytest.approx(0.025 * digits(), abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("bits", "kind"), [(8, "MB"), (8, "AB"), (16, "SB"), (12, "SS"), (64, "SV")]
-)
-def test_unknown_sample_types(tmp_path, bits, kind):
-    item = group(digits(), WaveformBitsAllocated=bits, WaveformSampleInterpretation=kind)
-    refused(write(tmp_path, item))
 
 
 def test_sensitivity_correction_baseline_and_gain(tmp_path):
@@ -241,6 +225,11 @@ class TestGroups:
         assert read_recording(path).provenance["multiplex_group"] == "2, 3, 4, 5"
         path = write(tmp_path, median, *self.thirds(["0", "2000", "4000", "6000"])[:3])
         assert read_recording(path).provenance["multiplex_group"] == "1"
+        derived = group(digits(600), WaveformOriginality="DERIVED", SamplingFrequency="1000")
+        change_leads(derived, ChannelSensitivity=None)  # is not read, and need not be calibrated
+        recording = read_recording(write(tmp_path, derived, group(digits())))
+        assert recording.provenance["multiplex_group"] == "2"
+        assert recording.signal.shape == (12, N)
 
     def test_groups_that_cannot_be_joined(self, tmp_path):
         path = write(tmp_path, *self.thirds(["0", "2000", "4000", ""]))
@@ -250,14 +239,6 @@ class TestGroups:
         path = write(tmp_path, *self.thirds(["0", "0", "0", "99999999999999"]))
         refused(path)
         refused(write(tmp_path, *self.thirds(["0", "0", "0", "500"])), "lead I lacks")
-
-    def test_rhythm_and_not_the_median_beat(self, tmp_path):
-        median = group(digits(600), WaveformOriginality="DERIVED", SamplingFrequency="1000")
-        recording = read_recording(write(tmp_path, median, group(digits())))
-        assert recording.provenance["multiplex_group"] == "2"
-        assert recording.signal.shape == (12, N)
-        broken = change_leads(median, ChannelSensitivity=None)
-        assert read_recording(write(tmp_path, broken, group(digits()))).signal.shape == (12, N)
 
 
 class TestCases:
@@ -269,14 +250,6 @@ class TestCases:
         assert "aligned by lead II" in target.provenance["warnings"]
 
 
-def test_padding_is_a_gap(tmp_path):
-    samples = digits()
-    samples[3, 10:20] = -(2**15)
-    item = group(samples, WaveformPaddingValue=b"\x00\x80")
-    item["WaveformPaddingValue"].VR = "OW"
-    refused(write(tmp_path, item), "lead aVR lacks 10 samples", "sample 10")
-
-
 @pytest.mark.parametrize(
     "elements",
     [
@@ -284,7 +257,9 @@ def test_padding_is_a_gap(tmp_path):
         {"NumberOfWaveformSamples": 0}, {"NumberOfWaveformSamples": None},
         {"ChannelDefinitionSequence": []},
         {"ChannelDefinitionSequence": None}, {"WaveformData": None},
-        {"WaveformBitsAllocated": None},
+        {"WaveformBitsAllocated": None}, {"WaveformBitsAllocated": 12},
+        {"WaveformBitsAllocated": 8, "WaveformSampleInterpretation": "MB"},
+        {"WaveformBitsAllocated": 64, "WaveformSampleInterpretation": "SV"},
     ],
 )  # fmt: skip
 def test_groups_that_are_refused(tmp_path, elements):

@@ -3,7 +3,7 @@
 import edfio
 import numpy as np
 import pytest
-from refusals import refused, waves
+from refusals import read_as, refused, waves
 
 from fascicle.core.leads import LEADS
 from fascicle.recording.readers.read import read_recording
@@ -49,22 +49,19 @@ def field(offset, number, count, length=8):
 
 class TestRead:
     def test_values_rate_and_gain(self, tmp_path, signal):
-        recording = read_recording(write(tmp_path / "a.edf", signals(signal)))
+        path = write(tmp_path / "a.edf", signals(signal))
+        recording = read_recording(path)
+        by_edfio = np.array([channel.data / 1000 for channel in edfio.read_edf(path).signals])
+        assert recording.signal == pytest.approx(by_edfio, abs=1e-14)
         assert recording.signal == pytest.approx(signal, abs=DIGIT)
         assert recording.sampling_rate == 500
         assert recording.digits_per_millivolt == pytest.approx(np.full(12, 1 / DIGIT))
         assert recording.provenance["format"] == "EDF/EDF+"
         assert recording.filters == Filters()
 
-    def test_samples_are_those_of_edfio(self, tmp_path, signal):
-        path = write(tmp_path / "a.edf", signals(signal))
-        expected = [found.data / 1000 for found in edfio.read_edf(path).signals]
-        assert read_recording(path).signal == pytest.approx(np.array(expected), abs=1e-14)
-
     def test_wilson_reference_and_inverted_lead(self, tmp_path, signal):
         labels = [f"ECG {lead}-WCT" if lead[0] == "V" else lead for lead in LEADS]
-        recording = read_recording(write(tmp_path / "a.edf", signals(signal, labels)))
-        assert recording.signal == pytest.approx(signal, abs=DIGIT)
+        read_as(write(tmp_path / "a.edf", signals(signal, labels)), signal, DIGIT)
         labels = ["ECG -V1" if lead == "V1" else f"ECG {lead}" for lead in LEADS]
         refused(write(tmp_path / "b.edf", signals(signal, labels)), "lead V1 missing")
         labels = ["V1-V2" if lead == "V1" else lead for lead in LEADS]
@@ -77,8 +74,7 @@ class TestRead:
             [breath, *signals(signal)],
             [edfio.EdfAnnotation(0.5, None, "lead I off")],
         )
-        recording = read_recording(path)
-        assert recording.signal == pytest.approx(signal, abs=DIGIT)
+        recording = read_as(path, signal, DIGIT)
         assert recording.ignored == ("Resp",)
 
     @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from refusals import refused, waves
+from refusals import read_as, refused, waves
 
 from fascicle.core.leads import LEADS
 from fascicle.recording.readers.read import read_recording
@@ -44,8 +44,7 @@ def text_of(frame, **options):
 
 class TestUnits:
     def test_our_own_format_is_in_mv(self, tmp_path, signal):
-        recording = read_recording(save(table(signal), tmp_path / "ecg.csv"))
-        assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
+        recording = read_as(save(table(signal), tmp_path / "ecg.csv"), signal)
         assert recording.sampling_rate == 500
         assert len(recording.provenance["source_sha256"]) == 64
 
@@ -89,8 +88,7 @@ class TestUnits:
         units = ",".join([f"'{unit}'", *["'mV'"] * 12])
         rows = [",".join(map(repr, sample)) for sample in signal.T.tolist()]
         rows = [f"{time.format(k / RATE)},{row}" for k, row in enumerate(rows)]
-        recording = read_recording(write(tmp_path / "a.csv", "\n".join([header, units, *rows])))
-        assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
+        recording = read_as(write(tmp_path / "a.csv", "\n".join([header, units, *rows])), signal)
         assert recording.sampling_rate == RATE
         path = write(tmp_path / "b.csv", "\n".join([header, *rows]))
         in_uv = read_recording(path, unit="uV", sampling_rate=RATE)
@@ -98,13 +96,6 @@ class TestUnits:
 
 
 class TestNumbers:
-    @pytest.mark.parametrize("separator", [";", "\t"])
-    def test_decimal_commas(self, tmp_path, signal, separator):
-        path = save(table(signal, IN_MV, "time_s"), tmp_path / "a.csv", sep=separator, decimal=",")
-        recording = read_recording(path)
-        assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
-        assert recording.sampling_rate == 500
-
     def test_decimal_commas_that_are_not_clear(self, tmp_path, signal):
         text = text_of(table(signal, IN_MV, "time_s"), sep=";", decimal=",")
         refused(write(tmp_path / "a.csv", text.replace(";", ",")), "decimal commas by semicolons")
@@ -112,20 +103,13 @@ class TestNumbers:
         frame["V6_mV"] = frame["V6_mV"].str.replace(".", ",")
         refused(save(frame, tmp_path / "b.csv", sep=";"), "column 'V6_mV' holds", "decimal mark")
 
-    def test_a_comment_column_with_commas_does_not_make_decimal_commas(self, tmp_path, signal):
-        frame = table(signal, IN_MV).assign(note="sinus, normal")
-        recording = read_recording(save(frame, tmp_path / "a.csv", sep=";"))
-        assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
-
     @pytest.mark.parametrize(
-        "encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1", "cp1252", "mac-roman"]
+        ("encoding", "line_end"), [("utf-8", "\r\n"), ("utf-16", "\r"), ("mac-roman", "\n")]
     )
-    @pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
     def test_encodings_and_line_ends(self, tmp_path, signal, encoding, line_end):
         names = [f"{lead} (µV)" for lead in LEADS]
         text = text_of(table(1e3 * signal[:, :800], names), lineterminator=line_end)
-        recording = read_recording(write(tmp_path / "a.csv", text, encoding))
-        assert_allclose(recording.signal, signal[:, :800], rtol=0, atol=1e-9)
+        read_as(write(tmp_path / "a.csv", text, encoding), signal[:, :800])
 
     def test_text_and_holes(self, tmp_path, signal):
         frame = table(signal).astype(object)
@@ -145,8 +129,7 @@ class TestNumbers:
         frame = table(signal).assign(remark='sinus, "normal"', beat=np.nan)
         lines = text_of(frame).splitlines()
         lines = ["# exported", "", *lines[:9], "# here", *lines[9:], ",,,,,,,,,,,,,,", "", "# end"]
-        recording = read_recording(write(tmp_path / "a.csv", "\n".join(lines)), unit="mV")
-        assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
+        recording = read_as(write(tmp_path / "a.csv", "\n".join(lines)), signal, unit="mV")
         assert recording.ignored == ("remark", "beat")
 
     def test_cells_beyond_the_header_and_open_quotes(self, tmp_path, signal):
@@ -227,11 +210,6 @@ class TestTimes:
         frame.loc[7, "time_ms"] = np.nan
         refused(save(frame, tmp_path / "d.csv"), "times in the column 'time_ms' are missing")
 
-    def test_of_a_clock_are_refused(self, tmp_path, signal):
-        frame = table(signal, IN_MV, "Time")
-        frame["Time"] = [f"09:59:{x:06.3f}" for x in np.arange(N) / 500]
-        refused(save(frame, tmp_path / "a.csv"), "column 'Time' holds '09:59:00.000' in row 1")
-
 
 def paper(signal, rhythm="II_rhythm_mV"):
     """Three rows of leads that take turns, over four columns; II runs along below."""
@@ -264,12 +242,6 @@ class TestPaper:
             rows[k, span] = signal[k, span]
         return rows
 
-    def test_leads_in_turns(self, tmp_path):
-        signal = waves(self.N)
-        path = save(paper(signal, None), tmp_path / "a.csv")
-        recording = read_recording(path)
-        assert_allclose(recording.signal, self.expected(signal), rtol=0, atol=1e-12)
-
     @pytest.mark.parametrize(
         "name", ["II_rhythm_mV", "II (rhythm) [mV]", "Rhythm II_mV", "rhythm strip II_mV"]
     )
@@ -285,8 +257,7 @@ class TestPaper:
 
     def test_a_rhythm_strip_of_the_same_length_is_left_out(self, tmp_path, signal):
         frame = table(signal, IN_MV).assign(II_rhythm_mV=5.0)
-        recording = read_recording(save(frame, tmp_path / "a.csv"))
-        assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
+        recording = read_as(save(frame, tmp_path / "a.csv"), signal)
         assert recording.ignored == ("II_rhythm_mV (left out)",)
 
     @pytest.mark.parametrize("shuffled", [False, True])
@@ -381,7 +352,7 @@ def test_however_it_is_written_the_signal_is_the_same(tmp_path, data):
         ))  # fmt: skip
         columns[form.format(draw(st.sampled_from(SPELT[lead])))] = factor * row
     if draw(st.booleans()):
-        columns["comment"] = "none"
+        columns["comment"] = "sinus, normal"
     buffer = io.StringIO()
     pd.DataFrame(columns).to_csv(
         buffer, index=False, sep=separator, decimal=decimal, quoting=draw(st.sampled_from([0, 2]))
@@ -390,6 +361,5 @@ def test_however_it_is_written_the_signal_is_the_same(tmp_path, data):
     write(
         path, buffer.getvalue(), draw(st.sampled_from(["utf-8", "utf-8-sig", "utf-16", "cp1252"]))
     )
-    recording = read_recording(path)
-    assert_allclose(recording.signal, signal, rtol=0, atol=1e-9)
+    recording = read_as(path, signal)
     assert recording.sampling_rate == pytest.approx(RATE, abs=1e-5)

@@ -1,4 +1,4 @@
-"""WFDB records of every signal format and layout, good and bad.
+"""WFDB records of every layout, good and bad.
 
 Signal files are packed here, from the text of signal(5), and not by the library that reads them.
 """
@@ -8,14 +8,13 @@ import hashlib
 import numpy as np
 import pytest
 import wfdb
-from refusals import refused, waves
+from refusals import read_as, refused, waves
 
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.recording.readers.read import read_recording
 
 RATE, N, GAIN = 500, 1500, 40
-EIGHT = ("I", "II", "V1", "V2", "V3", "V4", "V5", "V6")
 
 
 def digits(n=N, gain=GAIN):
@@ -24,38 +23,27 @@ def digits(n=N, gain=GAIN):
 
 
 def pack(samples, kind):
-    """Bytes of samples (n, channels) in a signal format."""
+    """Bytes of samples (n, channels) in a signal format, 16 or 212."""
     flat = samples.ravel()
-    if kind == "8":
-        return np.diff(samples, axis=0, prepend=samples[:1]).astype("i1").tobytes()
-    if kind == "24":
-        return flat.astype("<i4").view(np.uint8).reshape(-1, 4)[:, :3].tobytes()
-    if kind == "212":
-        one, two = (flat & 0xFFF).reshape(-1, 2).T
-        octets = [one & 0xFF, (one >> 8) | (two >> 8 << 4), two & 0xFF]
-        return np.stack(octets, axis=1).astype(np.uint8).tobytes()
-    if kind in ("310", "311"):
-        one, two, three = (flat & 0x3FF).reshape(-1, 3).T
-        if kind == "311":
-            return (one | two << 10 | three << 20).astype("<u4").tobytes()
-        words = [one << 1 | (three & 0x1F) << 11, two << 1 | (three >> 5) << 11]
-        return np.stack(words, axis=1).astype("<u2").tobytes()
-    types = {"16": "<i2", "61": ">i2", "32": "<i4", "80": "u1", "160": "<u2"}
-    return (flat + {"80": 2**7, "160": 2**15}.get(kind, 0)).astype(types[kind]).tobytes()
+    if kind == "16":
+        return flat.astype("<i2").tobytes()
+    one, two = (flat & 0xFFF).reshape(-1, 2).T
+    octets = [one & 0xFF, (one >> 8) | (two >> 8 << 4), two & 0xFF]
+    return np.stack(octets, axis=1).astype(np.uint8).tobytes()
 
 
 def write(
     folder, samples, kind="16", gain=f"{GAIN}/mV", names=LEADS, name="rec", first=None, **how
 ):
     """Write a record of samples (channels, n); `gain` is one or a list."""
-    stored, prefix = how.get("stored", kind), how.get("prefix", b"")
+    stored = how.get("stored", kind)
     gains = [gain] * len(samples) if isinstance(gain, str) else gain
     first = f"{name} {len(samples)} {RATE} {samples.shape[1]}" if first is None else first
     lines = [
         f"{name}.dat {stored} {gain} 16 0 {row[0]} {int(row.sum()) % 2**16} 0 {lead}"
         for row, gain, lead in zip(samples, gains, names, strict=True)
     ]
-    (folder / f"{name}.dat").write_bytes(prefix + pack(samples.T, kind))
+    (folder / f"{name}.dat").write_bytes(pack(samples.T, kind))
     path = folder / f"{name}.hea"
     path.write_text("\n".join([first, *lines]) + "\n", encoding="utf-8")
     return path
@@ -68,11 +56,10 @@ def change(path, old, new, count=1):
     return path
 
 
-@pytest.mark.parametrize("kind", ["8", "16", "24", "32", "61", "80", "160", "212", "310", "311"])
+@pytest.mark.parametrize("kind", ["16", "212"])
 def test_signal_formats(tmp_path, kind):
     path = write(tmp_path, digits(), kind)
-    recording = read_recording(path)
-    assert recording.signal == pytest.approx(digits() / GAIN, abs=1e-12)
+    recording = read_as(path, digits() / GAIN)
     assert recording.sampling_rate == RATE
     assert recording.digits_per_millivolt == pytest.approx(np.full(12, GAIN))
     assert recording.provenance["checksums"] == "agree"
@@ -96,29 +83,10 @@ def test_several_signal_files_of_several_formats(tmp_path):
         new = "limb.dat 212" if k < 6 else "chest.dat 16"
         lines[k + 1] = lines[k + 1].replace("rec.dat 16", new)
     path.write_text("\n".join([lines[0], *lines[7:], *lines[1:7]]))
-    recording = read_recording(path)
-    assert recording.signal == pytest.approx(digits() / GAIN, abs=1e-12)
+    recording = read_as(path, digits() / GAIN)
     both = (tmp_path / "chest.dat").read_bytes() + (tmp_path / "limb.dat").read_bytes()
     assert recording.provenance["signal_files"] == "chest.dat, limb.dat"
     assert recording.provenance["signal_sha256"] == hashlib.sha256(both).hexdigest()
-
-
-def test_byte_offset_as_in_mat_files_of_challenges(tmp_path):
-    path = write(tmp_path, digits(), stored="16+24", prefix=b"header of 24 bytes ok ok")
-    path.with_suffix(".dat").rename(tmp_path / "rec.mat")
-    change(path, "rec.dat", "rec.mat", 12)
-    assert read_recording(path).signal == pytest.approx(digits() / GAIN, abs=1e-12)
-
-
-def test_several_samples_in_a_frame(tmp_path):
-    interleaved = digits().reshape(12, -1, 2).transpose(1, 0, 2).reshape(1, -1)
-    first = f"rec 12 {RATE / 2:g} {N // 2}"
-    path = write(tmp_path, digits(), stored="16x2", first=first)
-    path.with_suffix(".dat").write_bytes(pack(interleaved, "16"))
-    recording = read_recording(path)
-    assert recording.sampling_rate == RATE
-    assert recording.signal == pytest.approx(digits() / GAIN, abs=1e-12)
-    refused(path, "sampling rate is 500 Hz", sampling_rate=250)
 
 
 def test_slower_channels_are_ignored_but_slower_leads_refused(tmp_path):
@@ -129,6 +97,8 @@ def test_slower_channels_are_ignored_but_slower_leads_refused(tmp_path):
     path.write_text(path.read_text() + f"rec.dat 16 {GAIN}/mmHg 16 0 0 0 0 Resp\n")
     recording = read_recording(path)
     assert recording.ignored == ("Resp",)
+    assert recording.sampling_rate == RATE
+    refused(path, "sampling rate is 500 Hz", sampling_rate=250)
     assert recording.signal == pytest.approx(digits() / GAIN, abs=1e-12)
     text = path.read_text().replace("Resp", "V6").replace("0 V6", "0 other", 1)
     path.write_text(text)
@@ -151,16 +121,10 @@ def test_skew_is_undone(tmp_path):
 @pytest.mark.parametrize(
     ("gain", "millivolts", "per_millivolt"),
     [
-        ("40", 1 / 40, 40),
-        ("40(7)/mV", 1 / 40, 40),
-        ("-40/mV", -1 / 40, 40),
-        ("0.04/uV", 1 / 40, 40),
-        ("4e-02/µV", 1 / 40, 40),
-        ("40000/V", 1 / 40, 40),
-        ("40/V", 25, 0.04),
-        ("4e1/mV", 1 / 40, 40),
+        ("40", 1 / 40, 40), ("40(7)/mV", 1 / 40, 40), ("-40/mV", -1 / 40, 40),
+        ("4e-02/µV", 1 / 40, 40), ("40/V", 25, 0.04),
     ],
-)
+)  # fmt: skip
 def test_gain_baseline_and_unit(tmp_path, gain, millivolts, per_millivolt):
     recording = read_recording(write(tmp_path, digits(), gain=gain))
     baseline = 7 if "(7)" in gain else 0
@@ -210,18 +174,13 @@ def test_first_lines(tmp_path, first):
 @pytest.mark.parametrize(
     ("new", "words"),
     [
-        ("/etc/passwd 16", ["no file in its folder"]),
-        ("~ 16", []),
-        ("rek.dat 16", ["rek.dat"]),
-        ("r" * 400 + " 16", []),
-        ("rec.dat 99", ["several formats"]),
-        ("rec.dat 16+24:3", ["16+24:3"]),
-        ("rec.dat 16x0", ["16x0"]),
-        ("rec.dat 212", ["several formats"]),
+        ("/etc/passwd 16", "no file in its folder"), ("~ 16", ""), ("rek.dat 16", "rek.dat"),
+        ("r" * 400 + " 16", ""), ("rec.dat 99", "several formats"), ("rec.dat 16x0", "16x0"),
+        ("rec.dat 16+24:3", "16+24:3"), ("rec.dat 516", "several formats"),
     ],
-)
+)  # fmt: skip
 def test_signal_lines(tmp_path, new, words):
-    refused(change(write(tmp_path, digits()), "rec.dat 16", new), *words)
+    refused(change(write(tmp_path, digits()), "rec.dat 16", new), words)
 
 
 class TestSegments:
@@ -242,8 +201,7 @@ class TestSegments:
     def test_fixed_layout(self, tmp_path):
         write(tmp_path, digits()[:, :700], name="s1")
         write(tmp_path, digits()[:, 700:], name="s2")
-        recording = read_recording(self.master(tmp_path, ("s1", 700), ("s2", 800)))
-        assert recording.signal == pytest.approx(digits() / GAIN, abs=1e-12)
+        recording = read_as(self.master(tmp_path, ("s1", 700), ("s2", 800)), digits() / GAIN)
         assert recording.provenance["signal_files"] == "s1.dat, s1.hea, s2.dat, s2.hea"
         assert recording.provenance["checksums"] == "agree"
 
@@ -251,8 +209,7 @@ class TestSegments:
         layout = [f"~ 0 {GAIN}/mV 16 0 0 0 0 {lead}" for lead in LEADS]
         (parts / "rec_layout.hea").write_text("\n".join([f"rec_layout 12 {RATE} 0", *layout]))
         path = self.master(parts, ("rec_layout", 0), ("s1", 700), ("s2", 800))
-        recording = read_recording(path)
-        assert recording.signal == pytest.approx(digits() / GAIN, abs=1e-12)
+        read_as(path, digits() / GAIN)
 
     @pytest.mark.parametrize(
         "segments",
@@ -278,7 +235,7 @@ class TestSegments:
         refused(self.master(parts, ("s1", 700), ("s2", 800)), "s2.hea", "marked invalid")
 
 
-@pytest.mark.parametrize("folder", ["a b", "[x]*?", "é ü", "http:", "~", "%41"])
+@pytest.mark.parametrize("folder", ["[x]*?", "é ü", "http:"])
 def test_odd_paths(tmp_path, monkeypatch, folder):
     (tmp_path / folder).mkdir()
     path = write(tmp_path / folder, digits())

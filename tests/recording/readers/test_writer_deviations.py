@@ -9,7 +9,7 @@ import clinical_files as files
 import dicom_files
 import edfio
 import pytest
-from refusals import refused
+from refusals import read_as, refused
 
 from fascicle.core.leads import INDEPENDENT_LEADS, LEADS
 from fascicle.recording.readers.read import read_recording
@@ -167,8 +167,7 @@ def saved(folder, name, content):
 @pytest.mark.parametrize(("name", "what"), ALL)
 def test_read(tmp_path, name, what):
     content, said = READ[name][what]
-    recording = read_recording(saved(tmp_path, name, content))
-    assert recording.signal[ROWS] == pytest.approx(MV, abs=1e-9)
+    recording = read_as(saved(tmp_path, name, content), MV)
     assert recording.sampling_rate == 500
     remarks = recording.provenance.get("remarks", "")
     assert said in remarks
@@ -197,8 +196,7 @@ def test_dicom_without_its_beginning(tmp_path, begin):
 def test_a_rate_that_is_not_there_is_asked(tmp_path, name, content):
     path = saved(tmp_path, name, content)
     refused(path, "no sampling rate in the file")
-    recording = read_recording(path, sampling_rate=500)
-    assert recording.signal[ROWS] == pytest.approx(MV, abs=1e-9)
+    read_as(path, MV, sampling_rate=500)
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,7 @@ class _Group:
     name: str
     metadata: list[Entry]
     arrays: dict[str, _Array] = field(default_factory=dict)
-    others: list[str] = field(default_factory=list)
+    textual: list[str] = field(default_factory=list)
 
 
 def read_hdf5(path: Path, sampling_rate: float | None) -> RawRecording:
@@ -132,7 +132,7 @@ def _groups(where: str, stored: Mapping[str, Any], around: Sequence[Entry]) -> I
         elif isinstance(array.numbers, np.ndarray) and array.numbers.dtype.kind in "iuf":
             group.arrays[name] = array
         else:
-            group.others.append(name)
+            group.textual.append(name)
     yield group
     for name, value in stored.items():
         if isinstance(value, Mapping):
@@ -147,7 +147,7 @@ def _raw_recording(stored: Mapping[str, Any], path: Path, format: str) -> RawRec
         contents = [
             f"'{name}' ({_size(a)})" for group in groups for name, a in group.arrays.items()
         ]
-        contents += [f"'{name}' (no numbers)" for group in groups for name in group.others]
+        contents += [f"'{name}' (no numbers)" for group in groups for name in group.textual]
         # a record of a PhysioNet challenge
         header = ", or give the WFDB header (.hea) of the record" * ("val" in groups[0].arrays)
         raise InputError(

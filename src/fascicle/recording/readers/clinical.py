@@ -23,12 +23,7 @@ from fascicle.core.errors import InputError, one_line, printable
 from fascicle.recording.readers import writer_deviations as deviations
 from fascicle.recording.readers.names import lead_name
 from fascicle.recording.readers.read import Channel, RawRecording, narrowest_passband, sha256_of
-from fascicle.recording.recording import CHECKSUMS_AGREE, Filters, with_remarks
-
-# warnings of the library that concern no sample: dates, its own rounding, averaged beats of SCP-ECG
-_TECHNICAL = re.compile(
-    "is not an integer; rounded|birth date|measurement time|long-term rhythm|tag length|median beat"
-)
+from fascicle.recording.recording import Filters, with_remarks
 
 
 def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
@@ -51,7 +46,7 @@ def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
     if deviations.NO_RHYTHM in mends and record.median_beats:
         record.leads = record.median_beats
     remarks += [*mends, *_check_one_recording(record.source_format, path, data, root)]
-    if wrong and not _samples_are_right(record.source_format, data, root):
+    if wrong and not deviations.samples_are_right(record.source_format, data, root):
         raise InputError(f"{path}: damaged, a checksum is wrong ({wrong[0]}); export it again")
     if wrong and record.source_format == "scp_ecg":
         remarks.append(f"checksums differ, but not those of the samples ({wrong[0]})")
@@ -78,15 +73,6 @@ def _copy(path: Path, contents: Mapping[str, bytes]) -> Iterator[Path]:
         yield Path(folder) / path.name
 
 
-def _samples_are_right(source_format: str, data: bytes, root: ET.Element | None) -> bool:
-    """Whether no checksum of the samples is wrong; one of 0 was not written."""
-    if source_format == "scp_ecg":
-        return deviations.scp_samples_are_right(data)
-    if source_format == "ge_muse_xml" and root is not None:
-        return not any((sum_.text or "").strip().strip("0") for sum_ in root.iter("LeadDataCRC32"))
-    return source_format == "ishne_holter" and data[8:10] == bytes(2)
-
-
 def _parsed(parser: Any, path: Path, copy: Path) -> tuple[Any, list[str], list[str]]:
     """Run one parser; return its record, its warnings, and those that a checksum is wrong."""
     from ecgdatakit.exceptions import ChecksumWarning, ECGDataKitError, UnsupportedFormatError
@@ -107,12 +93,17 @@ def _parsed(parser: Any, path: Path, copy: Path) -> tuple[Any, list[str], list[s
             ) from error
         except ECGDataKitError as error:
             raise InputError(f"{path}: damaged file ({reason(error)}); export it again") from error
+    # warnings that concern no sample: dates, rounding of the library, averaged beats of SCP-ECG
+    technical = (
+        "is not an integer; rounded|birth date|measurement time|long-term rhythm|tag length|"
+        "median beat"
+    )
     remarks: list[str] = []
     wrong: list[str] = []
     for warning in caught:
         is_checksum = issubclass(warning.category, ChecksumWarning)
         text = re.sub(r";? ?\(?(see )?raw_metadata.*", "", reason(warning.message))
-        if is_checksum or not _TECHNICAL.search(text):
+        if is_checksum or not re.search(technical, text):
             (wrong if is_checksum else remarks).append(text)
     for remark in remarks:  # a truncated EDF file is read: its whole records are right
         if re.search("(may be|are) truncated|has gaps|shorter than the frame", remark):
@@ -138,7 +129,13 @@ def _check_one_recording(
         elements = list(root.iter())
         nested = sum(element.tag.lower() == "restingecg" for element in elements)
         named = ("trialSubject", "PatientDemographics")
-        people = {_identity(element) for element in elements if element.tag in named}
+        people = set()
+        for person in (element for element in elements if element.tag in named):
+            identity = (person.find(tag) for tag in ("id", "PatientID", ".//name"))
+            texts = [
+                (*part.attrib.values(), *part.itertext()) for part in identity if part is not None
+            ]
+            people.add(tuple(text.strip() for words in texts for text in words))
         if nested > 1:
             several = f"{nested} RestingECG elements"
         elif len(people) > 1:
@@ -146,17 +143,6 @@ def _check_one_recording(
     if several:
         raise InputError(f"{path}: holds several recordings ({several}); give a file of one")
     return remarks
-
-
-def _identity(person: ET.Element) -> tuple[str, ...]:
-    """Identifiers and name of a person in an XML file, which tell people apart."""
-    elements = (person.find(tag) for tag in ("id", "PatientID", ".//name"))
-    texts = (
-        (*element.attrib.values(), *element.itertext())
-        for element in elements
-        if element is not None
-    )
-    return tuple(text.strip() for words in texts for text in words)
 
 
 def _standard_name(lead: Any) -> str | None:
@@ -216,21 +202,19 @@ def _rate(record: Any, leads: Sequence[Any], root: ET.Element | None) -> float |
     if record.source_format == "mfer":
         return float(raw["sampling_rates"][record.leads.index(first)])
     if record.source_format == "ge_muse_xml" and root is not None:
-        return None if (rate := _muse_rate(root)) == deviations.UNKNOWN_RATE else rate
+        for waveform in root.findall("Waveform"):
+            texts = {e.tag.lower(): "".join(e.itertext()).strip() for e in waveform}
+            if texts.get("waveformtype", "").lower() in ("rhythm", ""):
+                break
+        base, exponent = (
+            float(texts.get(tag, "").replace(",", ".") or 0)
+            for tag in ("samplebase", "sampleexponent")
+        )
+        # a tenth is not exact: 4883 * 10**-1.0 is not 488.3
+        power = math.pow(10, abs(exponent))
+        rate = base * power if exponent > 0 else base / power
+        return None if rate == deviations.UNKNOWN_RATE else rate
     return float(raw.get("exact_sampling_rates", {}).get(first.label, first.sampling_rate))
-
-
-def _muse_rate(root: ET.Element) -> float:
-    """Samples per second of the rhythm: SampleBase times ten to the SampleExponent."""
-    for waveform in root.findall("Waveform"):
-        texts = {e.tag.lower(): "".join(e.itertext()).strip() for e in waveform}
-        if texts.get("waveformtype", "").lower() in ("rhythm", ""):
-            break
-    base, exponent = (
-        float(texts.get(tag, "").replace(",", ".") or 0) for tag in ("samplebase", "sampleexponent")
-    )
-    # a tenth is not exact: 4883 * 10**-1.0 is not 488.3
-    return base * math.pow(10, exponent) if exponent > 0 else base / math.pow(10, -exponent)
 
 
 def _filters(record: Any, leads: Sequence[Any]) -> Filters:
@@ -315,7 +299,7 @@ def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
     unsummed = {spec["description"] for spec in specs if not spec["checksum"]}
     differ = [name for name in re.findall("'(.*?)'", "".join(wrong)) if name not in unsummed]
     if raw["checksum_valid"] or differ:
-        agreement = f"differ for {', '.join(differ)}" if differ else CHECKSUMS_AGREE
+        agreement = f"differ for {', '.join(differ)}" if differ else "agree"
         provenance = {"checksums": agreement} | provenance
     stated = rate if raw["sampling_frequency_stated"] else None
     return RawRecording(channels, stated, provenance=with_remarks(provenance, remarks))

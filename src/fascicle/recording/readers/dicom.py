@@ -92,7 +92,15 @@ def read_dicom(path: Path, sampling_rate: float | None) -> RawRecording:
     remarks = [remark for item in items for remark in _mended(item)]
     groups = [_MultiplexGroup(item, k) for k, item in enumerate(items)]
     if len(groups) > 1:
-        _drop_empty(groups, [multiplex_array(dataset, group.index) for group in groups])
+        # leads are not recorded in groups in which they are constant, if they move in another
+        moving = []
+        for group in groups:
+            rows = zip(group.sources, multiplex_array(dataset, group.index).T, strict=True)
+            moving.append({lead for (_, lead), row in rows if np.ptp(row) > 0})
+        anywhere = set().union(*moving)
+        for group, recorded in zip(groups, moving, strict=True):
+            empty = anywhere - recorded
+            group.leads = [lead for lead in group.leads if lead not in empty]
     chosen = _chosen(groups, path)
     rate = chosen[0].rate or sampling_rate or math.nan
     starts = [0]
@@ -155,17 +163,6 @@ def _source(channel: Any, number: int) -> tuple[str, str | None]:
     has_code = prefix is not None and code.startswith(prefix)
     lead = lead_of_code(code) if has_code else lead_name(meaning) or lead_name(label)
     return meaning or label or f"channel {number}", lead
-
-
-def _drop_empty(groups: Sequence[_MultiplexGroup], samples: Sequence[Any]) -> None:
-    """Remove leads from groups in which they are constant, if they move in another group."""
-    moving = [
-        {lead for (_, lead), row in zip(group.sources, array.T, strict=True) if np.ptp(row) > 0}
-        for group, array in zip(groups, samples, strict=True)
-    ]
-    anywhere = set().union(*moving)
-    for group, here in zip(groups, moving, strict=True):
-        group.leads = [lead for lead in group.leads if lead in here or lead not in anywhere]
 
 
 def _chosen(groups: Sequence[_MultiplexGroup], path: Path) -> list[_MultiplexGroup]:

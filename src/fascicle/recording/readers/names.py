@@ -21,22 +21,29 @@ import numpy as np
 from fascicle.core.errors import InputError, printable
 from fascicle.core.leads import ADDITIONAL_LEADS, LEADS
 
-# Text that may stand before the name proper: prefixes of ISO/IEEE 11073 and EDF+, and who
-# introduced the lead. A hyphen joins words only where nothing is beside it, or blanks on both
-# sides: "ECG -aVR" is the inverted lead.
-_BEFORE = (
-    r"(?:(?:mdc|ecg[12]?|ekg|einthoven|goldberger|wilson|lead)(?:[ _:.]+(?!-)|-(?![ -])|[ ]-[ ])"
-    r"|lead)*"
+# Prefixes are of ISO/IEEE 11073 and EDF+, and who introduced the lead. A hyphen joins words only
+# where nothing is beside it, or blanks on both sides: "ECG -aVR" is the inverted lead.
+_LEAD = re.compile(
+    r"""
+    (?:
+        (?:mdc|ecg[12]?|ekg|einthoven|goldberger|wilson|lead)(?:[ _:.]+(?!-)|-(?![ -])|[ ]-[ ])
+        |lead
+    )*
+    (?:
+        (?:l[ _]?|d[ _-]?)?(?P<roman>i{1,3})
+        |(?:lead[ _-]?|l[ _]?|d[ _-]?)(?P<arabic>[123])
+        |a[ _-]?v[ _-]?(?P<augmented>[rlf])
+        |[vc][ _-]?0?(?P<chest>[1-6])
+    )
+    (?:[ _-]?lead)?
+    (?:
+        [ ]?[(\[]
+        (?:einthoven|goldberger|wilson|unipolar|bipolar|limb|chest|precordial|augmented|standard)
+        [)\]]
+    )?
+    """,
+    re.VERBOSE,
 )
-_NAMES = (
-    r"(?:l[ _]?|d[ _-]?)?(?P<roman>i{1,3})|(?:lead[ _-]?|l[ _]?|d[ _-]?)(?P<arabic>[123])"
-    r"|a[ _-]?v[ _-]?(?P<augmented>[rlf])|[vc][ _-]?0?(?P<chest>[1-6])"
-)
-_BEHIND = (
-    r"(?:[ _-]?lead)?(?: ?[(\[](?:einthoven|goldberger|wilson|unipolar|bipolar|limb|chest|"
-    r"precordial|augmented|standard)[)\]])?"
-)
-_LEAD = re.compile(f"{_BEFORE}(?:{_NAMES}){_BEHIND}")
 
 PER_SECOND = (  # number of units of time in a second
     dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0)
@@ -96,9 +103,9 @@ def millivolts(unit: str) -> float | None:
     return sizes.get(match[1]) if match else None
 
 
-def same_unit(one: str, other: str) -> bool:
+def same_unit(unit: str, other: str) -> bool:
     """Tell whether two spellings mean the same unit."""
-    return one == other or millivolts(one) == millivolts(other) is not None
+    return unit == other or millivolts(unit) == millivolts(other) is not None
 
 
 def plain_unit(unit: str) -> str:

@@ -31,7 +31,7 @@ from fascicle.recording.readers.names import (
     same_unit,
 )
 from fascicle.recording.readers.read import Channel, RawRecording, without_fill
-from fascicle.recording.recording import SHORTEST, missing_rate, missing_time_unit, with_remarks
+from fascicle.recording.recording import Recording, missing_rate, missing_time_unit, with_remarks
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -148,7 +148,8 @@ def _with_rest_around(table: RawRecording) -> RawRecording:
     signals = [channel.values for channel in table.channels]
     most = 1e-3 * max((float(np.abs(values).max(initial=0.0)) for values in signals), default=0.0)
     if any(
-        len(values) >= SHORTEST * rate or max(abs(values[[0, -1]])) > most for values in signals
+        len(values) >= Recording.shortest * rate or max(abs(values[[0, -1]])) > most
+        for values in signals
     ):
         return table
     before = round(0.5 * rate)  # s

@@ -19,7 +19,6 @@ from fascicle.recording.readers.names import PER_SECOND, lead_name, plain_unit
 
 NO_RHYTHM = "the file holds no rhythm but an averaged beat, which is read"
 UNKNOWN_RATE = 1.0  # Hz; what stands for a rate that the file does not state
-SCP_SAMPLES = (0, 2, 3, 4, 5, 6)  # sections of SCP-ECG that its samples depend on
 
 
 def mended(data: bytes) -> tuple[bytes, ET.Element | None, list[str]]:
@@ -84,7 +83,14 @@ def _mended_xml(data: bytes) -> tuple[bytes, ET.Element | None, list[str]]:
         for beat in averaged:
             parents[beat].remove(beat)
     elif averaged:
-        _make_rhythm(averaged[0], parents)
+        beat, dummy = averaged[0], {"dataencoding": "Plain", "durationperchannel": "4"}
+        if beat.tag == "Waveform":
+            beat.find("WaveformType").text = "Rhythm"  # type: ignore[union-attr]
+        elif beat.tag == "series":
+            beat.find("code").set("code", "RHYTHM")  # type: ignore[union-attr]
+        elif beat.tag == "repbeats":  # Philips XML keeps it apart, and needs a rhythm
+            rhythm = ET.SubElement(parents[beat], "parsedwaveforms", dummy | {"leadlabels": "I"})
+            rhythm.text = "0 " * 100
         remarks.append(NO_RHYTHM)
     for sequences in root.iter("sequenceSet"):
         remarks += _mend_aecg(sequences)
@@ -121,17 +127,6 @@ def _waves(root: ET.Element) -> tuple[list[ET.Element], list[ET.Element]]:
     averaged = [kind in ("median", "representative_beat") for kind in kinds]
     of_kind = [[w for w, flag in zip(waves, averaged, strict=True) if flag == a] for a in (0, 1)]
     return of_kind[0], [*of_kind[1], *root.iter("derivation")]
-
-
-def _make_rhythm(beat: ET.Element, parents: dict[ET.Element, ET.Element]) -> None:
-    """Declare an averaged beat the rhythm; Philips XML, which keeps it apart, gets a dummy one."""
-    if beat.tag == "Waveform":
-        beat.find("WaveformType").text = "Rhythm"  # type: ignore[union-attr]
-    elif beat.tag == "series":
-        beat.find("code").set("code", "RHYTHM")  # type: ignore[union-attr]
-    elif beat.tag == "repbeats":
-        extent = {"dataencoding": "Plain", "durationperchannel": "4", "leadlabels": "I"}
-        ET.SubElement(parents[beat], "parsedwaveforms", extent).text = "0 " * 100
 
 
 def _mend_aecg(sequences: ET.Element) -> list[str]:
@@ -278,9 +273,14 @@ def _mended_scp(data: bytes) -> tuple[bytes, list[str]]:
     return bytes(content), remarks
 
 
-def scp_samples_are_right(data: bytes) -> bool:
+def samples_are_right(source_format: str, data: bytes, root: ET.Element | None) -> bool:
     """Whether no checksum that the samples depend on is wrong; one of 0 was not written."""
-    samples = {start for number, _, start, n in _scp_sections(data) if n and number in SCP_SAMPLES}
+    if source_format == "ge_muse_xml" and root is not None:
+        return not any((sum_.text or "").strip().strip("0") for sum_ in root.iter("LeadDataCRC32"))
+    if source_format != "scp_ecg":
+        return source_format == "ishne_holter" and data[8:10] == bytes(2)
+    sections = (0, 2, 3, 4, 5, 6)  # that samples depend on
+    samples = {start for number, _, start, n in _scp_sections(data) if n and number in sections}
     return all(
         stated in (0, computed)
         for place, stated, computed in scp_checksums(data)

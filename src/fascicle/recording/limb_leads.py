@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 from operator import itemgetter
@@ -13,25 +14,10 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS, LIMB_LEADS, lead_matrix, limb_leads_from
 from fascicle.recording.filters import coarse
 from fascicle.recording.lead_groups import cut
-from fascicle.recording.quality.check_result import Check, CheckResult, Severity, leave_out
+from fascicle.recording.quality import Check, CheckResult, Severity, leave_out
 from fascicle.recording.recording import Recording
 
-GAINS = Check("gains of limb leads, ratio", "", 1.01)  # up to which gains count as equal
-REVERSAL = Check("lead reversal, I and II against V6", "", -0.4)
-P_WAVE = (-0.26, -0.10)  # s from R
-WRONG_GAINS = (
-    "its gains per lead are wrong, the raw digits satisfy the identities; "
-    "read it with --shared-gain"
-)
 REMAINING = 0.5  # share of a misfit that an explanation may leave, also of what the next one leaves
-
-# Combinations of limb leads that are zero: their coefficients in the order of LIMB_LEADS.
-CLASSIC = {
-    "Einthoven I + III - II": (1.0, -1.0, 1.0, 0.0, 0.0, 0.0),
-    "Goldberger aVR + (I + II)/2": (0.5, 0.5, 0.0, 1.0, 0.0, 0.0),
-    "Goldberger aVL - (I - III)/2": (-0.5, 0.0, 0.5, 0.0, 1.0, 0.0),
-    "Goldberger aVF - (II + III)/2": (0.0, -0.5, -0.5, 0.0, 0.0, 1.0),
-}
 
 
 def check_identities(recording: Recording) -> list[CheckResult]:
@@ -44,18 +30,9 @@ def check_identities(recording: Recording) -> list[CheckResult]:
     W. Einthoven, G. Fahr, A. de Waart, Pflügers Arch. 150:275 (1913); E. Goldberger, Am. Heart J.
     23:483 (1942).
     """
-    together = _together(recording)
-    if not together:
-        message = "not checked: no three limb leads were recorded at the same time"
-        return [Check("limb leads", "mV", 0.05).found(np.nan, message, Severity.FINE)]
-    return [finding for rows, time in together for finding in _check_group(recording, rows, time)]
-
-
-def _together(recording: Recording) -> list[tuple[list[int], slice]]:
-    """Sets of at least three limb leads, and the samples (1 s or more) that they have in common."""
     spans = recording.spans.tolist()
     rows = [row for row, lead in enumerate(LIMB_LEADS) if lead in recording.measured_leads]
-    times = {}
+    times = {}  # of sets of at least three limb leads: samples (1 s or more) of all of them
     for start, stop in {tuple(spans[row]) for row in rows}:
         covering = tuple(
             row
@@ -66,29 +43,57 @@ def _together(recording: Recording) -> list[tuple[list[int], slice]]:
         end = min([stop, *(spans[row][1] for row in covering)])
         if len(covering) >= 3 and end - begin >= recording.sampling_rate:
             times[covering] = slice(begin, end)
-    return [(list(covering), time) for covering, time in sorted(times.items(), key=itemgetter(0))]
+    if not times:
+        message = "not checked: no three limb leads were recorded at the same time"
+        return [Check("limb leads", "mV", 0.05).result(np.nan, message, Severity.FINE)]
+    together = sorted(times.items(), key=itemgetter(0))
+    return [
+        result
+        for covering, time in together
+        for result in _check_group(recording, list(covering), time)
+    ]
 
 
 def _check_group(recording: Recording, rows: list[int], time: slice) -> list[CheckResult]:
+    """Check the identities of limb leads, and whether wrong gains per lead break them.
+
+    Gains are wrong where the digits obey the identities, also where leads are small.
+    """
     leads = _detrended(recording.signal[rows, time], recording.sampling_rate)
     leads = leads[:, :: max(leads.shape[1] // 30_000, 1)]  # relations hold at each sample
     labels, zeros = _identities(rows)
     misfits, limit = _misfits(leads, zeros), _limit_of(leads)
-    broken = np.flatnonzero(misfits > limit)
     values = zip(labels, misfits.tolist(), strict=True)
-    findings = [Check(label, "mV", limit).found(value) for label, value in values]
-    gains = _check_gains(recording, rows, leads, zeros)
-    if not broken.size:
-        return [*gains, *findings]
-    severity, reason = Severity.FATAL, WRONG_GAINS
-    if not any(finding.message for finding in gains):
-        severity, reason = _explain(recording, rows, leads, zeros)
-    for k in broken:
-        findings[k] = replace(findings[k], severity=severity)
-    first = int(broken[0])  # one fault breaks several identities, and is explained once
-    fault = f"{labels[first].split(' ', 1)[1]} is off by {misfits[first]:.2f} mV"
-    findings[first] = replace(findings[first], message=f"{fault}: {reason}")
-    return findings
+    results = [Check(label, "mV", limit).result(value) for label, value in values]
+    gains, gain_results, wrong_gains = recording.digits_per_millivolt, [], ""
+    if gains is not None and (gains[rows] > 0).all():
+        check = Check("gains of limb leads, ratio", "", 1.01)  # up to which gains count as equal
+        ratio = float(gains[rows].max() / gains[rows].min())
+        digits = gains[rows][:, None] * leads
+        misfit, misfit_of_digits = misfits.max(), _misfits(digits, zeros).max()
+        height, message = max(_height(digits), 1.0), ""
+        if (
+            ratio > check.limit
+            and misfit_of_digits <= max(3.0, 0.01 * height)  # each lead was rounded
+            and misfit * height > 3.0 * misfit_of_digits * _height(leads)
+        ):
+            wrong_gains = (
+                "its gains per lead are wrong, the raw digits satisfy the identities; read it with "
+                "--shared-gain"
+            )
+            message = f"the gains differ {ratio:.2f}-fold: {wrong_gains}"
+        gain_results = [check.result(ratio, message, Severity.FATAL)]
+    broken = np.flatnonzero(misfits > limit)
+    if broken.size:
+        severity, reason = Severity.FATAL, wrong_gains
+        if not wrong_gains:
+            severity, reason = _explain(recording, rows, leads, zeros)
+        for k in broken:
+            results[k] = replace(results[k], severity=severity)
+        first = int(broken[0])  # one fault breaks several identities, and is explained once
+        fault = f"{labels[first].split(' ', 1)[1]} is off by {misfits[first]:.2f} mV"
+        results[first] = replace(results[first], message=f"{fault}: {reason}")
+    return [*gain_results, *results]
 
 
 def _detrended(leads: Floats, rate: float) -> Floats:
@@ -104,33 +109,19 @@ def _detrended(leads: Floats, rate: float) -> Floats:
     return np.asarray(uniform_filter1d(leads - baseline, width, axis=-1, mode="nearest"))
 
 
-def _check_gains(
-    recording: Recording, rows: list[int], leads: Floats, zeros: Floats
-) -> list[CheckResult]:
-    """Find wrong gains per lead: the digits obey the identities, also where leads are small."""
-    gains = recording.digits_per_millivolt
-    if gains is None or not (gains[rows] > 0).all():
-        return []
-    ratio = float(gains[rows].max() / gains[rows].min())
-    digits = gains[rows][:, None] * leads
-    misfit, misfit_of_digits = _worst(leads, zeros), _worst(digits, zeros)
-    height = max(_height(digits), 1.0)
-    wrong = (
-        ratio > GAINS.limit
-        and misfit_of_digits <= max(3.0, 0.01 * height)  # each lead was rounded
-        and misfit * height > 3.0 * misfit_of_digits * _height(leads)
-    )
-    message = f"the gains differ {ratio:.2f}-fold: {WRONG_GAINS}" if wrong else ""
-    return [GAINS.found(ratio, message, Severity.FATAL)]
-
-
 def _identities(rows: list[int]) -> tuple[list[str], Floats]:
     """Labels and coefficients of the independent identities of some limb leads."""
-    zeros = np.array(list(CLASSIC.values()))
+    classic = {  # sums of limb leads that are zero: coefficients in the order of LIMB_LEADS
+        "Einthoven I + III - II": (1.0, -1.0, 1.0, 0.0, 0.0, 0.0),
+        "Goldberger aVR + (I + II)/2": (0.5, 0.5, 0.0, 1.0, 0.0, 0.0),
+        "Goldberger aVL - (I - III)/2": (-0.5, 0.0, 0.5, 0.0, 1.0, 0.0),
+        "Goldberger aVF - (II + III)/2": (0.0, -0.5, -0.5, 0.0, 0.0, 1.0),
+    }
+    zeros = np.array(list(classic.values()))
     whole = ~np.delete(zeros, rows, axis=1).any(axis=1)
     if whole.sum() == len(rows) - 2:
         usable = np.flatnonzero(whole)
-        return [[*CLASSIC][k] for k in usable], zeros[usable][:, rows]
+        return [[*classic][k] for k in usable], zeros[usable][:, rows]
     names = [LIMB_LEADS[row] for row in rows]
     from_two = limb_leads_from(names)
     assert from_two is not None  # there are at least three
@@ -147,10 +138,10 @@ def _explain(
     else each lead with a gain of its own. Reversed electrodes leave every relation intact. FATAL
     when there is an explanation, WARNING when there is none.
     """
-    names, before = [LIMB_LEADS[row] for row in rows], _worst(leads, zeros)
+    names, before = [LIMB_LEADS[row] for row in rows], float(_misfits(leads, zeros).max())
 
     def holds(changed: Floats) -> bool:
-        return _worst(changed, zeros) <= min(_limit_of(changed), REMAINING * before)
+        return float(_misfits(changed, zeros).max()) <= min(_limit_of(changed), REMAINING * before)
 
     mistakes = []
     same = np.eye(len(rows))
@@ -207,21 +198,16 @@ def _limit_of(leads: Floats) -> float:
     return max(0.05, 0.05 * _height(leads))
 
 
-def _worst(leads: Floats, zeros: Floats) -> float:
-    """Largest misfit (mV)."""
-    return float(_misfits(leads, zeros).max())
-
-
 def _without(k: int, leads: Floats, zeros: Floats) -> float:
     """Worst misfit (mV) when lead k is left out or, where too few remain, has the best gain."""
     if len(leads) > 3:
         # relations in which the lead no longer occurs
         pivot = int(np.argmax(np.abs(zeros[:, k])))
         free = zeros - np.outer(zeros[:, k] / zeros[pivot, k], zeros[pivot])
-        return _worst(leads, np.delete(free, pivot, axis=0))
+        return float(_misfits(leads, np.delete(free, pivot, axis=0)).max())
     changed = leads.copy()
     changed[k] *= _gain(k, leads, zeros)
-    return _worst(changed, zeros)
+    return float(_misfits(changed, zeros).max())
 
 
 def _gain(k: int, leads: Floats, zeros: Floats) -> float:
@@ -258,6 +244,7 @@ def check_reversal(recording: Recording, peaks: Integers, paced: bool = False) -
     V. N. Batchvarov, M. Malik, A. J. Camm, Europace 9:1081 (2007); K. K. Ho, S. K. Ho, J.
     Electrocardiol. 34:161 (2001), on the P wave.
     """
+    check = Check("lead reversal, I and II against V6", "", -0.4)
     rate = recording.sampling_rate
     median = _median_beat(recording, peaks)
     lateral = [
@@ -265,19 +252,21 @@ def check_reversal(recording: Recording, peaks: Integers, paced: bool = False) -
     ]
     if not lateral or not np.isfinite(median[:2]).all():
         message = "not checked: needs leads I, II and V6 or V5, and two beats"
-        return REVERSAL.found(np.nan, message, Severity.FINE)
+        return check.result(np.nan, message, Severity.FINE)
     reference = median[lateral[0]]
-    p_waves = _wave(median[:2], P_WAVE, rate)
-    if paced or np.ptp(p_waves, axis=1).max() < 0.05:  # mV; half a mm on paper
+    waves = (-0.26, -0.10), (-0.06, 0.08)  # s from R: P wave and QRS
+    if (
+        paced or np.ptp(_wave(median[:2], waves[0], rate), axis=1).max() < 0.05
+    ):  # mV; half a mm on paper
         why = "the rhythm is paced" if paced else "leads I and II show no P wave"
-        return REVERSAL.found(np.nan, f"not checked: {why}", Severity.FINE)
-    now = _likeness(median[:2], reference, rate)
-    if min(now) >= REVERSAL.limit:
-        return REVERSAL.found(min(now))
+        return check.result(np.nan, f"not checked: {why}", Severity.FINE)
+    now = _likeness(median[:2], reference, waves, rate)
+    if min(now) >= check.limit:
+        return check.result(min(now))
     limb = lead_matrix()[:2, :3]
     from_potentials = np.linalg.pinv(limb)
     after = {
-        pair: sum(_likeness(limb[:, order] @ from_potentials @ median[:2], reference, rate))
+        pair: sum(_likeness(limb[:, order] @ from_potentials @ median[:2], reference, waves, rate))
         for pair, order in {"RA-LA": [1, 0, 2], "RA-LL": [2, 1, 0]}.items()
     }
     pair = max(after, key=after.__getitem__)
@@ -286,7 +275,7 @@ def check_reversal(recording: Recording, peaks: Integers, paced: bool = False) -
         f"QRS: electrodes {pair.replace('-', ' and ')} are probably reversed (or the heart lies on "
         f"the right, or the rhythm is not from the sinus node); to undo it: --swap {pair}"
     )
-    return REVERSAL.found(min(now), message)
+    return check.result(min(now), message)
 
 
 def _median_beat(recording: Recording, peaks: Integers) -> Floats:
@@ -304,10 +293,12 @@ def _median_beat(recording: Recording, peaks: Integers) -> Floats:
     return median
 
 
-def _likeness(leads: Floats, reference: Floats, rate: float) -> list[float]:
-    """Mean of the correlations of leads with another, in P wave and QRS of median beats (n,)."""
+def _likeness(
+    leads: Floats, reference: Floats, waves: Sequence[tuple[float, float]], rate: float
+) -> list[float]:
+    """Mean of the correlations of leads with another, in two `waves` of median beats (n,)."""
     likeness = [0.0] * len(leads)
-    for wave in (P_WAVE, (-0.06, 0.08)):  # s from R
+    for wave in waves:
         shapes = _wave(np.vstack([leads, reference]), wave, rate)
         for k, shape in enumerate(shapes[:-1]):
             scale = float(np.linalg.norm(shape) * np.linalg.norm(shapes[-1]))

@@ -1,10 +1,11 @@
-"""All checks of a recording, the most basic first, each with its limit and unit."""
+"""Quality checks of a recording by its own numbers, each with its limit and unit."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from functools import partial
 from itertools import combinations, pairwise
 
@@ -16,31 +17,63 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import CHEST_LEADS, LEADS, LIMB_LEADS
 from fascicle.recording.filter_estimate import estimated_lowpass
 from fascicle.recording.filters import MAINS, Filter, FilterKind, FilterOrigin, coarse
-from fascicle.recording.quality.check_result import Check, CheckResult, Severity, leave_out, listed
-from fascicle.recording.quality.limb_leads import check_identities, check_reversal
 from fascicle.recording.recording import Recording
 from fascicle.recording.window import spatial_velocity
 
-FLAT = Check("smallest lead", "uV", 1.0)  # standard deviation below which a lead holds no signal
-CONSTANT = Check("longest constant stretch", "s", 2.0)  # longer than between two beats of most
-DUPLICATED = Check("duplicated leads, correlation", "", 0.9999)
-# for adults, of P. Kligfield et al., Recommendations for the standardization and interpretation of
-# the electrocardiogram, part I, Circulation 115:1306 (2007)
-LOWPASS = Check("recorder's low-pass", "Hz", 150.0)
+
+class Severity(Enum):
+    """Consequence of a check."""
+
+    FINE = "ok"
+    WARNING = "warning"  # the target is made, and says so
+    FATAL = "refused"  # no target until the user has decided
+
+
+@dataclass(frozen=True)
+class Check:
+    """A check: its name, the unit of its figure (or none), and the limit of what is fine."""
+
+    name: str
+    unit: str
+    limit: float
+
+    def result(
+        self, value: float, message: str = "", severity: Severity = Severity.WARNING
+    ) -> CheckResult:
+        """Outcome of the check: all is fine where the message is empty."""
+        return CheckResult(self, value, severity if message else Severity.FINE, message)
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """Outcome of a check, with its figure."""
+
+    check: Check
+    value: float  # NaN where the recording does not allow the check
+    severity: Severity
+    message: str = ""  # one line: what was found and what to do; empty where all is fine
+
+
+def listed(leads: Collection[str]) -> str:
+    """Names in the usual order: ``lead V2``, ``leads I and V1``, ``leads V1 to V6``."""
+    names = sorted(leads, key=lambda lead: LEADS.index(lead) if lead in LEADS else len(LEADS))
+    if len(names) == 1:
+        return f"lead {names[0]}"
+    for group in (LIMB_LEADS, CHEST_LEADS, LEADS):
+        if names == list(group):
+            return f"leads {group[0]} to {group[-1]}"
+    return f"leads {', '.join(names[:-1])} and {names[-1]}"
+
+
+def leave_out(recording: Recording, leads: Collection[str]) -> str:
+    """Option that uses every recorded lead but these."""
+    recorded = (*recording.measured_leads, *recording.additional)
+    kept = [lead for lead in recorded if lead not in leads]
+    return f"--leads {','.join(kept)}"
+
+
 FASTEST_QRS = Check("fastest part of the QRS", "mV/ms", 0.01)
 CHEST = Check("chest leads, misfit ratio", "", 1.5)
-# V1 to V6 of a heart vector (left, down, back) in Frank's torso: G. E. Dower, H. Bastos Machado, J.
-# A. Osborne, On deriving the electrocardiogram from vectorcardiographic leads, Clin. Cardiol. 3:87
-# (1980)
-DOWER = np.array(
-    [
-        [-0.515, 0.157, -0.917], [0.044, 0.164, -1.387], [0.882, 0.098, -1.277],
-        [1.213, 0.127, -0.601], [1.125, 0.127, -0.086], [0.831, 0.076, 0.230],
-    ]
-)  # fmt: skip
-# Standard deviations of the rest of a chest lead over those of the heart vector: of the part that
-# its neighbours share, and of its own; tuned, as the limits, on benchmarks/chest_leads.py
-SHARED, ELECTRODE_NOISE = 0.6, 0.3
 
 
 @dataclass(frozen=True)
@@ -63,30 +96,21 @@ class LeadCheck(Check):
             named, severity = lost, Severity.FATAL
             advice = f"go on without: {leave_out(recording, lost)}"
         if not named:
-            return self.found(largest)
+            return self.result(largest)
         problem = self.message.format(leads=listed(named), largest=largest)
-        return self.found(largest, f"{problem}; {advice}", severity)
-
-
-def check_leads(recording: Recording) -> tuple[CheckResult, ...]:
-    """Check that each lead holds a signal, and not that of another lead."""
-    return (*_check_flatness(recording), *_check_duplicates(recording))
+        return self.result(largest, f"{problem}; {advice}", severity)
 
 
 def check_recording(
-    recording: Recording, peaks: Integers, filters: Sequence[Filter], paced: bool = False
+    recording: Recording, peaks: Integers, filters: Sequence[Filter]
 ) -> tuple[CheckResult, ...]:
-    """Outcomes of all other checks, the fine ones too, of a recording without pacing spikes.
+    """Check the noise, range and resolution of each lead, and the recorder's low-pass.
 
-    The R peaks are at the samples `peaks` (n_beats,); `filters` are those that it has passed;
-    `paced` says that it had spikes.
+    The fine outcomes are returned, too. The recording is without pacing spikes, its R peaks are at
+    the samples `peaks` (n_beats,), and it has passed the `filters`.
     """
-    return (
-        *check_identities(recording),
-        check_reversal(recording, peaks, paced),
-        *(check.of(recording) for check in LEAD_CHECKS),
-        _check_lowpass(recording, peaks, filters),
-    )
+    results = (check.of(recording) for check in LEAD_CHECKS)
+    return (*results, _check_lowpass(recording, peaks, filters))
 
 
 def measured(recording: Recording) -> dict[str, Floats]:
@@ -96,42 +120,48 @@ def measured(recording: Recording) -> dict[str, Floats]:
     return {lead: x[first:stop] for lead, x, (first, stop) in rows if lead in kept}
 
 
-def _check_flatness(recording: Recording) -> list[CheckResult]:
-    """Smallest standard deviation of a lead (uV), and longest time (s) at one value."""
+def check_leads(recording: Recording) -> tuple[CheckResult, ...]:
+    """Check that each lead holds a signal at all times, and not that of another lead."""
+    # standard deviation below which a lead holds no signal
+    flatness = Check("smallest lead", "uV", 1.0)
+    # longer than between two beats of most
+    constancy = Check("longest constant stretch", "s", 2.0)
     leads = measured(recording) | recording.additional
     spread = {lead: 1e3 * float(values.std()) for lead, values in leads.items()}
-    flat = [lead for lead in leads if spread[lead] < FLAT.limit]
+    flat = [lead for lead in leads if spread[lead] < flatness.limit]
     message = ""
     if flat:
         message = f"no signal in {listed(flat)}; go on without: {leave_out(recording, flat)}"
         if len(flat) == len(leads):
             message = "no signal in any lead; correct the unit or the gain, or record again"
-    finding = FLAT.found(min(spread.values()), message, Severity.FATAL)
+    flat_result = flatness.result(min(spread.values()), message, Severity.FATAL)
     constant = {}
     for lead, values in leads.items():
         if lead not in flat:
             runs = np.diff(np.flatnonzero(np.diff(values, prepend=np.nan, append=np.nan)))
             constant[lead] = int(runs.max()) / recording.sampling_rate
-    long = [lead for lead, seconds in constant.items() if seconds > CONSTANT.limit]
+    long = [lead for lead, seconds in constant.items() if seconds > constancy.limit]
     longest = max(constant.values(), default=0.0)
-    if not long:
-        return [finding, CONSTANT.found(longest)]
-    severity = Severity.FATAL if len(long) == len(constant) else Severity.WARNING
-    where = "any lead" if severity is Severity.FATAL else listed(long)
-    message = (
-        f"no signal in {where} for up to {longest:.1f} s: electrode off, or the file was filled "
-        "up; cut the recording to the part with signal"
-    )
-    return [finding, CONSTANT.found(longest, message, severity)]
+    message, everywhere = "", len(long) == len(constant)
+    if long:
+        where = "any lead" if everywhere else listed(long)
+        message = (
+            f"no signal in {where} for up to {longest:.1f} s: electrode off, or the file was "
+            "filled up; cut the recording to the part with signal"
+        )
+    severity = Severity.FATAL if everywhere else Severity.WARNING
+    duplicates = _check_duplicates(recording, 1e-3 * flatness.limit)
+    return (flat_result, constancy.result(longest, message, severity), *duplicates)
 
 
-def _check_duplicates(recording: Recording) -> list[CheckResult]:
-    """Largest absolute correlation between two leads of the same size."""
+def _check_duplicates(recording: Recording, least: float) -> list[CheckResult]:
+    """Largest absolute correlation between two leads of the same size, of at least so many mV."""
+    check = Check("duplicated leads, correlation", "", 0.9999)
     leads = {}  # that move: standardised, and their standard deviation (mV)
     for lead, values in measured(recording).items():
         x, _ = coarse(values, recording.sampling_rate)
         size = float(x.std())
-        if size >= 1e-3 * FLAT.limit:
+        if size >= least:
             leads[lead] = ((x - x.mean()) / size, size)
     # where one limb lead is flat, others are the same by Einthoven's law
     limb_flat = {lead for lead in measured(recording) if lead in LIMB_LEADS} - set(leads)
@@ -144,32 +174,35 @@ def _check_duplicates(recording: Recording) -> list[CheckResult]:
             continue
         correlation = float(x @ y) / len(x)
         largest = max(largest, abs(correlation))
-        if abs(correlation) > DUPLICATED.limit:
+        if abs(correlation) > check.limit:
             sign = "the same" if correlation > 0 else "the same but for the sign"
             messages.append(
                 f"leads {lead} and {other} are {sign}; get the right samples, or leave both out: "
                 f"{leave_out(recording, [lead, other])}"
             )
-    return [DUPLICATED.found(largest, message, Severity.FATAL) for message in messages or [""]]
+    return [check.result(largest, message, Severity.FATAL) for message in messages or [""]]
 
 
 def _check_lowpass(recording: Recording, peaks: Integers, filters: Sequence[Filter]) -> CheckResult:
     """Check the recorder's low-pass, which smooths the QRS; compare one stated to the spectrum."""
+    # for adults, of P. Kligfield et al., Recommendations for the standardization and interpretation
+    # of the electrocardiogram, part I, Circulation 115:1306 (2007)
+    check = Check("recorder's low-pass", "Hz", 150.0)
     lowpasses = (filter_ for filter_ in filters if filter_.kind is FilterKind.LOW_PASS)
     lowpass = next(
         (filter_ for filter_ in lowpasses if filter_.origin is not FilterOrigin.APPLIED), None
     )
     if lowpass is None:
-        return LOWPASS.found(math.nan)
+        return check.result(math.nan)
     messages = []
-    if lowpass.frequency < LOWPASS.limit:
+    if lowpass.frequency < check.limit:
         much = "strongly " if lowpass.frequency <= 40.0 else ""  # Hz; small deflections vanish
         source = (
             ", estimated from the spectrum," if lowpass.origin is FilterOrigin.ESTIMATED else ""
         )
         messages.append(
             f"the recorder's low-pass at {lowpass.frequency:.3g} Hz{source} {much}smooths the QRS "
-            f"({LOWPASS.limit:g} Hz are recommended); export the recording unfiltered"
+            f"({check.limit:g} Hz are recommended); export the recording unfiltered"
         )
     if lowpass.origin is FilterOrigin.STATED:
         seen = estimated_lowpass(recording.signal, recording.sampling_rate, peaks)
@@ -183,7 +216,7 @@ def _check_lowpass(recording: Recording, peaks: Integers, filters: Sequence[Filt
                 f"{lowpass.shape:.2g}, as --recorder-lowpass is taken: it rings, and the QRS is "
                 "marked too wide unless that option is left out"
             )
-    return LOWPASS.found(lowpass.frequency, "; ".join(messages))
+    return check.result(lowpass.frequency, "; ".join(messages))
 
 
 def _noise(values: Floats, rate: float) -> float:
@@ -306,13 +339,13 @@ def check_mean_beat(qrs: Floats, simultaneous: bool = True) -> tuple[CheckResult
     """
     fastest = float(spatial_velocity(qrs).max())
     if not fastest < FASTEST_QRS.limit:
-        return FASTEST_QRS.found(fastest), check_chest_leads(qrs, simultaneous)
+        return FASTEST_QRS.result(fastest), check_chest_leads(qrs, simultaneous)
     message = (
         f"the fastest part of the beat moves by {fastest:.4f} mV/ms, slower than any QRS "
         f"({FASTEST_QRS.limit:g} or more): a T or P wave was probably taken for the beat; look at "
         "the picture, choose another class by --class, or give a recording with QRS complexes"
     )
-    return FASTEST_QRS.found(fastest, message), CHEST.found(
+    return FASTEST_QRS.result(fastest, message), CHEST.result(
         np.nan, "not checked: no QRS", Severity.FINE
     )
 
@@ -332,10 +365,23 @@ def check_chest_leads(qrs: Floats, simultaneous: bool = True) -> CheckResult:
     chest = qrs[len(LEADS) - len(CHEST_LEADS) : len(LEADS)]
     if not (simultaneous and np.isfinite(chest).all()):
         message = "not checked: needs V1 to V6, recorded at the same time"
-        return CHEST.found(np.nan, message, Severity.FINE)
+        return CHEST.result(np.nan, message, Severity.FINE)
+    # V1 to V6 of a heart vector (left, down, back) in Frank's torso: G. E. Dower, H. Bastos
+    # Machado, J. A. Osborne, On deriving the electrocardiogram from vectorcardiographic leads,
+    # Clin. Cardiol. 3:87 (1980)
+    dower = np.array(
+        [
+            [-0.515, 0.157, -0.917], [0.044, 0.164, -1.387], [0.882, 0.098, -1.277],
+            [1.213, 0.127, -0.601], [1.125, 0.127, -0.086], [0.831, 0.076, 0.230],
+        ]
+    )  # fmt: skip
+    # Standard deviations of the rest of a chest lead over those of the heart vector: of the part
+    # that its neighbours share, and of the electrode's alone; tuned, as the limits, on
+    # benchmarks/chest_leads.py
+    shared, electrode_noise = 0.6, 0.3
     apart = np.subtract.outer(np.arange(6), np.arange(6))
-    rest = SHARED**2 * np.exp(-(apart**2) / 2) + ELECTRODE_NOISE**2 * np.eye(6)
-    weight = np.linalg.inv(DOWER @ DOWER.T + rest)
+    rest = shared**2 * np.exp(-(apart**2) / 2) + electrode_noise**2 * np.eye(6)
+    weight = np.linalg.inv(dower @ dower.T + rest)
 
     def misfit(leads: Floats) -> float:
         return float(np.sum(leads * (weight @ leads)))
@@ -354,4 +400,4 @@ def check_chest_leads(qrs: Floats, simultaneous: bool = True) -> CheckResult:
         f"{problem}: with that undone the chest leads fit one another {ratio:.1f} times better; "
         f"look at the picture; to undo it: {option}"
     )
-    return CHEST.found(ratio, message if ratio > CHEST.limit else "")
+    return CHEST.result(ratio, message if ratio > CHEST.limit else "")

@@ -1,1 +1,0 @@
-"""Quality checks of a recording, by its own numbers."""
