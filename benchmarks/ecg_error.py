@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from benchmarks.references import unbounded
-from fascicle.build.refinement import CHILDREN, in_eight
+from fascicle.build.refinement import in_eight
 from fascicle.forward.cable.template import default_template
 from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, build_electrocardiograph
 from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded_gradients
@@ -62,7 +62,7 @@ class ActivatedMesh:
         return ActivatedMesh(
             finer.vertices,
             finer.tetrahedra,
-            np.repeat(self.fibres, CHILDREN, axis=0),
+            np.repeat(self.fibres, 8, axis=0),
             finer.at_vertices(self.activation),
         )
 
@@ -111,7 +111,7 @@ def errors(mesh: ActivatedMesh, electrodes: Array) -> dict[str, tuple[float, flo
     exact = once.refined().leads(electrodes)
     heart = mesh.electrocardiograph(mesh.mean_gradients(electrodes))
     leads = heart.leads(mesh.activation)
-    parts = once.mean_gradients(electrodes).reshape(len(electrodes), -1, CHILDREN, 3)
+    parts = once.mean_gradients(electrodes).reshape(len(electrodes), -1, 8, 3)
     fine = _finely_sampled(heart, mesh.activation)
     pairs = {
         "bins of 1/2 ms": (

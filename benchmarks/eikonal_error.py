@@ -35,7 +35,7 @@ from benchmarks.references import solve_from_vertices
 from fascicle.build.refinement import refined
 from fascicle.forward.eikonal.activation import attach, solve
 from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium
-from fascicle.heart.conduction import MM2_PER_CM2, Conduction
+from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import signed_volumes
@@ -66,8 +66,8 @@ KUHN = np.array(
 def conduction() -> Conduction:
     """Conductivities for the speeds `ALONG` and `ACROSS`."""
     along = 3.0  # mS/cm inside and outside, so half of it in series
-    alpha = ALONG / np.sqrt(MM2_PER_CM2 * along / 2)
-    across = 2 * ACROSS**2 / (MM2_PER_CM2 * alpha**2)
+    alpha = ALONG / np.sqrt(100 * along / 2)
+    across = 2 * ACROSS**2 / (100 * alpha**2)
     return Conduction(along, across, along, across, alpha)
 
 

@@ -36,9 +36,8 @@ import numpy as np
 from pydicom.data import get_testdata_file
 
 import fascicle
-from fascicle.build.build_heart import build_heart
+from fascicle.build.build_heart import TorsoOptions, build_heart
 from fascicle.build.read_anatomy import Source
-from fascicle.build.torso import TorsoOptions
 from fascicle.cli.output import TerminalProgress
 from fascicle.heart.folder import write_heart
 from fascicle.heart.heart import Heart

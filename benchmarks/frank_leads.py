@@ -21,9 +21,9 @@ from pathlib import Path
 import numpy as np
 
 import fascicle
-from fascicle.build.torso import add_electrodes
+from fascicle.build.build_heart import add_electrodes
 from fascicle.core.leads import FRANK, LEADS
-from fascicle.heart.folder import MANIFEST, write_heart
+from fascicle.heart.folder import write_heart
 from fascicle.networks.agreement import agreement, pearson
 from fascicle.prediction.indices import vectorcardiogram
 from fascicle.recording.pipeline import make_target
@@ -38,7 +38,7 @@ def main() -> None:
     parser.add_argument("--effective", type=int, default=300)
     arguments = parser.parse_args()
     folder = arguments.out / "heart"
-    if not (folder / MANIFEST).exists():
+    if not (folder / "heart.toml").exists():
         write_heart(add_electrodes(arguments.heart, [*FRANK]), folder)
     heart = fascicle.load_heart(folder)
     whole = make_target(read_recording(arguments.recording)).in_leads(heart.leads)

@@ -43,7 +43,7 @@ from scipy.optimize import least_squares
 
 from fascicle.forward.eikonal.activation import attach, solve
 from fascicle.forward.eikonal.myocardium import build_myocardium
-from fascicle.heart.conduction import MM2_PER_CM2, Conduction
+from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
 
@@ -163,7 +163,7 @@ def eikonal_times(spacing: float, along: float, across: float, start: float) -> 
 def conduction(along: float, across: float) -> Conduction:
     """Conductivities for the given speeds (mm/ms); only their products with α² matter."""
     longitudinal = 3.0  # mS/cm, intra- and extracellular, so half of it in series
-    alpha = along / np.sqrt(MM2_PER_CM2 * longitudinal / 2)
+    alpha = along / np.sqrt(100 * longitudinal / 2)
     transverse = longitudinal * (across / along) ** 2
     return Conduction(longitudinal, transverse, longitudinal, transverse, alpha)
 

@@ -39,9 +39,8 @@ from numpy.typing import NDArray
 from scipy.stats import rankdata
 
 import fascicle
-from fascicle.build.build_heart import build_heart
+from fascicle.build.build_heart import TorsoOptions, build_heart
 from fascicle.build.read_anatomy import Source
-from fascicle.build.torso import TorsoOptions
 from fascicle.cli.output import TerminalProgress
 from fascicle.core.conduction_states import CONDUCTION_STATES
 from fascicle.core.errors import InputError

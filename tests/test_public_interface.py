@@ -18,7 +18,7 @@ from benchmarks.fits import demo_recording
 from benchmarks.fuzzing.attempts import outcomes
 from benchmarks.fuzzing.calls import CALLS
 from fascicle.core.errors import InputError
-from fascicle.heart.conduction import CONDUCTIVITIES
+from fascicle.heart.conduction import Conduction
 from tests.builders import box
 
 NUMBER = 250
@@ -66,7 +66,7 @@ ALSO = {
     ("Conduction", "anisotropy_ratio"): {"whole"},
     ("Conduction", "endocardial_layer"): {"whole"},
     ("Conduction", "endocardial_speed"): {"whole"},
-    **{("Conduction", name): {"whole"} for name in CONDUCTIVITIES},
+    **{("Conduction", name): {"whole"} for name in Conduction.conductivities},
     ("plot.activation", "heart"): {"heart"},
     ("plot.heart", "heart"): {"heart"},
     ("plot.beat", "heart"): {"heart"},

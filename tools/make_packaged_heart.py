@@ -42,15 +42,14 @@ from numpy.typing import NDArray
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
 from fascicle.build import meshing
-from fascicle.build.build_heart import Seeds, heart_of
+from fascicle.build.build_heart import Seeds, TorsoOptions, heart_of, in_torso
 from fascicle.build.labelled_files import Anatomy
 from fascicle.build.read_anatomy import Source, read_anatomy
 from fascicle.build.segmentation import Segmentation, SegmentationLabels
 from fascicle.build.segmentation_surface import surface_from_segmentation
 from fascicle.build.surface_repair import compacted
-from fascicle.build.torso import TorsoOptions, in_torso
 from fascicle.heart.endocardium import ChosenSeed
-from fascicle.heart.folder import FILES, write_heart
+from fascicle.heart.folder import HEART_FILES, write_heart
 from fascicle.heart.heart import Heart, LeadFields
 from fascicle.heart.labelled_surface import LabelledMesh, LabelledSurface
 from fascicle.torso.heart_pose import standard_axes
@@ -249,7 +248,7 @@ def main() -> None:
     published = arguments.published
     heart = idealised_heart() if arguments.heart == "default" else camps_heart(published)
     write_heart(heart, arguments.folder)
-    without_text(arguments.folder / FILES["mesh"])
+    without_text(arguments.folder / HEART_FILES["mesh"])
     if published is not None:
         names, numbers = (published / "ecg_beat.csv").read_text().split("\n", 1)
         time, *leads = names.split(",")

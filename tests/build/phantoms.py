@@ -22,8 +22,6 @@ TURN = np.linalg.qr(np.array([[0.8, -0.4, 0.45], [0.5, 0.85, -0.15], [-0.3, 0.35
 TURN = TURN * np.sign(np.diag(TURN))
 CENTRE = np.array([-35.0, 18.0, 240.0])
 ALIGNED = np.eye(3)
-
-
 # Turned voxel axes (columns), in the heart's frame
 OBLIQUE = np.linalg.qr(np.array([[0.9, 0.3, 0.2], [-0.3, 0.8, 0.4], [0.1, -0.5, 0.85]]))[0]
 OBLIQUE = OBLIQUE * np.sign(np.diag(OBLIQUE))
@@ -58,14 +56,13 @@ def exact_volumes(edge=0.75):
     """Volumes (ml) of the exact bodies, by a fine midpoint rule."""
     low, high = np.array([-33.0, -33.0, -65.0]), np.array([63.0, 33.0, BASE])
     axes = [np.arange(a + edge / 2, b, edge) for a, b in zip(low, high, strict=True)]
-    labels = labels_at(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1))
-    ml = edge**3 / 1000
-    return {
-        "lv": (labels == 1).sum() * ml,
-        "rv": (labels == 2).sum() * ml,
-        "myocardium": (labels >= 3).sum() * ml,
-        "scar": (labels == 4).sum() * ml,
-    }
+    return counted(labels_at(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)), edge**3)
+
+
+def counted(labels, voxel_volume):
+    """Volumes (ml) by the number of voxels (mm³)."""
+    masks = {"lv": labels == 1, "rv": labels == 2, "myocardium": labels >= 3, "scar": labels == 4}
+    return {part: mask.sum() * voxel_volume / 1000 for part, mask in masks.items()}
 
 
 @dataclass(frozen=True)
@@ -101,20 +98,3 @@ def ellipsoid_segmentation(
     affine[:3, :3] = turn @ slices * spacing
     affine[:3, 3] = turn @ slices @ low + centre
     return Phantom(Segmentation(labels(points), affine, name), turn, np.asarray(centre))
-
-
-def segmentation_volumes(
-    segmentation: Segmentation, labels: SegmentationLabels
-) -> dict[str, float]:
-    """Volumes in the whole map, also above the base (ml): voxel count times voxel volume."""
-    count = {
-        name: np.isin(segmentation.labels, numbers).sum() * segmentation.voxel_volume / 1000
-        for name, numbers in labels.parts()
-    }
-    scar = count.get("scar", 0.0)
-    return {
-        "lv": count["LV blood"],
-        "rv": count["RV blood"],
-        "myocardium": count["myocardium"] + scar,
-        "scar": scar,
-    }

@@ -12,11 +12,10 @@ from anatomies import LV, NETWORK, RV
 from scipy.spatial import cKDTree
 
 import fascicle
-from fascicle.build.build_heart import build_heart
+from fascicle.build.build_heart import TorsoOptions, add_electrodes, build_heart
 from fascicle.build.check import cavity_volume
 from fascicle.build.endocardia import endocardia
 from fascicle.build.read_anatomy import Source
-from fascicle.build.torso import TorsoOptions, add_electrodes
 from fascicle.core.errors import InputError
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.electrodes import read_electrodes, write_electrodes
@@ -62,6 +61,13 @@ def custom_torso(tmp_path_factory):
 
 
 @pytest.fixture
+def copied(custom_torso, tmp_path):
+    """A copy of that folder without its cache."""
+    ignored = shutil.ignore_patterns(".fascicle-cache")
+    return shutil.copytree(custom_torso, tmp_path / "heart", ignore=ignored)
+
+
+@pytest.fixture
 def never_solved(monkeypatch):
     def fail(*_, **__):
         raise AssertionError("lead fields were solved for")
@@ -91,14 +97,10 @@ def trunk(heart):
 
 
 class TestIdealisedTorso:
-    def test_the_heart_stays_where_it_is(self, in_torso):
-        np.testing.assert_array_equal(in_torso.vertices, anatomies.tissue().vertices)
-        np.testing.assert_array_equal(
-            in_torso.torso.vertices[: len(in_torso.vertices)], in_torso.vertices
-        )
-
     def test_torso_and_heart_fill_the_trunk_without_overlap(self, in_torso):
-        torso = in_torso.torso
+        torso, count = in_torso.torso, len(in_torso.vertices)
+        np.testing.assert_array_equal(in_torso.vertices, anatomies.tissue().vertices)
+        np.testing.assert_array_equal(torso.vertices[:count], in_torso.vertices)
         volumes = signed_volumes(torso.vertices, torso.tetrahedra)
         assert volumes.min() > 0
         whole = np.concatenate([in_torso.tetrahedra, torso.tetrahedra])
@@ -180,9 +182,8 @@ class TestAdditionalElectrodes:
         assert sent.heart.leads == more.leads
         np.testing.assert_array_equal(sent.simulate(NETWORK).leads, model.simulate(NETWORK).leads)
 
-    def test_of_a_vest_are_lines_of_the_file(self, custom_torso, tmp_path, solved):
-        folder = tmp_path / "heart"
-        shutil.copytree(custom_torso, folder, ignore=shutil.ignore_patterns(".fascicle-cache"))
+    def test_of_a_vest_are_lines_of_the_file(self, copied, solved):
+        folder = copied
         places = load_heart(folder).electrodes
         lines = [f"E{k},{x},{y},{z}" for k, (x, y, z) in enumerate(places, 1)]
         with (folder / "electrodes.csv").open("a") as file:
@@ -203,11 +204,8 @@ class TestAdditionalElectrodes:
 
 
 class TestOwnTorso:
-    def test_lead_fields_of_a_moved_electrode_are_solved_again(
-        self, custom_torso, tmp_path, solved
-    ):
-        folder = tmp_path / "heart"
-        shutil.copytree(custom_torso, folder, ignore=shutil.ignore_patterns(".fascicle-cache"))
+    def test_lead_fields_of_a_moved_electrode_are_solved_again(self, copied, solved):
+        folder = copied
         before = fascicle.ForwardModel(load_heart(folder)).simulate(NETWORK).ecg
         assert solved == []
         electrodes, _ = read_electrodes(folder / "electrodes.csv")

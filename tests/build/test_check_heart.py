@@ -75,10 +75,7 @@ def test_figures_are_those_of_the_ellipsoids():
     found = check(heart)
     rows = dict(found.rows)
     lv, rv = map(cavity_volume, heart.endocardia)
-    assert (lv, rv) == (
-        pytest.approx(anatomies.volume_below(LV), rel=0.1),
-        pytest.approx(anatomies.volume_below(RV), rel=0.1),
-    )
+    assert [lv, rv] == pytest.approx(list(map(anatomies.volume_below, (LV, RV))), rel=0.1)
     assert rows["myocardium"].startswith(f"{heart.volumes.sum() / 1000:.1f} ml")
     assert f"LV {lv:.0f}, RV {rv:.0f} ml" in rows["myocardium"]
     extent = [float(word) for word in rows["extent"].removesuffix(" mm").split(" x ")]
@@ -116,19 +113,11 @@ def test_fibres_of_the_wrong_helix_sense_give_a_warning():
     assert "mirrored" in found
 
 
-def swapped(one, other):
-    places = ELECTRODE_PLACES.copy()
-    first, second = ELECTRODES.index(one), ELECTRODES.index(other)
-    places[[first, second]] = places[[second, first]]
-    return replace(heart_with(), electrodes=places)
-
-
-@pytest.mark.parametrize(
-    ("one", "other", "start"),
-    [("RA", "LA", "electrodes RA and LA"), ("V3", "V4", "electrodes V3 and V4")],
-)
-def test_exchanged_electrodes_give_a_warning(one, other, start):
-    warning(swapped(one, other), start)
+@pytest.mark.parametrize("pair", [["RA", "LA"], ["V3", "V4"]])
+def test_exchanged_electrodes_give_a_warning(pair):
+    places, rows = ELECTRODE_PLACES.copy(), [ELECTRODES.index(name) for name in pair]
+    places[rows] = places[rows[::-1]]
+    warning(replace(heart_with(), electrodes=places), f"electrodes {' and '.join(pair)}")
 
 
 def test_an_electrode_almost_on_the_heart_gives_a_warning():

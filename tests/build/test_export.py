@@ -38,7 +38,8 @@ def heart():
 @pytest.mark.parametrize("kind", OUT)
 def test_a_heart_comes_back(tmp_path, heart, kind):
     tree = line_tree([[5, 5, 50], [5, 15, 40], [5, 25, 20.0]])
-    export_heart(heart, tmp_path / OUT[kind], kind, [tree] if kind == "opencarp" else [])
+    trees = [tree] if kind == "opencarp" else []
+    export_heart(heart, tmp_path / OUT[kind], kind, trees)
     mesh = read_mesh(tmp_path / MESH[kind])
     count = len(heart.vertices)
     assert np.abs(mesh.points[:count] - heart.vertices).max() <= TOLERANCE[kind]
@@ -55,12 +56,8 @@ def test_a_heart_comes_back(tmp_path, heart, kind):
         np.testing.assert_array_equal(read, heart.electrodes)
         read = read_tree(tmp_path / "carp" / "lv_tree.pts", "lv", tree.nodes[0])
         np.testing.assert_allclose(read.nodes, tree.nodes, atol=1e-9)
-
-
-@pytest.mark.parametrize("kind", OUT)
-def test_a_heart_without_sheets_and_regions(tmp_path, heart, kind):
     plain = replace(heart, sheets=None, regions=None, lead_fields=None)
-    export_heart(plain, tmp_path / OUT[kind], kind)
+    export_heart(plain, tmp_path / OUT[kind], kind, trees)
     arrays = read_mesh(tmp_path / MESH[kind]).cell_data[TETRAHEDRON]
     assert "sheet" not in arrays
     assert (arrays.get("region", np.ones(1)) == 1).all()
@@ -69,13 +66,9 @@ def test_a_heart_without_sheets_and_regions(tmp_path, heart, kind):
 def test_gmsh_groups(tmp_path, heart):
     export_heart(heart, tmp_path / "heart.msh", "gmsh")
     mesh = read_mesh(tmp_path / "heart.msh")
-    assert {name: of for name, (of, _) in mesh.groups.items()} == {
-        "lv_endo": 2,
-        "rv_endo": 2,
-        "epi": 2,
-        "base": 2,
-        **{f"region {k}": 3 for k in range(-1, 4)},
-    }
+    groups = dict.fromkeys(("lv_endo", "rv_endo", "epi", "base"), 2)
+    groups |= {f"region {k}": 3 for k in range(-1, 4)}
+    assert {name: of for name, (of, _) in mesh.groups.items()} == groups
     numbers = mesh.cell_data[TETRAHEDRON][GROUP]
     for region in range(-1, 4):
         there = numbers == mesh.groups[f"region {region}"][1]

@@ -103,15 +103,9 @@ def test_made_base_keeps_the_parts(parts, geo1):
     assert area(surface, BASE) == pytest.approx(1400, rel=0.1)
 
 
-def refused(parts, message, base=True):
-    with pytest.raises(InputError, match=message) as raised:
-        joined(parts, base)
-    assert "\n" not in str(raised.value)
-
-
 def test_gap_is_named_measured_and_placed(coarse):
     away = coarse[BASE][0] + np.array([0, 0, 4.0]), coarse[BASE][1]
-    refused(
-        {**coarse, BASE: away},
-        r"base\.stl .* that of epicardium\.stl .* are up to [34]\.\d mm apart \(at \(-?\d.* mm",
-    )
+    words = r"base\.stl .* that of epicardium\.stl .* are up to [34]\.\d mm apart \(at \(-?\d.* mm"
+    with pytest.raises(InputError, match=words) as raised:
+        joined({**coarse, BASE: away})
+    assert "\n" not in str(raised.value)

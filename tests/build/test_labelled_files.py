@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import meshio
 import numpy as np
 import pytest
@@ -17,13 +15,6 @@ from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.topology import boundary_loops, unique_edges
 
 
-def test_labels_of_triangles(tmp_path):
-    path = write_surface(tmp_path / "heart.vtp", Label=ventricles().labels)
-    surface = read_labelled_surface(path)
-    assert (surface.labels == ventricles().labels).all()
-    assert surface.name == str(path)
-
-
 def test_whole_numbers_are_labels_by_name_only(tmp_path):
     labels = ventricles().labels
     path = write_surface(tmp_path / "heart.vtk", patch=labels, RegionId=np.zeros(len(labels), int))
@@ -31,32 +22,28 @@ def test_whole_numbers_are_labels_by_name_only(tmp_path):
     with pytest.raises(InputError, match=r"\(arrays: RegionId, patch\); name .*label_array="):
         read_labelled_surface(path)
     assert (read_labelled_surface(path, array="patch").labels == labels).all()
-    for name in ("class", "label", "surface"):
+    for name in ("class", "Label", "surface"):
         arrays = {name: labels, "other": np.arange(len(labels))}
         path = write_surface(tmp_path / f"{name}.vtk", **arrays)
         assert has_labels(read_mesh(path))
-        assert (read_labelled_surface(path).labels == labels).all()
-
-
-def write_groups(path: Path, numbers: np.ndarray, names: dict[str, int]) -> Path:
-    """Triangles with physical groups, in Gmsh's format 2."""
-    data = {"gmsh:physical": [numbers], "gmsh:geometrical": [numbers]}
-    groups = {name: np.array([number, 2]) for name, number in names.items()}
-    cells = [("triangle", ventricles().triangles)]
-    mesh = meshio.Mesh(ventricles().vertices, cells, cell_data=data, field_data=groups)
-    meshio.gmsh.write(path, mesh, fmt_version="2.2", binary=True)
-    return path
+        surface = read_labelled_surface(path)
+        assert (surface.labels == labels).all()
+        assert surface.name == str(path)
 
 
 def test_names_of_physical_groups(tmp_path):
-    labels = ventricles().labels
-    names = {"base": 11, "epi": 12, "LV endo": 13, "right ventricle": 14}
-    path = write_groups(tmp_path / "heart.msh", labels + 10, names)
+    labels, path = ventricles().labels, tmp_path / "heart.msh"
+    names = ("base", "epi", "LV endo", "right ventricle")
+    groups = {name: np.array([number, 2]) for number, name in enumerate(names, 11)}
+    data = {key: [labels + 10] for key in ("gmsh:physical", "gmsh:geometrical")}
+    cells = [("triangle", ventricles().triangles)]
+    mesh = meshio.Mesh(ventricles().vertices, cells, cell_data=data, field_data=groups)
+    meshio.gmsh.write(path, mesh, fmt_version="2.2", binary=True)
     assert has_labels(read_mesh(path))
     assert (read_labelled_surface(path).labels == labels).all()
 
 
-def test_own_numbers_are_translated(tmp_path):
+def test_own_numbers_are_translated_even_if_they_exchange_the_default_ones(tmp_path):
     own = np.array([0, 10, 20, 30, 40])[ventricles().labels]
     path = write_surface(tmp_path / "heart.vtp", label=own)
     numbers = {"base": 10, "epicardium": 20, "lv": 30, "rv": 40}
@@ -71,16 +58,13 @@ def test_own_numbers_are_translated(tmp_path):
         read_labelled_surface(path)
     with pytest.raises(InputError, match="unknown 'apex'; the parts are base, epicardium, lv"):
         read_labelled_surface(path, names={"apex": 10})
-
-
-def test_numbers_may_exchange_the_default_ones(tmp_path):
     labels = ventricles().labels
     exchanged = np.where(labels == 3, 4, np.where(labels == 4, 3, labels))
     path = write_surface(tmp_path / "heart.vtp", label=exchanged)
     assert (read_labelled_surface(path, names={"lv": 4, "rv": 3}).labels == labels).all()
 
 
-def test_stl_with_a_file_of_labels(tmp_path):
+def test_stl_with_a_file_of_labels_that_must_fit(tmp_path):
     path = write_surface(tmp_path / "heart.stl")
     labels = tmp_path / "labels.csv"
     labels.write_text("\n".join(map(str, ventricles().labels)))
@@ -91,11 +75,6 @@ def test_stl_with_a_file_of_labels(tmp_path):
     assert len(boundary_loops(surface.triangles)) == 0
     with pytest.raises(InputError, match="no labels"):
         read_labelled_surface(path)
-
-
-def test_a_file_of_labels_must_fit(tmp_path):
-    path = write_surface(tmp_path / "heart.vtp")
-    labels = tmp_path / "labels.txt"
     labels.write_text("1 2 3")
     count = len(ventricles().triangles)
     with pytest.raises(InputError, match=f"3 labels, but .* has {count} triangles"):

@@ -29,22 +29,16 @@ def known_labels(found: LabelledMesh) -> np.ndarray:
     return np.array([known[tuple(row)] for row in np.sort(found.triangles)])
 
 
-def shares(mesh, right) -> dict[int, float]:
-    """The share of the area of each true label that was given that label."""
-    area = igl.doublearea(mesh.vertices, mesh.triangles)
-    return {
-        label: area[(right == label) & (mesh.labels == label)].sum() / area[right == label].sum()
-        for label in (BASE, EPI, LV, RV)
-    }
-
-
 def test_endocardia_in_register_are_found_exactly(heart):
     found = labelled_mesh(heart)
     right = known_labels(found)
     for label in (LV, RV):
         np.testing.assert_array_equal(found.labels == label, right == label)
         assert len(boundary_loops(found.having(label))) == 1
-    assert min(shares(found, right).values()) > 0.97
+    area = igl.doublearea(found.vertices, found.triangles)
+    for label in (BASE, EPI):
+        same = (right == label) & (found.labels == label)
+        assert area[same].sum() > 0.97 * area[right == label].sum()
 
 
 @pytest.mark.parametrize("which", ["default_heart", "crtdemo"])

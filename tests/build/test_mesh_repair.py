@@ -14,7 +14,7 @@ from fascicle.build.mesh_repair import repaired_mesh, separated_vertices
 from fascicle.build.read_anatomy import Source, read_anatomy
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import labelled_mesh
-from fascicle.heart.validate import check_tetrahedra
+from fascicle.mesh.checks import check_tetrahedra
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.mesh.measures import closed_volume, signed_volumes
@@ -124,18 +124,11 @@ def test_a_heart_with_a_void_is_read(heart, shared, tmp_path):
     _, rows = gone(heart, shared, "two")
     given = file_of(heart, np.delete(np.arange(len(heart.tetrahedra)), rows))
     path = tmp_path / "heart.vtu"
-    write_grid(
-        path,
-        given.points,
-        given.cells[TETRAHEDRON],
-        TETRAHEDRON,
-        {},
-        {"fibre": given.cell_data[TETRAHEDRON]["fibre"]},
-    )
+    arrays = {"fibre": given.cell_data[TETRAHEDRON]["fibre"]}
+    write_grid(path, given.points, given.cells[TETRAHEDRON], TETRAHEDRON, {}, arrays)
     read = read_anatomy(Source(path), 2.0)
-    assert closed_volume(read.mesh.vertices, read.mesh.triangles) == pytest.approx(
-        heart.volumes.sum(), rel=1e-6
-    )
+    volume = closed_volume(read.mesh.vertices, read.mesh.triangles)
+    assert volume == pytest.approx(heart.volumes.sum(), rel=1e-6)
     assert "were filled: 1 (" in str(read.notes)
 
 

@@ -16,7 +16,6 @@ from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.purkinje.tree_files import read_tree
 
 SIZE = 60.0  # mm
-TREE = [".pts", ".elem", ".lon", "_length.dat"]
 
 
 @pytest.fixture
@@ -52,14 +51,11 @@ def folder(tmp_path, heart, tree):
     return tmp_path
 
 
-def test_the_files_are_in_micrometres(folder):
+def test_files_are_in_micrometres_and_the_whole_boundary_is_there(folder, heart):
+    """The base, which is missing in this one, has no files."""
     lines = (folder / "heart.pts").read_text().splitlines()
     assert lines[0] == "125"
     assert [float(x) for x in lines[-1].split()] == [60000.0, 60000.0, 60000.0]
-
-
-def test_the_whole_boundary_is_there(folder, heart):
-    """The base, which is missing in this one, has no files."""
     for name, axis, level in (("lv_endo", 0, 0.0), ("rv_endo", 0, SIZE), ("epi", 2, SIZE)):
         triangles = read_surf(folder / f"heart_{name}.surf", len(heart.vertices))
         there = (heart.vertices[triangles][:, :, axis] == level).all(axis=1)
@@ -93,19 +89,19 @@ def test_elements_of_all_kinds(tmp_path):
     np.testing.assert_array_equal(mesh.cell_data[TRIANGLE]["fibre"], [[1, 0, 0], [0, 0.6, 0.8]])
     np.testing.assert_array_equal(mesh.cell_data[TETRAHEDRON]["fibre"], [[0, 1, 0]])
     assert "region" not in mesh.cell_data[LINE]
-    assert mesh.others == {"quadrangles": 1}
+    assert mesh.other_cells == {"quadrangles": 1}
 
 
-@pytest.mark.parametrize("suffix", [".pts", ".elem"])
-def test_a_tree_comes_back_with_its_lengths(folder, tree, suffix):
-    read = read_tree(folder / f"lv_tree{suffix}", "lv", tree.nodes[tree.root] + 0.1)
-    assert np.abs(read.nodes - tree.nodes).max() < 1e-9
-    np.testing.assert_array_equal(read.parents, tree.parents)
-    assert np.abs(read.lengths - tree.lengths).max() < 1e-9
-    np.testing.assert_array_equal(read.junctions, tree.junctions)
-
-
-def test_a_tree_says_where_root_junctions_and_parts_are(folder, tree):
+def test_a_tree_comes_back_with_its_lengths_or_those_of_chords(folder, tree):
+    chords = np.linalg.norm(tree.nodes - tree.nodes[tree.parents], axis=1)
+    chords[2] = 0
+    for name, lengths in (("lv_tree.pts", tree.lengths), ("lv_tree.elem", chords)):
+        read = read_tree(folder / name, "lv", tree.nodes[tree.root] + 0.1)
+        assert np.abs(read.nodes - tree.nodes).max() < 1e-9
+        np.testing.assert_array_equal(read.parents, tree.parents)
+        assert np.abs(read.lengths - lengths).max() < 1e-9
+        np.testing.assert_array_equal(read.junctions, tree.junctions)
+        (folder / "lv_tree_length.dat").unlink(missing_ok=True)
     np.testing.assert_array_equal(read_vtx(folder / "lv_tree_root.vtx", 6), [2])
     np.testing.assert_array_equal(read_vtx(folder / "lv_tree_junctions.vtx", 6), [3, 4, 5])
     mesh = read_opencarp_mesh(folder / "lv_tree")
@@ -114,14 +110,6 @@ def test_a_tree_says_where_root_junctions_and_parts_are(folder, tree):
     along = tree.nodes[3] - tree.nodes[1]
     fibre = mesh.cell_data[LINE]["fibre"][2]
     np.testing.assert_allclose(fibre, along / np.linalg.norm(along), atol=1e-14)
-
-
-def test_a_tree_without_lengths_takes_them_from_its_ends(folder, tree):
-    (folder / "lv_tree_length.dat").unlink()
-    read = read_tree(folder / "lv_tree.pts", "lv", tree.nodes[2])
-    chords = np.linalg.norm(tree.nodes - tree.nodes[tree.parents], axis=1)
-    chords[2] = 0
-    np.testing.assert_allclose(read.lengths, chords, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -163,11 +151,11 @@ def readers(folder, name, tree):
     return lambda: read_mesh(folder / "heart.pts")
 
 
-NAMES = ["heart.pts", "heart.elem", "heart.lon", "heart_lv_endo.surf"]
-NAMES += [f"lv_tree{suffix}" for suffix in TREE]
-
-
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name",
+    ["heart.pts", "heart.elem", "heart.lon", "heart_lv_endo.surf"]
+    + [f"lv_tree{suffix}" for suffix in (".pts", ".elem", ".lon", "_length.dat")],
+)
 def test_every_cut_is_refused(folder, tree, name):
     path, read = folder / name, readers(folder, name, tree)
     whole = path.read_bytes()

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 import pyvista as pv
 
-from fascicle.build.pieces import joined_pieces, with_common_vertices
+from fascicle.build.mesh_repair import joined_pieces, with_common_vertices
 from fascicle.build.read_anatomy import Source, read_anatomy
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import LabelledMesh
-from fascicle.heart.validate import check_tetrahedra
+from fascicle.mesh.checks import check_tetrahedra
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, MeshFile
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.mesh.measures import closed_volume, signed_volumes

@@ -9,8 +9,7 @@ from builders import box
 from fascicle.build.labelled_files import labelled_tetrahedra
 from fascicle.core.errors import InputError
 from fascicle.heart.assembly import _endocardium
-from fascicle.heart.validate import check_fibres, check_tetrahedra
-from fascicle.mesh.checks import check_edges, first_places
+from fascicle.mesh.checks import check_edges, check_fibres, check_tetrahedra, first_places
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.topology import boundary_triangles, unique_edges
 

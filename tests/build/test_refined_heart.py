@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from builders import block_of_random_tissue, box
 
-from fascicle.build.refinement import CHILDREN, in_eight, refined
+from fascicle.build.refinement import in_eight, refined
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.ecg.lead_field import nodal_gradients
@@ -35,15 +35,12 @@ def finer(block):
     return refined(block)
 
 
-def test_tetrahedra_inherit_what_their_parent_has(block, finer):
-    assert len(finer.tetrahedra) == CHILDREN * len(block.tetrahedra)
+def test_tetrahedra_inherit_what_their_parent_has_and_all_else_stays(block, finer):
+    assert len(finer.tetrahedra) == 8 * len(block.tetrahedra)
     for name in ("fibres", "sheets", "regions"):
-        expected = np.repeat(getattr(block, name), CHILDREN, axis=0)
+        expected = np.repeat(getattr(block, name), 8, axis=0)
         np.testing.assert_array_equal(getattr(finer, name), expected)
-    np.testing.assert_allclose(finer.volumes, np.repeat(block.volumes / 8, CHILDREN))
-
-
-def test_the_rest_stays(block, finer):
+    np.testing.assert_allclose(finer.volumes, np.repeat(block.volumes / 8, 8))
     assert finer.lv is block.lv
     assert finer.rv is block.rv
     assert (finer.name, finer.values) == (block.name, block.values)
@@ -51,27 +48,21 @@ def test_the_rest_stays(block, finer):
     assert 0.5 * block.edge_length == pytest.approx(finer.edge_length, rel=0.05)
 
 
-def test_gradients_of_the_lead_fields_stay(block, finer):
+def test_gradients_of_the_lead_fields_stay_and_they_are_accepted_without_a_torso(block, finer):
     def gradients(heart):
         slopes = barycentric_gradients(heart.vertices, heart.tetrahedra)
         return nodal_gradients(heart.lead_fields.values, heart.tetrahedra, slopes)
 
-    expected = np.repeat(gradients(block), CHILDREN, axis=1)
+    expected = np.repeat(gradients(block), 8, axis=1)
     np.testing.assert_allclose(gradients(finer), expected, atol=1e-12)
-
-
-def test_lead_fields_are_accepted_without_a_torso(block, finer):
     assert finer.torso is None
     assert is_up_to_date(finer, Conduction.of(finer))
     assert not is_up_to_date(replace(finer, fibres=-finer.fibres), Conduction())
 
 
-def test_lead_fields_that_are_out_of_date_are_refused(block):
+def test_old_lead_fields_and_a_mesh_too_large_for_the_memory_are_refused(block, monkeypatch):
     with pytest.raises(InputError, match=r"^block: its lead fields are for other electrodes"):
         refined(replace(block, electrodes=block.electrodes + 1.0))
-
-
-def test_a_mesh_too_large_for_the_memory_is_refused(block, monkeypatch):
     monkeypatch.setattr("fascicle.build.refinement.available_memory", lambda: 1e6)
     with pytest.raises(InputError, match=r"^block: with eight times its 384 tetrahedra .* GB"):
         refined(block)
@@ -103,15 +94,11 @@ def cut(cells):
     return in_eight(cells.vertices, cells.tetrahedra)
 
 
-def test_each_child_has_an_eighth_of_the_volume(cells, cut):
+def test_children_lie_in_their_parent_and_fill_it(cells, cut):
     volumes = signed_volumes(cut.vertices, cut.tetrahedra)
-    np.testing.assert_allclose(volumes, np.repeat(cells.volumes / 8, CHILDREN), rtol=1e-11)
-
-
-def test_children_lie_in_their_parent(cells, cut):
-    """As the volumes add up, the children then fill it."""
+    np.testing.assert_allclose(volumes, np.repeat(cells.volumes / 8, 8), rtol=1e-11)
     corners = cells.vertices[cells.tetrahedra]
-    centres = cut.vertices[cut.tetrahedra].mean(axis=1).reshape(-1, CHILDREN, 3)
+    centres = cut.vertices[cut.tetrahedra].mean(axis=1).reshape(-1, 8, 3)
     offset = (centres - corners[:, :1])[..., None]
     axes = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
     inner = np.linalg.solve(axes[:, None], offset)[..., 0]
@@ -119,7 +106,7 @@ def test_children_lie_in_their_parent(cells, cut):
     assert inner.sum(axis=2).max() < 1
 
 
-def test_conforming(cells, cut):
+def test_conforming_with_vertices_at_midpoints(cells, cut):
     """Every face belongs to two tetrahedra, or to one and the boundary, which is the old one's."""
     faces = np.sort(cut.tetrahedra[:, TETRAHEDRON_FACES].reshape(-1, 3), axis=1)
     _, count = np.unique(faces, axis=0, return_counts=True)
@@ -127,13 +114,8 @@ def test_conforming(cells, cut):
     assert set(count) == {1, 2}
     assert (count == 1).sum() == 4 * len(old)
     assert np.unique(cut.tetrahedra).tolist() == list(range(len(cut.vertices)))
-
-
-def test_new_vertices_are_midpoints_of_old_ones(cells, cut):
-    count = len(cells.vertices)
-    np.testing.assert_array_equal(cut.vertices[:count], cells.vertices)
     middle = cells.vertices[cut.edges].mean(axis=1)
-    np.testing.assert_array_equal(cut.vertices[count:], middle)
+    np.testing.assert_array_equal(cut.vertices, np.concatenate([cells.vertices, middle]))
     at_all = cut.at_vertices(np.stack([cells.vertices[:, 0], 3 * cells.vertices[:, 1]]))
     np.testing.assert_allclose(at_all, [cut.vertices[:, 0], 3 * cut.vertices[:, 1]])
 

@@ -105,29 +105,19 @@ def test_other_dimensions_are_refused(tmp_path, labels):
     assert "2 dimensions" in refused(write_nifti(tmp_path / "b.nii", labels[:, :, 0]))
 
 
-@pytest.mark.parametrize("size", [0.0, np.nan])
-def test_nifti_without_spacing_is_refused(tmp_path, labels, size):
-    path = write_nifti(tmp_path / "a.nii", labels)
-    raw = bytearray(path.read_bytes())
-    raw[80:84] = np.float32(size).tobytes()  # pixdim[1]
-    path.write_bytes(raw)
-    assert "pixdim" in refused(path)
-
-
-def test_nifti_without_position_is_refused(tmp_path, labels):
+def test_without_position_or_spacing_or_with_an_unknown_space_it_is_refused(tmp_path, labels):
     message = refused(write_nifti(tmp_path / "a.nii", labels, codes=(0, 0)))
     assert "sform_code and qform_code are 0" in message
-
-
-def test_nrrd_without_spacing_or_with_unknown_space_is_refused(tmp_path, labels):
+    raw = bytearray(write_nifti(tmp_path / "a.nii", labels).read_bytes())
+    for size in (0.0, np.nan):
+        raw[80:84] = np.float32(size).tobytes()  # pixdim[1]
+        (tmp_path / "a.nii").write_bytes(raw)
+        assert "pixdim" in refused(tmp_path / "a.nii")
     nrrd.write(str(tmp_path / "a.nrrd"), labels)
     assert "neither space directions nor spacings" in refused(tmp_path / "a.nrrd")
-    assert "space 'scanner-xyz'" in refused(
-        write_nrrd(tmp_path / "b.nrrd", labels, space="scanner-xyz")
-    )
-    assert "space units" in refused(
-        write_nrrd(tmp_path / "c.nrrd", labels, **{"space units": ["s", "s", "s"]})
-    )
+    for header, words in (({"space": "scanner-xyz"}, "space 'scanner-xyz'"),
+                          ({"space units": ["s", "s", "s"]}, "space units")):  # fmt: skip
+        assert words in refused(write_nrrd(tmp_path / "b.nrrd", labels, **header))
 
 
 @pytest.mark.parametrize(

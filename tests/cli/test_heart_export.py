@@ -7,9 +7,8 @@ import pytest
 import pyvista as pv
 from anatomies import LV, RV
 
-from fascicle.build.build_heart import build_heart
+from fascicle.build.build_heart import TorsoOptions, build_heart
 from fascicle.build.read_anatomy import Source
-from fascicle.build.torso import TorsoOptions
 from fascicle.heart.folder import load_heart, write_heart
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.read import read_mesh

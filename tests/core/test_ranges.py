@@ -13,7 +13,7 @@ from fascicle.core.leads import LEADS
 from fascicle.core.quantities import QUANTITIES
 from fascicle.core.ranges import RANGES, check_array, within
 from fascicle.forward.primitives import His, JunctionDelays, SlowConduction, Stimulus
-from fascicle.heart.conduction import CONDUCTIVITIES, Conduction, Region
+from fascicle.heart.conduction import Conduction, Region
 from fascicle.recording.recording import Recording
 
 
@@ -55,7 +55,7 @@ ENTRIES = {
     "sampling rate": (lambda x: Recording(np.zeros((12, 1000)), x, "a.csv"), False),
     **{
         name: (lambda x, name=name: Conduction(**{name: x}), False)
-        for name in (*CONDUCTIVITIES, "alpha", "endocardial_layer", "endocardial_speed")
+        for name in (*Conduction.conductivities, "alpha", "endocardial_layer", "endocardial_speed")
     },
 }
 

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import Delaunay, cKDTree
+from scipy.spatial import Delaunay
 
-from fascicle.heart.heart import Heart
+from fascicle.build.endocardia import endocardia
+from fascicle.heart.endocardium import Endocardium
+from fascicle.heart.heart import Heart, VentricularCoordinates
 from fascicle.heart.labelled_surface import Label, LabelledMesh
 from fascicle.mesh.measures import signed_volumes
 from fascicle.mesh.topology import boundary_triangles
@@ -145,12 +147,12 @@ class Spheroid:
         return LabelledMesh(vertices, tetrahedra, triangles, labels, name="spheroid")
 
 
-def labelled_heart(heart: Heart, base: NDArray[np.bool_]) -> LabelledMesh:
-    """A heart whose endocardia are parts of its mesh's boundary, and given what is base."""
-    triangles, _ = heart.boundary
-    labels = np.full(len(triangles), Label.EPICARDIUM, dtype=np.int64)
-    for label, endocardium in ((Label.LV_ENDOCARDIUM, heart.lv), (Label.RV_ENDOCARDIUM, heart.rv)):
-        distance, _ = cKDTree(endocardium.vertices).query(heart.vertices[triangles])
-        labels[np.all(distance < 1e-6, axis=1)] = label
-    labels[base] = Label.BASE
-    return LabelledMesh(heart.vertices, heart.tetrahedra, triangles, labels, name=heart.name)
+def heart_on(mesh: LabelledMesh, coordinates: VentricularCoordinates | None = None) -> Heart:
+    """A heart with the endocardia of a mesh, and fibres along z."""
+    sides = [
+        Endocardium(side, surface.vertices, surface.triangles, 0, 1)
+        for side, surface in zip(("lv", "rv"), endocardia(mesh), strict=True)
+    ]
+    fibres = np.tile([0.0, 0.0, 1.0], (len(mesh.tetrahedra), 1))
+    tissue = mesh.vertices, mesh.tetrahedra, fibres
+    return Heart(*tissue, *sides, np.zeros((9, 3)), coordinates=coordinates)

@@ -1,49 +1,41 @@
-"""Fibres, endocardia and seeds on shapes whose answers are known."""
+"""Fibres, endocardia, seeds and electrodes whose answers are known."""
 
 import numpy as np
 import pytest
+from anatomies import PLACES, write_electrodes
+from builders import half_ellipsoid
 
 from fascicle.core.errors import InputError
-from fascicle.heart.assembly import _match_by_position, average_to_tetrahedra
+from fascicle.heart.electrodes import read_electrodes
 from fascicle.heart.endocardium import oriented_into_cavity, septal_seeds
-from fascicle.heart.validate import check_tetrahedra, check_units
-from fascicle.mesh.measures import triangle_normals
+from fascicle.mesh.checks import check_tetrahedra, check_units
+from fascicle.mesh.measures import principal_axes, triangle_normals
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 
 
-def bowl(rings=8, spokes=20, depth=40.0):
-    """Paraboloid open at z = 0, apex at z = -depth; triangles in mixed-up orientation."""
-    points, triangles = [[0.0, 0.0, -depth]], []
-    for ring in range(1, rings + 1):
-        angle = 2 * np.pi * np.arange(spokes) / spokes
-        r = 20 * ring / rings
-        z = -depth * (1 - (ring / rings) ** 2)
-        points += np.column_stack([r * np.cos(angle), r * np.sin(angle), 0 * angle + z]).tolist()
-    for k in range(spokes):
-        n = (k + 1) % spokes
-        triangles.append([0, 1 + n, 1 + k])
-        for ring in range(rings - 1):
-            a, b = 1 + ring * spokes + k, 1 + ring * spokes + n
-            triangles += [[a, a + spokes, b], [b, b + spokes, a + spokes]]
-    return np.array(points), np.array(triangles)
+def bowl():
+    """Half-ellipsoid open at z = 0; triangles in mixed-up orientation."""
+    surface = half_ellipsoid(rings=12, sectors=20, radius=20.0, depth=40.0)
+    flip = np.random.default_rng(0).random(len(surface.triangles)) < 0.5
+    triangles = surface.triangles.copy()
+    triangles[flip] = triangles[flip][:, ::-1]
+    return surface.vertices, triangles
+
+
+@pytest.mark.parametrize("name", ["RL", "rl"])
+def test_the_grounded_electrode_is_left_out(tmp_path, name):
+    file = write_electrodes(tmp_path / "e.csv", {**PLACES, name: (1, 2, 3), "E1": (4, 5, 6)})
+    nine, more = read_electrodes(file)
+    assert nine.shape == (9, 3)
+    assert {key: at.tolist() for key, at in more.items()} == {"E1": [4, 5, 6]}
 
 
 def test_mean_of_two_directions_lies_between():
     angle = np.radians([20, 20, 60, 60])
     given = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
-    mean = average_to_tetrahedra(given, np.array([[0, 1, 2, 3]]))[0]
+    mean = principal_axes(given[None])[0]
     assert np.degrees(np.arctan(mean[1] / mean[0])) == pytest.approx(40)
-
-
-def test_matching_undoes_a_permutation_and_single_precision():
-    rng = np.random.default_rng(0)
-    wanted = 100 * rng.random((50, 3))
-    order = rng.permutation(50)
-    row = _match_by_position("f", wanted[order].astype(np.float32).astype(float), wanted, "points")
-    np.testing.assert_array_equal(order[row], np.arange(50))
-    with pytest.raises(InputError, match=r"^f: 50 of 50 points .* no fibre within .*; give"):
-        _match_by_position("f", wanted + 0.1, wanted, "points")
 
 
 @pytest.mark.parametrize("flip", [False, True])

@@ -4,23 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from builders import box
 
 from fascicle.heart.laplace import QuadraticSpace, quadratic_space, solve_laplace
 
 
 def cube(cells: int) -> QuadraticSpace:
     """The unit cube, its cells cut into six tetrahedra around one diagonal each."""
-    side = cells + 1
-    index = np.arange(side**3).reshape(side, side, side)
-    corner = index[:-1, :-1, :-1].ravel()
-    steps = np.array([side * side, side, 1])
-    tetrahedra = []
-    for order in ([0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]):
-        path = corner[:, None] + np.concatenate([[0], np.cumsum(steps[order])])
-        even = order in ([0, 1, 2], [1, 2, 0], [2, 0, 1])
-        tetrahedra.append(path if even else path[:, [0, 1, 3, 2]])
-    points = np.stack(np.meshgrid(*[np.linspace(0, 1, side)] * 3, indexing="ij"), axis=-1)
-    return quadratic_space(points.reshape(-1, 3), np.concatenate(tetrahedra))
+    block = box(1.0, cells)
+    return quadratic_space(block.vertices, block.tetrahedra)
 
 
 def nodes_of(space: QuadraticSpace) -> np.ndarray:

@@ -8,7 +8,7 @@ import fascicle
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.heart.conduction import Conduction
-from fascicle.heart.folder import MANIFEST, load_heart, write_heart
+from fascicle.heart.folder import load_heart, write_heart
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def test_a_heart_may_have_its_own_example_network(tmp_path, default_heart):
     heart = load_heart(tmp_path / "heart")
     assert fascicle.example_parameters(fascicle.ForwardModel(heart)) == example
     assert heart.digest == default_heart.digest  # nothing is recomputed
-    manifest = tmp_path / "heart" / MANIFEST
+    manifest = tmp_path / "heart" / "heart.toml"
     manifest.write_text(manifest.read_text().replace("cv = 2.5", "cv = 250"), encoding="utf-8")
     with pytest.raises(InputError, match=r"heart\.toml: parameter 'cv' is 250") as caught:
         load_heart(tmp_path / "heart")
@@ -53,7 +53,7 @@ def test_a_heart_may_have_its_own_example_network(tmp_path, default_heart):
     ],
 )
 def test_what_cannot_be_is_refused_with_the_file(folder, line, words):
-    manifest = folder / MANIFEST
+    manifest = folder / "heart.toml"
     before = manifest.read_text(encoding="utf-8")
     manifest.write_text(before.replace("[values]\n", f"[values]\n{line}\n"), encoding="utf-8")
     with pytest.raises(InputError, match=words) as caught:

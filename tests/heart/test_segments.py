@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from anatomies import FINER, tissue
+from labelled_walls import heart_on
 from scipy.spatial.transform import Rotation
 
-from fascicle.build.endocardia import endocardia
 from fascicle.core.leads import ELECTRODES
-from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.fibres import Wall
-from fascicle.heart.heart import Heart
 from fascicle.heart.sites import APEX, RIGHT, SEGMENTS, places
 
 DEPTH = 52.0  # mm, of the ellipsoids' left cavity
@@ -25,13 +23,7 @@ def middle(heart, chosen):
 @pytest.fixture(scope="module")
 def ellipsoids():
     """Axis of the left ventricle down z, the right one towards x; so y is anterior."""
-    mesh = tissue(FINER)
-    sides = [
-        Endocardium(side, found.vertices, found.triangles, 0, 1)
-        for side, found in zip(("lv", "rv"), endocardia(mesh), strict=True)
-    ]
-    fibres = np.tile([0.0, 0.0, 1.0], (len(mesh.tetrahedra), 1))
-    return Heart(mesh.vertices, mesh.tetrahedra, fibres, *sides, np.zeros((9, 3)))
+    return heart_on(tissue(FINER))
 
 
 def test_ellipsoids_by_hand(ellipsoids):
@@ -83,13 +75,9 @@ def test_of_a_heart_in_its_body(heart):
 
 
 def test_it_does_not_matter_how_the_heart_lies(default_heart):
-    turn, shift = (
-        Rotation.from_euler("xyz", [40, -110, 75], degrees=True),
-        np.array([5, -80, 900.0]),
-    )
-
     def moved(vertices):
-        return turn.apply(vertices) + shift
+        turn = Rotation.from_euler("xyz", [40, -110, 75], degrees=True)
+        return turn.apply(vertices) + np.array([5, -80, 900.0])
 
     sides = {e.side: replace(e, vertices=moved(e.vertices)) for e in default_heart.endocardia}
     other = replace(default_heart, vertices=moved(default_heart.vertices), folder=None, **sides)

@@ -11,7 +11,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, HUMAN_SPACE
 from fascicle.forward.primitives import Stimulus
-from fascicle.heart.sites import LAYERS, LEFT_SITES, RIGHT, RIGHT_SITES, SEGMENTS, Sites
+from fascicle.heart.sites import LAYERS, RIGHT, SEGMENTS, Sites
 
 
 @pytest.fixture(scope="module", params=["default_heart", "crtdemo"])
@@ -39,7 +39,7 @@ def test_of_the_right_ventricle(sites):
     heart = sites.heart
     electrodes = dict(zip(ELECTRODES, heart.electrodes, strict=True))
     up = (electrodes["RA"] + electrodes["LA"]) / 2 - electrodes["LL"]
-    at = {name: np.array(sites.position(name)) for name in RIGHT_SITES}
+    at = {name: np.array(sites.position(name)) for name in Sites.right}
     centres = cKDTree(heart.vertices[heart.tetrahedra].mean(axis=1))
     for place in at.values():
         assert distance(heart.rv.vertices, place) < 1e-6
@@ -82,7 +82,7 @@ def test_the_way_of_the_left_bundle_goes_on_to_the_apex(default_heart):
     close = replace(left, direction=near)
     at = {
         name: np.array(Sites(replace(default_heart, lv=close)).position(name))
-        for name in LEFT_SITES
+        for name in Sites.left
     }
     assert distance(left.vertices, at["left bundle"]) < 1.5
     assert np.linalg.norm(at["left septum"] - at["left bundle"]) == pytest.approx(10, abs=1.5)

@@ -67,15 +67,12 @@ def test_intersections_between_two_surfaces_only():
     assert found.tolist() == [[0, 0], [0, 1]]
 
 
-def test_a_regular_tetrahedron_has_the_best_shape():
+def test_shapes_of_a_regular_tetrahedron_and_of_the_corner_of_a_cube():
     found = quality(5 * REGULAR, np.array([[0, 1, 2, 3]]))
     assert found.angles.min() == pytest.approx(np.degrees(np.arccos(1 / 3)))
     assert found.radius_ratios.min() == pytest.approx(1)
     assert found.edges.mean() == pytest.approx(5)
     assert found.volumes.sum() == pytest.approx(5**3 / (6 * np.sqrt(2)))
-
-
-def test_the_corner_of_a_cube():
     found = quality(CORNER, np.array([[0, 1, 2, 3]]))
     assert found.angles.min() == pytest.approx(np.degrees(np.arccos(1 / np.sqrt(3))))
     assert found.radius_ratios.min() == pytest.approx(3 * (3 - np.sqrt(3)) / 6 / (np.sqrt(3) / 2))

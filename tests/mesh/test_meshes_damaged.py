@@ -20,17 +20,8 @@ RUBBISH = {
     "text": b"hello\nworld\n" * 20,
     "zeros": bytes(3000),
 }
-TISSUE = [
-    "b.vtk",
-    "a.vtk",
-    "b.vtu",
-    "a.vtu",
-    "appended.vtu",
-    "raw.vtu",
-    "b.msh",
-    "a.msh",
-    "a22.msh",
-]
+TISSUE = ["b.vtk", "a.vtk", "b.vtu", "a.vtu", "appended.vtu", "raw.vtu"]
+TISSUE += ["b.msh", "a.msh", "a22.msh"]
 SURFACES = ["b.vtp", "a.vtp", "sb.vtk", "b.ply", "a.ply", "b.stl", "a.stl", "a.obj"]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
+from typing import ClassVar
 
 import igl
 import numpy as np
@@ -16,15 +17,7 @@ from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import ENDOCARDIA, Label, LabelledSurface
 from fascicle.mesh.measures import edge_lengths, triangle_areas, triangle_normals, unit
-from fascicle.mesh.topology import (
-    TRIANGLE_EDGES,
-    boundary_loops,
-    components_of,
-    directed_edges,
-    unique_edges,
-)
-
-NARROWEST = 2.0  # mm between endocardium and epicardium, so that even a thin wall ends in a rim
+from fascicle.mesh.topology import boundary_loops, components_of, directed_edges, unique_edges
 
 
 @dataclass(frozen=True)
@@ -33,6 +26,9 @@ class DualGraph:
 
     Vertices (n, 3) (mm); triangles (m, 3), counter-clockwise seen from outside the tissue.
     """
+
+    # mm between endocardium and epicardium, so that even a thin wall ends in a rim
+    narrowest_base: ClassVar[float] = 2.0
 
     vertices: Floats
     triangles: Integers
@@ -169,7 +165,7 @@ def smoothed_regions(graph: DualGraph, regions: Integers) -> Integers:
     """Regions of triangles (m,) with borders that are as smooth as the triangles allow.
 
     Cavities and outer surface are smoothed separately, so that a narrow base between them stays;
-    the outer surface then keeps `NARROWEST` away from the cavities.
+    the outer surface then keeps the width of the base away from the cavities.
     """
     parts = (SurfacePart.FIRST, SurfacePart.SECOND, SurfacePart.OUTER)
     shares = [_smoothed(graph, regions == part) for part in parts]
@@ -180,26 +176,29 @@ def smoothed_regions(graph: DualGraph, regions: Integers) -> Integers:
         return smooth
     line = graph.vertices[graph.edges[1][ends]]
     distance, _ = cKDTree(np.concatenate([line[:, 0], line.mean(axis=1)])).query(graph.centres)
-    return np.where(
-        (smooth == SurfacePart.OUTER) & (distance < NARROWEST), SurfacePart.BASAL, smooth
-    )
+    near = (smooth == SurfacePart.OUTER) & (distance < graph.narrowest_base)
+    return np.where(near, SurfacePart.BASAL, smooth)
 
 
-def cut_along_borders(surface: LabelledSurface, edge_length: float = NARROWEST) -> LabelledSurface:
+def cut_along_borders(surface: LabelledSurface, edge_length: float = 0.0) -> LabelledSurface:
     """Divide the triangles of a surface so that borders need not follow their edges.
 
     The surface is closed, with `Label.BASE` between the other labels. The base becomes nowhere
-    narrower than the edge length (mm) that the surface is to be meshed with.
+    narrower than 2 mm, or the edge length (mm) that the surface is to be meshed with.
     """
     for part in (*ENDOCARDIA, Label.EPICARDIUM):
         inside = surface.labels == part
         graph = DualGraph(surface.vertices, surface.triangles)
-        level = _level(graph, inside)
+        # a function of the vertices that is positive inside and zero on the smooth border
+        corners, count = graph.triangles.ravel(), len(graph.vertices)
+        weights = np.repeat(graph.areas, 3)
+        share = np.repeat(_smoothed(graph, inside) - 0.5, 3)
+        level = np.bincount(corners, weights * share, count) / np.bincount(corners, weights, count)
         if part == Label.EPICARDIUM:
             rims = [boundary_loops(surface.having(label)) for label in ENDOCARDIA]
             rim = np.concatenate([loop for loops in rims for loop in loops])
             away, _ = cKDTree(surface.vertices[rim]).query(surface.vertices)
-            level = np.minimum(level, away / max(NARROWEST, edge_length) - 1)
+            level = np.minimum(level, away / max(graph.narrowest_base, edge_length) - 1)
         vertices, triangles, parent, side = cut_at_zero(graph.vertices, graph.triangles, level)
         before = surface.labels[parent]
         outside = np.where(before == part, Label.BASE, before)
@@ -218,15 +217,6 @@ def _smoothed(graph: DualGraph, chosen: Booleans) -> Floats:
     reach = max(2.5, 1.5 * float(graph.lengths.mean()))  # mm over which a border is smoothed
     system = diags_array(graph.areas) + reach**2 * graph.laplacian(graph.crease_weights)
     return np.asarray(splu(csc_array(system)).solve(graph.areas * chosen))
-
-
-def _level(graph: DualGraph, inside: Booleans) -> Floats:
-    """Function (n,) of the vertices that is positive inside and zero on the smooth border."""
-    corners, count = graph.triangles.ravel(), len(graph.vertices)
-    weights = np.repeat(graph.areas, 3)
-    share = np.repeat(_smoothed(graph, inside) - 0.5, 3)
-    level = np.bincount(corners, weights * share, count) / np.bincount(corners, weights, count)
-    return np.asarray(level)
 
 
 def cut_at_zero(
@@ -268,7 +258,7 @@ def cut_at_zero(
 
 def _divided(corners: list[int], on_edge: dict[tuple[int, int], int]) -> list[list[int]]:
     """Two or three parts of a triangle that is cut at new vertices on one or two of its edges."""
-    edges = np.sort(np.array(corners)[TRIANGLE_EDGES], axis=1).tolist()
+    edges = np.sort(directed_edges(np.array([corners])), axis=1).tolist()
     new = [on_edge.get((a, b), -1) for a, b in edges]
     cut = [vertex != -1 for vertex in new]
     # first the one edge that is cut, or the one that is not, whose ends lie on one side

@@ -1,8 +1,11 @@
-"""From an anatomy to a heart in a torso: the stages, chained."""
+"""From an anatomy to a heart in a torso with electrodes and lead fields."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -10,16 +13,79 @@ import numpy as np
 from fascicle.build.endocardia import endocardia
 from fascicle.build.labelled_files import Anatomy
 from fascicle.build.read_anatomy import Source, read_anatomy
-from fascicle.build.torso import TorsoOptions, in_torso
-from fascicle.core.leads import ELECTRODES
+from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError
+from fascicle.core.leads import ADDITIONAL_LEADS, ELECTRODES, FRANK, FRANK_ELECTRODES
 from fascicle.core.progress import Progress, stage_progress
+from fascicle.core.ranges import check_items
+from fascicle.heart.conduction import Conduction
 from fascicle.heart.coordinates import with_coordinates
+from fascicle.heart.electrodes import Electrodes, check_electrodes, read_electrodes
 from fascicle.heart.endocardium import ChosenSeed, seeded_endocardia
 from fascicle.heart.fibres import FibreAngles, rule_based_fibres
+from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
-from fascicle.heart.validate import check_tetrahedra
+from fascicle.heart.labelled_surface import LabelledMesh
+from fascicle.mesh.checks import check_tetrahedra
+from fascicle.torso.electrode_sites import (
+    additional_sites,
+    check_not_exchanged,
+    check_not_mirrored,
+    check_on_skin,
+)
+from fascicle.torso.heart_pose import Pose, axes_of_electrodes, heart_axes
+from fascicle.torso.idealised import FittedTrunk, fitted_torso, idealised_torso, leaving
+from fascicle.torso.lead_fields import (
+    contacts_on,
+    is_up_to_date,
+    outer_boundary,
+    resolve_lead_fields,
+)
+from fascicle.torso.mesh import mesh_torso, torso_of
+from fascicle.torso.surfaces import Surface, TorsoSurfaces, read_torso_surfaces
+from fascicle.torso.trunk import TRUNK_SHAPE, TrunkSize, outside_trunk
 
 Seeds = Mapping[str, tuple[ChosenSeed, ChosenSeed]]
+
+
+@dataclass(frozen=True)
+class TorsoOptions:
+    """Choice of torso and electrodes around a heart."""
+
+    torso: str = "idealised"  # or "none" (unbounded conductor), or the file of a closed skin
+    lungs: tuple[Path, ...] = ()  # files of closed surfaces, with a custom skin
+    # height (m), weight (kg) and chest girth (cm), as far as they are known, of the idealised torso
+    measures: Mapping[str, float] = field(default_factory=dict)
+    pose: Pose = "standard"
+    electrodes: Path | None = None  # that the idealised torso is fitted to; else its standard ones
+
+    def __post_init__(self) -> None:
+        if self.torso != "idealised":
+            if self.electrodes is None:
+                raise InputError(
+                    f"--torso {self.torso}: electrodes are missing; give --electrodes (only the "
+                    "idealised torso has places for them)"
+                )
+            if self.measures or self.pose != "standard":
+                option = "--pose" if not self.measures else "--height, --weight or --chest"
+                raise InputError(
+                    f"{option} goes with the idealised torso, not with --torso {self.torso}; leave "
+                    "it out"
+                )
+        skin = () if self.torso in ("idealised", "none") else (Path(self.torso),)
+        if self.lungs and not skin:
+            raise InputError(f"--lung goes with a custom torso, not with '{self.torso}'")
+        # fails now rather than after minutes of work
+        for path in (*skin, *self.lungs):
+            if not path.is_file():
+                raise InputError(f"{path}: no such file (torso); check the path")
+        TrunkSize(**self.measures)
+        _ = self.positions
+
+    @cached_property
+    def positions(self) -> tuple[Floats, Electrodes] | None:
+        """Electrodes (mm), the nine (9, 3) and others, of the electrode file, if there is one."""
+        return None if self.electrodes is None else read_electrodes(self.electrodes)
 
 
 class BuiltHeart(NamedTuple):
@@ -82,3 +148,106 @@ def heart_of(
         mesh.vertices, mesh.tetrahedra, fibres, left, right, unplaced, name,
         regions=mesh.regions, sheets=sheets, values=anatomy.values, coordinates=anatomy.coordinates,
     )  # fmt: skip
+
+
+def in_torso(
+    heart: Heart, mesh: LabelledMesh, options: TorsoOptions, progress: Progress | None = None
+) -> tuple[Heart, tuple[str, ...]]:
+    """Place a heart in a torso with electrodes and lead fields; its own electrodes are replaced.
+
+    The mesh is the heart's, with a labelled boundary. Notes describe how the torso was fitted.
+    """
+    source = str(options.electrodes) if options.electrodes is not None else mesh.name
+    notes: tuple[str, ...] = ()
+    surfaces: TorsoSurfaces | None = None
+    if options.positions is not None:
+        positions, more = options.positions
+    else:
+        surfaces = idealised_torso(mesh, TrunkSize(**options.measures), options.pose)
+        assert surfaces.electrodes is not None
+        positions, more = surfaces.electrodes, {}
+    heart = replace(heart, electrodes=positions, additional_electrodes=more)
+    check_electrodes(source, heart)
+    check_not_mirrored(source, heart)
+    if surfaces is None and options.torso == "idealised":
+        check_not_exchanged(source, heart)
+        surfaces, fitted = fitted_torso(mesh, positions, source, options.measures, options.pose)
+        notes = tuple(_notes_on_fit(heart, fitted, options.pose))
+    elif options.torso not in ("idealised", "none"):
+        surfaces = read_torso_surfaces(Path(options.torso), options.lungs, mesh)
+    if surfaces is None:
+        return heart, notes
+    check_on_skin(heart, contacts_on(*surfaces.skin, heart.electrode_positions).moved, source)
+    torso = mesh_torso(mesh, surfaces.skin, surfaces.lungs, stage_progress(progress, "torso"))
+    heart = replace(heart, torso=torso)
+    fields = resolve_lead_fields(heart, Conduction(), stage_progress(progress, "lead fields"))
+    return replace(heart, lead_fields=fields), notes
+
+
+def add_electrodes(
+    heart: Heart | Path | str, leads: Sequence[str], progress: Progress | None = None
+) -> Heart:
+    """Add to a heart, at their standard sites, the electrodes of leads besides the twelve.
+
+    The heart, its folder, or ``"default"``, is returned with lead fields for all electrodes. A
+    heart without its torso, such as the packaged one, is put into the idealised torso again. Its
+    old electrodes stay where they are. Leads are some of `fascicle.core.leads.ADDITIONAL_LEADS`:
+    ``X``, ``Y``, ``Z``, ``V7`` to ``V9``, ``V2R`` to ``V6R``. An error if a lead has no standard
+    place, or the heart lies in an unbounded conductor.
+    """
+    heart = as_heart(heart)
+    check_items(leads, str, "leads", f"some of {', '.join(ADDITIONAL_LEADS)}")
+    for lead in leads:
+        if lead not in ADDITIONAL_LEADS:
+            raise InputError(
+                f"lead {lead}: its electrodes have no standard place (known: "
+                f"{', '.join(ADDITIONAL_LEADS)}); give their positions in the heart's "
+                "electrodes.csv"
+            )
+    if not heart.has_torso:
+        raise InputError(
+            f"{heart.name}: it lies in an unbounded conductor, without a skin for electrodes; give "
+            "their positions in its electrodes.csv, or build it again with a torso"
+        )
+    names = [name for name in dict.fromkeys(leads) if name not in FRANK]
+    names += FRANK_ELECTRODES if set(leads) & set(FRANK) else ()
+    names = [name for name in names if name not in heart.additional_electrodes]
+    torso = torso_of(heart, stage_progress(progress, "torso"))
+    tetrahedra = np.concatenate([heart.tetrahedra, torso.tetrahedra])
+    skin = Surface(torso.vertices, outer_boundary(torso.vertices, tetrahedra))
+    size = TrunkSize()
+    axes = axes_of_electrodes(heart.electrodes, leaving(outside_trunk(size), size))
+    electrodes = dict(heart.additional_electrodes) | additional_sites(heart, axes, skin, names)
+    more = replace(heart, torso=torso, additional_electrodes=electrodes, folder=None)
+    conduction, report = Conduction.of(heart), stage_progress(progress, "lead fields")
+    fields = resolve_lead_fields(more, conduction, report)
+    if fields is not None and heart.lead_fields and is_up_to_date(heart, conduction):
+        # existing leads must stay the same, and a torso that was meshed again differs a little
+        old_values = heart.lead_fields.values
+        fields = replace(
+            fields, values=np.concatenate([old_values, fields.values[len(old_values) :]])
+        )
+    return replace(more, lead_fields=fields)
+
+
+def _notes_on_fit(heart: Heart, fitted: FittedTrunk, pose: Pose) -> list[str]:
+    """Notes on how the trunk was fitted to the electrodes, in general and by electrode."""
+    size = fitted.size
+    lv, rv = (Surface(e.vertices, e.triangles) for e in heart.endocardia)
+    left, back, up = -fitted.frame.rotation.T @ heart_axes(lv, rv)[:, 2]  # of the apex
+    azimuth, descent = np.degrees(np.arctan2(left, -back)), np.degrees(np.arcsin(-up))
+    shape = ", ".join(f"{name} {getattr(size, name):.2f}" for name in TRUNK_SHAPE)
+    axes = "from the electrodes" if pose == "standard" else f"{pose.upper()}, tilted to fit them"
+    off = fitted.electrodes - fitted.sites
+    return [
+        f"torso: fitted to the electrodes; height {size.height:.2f} m, chest {size.girth:.0f} cm; "
+        f"times the standard adult's: {shape}",
+        f"pose: {axes}; the apex points {azimuth:.0f} degrees to the left and {descent:.0f} down",
+        "electrodes: how far the skin was moved to each, and how far each is from its standard "
+        "site, mm",
+        f"{'':<5}{'skin':>6}{'left':>7}{'back':>7}{'up':>7}",
+        *(
+            f"{electrode:<5}{moved:6.1f}" + "".join(f"{value:7.0f}" for value in np.round(vector))
+            for electrode, moved, vector in zip(ELECTRODES, fitted.moved, off, strict=True)
+        ),
+    ]

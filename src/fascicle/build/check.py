@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import igl
 import numpy as np
@@ -21,8 +22,6 @@ from fascicle.purkinje.chart import Chart, stretch
 from fascicle.torso.electrode_sites import electrode_warnings
 from fascicle.torso.lead_fields import is_up_to_date
 
-DISTORTED = 12.0  # ratio of a chart's stretches in two directions, above which a check warns
-WALL_LAYERS = 5  # from endocardium to epicardium, in which helix angles are reported
 WALLS = ("LV free wall", "septum", "RV free wall")
 
 
@@ -38,12 +37,13 @@ class HelixAngles:
     angle: Floats
 
     def in_layers(self) -> Floats:
-        """Mean axis of the angles in each of the `WALL_LAYERS` (degrees); NaN without fibres."""
-        layer = np.minimum((self.depth * WALL_LAYERS).astype(int), WALL_LAYERS - 1)
+        """Mean axis of the angles in each of five layers (degrees); NaN without fibres."""
+        count = 5
+        layer = np.minimum((self.depth * count).astype(int), count - 1)
         # fibres have no sign: angles are averaged on the doubled circle
         doubled = np.exp(2j * np.radians(self.angle))
         with np.errstate(invalid="ignore", divide="ignore"):
-            mean = np.array([doubled[layer == k].sum() for k in range(WALL_LAYERS)])
+            mean = np.array([doubled[layer == k].sum() for k in range(count)])
             mean = np.where(mean == 0, np.nan, mean)
         return np.asarray(np.degrees(np.angle(mean)) / 2)
 
@@ -51,6 +51,9 @@ class HelixAngles:
 @dataclass(frozen=True)
 class HeartCheck:
     """Measurements of a heart; the boundary of the mesh is labelled."""
+
+    # ratio of a chart's stretches in two directions, above which a check warns
+    largest_stretch: ClassVar[float] = 12.0
 
     mesh: LabelledMesh
     rows: tuple[tuple[str, str], ...]  # quantity, and its value with the unit
@@ -83,13 +86,8 @@ def check_heart(heart: Heart, charts: Mapping[str, Chart]) -> HeartCheck:
             layers = ", ".join("-" if np.isnan(a) else f"{a:.0f}" for a in angles.in_layers())
             rows.append((f"helix, {name}", f"{layers} degrees, inside to outside"))
     rows += _torso_rows(heart)
-    warnings = [
-        *_size_warnings(heart, walls, shape, charts),
-        *_fibre_warnings(heart, helix[WALLS[0]]),
-        *_lead_field_warnings(heart),
-        *electrode_warnings(heart),
-    ]
-    return HeartCheck(mesh, tuple(rows), tuple(warnings), walls, helix)
+    warnings = tuple(_warnings(heart, walls, shape, charts, helix[WALLS[0]]))
+    return HeartCheck(mesh, tuple(rows), warnings, walls, helix)
 
 
 def cavity_volume(endocardium: Endocardium) -> float:
@@ -134,6 +132,7 @@ def _endocardium_rows(heart: Heart, charts: Mapping[str, Chart]) -> list[tuple[s
     rows = []
     for e in heart.endocardia:
         side, worst = e.side.upper(), _largest_stretch(e, charts[e.side])
+        fine = HeartCheck.largest_stretch
         down, _, _ = about_long_axis(e.vertices, e.triangles, e.vertices)
         rows += [
             (f"{side} endocardium", f"{len(e.vertices)} points, {e.area / 100:.0f} cm²"),
@@ -145,7 +144,7 @@ def _endocardium_rows(heart: Heart, charts: Mapping[str, Chart]) -> list[tuple[s
             (
                 f"{side} map",
                 "the endocardium laid flat for the Purkinje network, stretched up to "
-                f"{worst:.1f} times more one way than the other (fine up to {DISTORTED:g})",
+                f"{worst:.1f} times more one way than the other (fine up to {fine:g})",
             ),
         ]
     return rows
@@ -179,10 +178,10 @@ def _torso_rows(heart: Heart) -> list[tuple[str, str]]:
     return [*rows, ("torso", f"{parts}; {len(heart.torso.vertices)} points")]
 
 
-def _size_warnings(
-    heart: Heart, walls: Walls, shape: Quality, charts: Mapping[str, Chart]
-) -> list[str]:
-    warnings = []
+def _warnings(
+    heart: Heart, walls: Walls, shape: Quality, charts: Mapping[str, Chart], free_wall: HelixAngles
+) -> Iterator[str]:
+    """Warnings about sizes, flat elements, charts, fibres, lead fields and electrodes."""
     lv, rv = (cavity_volume(endocardium) for endocardium in heart.endocardia)
     lv_wall, rv_wall = median_thickness(walls.lv), median_thickness(walls.rv)
     # ranges of human adults, healthy or not
@@ -194,45 +193,33 @@ def _size_warnings(
         ("RV free wall", rv_wall, (1.5, 12.0), "mm", "check the labels of the surfaces"),
     ):
         if np.isfinite(value) and not low <= value <= high:
-            warnings.append(
-                f"{part}: {value:.3g} {units}; human adults have {low:g} to {high:g}; {remedy}"
-            )
+            yield f"{part}: {value:.3g} {units}; human adults have {low:g} to {high:g}; {remedy}"
     if shape.angles.min() < 5.0:
-        warnings.append(
+        yield (
             f"mesh: smallest dihedral angle {shape.angles.min():.1f} degrees; remesh (heart "
             "build --remesh): times and potentials are poor in elements so flat"
         )
     for e in heart.endocardia:
-        if (worst := _largest_stretch(e, charts[e.side])) > DISTORTED:
-            warnings.append(
+        if (worst := _largest_stretch(e, charts[e.side])) > HeartCheck.largest_stretch:
+            yield (
                 f"{e.side.upper()} endocardium: the chart stretches {worst:.0f} times more one way "
                 "than the other; branch angles are distorted there: remesh or smooth the surface"
             )
-    return warnings
-
-
-def _lead_field_warnings(heart: Heart) -> list[str]:
-    """Warning about lead fields of other electrodes or fibres, or of another torso."""
-    if heart.lead_fields is None or is_up_to_date(heart, Conduction()):
-        return []
-    then = "they are solved again when needed"
-    if heart.torso is None:
-        then = "without a torso to compute new ones in, it cannot be simulated: build it again"
-    return [f"{heart.name}: its lead fields are not for these electrodes and fibres; {then}"]
-
-
-def _fibre_warnings(heart: Heart, free_wall: HelixAngles) -> list[str]:
-    """Warning about placeholder fibres, or a helix angle that does not fall as in human hearts."""
+    inside, *_, outside = free_wall.in_layers()
     if fault := placeholder(heart.fibres):
-        return [
+        yield (
             f"fibres: they are a placeholder, as {fault}; build or import the heart again with "
             "--fibres rule"
-        ]
-    inside, *_, outside = free_wall.in_layers()
-    if not inside + 20.0 < outside:  # false where a layer has no fibres (NaN)
-        return []
-    return [
-        f"fibres: the helix angle of the LV free wall goes from {inside:.0f} degrees inside to "
-        f"{outside:.0f} outside; in human hearts it falls, from about 60 to -60: check that "
-        "neither heart nor fibres are mirrored"
-    ]
+        )
+    elif inside + 20.0 < outside:  # false where a layer has no fibres (NaN)
+        yield (
+            f"fibres: the helix angle of the LV free wall goes from {inside:.0f} degrees inside to "
+            f"{outside:.0f} outside; in human hearts it falls, from about 60 to -60: check that "
+            "neither heart nor fibres are mirrored"
+        )
+    if heart.lead_fields is not None and not is_up_to_date(heart, Conduction()):
+        then = "they are solved again when needed"
+        if heart.torso is None:
+            then = "without a torso to compute new ones in, it cannot be simulated: build it again"
+        yield f"{heart.name}: its lead fields are not for these electrodes and fibres; {then}"
+    yield from electrode_warnings(heart)

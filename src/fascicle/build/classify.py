@@ -6,19 +6,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fascicle.build.borders import DualGraph, SurfacePart, openness, smoothed_regions
-from fascicle.build.surface_checks import OPEN_PIECE, leftness
+from fascicle.build.surface_checks import leftness
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import ENDOCARDIA, Label, LabelledSurface
-from fascicle.heart.validate import check_units
-from fascicle.mesh.checks import check_edges, oriented_piece, place
+from fascicle.mesh.checks import check_edges, check_units, oriented_piece, place
 from fascicle.mesh.measures import closed_by_fan, turned_outwards, unit
 from fascicle.mesh.topology import boundary_loops, without_unused_vertices
-
-# The openness of a wall is a half at the upper edge of a cavity and less deeper down; that of the
-# epicardium is more than 0.8 even in the grooves between the ventricles.
-IN_CAVITY, OUTSIDE = 0.6, 0.85
 
 
 def classify_surface(
@@ -39,11 +34,13 @@ def classify_surface(
     vertices, triangles = without_unused_vertices(vertices, triangles)
     check_units(name, vertices)
     check_edges(name, vertices, triangles, "close the surface, or give its parts one by one")
-    triangles = oriented_piece(name, vertices, triangles, OPEN_PIECE)
-    triangles = turned_outwards(vertices, triangles)
+    which = "one (cavities must be open at the base)"
+    triangles = turned_outwards(vertices, oriented_piece(name, vertices, triangles, which))
     graph = DualGraph(vertices, triangles)
     exposed = openness(graph, progress)
-    regions = _clean_regions(graph, _divided(graph, exposed, _cavities(graph, exposed, name)), name)
+    # it is a half at the upper edge of a cavity and less deeper down
+    cavity = _cavities(graph, exposed < 0.6, name)
+    regions = _clean_regions(graph, _divided(graph, exposed, cavity), name)
     regions = _clean_regions(graph, smoothed_regions(graph, regions), name)
     _check_openings(graph, regions, name)
     outer, first, second = (
@@ -57,9 +54,9 @@ def classify_surface(
     return LabelledSurface(vertices, triangles, labels, name)
 
 
-def _cavities(graph: DualGraph, exposed: Floats, name: str) -> Integers:
+def _cavities(graph: DualGraph, deep: Booleans, name: str) -> Integers:
     """Number of the cavity that each triangle lies deep in, -1 elsewhere; there must be two."""
-    piece = graph.components(exposed < IN_CAVITY)
+    piece = graph.components(deep)
     area = np.bincount(piece[piece >= 0], graph.areas[piece >= 0], minlength=1)
     count = int((area > 0.02 * graph.areas.sum()).sum())  # smaller ones are dents
     if count != 2:
@@ -82,14 +79,15 @@ def _millilitres(graph: DualGraph, chosen: Booleans) -> float:
 
 def _divided(graph: DualGraph, exposed: Floats, cavity: Integers) -> Integers:
     """Divide the surface into the two cavities, the outer surface and the base between them."""
-    seeds = np.where(cavity >= 0, cavity, np.where(exposed > OUTSIDE, SurfacePart.OUTER, -1))
+    # the openness of the epicardium is more than 0.8 even in the grooves between the ventricles
+    exterior = exposed > 0.85
+    seeds = np.where(cavity >= 0, cavity, np.where(exterior, SurfacePart.OUTER, -1))
     upwards = _cosine_to_base(graph, graph.random_walker(seeds, 3))
-    outside = exposed > IN_CAVITY
     # the inner edge of a rounded rim faces neither up nor out; the random walker labels it
-    outer = graph.components((exposed > OUTSIDE) & (upwards < 0.7)) == 0  # from 46 degrees
+    outer = graph.components(exterior & (upwards < 0.7)) == 0  # from 46 degrees
     seeds = np.where(cavity >= 0, cavity, -1)
     seeds[outer] = SurfacePart.OUTER
-    seeds[outside & (upwards > 0.9)] = SurfacePart.BASAL  # within 26 degrees
+    seeds[(exposed > 0.6) & (upwards > 0.9)] = SurfacePart.BASAL  # within 26 degrees
     return graph.random_walker(seeds, 4)
 
 
@@ -104,30 +102,30 @@ def _cosine_to_base(graph: DualGraph, regions: Integers) -> Floats:
     edges, directions = [], []
     for cavity in (SurfacePart.FIRST, SurfacePart.SECOND):
         edge = middle[(sides == cavity).sum(axis=1) == 1]
+        centre = edge.mean(axis=0)
+        normal = np.linalg.svd(edge - centre, full_matrices=False)[2][2]
+        normal *= np.sign(normal @ (centre - graph.centres[regions == cavity].mean(axis=0)))
+        tangents = []
+        for near in cKDTree(edge).query_ball_point(edge, 10.0):  # mm
+            piece = edge[near] - edge[near].mean(axis=0)
+            tangents.append(np.linalg.svd(piece, full_matrices=False)[2][0])
+        along = np.array(tangents)
         edges.append(edge)
-        directions.append(_upwards(edge, graph.centres[regions == cavity].mean(axis=0)))
+        directions.append(unit(normal - (along @ normal)[:, np.newaxis] * along))
     distance, nearest = cKDTree(np.vstack(edges)).query(graph.centres)
     cosine = np.einsum("ij,ij->i", graph.smooth_normals, np.vstack(directions)[nearest])
     return np.where(distance > 50.0, -1.0, cosine)
 
 
-def _upwards(edge: Floats, inside: Floats) -> Floats:
-    """Unit vectors up out of the wall at the points of an opening's edge."""
-    centre = edge.mean(axis=0)
-    normal = np.linalg.svd(edge - centre, full_matrices=False)[2][2]
-    normal *= np.sign(normal @ (centre - inside))
-    tangents = []
-    for near in cKDTree(edge).query_ball_point(edge, 10.0):  # mm
-        piece = edge[near] - edge[near].mean(axis=0)
-        tangents.append(np.linalg.svd(piece, full_matrices=False)[2][0])
-    along = np.array(tangents)
-    return unit(normal - (along @ normal)[:, np.newaxis] * along)
-
-
 def _clean_regions(graph: DualGraph, regions: Integers, name: str) -> Integers:
     """Make each region one manifold piece, all apart from one another by the base."""
     for _ in range(20):
-        before, separated = regions, _separated(graph, regions)
+        before = regions
+        # the base takes the triangles about vertices at which two other regions meet
+        sides = regions[graph.edges[0]]
+        meeting = (sides[:, 0] != sides[:, 1]) & (sides < SurfacePart.BASAL).all(axis=1)
+        touched = np.isin(graph.triangles, graph.edges[1][meeting]).any(axis=1)
+        separated = np.where(touched, SurfacePart.BASAL, regions)
         # the largest piece of each region stays, the rest goes to the regions around it
         kept = np.full(len(regions), -1)
         for region in SurfacePart:
@@ -139,16 +137,6 @@ def _clean_regions(graph: DualGraph, regions: Integers, name: str) -> Integers:
         f"{name}: no clean borders between endocardia, epicardium and base found; remesh the "
         "surface evenly, or give its parts one by one"
     )
-
-
-def _separated(graph: DualGraph, regions: Integers) -> Integers:
-    """Give the base the triangles about vertices at which two other regions meet."""
-    sides = regions[graph.edges[0]]
-    meeting = (sides[:, 0] != sides[:, 1]) & (sides < SurfacePart.BASAL).all(axis=1)
-    if not meeting.any():
-        return regions
-    touched = np.isin(graph.triangles, graph.edges[1][meeting]).any(axis=1)
-    return np.where(touched, SurfacePart.BASAL, regions)
 
 
 def _without_non_manifold_vertices(graph: DualGraph, regions: Integers) -> Integers:

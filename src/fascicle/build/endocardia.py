@@ -58,23 +58,21 @@ def _endocardium(mesh: LabelledMesh, labels: Integers, label: Label) -> Endocard
         raise InputError(f"{name}: no triangle of the boundary has label {label}; label it")
     vertices, tissue = without_unused_vertices(mesh.vertices, tissue_triangles)
     loops = sorted(boundary_loops(tissue), key=lambda loop: loop_length(vertices, loop))
-    triangles = np.concatenate([tissue, *[_cap(vertices, loop, name) for loop in loops[:-1]]])
+    parts = [tissue]
+    for loop in loops[:-1]:  # closed by constrained Delaunay triangles in its best plane
+        points = vertices[loop]
+        centre, frame = best_plane(points, np.ones(len(loop)))
+        flat = (points - centre) @ frame.T
+        cap, missing = constrained_delaunay(flat[:, :2], [np.arange(len(loop))])
+        if missing.size:
+            raise InputError(
+                f"{name}: the edge of an opening crosses itself, seen along its normal (first: "
+                f"{first_places(loop[missing], points[missing])}); smooth it"
+            )
+        parts.append(loop[cap])
+    triangles = np.concatenate(parts)
     valve = np.arange(len(triangles)) >= len(tissue)
     return EndocardialSurface(vertices, oriented_into_cavity(vertices, triangles, name), valve)
-
-
-def _cap(vertices: Floats, loop: Integers, name: str) -> Integers:
-    """Triangles between the vertices of a loop, constrained Delaunay in its best plane."""
-    points = vertices[loop]
-    centre, frame = best_plane(points, np.ones(len(loop)))
-    flat = (points - centre) @ frame.T
-    triangles, missing = constrained_delaunay(flat[:, :2], [np.arange(len(loop))])
-    if missing.size:
-        raise InputError(
-            f"{name}: the edge of an opening crosses itself, seen along its normal (first: "
-            f"{first_places(loop[missing], points[missing])}); smooth it"
-        )
-    return loop[triangles]
 
 
 def labels_from_points(vertices: Floats, triangles: Integers, at_points: Integers) -> Integers:
@@ -128,7 +126,16 @@ def cleaned_labels(vertices: Floats, triangles: Integers, labels: Integers) -> I
             around = np.bincount(across.ravel(), beyond.ravel(), len(labels))
             labels[(around >= 2) & ~np.isin(labels, BASAL)] = label
         for label in ENDOCARDIA:
-            _split_non_manifold_vertices(labels, triangles, edges, across, label)
+            # relabel the triangles around vertices that the border of the label passes twice
+            inside = labels[across] == label
+            rim = edges[inside[:, 0] != inside[:, 1]]
+            passes = np.bincount(rim.ravel(), minlength=int(triangles.max()) + 1)
+            for vertex in np.flatnonzero(passes > 2):
+                star = np.flatnonzero((triangles == vertex).any(axis=1))
+                around = labels[star][labels[star] != label]
+                basal = around[np.isin(around, BASAL)]
+                other = np.bincount(basal if basal.size else around).argmax()
+                labels[star] = np.where(labels[star] == label, other, labels[star])
         if (labels == before).all():
             break
     return labels
@@ -152,18 +159,3 @@ def _remove_small_components(
     small = (areas < 0.05 * whole[of_piece]) & border.any(axis=1)
     small &= ~np.isin(of_piece, BASAL) | ((border > 0).sum(axis=1) == 1)
     labels[:] = np.where(small, border.argmax(axis=1), of_piece)[piece]
-
-
-def _split_non_manifold_vertices(
-    labels: Integers, triangles: Integers, edges: Integers, across: Integers, label: Label
-) -> None:
-    """Relabel the triangles around vertices that the border of a label passes twice, in place."""
-    inside = labels[across] == label
-    rim = edges[inside[:, 0] != inside[:, 1]]
-    passes = np.bincount(rim.ravel(), minlength=int(triangles.max()) + 1)
-    for vertex in np.flatnonzero(passes > 2):
-        star = np.flatnonzero((triangles == vertex).any(axis=1))
-        around = labels[star][labels[star] != label]
-        basal = around[np.isin(around, BASAL)]
-        kinds = basal if basal.size else around
-        labels[star] = np.where(labels[star] == label, np.bincount(kinds).argmax(), labels[star])

@@ -11,16 +11,22 @@ from scipy.spatial import cKDTree
 from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_folder, atomic_path
 from fascicle.heart.electrodes import write_electrodes
-from fascicle.heart.endocardium import Endocardium
-from fascicle.heart.folder import cell_arrays, write_mesh
+from fascicle.heart.folder import cell_arrays, heart_mesh
 from fascicle.heart.heart import Heart
-from fascicle.heart.labelled_surface import SURFACE_NAMES, LabelledMesh, labelled_mesh
+from fascicle.heart.labelled_surface import Label, LabelledMesh, labelled_mesh
 from fascicle.mesh.formats import opencarp
 from fascicle.mesh.formats.mesh_file import GROUP
+from fascicle.mesh.formats.vtk import write_grid
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.purkinje.tree_files import write_opencarp_tree
 
-ONE_REGION = 1  # the tag of every element of a heart without regions
+# Names of the surfaces in files for other software
+SURFACE_NAMES = {
+    Label.LV_ENDOCARDIUM: "lv_endo",
+    Label.RV_ENDOCARDIUM: "rv_endo",
+    Label.EPICARDIUM: "epi",
+    Label.BASE: "base",
+}
 
 
 def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTree] = ()) -> None:
@@ -50,7 +56,10 @@ def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTre
             f"{out}: Purkinje networks are exported for openCARP only; for other software use the "
             "VTU files of 'fascicle simulate'"
         )
-    (write_mesh if kind == "vtu" else write_gmsh)(heart, out)
+    if kind == "vtu":
+        write_grid(out, *heart_mesh(heart))
+    else:
+        write_gmsh(heart, out)
 
 
 def write_gmsh(heart: Heart, path: Path) -> None:
@@ -63,10 +72,8 @@ def write_gmsh(heart: Heart, path: Path) -> None:
     import meshio
 
     surface = labelled_mesh(heart)
-    tags, groups = np.full(len(heart.tetrahedra), ONE_REGION), {}
-    if heart.regions is None:
-        groups["myocardium"] = np.array([ONE_REGION, 3])
-    else:  # numbers of groups start at 1, while regions may be 0 or less
+    tags, groups = np.ones(len(heart.tetrahedra), dtype=np.int64), {"myocardium": np.array([1, 3])}
+    if heart.regions is not None:  # numbers of groups start at 1, while regions may be 0 or less
         regions, which = np.unique(heart.regions, return_inverse=True)
         tags = which.astype(np.int64) + 1
         groups = {f"region {region}": np.array([k, 3]) for k, region in enumerate(regions, 1)}
@@ -97,9 +104,7 @@ def write_opencarp(
     ``.elem``, without the triangles that span a valve opening. Purkinje networks are ``lv_tree``
     and ``rv_tree``; see `fascicle.purkinje.tree_files`.
     """
-    regions = heart.regions
-    tags = regions if regions is not None else np.full(len(heart.tetrahedra), ONE_REGION)
-    opencarp.write_opencarp_mesh(stem, heart.vertices, "Tt", heart.tetrahedra, tags)
+    opencarp.write_opencarp_mesh(stem, heart.vertices, "Tt", heart.tetrahedra, heart.regions)
     axes = [heart.fibres] if heart.sheets is None else [heart.fibres, heart.sheets]
     opencarp.write_directions(opencarp.opencarp_file(stem, ".lon"), axes)
     for label, name in SURFACE_NAMES.items():
@@ -108,22 +113,14 @@ def write_opencarp(
             opencarp.write_surf(opencarp.opencarp_file(part, ".surf"), triangles)
             opencarp.write_vtx(opencarp.opencarp_file(part, ".vtx"), np.unique(triangles))
     for e in heart.endocardia:
-        _write_endocardium(stem.with_name(f"{stem.name}_{e.side}_endocardium"), e, heart)
+        wall = e.triangles if e.valves is None else e.triangles[~e.valves]
+        used, corners = np.unique(wall, return_inverse=True)
+        vertices = e.vertices[used]
+        distance, _ = cKDTree(heart.vertices).query(vertices)
+        if (distance > 1e-3).any():  # mm; text files hold rounded numbers
+            part = stem.with_name(f"{stem.name}_{e.side}_endocardium")
+            opencarp.write_opencarp_mesh(part, vertices, "Tr", corners.reshape(-1, 3))
     electrodes = heart.electrodes, heart.additional_electrodes
     write_electrodes(stem.with_name("electrodes.csv"), *electrodes)
     for tree in trees:
         write_opencarp_tree(stem.with_name(f"{tree.side}_tree"), tree)
-
-
-def _write_endocardium(stem: Path, endocardium: Endocardium, heart: Heart) -> None:
-    """Write an endocardium as a mesh of triangles, unless it is part of the heart's."""
-    wall = endocardium.triangles
-    if endocardium.valves is not None:
-        wall = wall[~endocardium.valves]
-    used, corners = np.unique(wall, return_inverse=True)
-    vertices = endocardium.vertices[used]
-    distance, _ = cKDTree(heart.vertices).query(vertices)
-    if (distance <= 1e-3).all():  # mm; text files hold rounded numbers
-        return
-    corners = corners.reshape(-1, 3)
-    opencarp.write_opencarp_mesh(stem, vertices, "Tr", corners, np.full(len(corners), ONE_REGION))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
 
 import igl
 import numpy as np
@@ -12,8 +13,7 @@ from scipy.spatial import cKDTree
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledSurface
-from fascicle.heart.validate import check_units
-from fascicle.mesh.checks import check_edges, open_loops, oriented_piece, place, refuse
+from fascicle.mesh.checks import check_edges, check_units, open_loops, oriented_piece, place, refuse
 from fascicle.mesh.measures import (
     best_plane,
     edge_lengths,
@@ -29,9 +29,6 @@ from fascicle.mesh.topology import (
     without_unused_vertices,
 )
 
-SAME_POINT = 1e-3  # mm; points closer than this are merged (STL repeats them)
-CLEAR = 0.7  # of the spacing: distance that inner points of the base keep from the loops
-
 
 class JoinedPart(NamedTuple):
     """Surface that a heart is joined from: its name in messages, vertices and triangles.
@@ -46,17 +43,33 @@ class JoinedPart(NamedTuple):
     loops: Sequence[Integers] = ()
 
 
-class Outline(NamedTuple):
+@dataclass(frozen=True)
+class Outline:
     """Boundary loops that a base is spanned between, one after the other.
 
     Vertices (k, 3) in mm, edges (k, 2), the names of the parts, and the index of the part that each
     vertex belongs to (k,).
     """
 
+    # distance that inner points of the base keep from the loops, in parts of their spacing
+    clearance: ClassVar[float] = 0.7
+
     points: Floats
     sides: Integers
     names: tuple[str, ...]
     owner: Integers
+
+    @classmethod
+    def of(cls, parts: Sequence[JoinedPart]) -> Outline:
+        """Outline of parts with one boundary loop each."""
+        loops = [part.loops[0] for part in parts]
+        points = [part.vertices[loop] for part, loop in zip(parts, loops, strict=True)]
+        starts = np.cumsum([0, *map(len, loops)])
+        numbers = [start + np.arange(len(loop)) for start, loop in zip(starts, loops, strict=False)]
+        sides = [np.column_stack([of_loop, np.roll(of_loop, -1)]) for of_loop in numbers]
+        owner = np.repeat(np.arange(len(parts)), list(map(len, loops)))
+        names = tuple(part.name for part in parts)
+        return cls(np.vstack(points), np.vstack(sides), names, owner)
 
 
 # A base bounded by an outline: its inner vertices (n, 3) in mm, and its triangles (m, 3) as indices
@@ -78,7 +91,7 @@ def join_surfaces(parts: Mapping[str, JoinedPart]) -> LabelledSurface:
     clean = [_clean_part(parts[part], kind, 1) for part, kind in named.items()]
     base = _clean_part(parts["base"], "base", 3) if "base" in parts else None
     _check_places(*clean)
-    outline = _outline_of(clean)
+    outline = Outline.of(clean)
     inner, between = _made_base(outline) if base is None else _fitted_base(outline, base)
     starts = np.cumsum([0, *(len(part.vertices) for part in clean)])
     number = [part.loops[0] + start for part, start in zip(clean, starts, strict=False)]
@@ -98,7 +111,7 @@ def _clean_part(part: JoinedPart, kind: str, needed: int) -> JoinedPart:
     """Merge repeated points of a part (mm); an error if not one piece with the loops it needs."""
     name, vertices = f"{part.name} ({kind})", part.vertices
     check_units(name, vertices[np.unique(part.triangles)])
-    merged = merged_vertices(vertices, SAME_POINT)[part.triangles]
+    merged = merged_vertices(vertices, 1e-3)[part.triangles]  # mm; STL repeats points
     points, triangles = without_unused_vertices(vertices, merged[whole_triangles(merged)])
     check_edges(name, points, triangles)
     triangles = oriented_piece(name, points, triangles)
@@ -121,16 +134,6 @@ def _check_places(epicardium: JoinedPart, lv: JoinedPart, rv: JoinedPart) -> Non
         refuse(part.name, within, f"vertices lie within {other.name}", remedy, part.vertices)
 
 
-def _outline_of(parts: list[JoinedPart]) -> Outline:
-    loops = [part.loops[0] for part in parts]
-    points = [part.vertices[loop] for part, loop in zip(parts, loops, strict=True)]
-    starts = np.cumsum([0, *map(len, loops)])
-    numbers = [start + np.arange(len(loop)) for start, loop in zip(starts, loops, strict=False)]
-    sides = [np.column_stack([of_loop, np.roll(of_loop, -1)]) for of_loop in numbers]
-    owner = np.repeat(np.arange(len(parts)), list(map(len, loops)))
-    return Outline(np.vstack(points), np.vstack(sides), tuple(part.name for part in parts), owner)
-
-
 def _made_base(outline: Outline) -> Base:
     """Span a smooth base between boundary loops.
 
@@ -144,7 +147,7 @@ def _made_base(outline: Outline) -> Base:
     columns = np.arange(low[0], high[0], spacing)
     x = columns + spacing / 2 * (np.arange(len(rows)) % 2)[:, np.newaxis]
     grid = np.column_stack([x.ravel(), np.repeat(rows, len(columns))])
-    grid = grid[cKDTree(flat[:, :2]).query(grid)[0] > CLEAR * spacing]
+    grid = grid[cKDTree(flat[:, :2]).query(grid)[0] > outline.clearance * spacing]
     inner, triangles = _triangulated(flat[:, :2], grid, outline)
     fixed = np.arange(len(flat))
     plane = np.vstack([flat, np.column_stack([inner, np.zeros(len(inner))])])
@@ -163,7 +166,7 @@ def _fitted_base(outline: Outline, base: JoinedPart) -> Base:
     boundary = np.concatenate(base.loops)
     within = np.setdiff1d(np.arange(len(base.vertices)), boundary)
     gap, nearest = cKDTree(outline.points).query(base.vertices[boundary])
-    if gap.max() < SAME_POINT and np.array_equal(np.sort(nearest), np.arange(len(outline.points))):
+    if gap.max() < 1e-3 and np.array_equal(np.sort(nearest), np.arange(len(outline.points))):
         number = np.empty(len(base.vertices), dtype=np.int64)
         number[boundary] = nearest
         number[within] = len(boundary) + np.arange(len(within))
@@ -181,7 +184,7 @@ def _fitted_base(outline: Outline, base: JoinedPart) -> Base:
             "give no base to have one made"
         )
     distance, nearest = cKDTree(flat[:, :2]).query(in_plane[within, :2])
-    clear = distance > CLEAR * mean_edge_length(base.vertices, base.triangles)
+    clear = distance > outline.clearance * mean_edge_length(base.vertices, base.triangles)
     within, distance, nearest = within[clear], distance[clear], nearest[clear]
     opposite = boundary[cKDTree(in_plane[boundary]).query(flat)[1]]
     in_plane[within, 2] += (flat[:, 2] - in_plane[opposite, 2])[nearest] * np.maximum(

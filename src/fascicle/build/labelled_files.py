@@ -10,16 +10,14 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from fascicle.build.endocardia import labels_from_points
-from fascicle.build.surface_repair import MERGED
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
-from fascicle.heart.assembly import FIBRE_NAMES, average_to_tetrahedra, region_labels
-from fascicle.heart.coordinate_arrays import VentricularCoordinates, read_coordinates
+from fascicle.heart.assembly import ARRAY_NAMES, read_coordinates, region_labels
 from fascicle.heart.fibres import is_placeholder
+from fascicle.heart.heart import VentricularCoordinates
 from fascicle.heart.labelled_surface import (
     ENDOCARDIA,
-    LABEL_NAMES,
     NEEDED_LABELS,
     Label,
     LabelledMesh,
@@ -31,11 +29,10 @@ from fascicle.heart.labelled_surface import (
     missing_parts,
     whole_numbers,
 )
-from fascicle.heart.validate import check_fibres, check_tetrahedra, check_units
-from fascicle.mesh.checks import refuse
+from fascicle.mesh.checks import check_fibres, check_tetrahedra, check_units, refuse
 from fascicle.mesh.formats.mesh_file import GROUP, OPENCARP_FORMATS, TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.formats.opencarp import opencarp_file, read_surf, read_vtx
-from fascicle.mesh.measures import unit
+from fascicle.mesh.measures import principal_axes, unit
 from fascicle.mesh.topology import (
     boundary_triangles,
     merged_vertices,
@@ -44,8 +41,6 @@ from fascicle.mesh.topology import (
 )
 
 FibreChoice = Literal["rule", "file"] | None  # None: those of the file, if they are no placeholder
-REGION_NAMES = ("region", "regions", "elemtag", "elemtags", "tag", "tags", GROUP)
-DIRECTION_NAMES = {"fibres": FIBRE_NAMES, "sheets": ("sheet", "sheets", "s0", "sheet_direction")}
 
 
 @dataclass(frozen=True)
@@ -73,11 +68,11 @@ class LabelArray(NamedTuple):
 
 
 def find_label_array(mesh: MeshFile, array: str | None) -> LabelArray | None:
-    """Find the array of this name, or else of `LABEL_NAMES`; triangles come before points."""
+    """Find the array of this name, or else one with a usual name; triangles come before points."""
     of_triangles = mesh.cell_data.get(TRIANGLE, {})
     for arrays in (of_triangles, mesh.point_data):
         requested = None if array not in arrays else (array, arrays[array])
-        if entry := _named(arrays, LABEL_NAMES) if array is None else requested:
+        if entry := _named(arrays, ARRAY_NAMES["label"]) if array is None else requested:
             name, values = entry
             surfaces = {number: group for group, (size, number) in mesh.groups.items() if size == 2}
             groups = surfaces if name == GROUP else None
@@ -93,7 +88,7 @@ def find_label_array(mesh: MeshFile, array: str | None) -> LabelArray | None:
 
 
 def has_labels(mesh: MeshFile, array: str | None = None, labels_file: Path | None = None) -> bool:
-    """Whether there are labels: in a file, a named array, or an array of `LABEL_NAMES`."""
+    """Whether there are labels: in a file, a named array, or an array with a usual name."""
     if labels_file is not None or array is not None:
         return True
     labels = find_label_array(mesh, None)
@@ -109,8 +104,8 @@ def labelled_surface(
 ) -> LabelledSurface:
     """Surface of a file (mm) with labels of its triangles; repeated points are merged.
 
-    There is a label for each triangle or point, in the array of this name, by default one of
-    `LABEL_NAMES`, or in a text file of whole numbers. Names give the number of each label, as in
+    There is a label for each triangle or point, in the array of this name, by default a usual one
+    (`ARRAY_NAMES`), or in a text file of whole numbers. Names give the number of each label, as in
     ``{"lv": 3}``; the other labels have `Label`'s numbers.
     """
     check_units(str(mesh.path), mesh.points)
@@ -118,8 +113,9 @@ def labelled_surface(
     if labels_file is None:
         if (label_array := find_label_array(mesh, array)) is None:
             arrays = sorted({*mesh.point_data, *mesh.cell_data.get(TRIANGLE, {})})
+            usual = ", ".join(ARRAY_NAMES["label"][:-1])
             raise InputError(
-                f"{mesh.path}: no labels: no array called {', '.join(LABEL_NAMES[:-1])} on "
+                f"{mesh.path}: no labels: no array called {usual} on "
                 f"triangles or points (arrays: {', '.join(arrays) or 'none'}); name the array "
                 "(--label-array) or give a file of labels (--labels-file)"
             )
@@ -134,8 +130,7 @@ def labelled_surface(
     numbers = {} if names is None else labels_by_number(names)
     whole = whole_numbers(label_array.source, label_array.values)
     labels = labels_of(label_array.source, whole, numbers, label_array.groups or {})
-    extent = float(np.ptp(mesh.points, axis=0).max())
-    used, number = np.unique(merged_vertices(mesh.points, MERGED * extent), return_inverse=True)
+    used, number = np.unique(merged_vertices(mesh.points), return_inverse=True)
     vertices, triangles = mesh.points[used], number[triangles]
     if not label_array.of_triangles:
         at_vertices = np.empty(len(vertices), dtype=np.int64)
@@ -198,10 +193,10 @@ def labelled_tetrahedra(
 
 def with_arrays(anatomy: Anatomy, mesh: MeshFile, fibres: FibreChoice = None) -> Anatomy:
     """Add regions, fibres and sheets to an anatomy, from the file of its tetrahedra."""
-    region = _named(mesh.cell_data.get(TETRAHEDRON, {}), REGION_NAMES)
+    region = _named(mesh.cell_data.get(TETRAHEDRON, {}), ARRAY_NAMES["region"])
     regions = None if region is None else region_labels(mesh, region[0])
     notes = list(anatomy.notes)
-    along, across = (_directions(mesh, kind, fibres, notes) for kind in DIRECTION_NAMES)
+    along, across = (_directions(mesh, kind, fibres, notes) for kind in ("fibres", "sheets"))
     return replace(
         anatomy,
         mesh=replace(anatomy.mesh, regions=regions),
@@ -220,8 +215,8 @@ def _named(arrays: Mapping[str, Floats], names: tuple[str, ...]) -> tuple[str, F
 def _directions(mesh: MeshFile, kind: str, choice: FibreChoice, notes: list[str]) -> Floats | None:
     """Unit directions of the tetrahedra, from a cell or else a point array, if usable."""
     tetrahedra = mesh.cells[TETRAHEDRON]
-    of_cells = _named(mesh.cell_data.get(TETRAHEDRON, {}), DIRECTION_NAMES[kind])
-    entry = of_cells or _named(mesh.point_data, DIRECTION_NAMES[kind])
+    of_cells = _named(mesh.cell_data.get(TETRAHEDRON, {}), ARRAY_NAMES[kind])
+    entry = of_cells or _named(mesh.point_data, ARRAY_NAMES[kind])
     if entry is None or choice == "rule":
         if choice == "file" and kind == "fibres":
             raise InputError(f"--fibres file: {mesh.path} has none; leave it out to have a rule")
@@ -235,7 +230,7 @@ def _directions(mesh: MeshFile, kind: str, choice: FibreChoice, notes: list[str]
     if is_placeholder(kind, f"array '{entry[0]}'", used, notes, kept=choice == "file"):
         return None
     check_fibres(title, used, points, tetrahedra if of_cells else None, remedy)
-    return unit(values) if of_cells else average_to_tetrahedra(values, tetrahedra)
+    return unit(values) if of_cells else principal_axes(unit(values[tetrahedra]))
 
 
 def _label_boundary(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates, spline_filter
@@ -10,14 +11,16 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinat
 from fascicle.build.segmentation import Faces, Masks, blood_faces
 from fascicle.core.arrays import Booleans, Floats, Integers
 
-LEVEL = 1.0  # mm, resolution of the search along the axis
-OPEN = 0.3  # of a cavity's largest cross-section, least that it has at the base
-BARE = 0.1  # of the circumference of its blood, most that may be without tissue at the base
-PADDING = 5  # voxels around a mask, three standard deviations of the smoothing
 
-
-class BasePlane(NamedTuple):
+@dataclass(frozen=True)
+class BasePlane:
     """Plane of a point (mm) and the unit vector from apex to base, and how it was found."""
+
+    resolution: ClassVar[float] = 1.0  # mm, of the search along the axis
+    # least share of its largest cross-section that a cavity has at the base
+    least_open: ClassVar[float] = 0.3
+    # largest share of the circumference of its blood that may be without tissue there
+    most_bare: ClassVar[float] = 0.1
 
     point: Floats
     normal: Floats
@@ -84,10 +87,10 @@ def _end_of_slices(masks: Masks, faces: Faces, axis: Floats, index: int) -> Base
     size = np.linalg.norm(faces.areas - np.outer(faces.areas @ axis, axis), axis=1)
     count = masks.lv.shape[index]
     whole, bare = (np.bincount(side, weights, count) for weights in (size, size * faces.free))
-    is_open = bare <= BARE * whole
+    is_open = bare <= BasePlane.most_bare * whole
     for blood in (masks.lv, masks.rv):
         area = np.moveaxis(blood, index, 0).sum(axis=(1, 2))
-        is_open &= area >= OPEN * area.max()
+        is_open &= area >= BasePlane.least_open * area.max()
     if not is_open.any():
         return None
     upwards = 1 if axis @ masks.affine[:3, index] > 0 else -1
@@ -98,7 +101,7 @@ def _end_of_slices(masks: Masks, faces: Faces, axis: Floats, index: int) -> Base
 
 def _sections(masks: Masks, along: Floats, axis: Floats) -> tuple[Integers, float]:
     """Number of blood voxels in each slice, from the lowest up, and thickness of slices (mm)."""
-    width = max(masks.thickness(axis), LEVEL)
+    width = max(masks.thickness(axis), BasePlane.resolution)
     return np.bincount(np.floor((along - along.min()) / width).astype(np.int64)), width
 
 
@@ -137,13 +140,14 @@ def _level(masks: Masks, faces: Faces, centre: Floats, axis: Floats) -> tuple[fl
     along = (faces.centres - centre) @ axis
     # only the sideways component of a face belongs to the ring
     sideways = np.linalg.norm(faces.areas - np.outer(faces.areas @ axis, axis), axis=1)
-    start = np.floor(along.min() / LEVEL)
-    level = np.floor(along / LEVEL - start).astype(np.int64)
+    step = BasePlane.resolution
+    start = np.floor(along.min() / step)
+    level = np.floor(along / step - start).astype(np.int64)
     whole = np.bincount(level, weights=sideways)
     ring = np.bincount(level, weights=sideways * ~faces.free)
-    heights = (start + np.arange(len(whole)) + 0.5) * LEVEL
+    heights = (start + np.arange(len(whole)) + 0.5) * step
     used = (whole > 0) & (heights > 0)
-    closed = ring[used] >= (1 - BARE) * whole[used]
+    closed = ring[used] >= (1 - BasePlane.most_bare) * whole[used]
     heights = heights[used]
     if not closed.all():
         first = int(np.argmin(closed))
@@ -156,7 +160,8 @@ def _level(masks: Masks, faces: Faces, centre: Floats, axis: Floats) -> tuple[fl
     return end, "the end of the LV blood, which tissue closes over"
 
 
-class Grid(NamedTuple):
+@dataclass(frozen=True)
+class Grid:
     """Grid of cubes (edge in mm) whose top layer lies in the base plane.
 
     The rows of `axes` (3, 3) are its directions, the third the base plane's normal.
@@ -165,7 +170,7 @@ class Grid(NamedTuple):
     origin: Floats
     axes: Floats
     shape: tuple[int, int, int]
-    edge: float
+    edge: float = 1.0
 
     def positions(self, index: Floats) -> Floats:
         """Positions (mm) of points given in node indices, shape (n, 3)."""
@@ -180,8 +185,8 @@ class Grid(NamedTuple):
         return np.asarray(first + steps[:, 0] * i + steps[:, 1] * j + steps[:, 2] * k)
 
 
-def grid_below(plane: BasePlane, masks: Masks, edge: float) -> Grid:
-    """Lay a grid with this edge (mm) around the parts of the masks below the base plane."""
+def grid_below(plane: BasePlane, masks: Masks) -> Grid:
+    """Lay a grid around the parts of the masks below the base plane."""
     first = np.cross(plane.normal, np.eye(3)[np.argmin(np.abs(plane.normal))])
     first /= np.linalg.norm(first)
     axes = np.array([first, np.cross(plane.normal, first), plane.normal])
@@ -189,21 +194,21 @@ def grid_below(plane: BasePlane, masks: Masks, edge: float) -> Grid:
     halves = np.array([masks.thickness(axis) / 2 for axis in axes])
     # mm; leaves room for an added wall
     low, high = relative.min(axis=0) - halves - 6.0, relative.max(axis=0) + halves + 6.0
-    shape = np.ceil((high - low) / edge).astype(np.int64) + 1
-    layers = int(np.ceil(-low[2] / edge)) + 1
-    corner = np.array([low[0], low[1], -(layers - 1) * edge])
-    return Grid(plane.point + corner @ axes, axes, (int(shape[0]), int(shape[1]), layers), edge)
+    shape = np.ceil((high - low) / Grid.edge).astype(np.int64) + 1
+    layers = int(np.ceil(-low[2] / Grid.edge)) + 1
+    corner = np.array([low[0], low[1], -(layers - 1) * Grid.edge])
+    return Grid(plane.point + corner @ axes, axes, (int(shape[0]), int(shape[1]), layers))
 
 
-def _continued_above(mask: Booleans, masks: Masks, plane: BasePlane) -> Booleans:
+def _continued_above(mask: Booleans, masks: Masks, plane: BasePlane, padding: int) -> Booleans:
     """Extend a padded mask above the base plane by its values just below: its edge stays sharp."""
     half = masks.thickness(plane.normal) / 2
-    mask, back = np.pad(mask, PADDING), np.linalg.inv(masks.affine)
-    index = np.indices(mask.shape).reshape(3, -1).T - PADDING
+    mask, back = np.pad(mask, padding), np.linalg.inv(masks.affine)
+    index = np.indices(mask.shape).reshape(3, -1).T - padding
     height = plane.height(index @ masks.affine[:3, :3].T + masks.affine[:3, 3])
     above = height > 0
     down = (height[above] + half)[:, None] * (back[:3, :3] @ plane.normal)
-    source = np.rint(index[above] - down).astype(np.int64) + PADDING
+    source = np.rint(index[above] - down).astype(np.int64) + padding
     inside = ((source >= 0) & (source < mask.shape)).all(axis=1)
     values = np.zeros(len(source), dtype=bool)
     values[inside] = mask[tuple(source[inside].T)]
@@ -222,7 +227,8 @@ def level_set(mask: Booleans, masks: Masks, plane: BasePlane, grid: Grid) -> Flo
 
     The mask (i, j, k) is on the voxel grid of `masks`; only its part below the plane counts.
     """
-    mask = _continued_above(mask, masks, plane)
+    padding = 5  # voxels, three standard deviations of the smoothing
+    mask = _continued_above(mask, masks, plane, padding)
     spacing = np.linalg.norm(masks.affine[:3, :3], axis=0)
     outside = distance_transform_edt(~mask, sampling=spacing)
     inside = distance_transform_edt(mask, sampling=spacing)
@@ -232,12 +238,12 @@ def level_set(mask: Booleans, masks: Masks, plane: BasePlane, grid: Grid) -> Flo
     sigma = 1.5 * max(spacing.min(), grid.edge) / spacing
     once = gaussian_filter(distance, sigma, mode="nearest")
     smooth = 2 * once - gaussian_filter(once, sigma, mode="nearest")
-    nodes = grid.nodes_in(masks.affine) + PADDING
+    nodes = grid.nodes_in(masks.affine) + padding
     values = map_coordinates(
         spline_filter(smooth, mode="nearest"), nodes, mode="nearest", prefilter=False
     )
     axes = masks.affine[:3, :3]
-    height = plane.height((np.argwhere(mask) - PADDING) @ axes.T + masks.affine[:3, 3])
+    height = plane.height((np.argwhere(mask) - padding) @ axes.T + masks.affine[:3, 3])
     # voxels that the plane cuts count in part
     share = np.clip(0.5 - height / masks.thickness(plane.normal), 0, 1)
     nodes_inside = float(share.sum() * abs(np.linalg.det(axes))) / grid.edge**3

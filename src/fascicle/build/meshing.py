@@ -27,13 +27,7 @@ from fascicle.mesh.measures import (
     self_intersections,
     triangle_areas,
 )
-from fascicle.mesh.meshing import (
-    NOTHING,
-    Interface,
-    remeshed_tetrahedra,
-    remeshed_triangles,
-    tetrahedralise,
-)
+from fascicle.mesh.meshing import Interface, remeshed_tetrahedra, remeshed_triangles, tetrahedralise
 from fascicle.mesh.topology import boundary_triangles, places_in
 
 
@@ -59,7 +53,7 @@ def filled(
     remeshed = remeshed_surface(surface, edge_length)
     progress(1, 3)
     vertices, tetrahedra, _ = tetrahedralise(
-        [Interface(remeshed.vertices, remeshed.triangles, 1, NOTHING)],
+        [Interface(remeshed.vertices, remeshed.triangles)],
         f"{surface.name}: the inside of the surface with edges of {edge_length:g} mm",
         "give a shorter edge length, or smooth the surface",
         maxh=edge_length,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,7 +20,14 @@ from fascicle.build.labelled_files import (
     labelled_tetrahedra,
     with_arrays,
 )
-from fascicle.build.mesh_repair import repaired_edges, repaired_mesh, separated_vertices
+from fascicle.build.mesh_repair import (
+    count_pieces,
+    joined_pieces,
+    repaired_edges,
+    repaired_mesh,
+    separated_vertices,
+    with_common_vertices,
+)
 from fascicle.build.meshing import (
     carried_over,
     check_memory,
@@ -27,7 +35,6 @@ from fascicle.build.meshing import (
     remeshed_anatomy,
     subdivided,
 )
-from fascicle.build.pieces import count_pieces, joined_pieces, with_common_vertices
 from fascicle.build.segmentation import SegmentationLabels, regions_at
 from fascicle.build.segmentation_files import read_segmentation
 from fascicle.build.segmentation_surface import surface_from_segmentation
@@ -38,18 +45,19 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface, labels_by_number
-from fascicle.heart.validate import check_units, check_volumes
+from fascicle.mesh.checks import check_units, check_volumes
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.formats.read import MESH_FORMATS, read_mesh
 from fascicle.mesh.measures import closed_volume, mean_edge_length
 from fascicle.mesh.topology import boundary_triangles, without_unused_vertices
 
-OF_TETRAHEDRA = ("remesh", "regions", "region_array", "fibres")  # options for tetrahedra alone
-
 
 @dataclass(frozen=True)
 class Source:
     """Files that a heart is built from, and how to read them."""
+
+    # options for tetrahedra alone
+    of_tetrahedra: ClassVar = ("remesh", "regions", "region_array", "fibres")
 
     file: Path | None  # closed surface, segmentation or tetrahedral mesh; None if there are parts
     # surfaces of ``lv``, ``rv``, ``epicardium`` and perhaps ``base``
@@ -75,12 +83,12 @@ class Source:
                 "--lv-endocardium, --rv-endocardium and --epicardium"
             )
 
-    def check_unused(self, what: str, *names: str) -> None:
+    def check_unused(self, anatomy: str, *names: str) -> None:
         """Refuse options, named by attribute, that do not apply to this kind of anatomy."""
         for name in names:
             if getattr(self, name) is not None:
                 option = "--" + name.replace("_", "-")
-                raise InputError(f"{option} does not apply to {what}; leave it out")
+                raise InputError(f"{option} does not apply to {anatomy}; leave it out")
 
     @property
     def name(self) -> str:
@@ -93,7 +101,7 @@ def read_anatomy(source: Source, edge_length: float, progress: Progress | None =
     """Read the files; surfaces and segmentations are meshed with this edge length (mm)."""
     if source.file is None:
         source.check_unused(
-            "separate surfaces", "labels", "label_array", "labels_file", *OF_TETRAHEDRA
+            "separate surfaces", "labels", "label_array", "labels_file", *source.of_tetrahedra
         )
         meshes = {part: read_mesh(path, part) for part, path in source.parts.items()}
         parts = {
@@ -144,7 +152,7 @@ def _fine_enough(
 def _from_surface(
     source: Source, mesh: MeshFile, edge_length: float, progress: Progress | None
 ) -> Anatomy:
-    source.check_unused("a surface, which is meshed again anyway", *OF_TETRAHEDRA)
+    source.check_unused("a surface, which is meshed again anyway", *source.of_tetrahedra)
     if has_labels(mesh, source.label_array, source.labels_file) or source.labels is not None:
         labelled = labelled_surface(mesh, source.label_array, source.labels, source.labels_file)
         return _meshed(*_fine_enough(labelled, edge_length), labelled, edge_length, progress)
@@ -171,7 +179,7 @@ def _classified_surface(
 def _from_segmentation(
     source: Source, file: Path, edge_length: float, progress: Progress | None
 ) -> Anatomy:
-    source.check_unused("a segmentation", "label_array", "labels_file", *OF_TETRAHEDRA)
+    source.check_unused("a segmentation", "label_array", "labels_file", *source.of_tetrahedra)
     segmentation = read_segmentation(file)
     if source.labels is None:
         numbers = ", ".join(map(str, np.unique(segmentation.labels)))

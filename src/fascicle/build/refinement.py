@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
@@ -15,8 +16,6 @@ from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart, LeadFields
 from fascicle.heart.laplace import quadratic_space
 from fascicle.torso.lead_fields import key_of, resolve_lead_fields
-
-CHILDREN = 8  # of each tetrahedron
 
 
 def refined(heart: Heart, progress: Progress | None = None) -> Heart:
@@ -38,13 +37,17 @@ def refined(heart: Heart, progress: Progress | None = None) -> Heart:
     report = stage_progress(progress, "lead fields", "of the coarser mesh")
     fields = resolve_lead_fields(heart, conduction, report)
     mesh = in_eight(heart.vertices, heart.tetrahedra)
+
+    def inherited(values: NDArray[Any] | None) -> Any:
+        return None if values is None else np.repeat(values, 8, axis=0)
+
     finer = replace(
         heart,
         vertices=mesh.vertices,
         tetrahedra=mesh.tetrahedra,
-        fibres=np.repeat(heart.fibres, CHILDREN, axis=0),
-        regions=None if heart.regions is None else np.repeat(heart.regions, CHILDREN),
-        sheets=None if heart.sheets is None else np.repeat(heart.sheets, CHILDREN, axis=0),
+        fibres=inherited(heart.fibres),
+        regions=inherited(heart.regions),
+        sheets=inherited(heart.sheets),
         torso=None,
         coordinates=None,
         lead_fields=None,

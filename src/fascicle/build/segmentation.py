@@ -12,8 +12,7 @@ from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.heart.validate import check_units
-from fascicle.mesh.checks import place
+from fascicle.mesh.checks import check_units, place
 
 
 @dataclass(frozen=True)
@@ -163,7 +162,8 @@ def regions_at(segmentation: Segmentation, labels: SegmentationLabels, points: F
 def masks_of(segmentation: Segmentation, labels: SegmentationLabels, notes: list[str]) -> Masks:
     """Masks of the parts, in one piece each; small components join the parts around them.
 
-    A line is added to the notes for every part that had small components.
+    A line is added to the notes for every part that had small components. Maps in which the LV
+    blood is not mostly surrounded by tissue are refused.
     """
     name = segmentation.name
     parts = np.zeros(segmentation.labels.shape, dtype=np.int8)
@@ -171,24 +171,20 @@ def masks_of(segmentation: Segmentation, labels: SegmentationLabels, notes: list
     for part, mask in _parts(segmentation, labels).items():
         parts[mask] = kinds[part]
     parts, affine = _cropped(parts, segmentation.affine)
-    _check_not_exchanged(Masks(parts == 1, parts == 2, parts == 3, affine, name))
+    masks = Masks(parts == 1, parts == 2, parts == 3, affine, name)
+    faces = blood_faces(masks, masks.lv, np.zeros_like(masks.rv))
+    size = np.linalg.norm(faces.areas, axis=1)
+    if (bare := float(size[faces.free].sum() / size.sum())) > 0.5:
+        raise InputError(
+            f"{name}: {bare:.0%} of the LV blood's surface borders on no tissue, so the "
+            "labels seem to be exchanged; give those of this map (--labels; ACDC has lv=3,rv=1,"
+            "myocardium=2, UK Biobank lv=1,rv=3,myocardium=2)"
+        )
     for kind, part in ((3, "tissue"), (1, "LV blood"), (2, "RV blood")):
         _remove_small_components(parts, kind, part, affine, segmentation, notes)
     parts, affine = _cropped(parts, affine)
     check_units(name, np.array([[0, 0, 0], parts.shape]) * segmentation.spacing)
     return Masks(parts == 1, parts == 2, parts == 3, affine, name)
-
-
-def _check_not_exchanged(masks: Masks) -> None:
-    """Refuse maps in which the LV blood is not mostly surrounded by tissue."""
-    faces = blood_faces(masks, masks.lv, np.zeros_like(masks.rv))
-    size = np.linalg.norm(faces.areas, axis=1)
-    if (bare := float(size[faces.free].sum() / size.sum())) > 0.5:
-        raise InputError(
-            f"{masks.name}: {bare:.0%} of the LV blood's surface borders on no tissue, so the "
-            "labels seem to be exchanged; give those of this map (--labels; ACDC has lv=3,rv=1,"
-            "myocardium=2, UK Biobank lv=1,rv=3,myocardium=2)"
-        )
 
 
 def _cropped(parts: NDArray[np.int8], affine: Floats) -> tuple[NDArray[np.int8], Floats]:

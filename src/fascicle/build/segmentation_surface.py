@@ -9,8 +9,6 @@ import numpy as np
 from scipy.ndimage import binary_fill_holes, label, map_coordinates
 
 from fascicle.build.level_sets import (
-    BARE,
-    OPEN,
     BasePlane,
     Grid,
     closed_by,
@@ -32,15 +30,6 @@ from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import ENDOCARDIA, Label, LabelledSurface
 from fascicle.mesh.meshing import marching_cubes
 from fascicle.mesh.topology import boundary_loops, unique_edges, without_unused_vertices
-
-EDGE = 1.0  # mm, of the cubes that the surface is cut from
-# Wall of the RV where none was segmented: it is 3 to 5 mm thick (Ho and Nihoyannopoulos, Heart
-# 92 Suppl 1:i2–i13, 2006).
-RV_WALL = (3.0, 5.0)  # mm
-THICKEST = 15.0  # mm; short-axis slices are 6 to 10 mm thick, with gaps of up to 4 mm
-# A cavity with handles is opened with the first ball, which removes threads of blood, then closed
-# with larger and larger balls, which fills gaps around papillary muscles, until no handle is left.
-BALLS = (1.5, 2.0, 4.0, 6.0)  # mm, radius
 
 
 class _Levels(NamedTuple):
@@ -77,10 +66,11 @@ def surface_from_segmentation(
     of the label map and the added wall, which the surface should have.
     """
     notes = notes if notes is not None else []
-    if (thickest := float(segmentation.spacing.max())) > THICKEST:
+    longest = 15.0  # mm; short-axis slices are 6 to 10 mm thick, with gaps of up to 4 mm
+    if (thickest := float(segmentation.spacing.max())) > longest:
         raise InputError(
             f"{segmentation.name}: voxels up to {thickest:.3g} mm long; give a map with slices at "
-            f"most {THICKEST:g} mm apart"
+            f"most {longest:g} mm apart"
         )
     masks = masks_of(segmentation, labels, notes)
     counted = masks.lv, masks.rv, masks.tissue
@@ -91,7 +81,7 @@ def surface_from_segmentation(
     progress(1, 6)
     plane = find_base_plane(masks)
     _check_apex(masks, plane)
-    grid = grid_below(plane, masks, EDGE)
+    grid = grid_below(plane, masks)
     progress(2, 6)
     lv = level_set(masks.lv, masks, plane, grid)
     rv = level_set(masks.rv, masks, plane, grid)
@@ -133,7 +123,7 @@ def _check_apex(masks: Masks, plane: BasePlane) -> None:
 def _coarsened(masks: Masks) -> Masks:
     """Take every other (third, …) voxel of maps that are finer than the surface can be."""
     spacing = np.linalg.norm(masks.affine[:3, :3], axis=0)
-    stride = np.maximum(np.floor(EDGE / spacing * (1 + 1e-6)), 1).astype(np.int64)
+    stride = np.maximum(np.floor(Grid.edge / spacing * (1 + 1e-6)), 1).astype(np.int64)
     if (stride == 1).all():
         return masks
     take = tuple(slice(n // 2, None, n) for n in stride)
@@ -158,18 +148,19 @@ def _with_rv_wall(
     bare, whole = float(size[faces.free].sum()), float(size.sum())
     if whole == 0 or bare < 0.2 * whole:
         return outer, 0.0
-    # a little more than `check_edge_length` demands, within the range of RV walls
-    thickness = float(np.clip(1.05 * np.sqrt(2) * edge_length, *RV_WALL))
+    # a little more than `check_edge_length` demands, within the range of RV walls, 3 to 5 mm (Ho
+    # and Nihoyannopoulos, Heart 92 Suppl 1:i2–i13, 2006)
+    thickness = float(np.clip(1.05 * np.sqrt(2) * edge_length, 3.0, 5.0))
     # between thick slices the interpolated distance is too small where contours move far
     wall, near = rv - thickness, (rv > 0) & (rv < 2 * thickness)
     nodes = np.argwhere(near).astype(np.float64)
     square = igl.point_mesh_squared_distance(nodes, *marching_cubes(rv))[0]
-    wall[near] = np.sqrt(square) * EDGE - thickness
+    wall[near] = np.sqrt(square) * Grid.edge - thickness
     # rounded where it meets the LV, as the interventricular groove is; elsewhere the two are
     # further apart than the wall is thick
     fillet = np.maximum(thickness - np.abs(outer - wall), 0) ** 2 / (4 * thickness)
     walled = np.minimum(outer, wall) - fillet
-    added = float(((walled < 0) & (outer >= 0) & (rv >= 0)).sum()) * EDGE**3 / 1e3
+    added = float(((walled < 0) & (outer >= 0) & (rv >= 0)).sum()) * Grid.edge**3 / 1e3
     notes.append(
         f"{masks.name}: {bare / whole:.0%} of the RV blood borders on no tissue, so an RV wall of "
         f"{thickness:.2g} mm was added ({added:.1f} ml, which the input lacks)"
@@ -179,7 +170,7 @@ def _with_rv_wall(
 
 def _walled(lv: Floats, rv: Floats, gaps: Floats) -> _Levels:
     """Close holes in the septum and in the free walls."""
-    thinnest = 1.5 * EDGE  # thinner walls have holes on a grid of this edge
+    thinnest = 1.5 * Grid.edge  # thinner walls have holes on a grid of this edge
     rv = np.maximum(rv, thinnest - lv)
     return _Levels(np.minimum(gaps, np.minimum(lv, rv) - thinnest), lv, rv, gaps)
 
@@ -204,7 +195,7 @@ def _base_layer(levels: _Levels, name: str) -> int:
 def _wrong_with_section(levels: _Levels, k: int, areas: list[Integers]) -> str:
     """Reason that a layer cannot be the base; empty if it can.
 
-    A cavity must be open there (`OPEN`), in a nearly complete wall (`BARE`).
+    A cavity must be open there, in a nearly complete wall, as `BasePlane` has it.
     """
     outer = levels.outer[:, :, k] < 0
     if label(outer)[1] != 1:
@@ -212,12 +203,13 @@ def _wrong_with_section(levels: _Levels, k: int, areas: list[Integers]) -> str:
     tissue = outer.copy()
     for side, cavity, area in zip(("LV", "RV"), (levels.lv, levels.rv), areas, strict=True):
         blood = cavity[:, :, k] < 0
-        if area[k] < OPEN * area.max():
+        if area[k] < BasePlane.least_open * area.max():
             return f"the {side} is closed or small"
         if label(blood)[1] != 1:
             return f"the {side} has {label(blood)[1]} openings"
-        border = (cavity[:, :, k] >= 0) & (cavity[:, :, k] < EDGE)
-        if (bare := float((levels.gaps[:, :, k][border] > 0).mean())) > BARE:
+        border = (cavity[:, :, k] >= 0) & (cavity[:, :, k] < Grid.edge)
+        bare = float((levels.gaps[:, :, k][border] > 0).mean())
+        if bare > BasePlane.most_bare:
             return f"{bare:.0%} of the {side} has no wall"
         tissue &= ~blood
     openings = int(label(~tissue)[1]) - 1
@@ -225,16 +217,27 @@ def _wrong_with_section(levels: _Levels, k: int, areas: list[Integers]) -> str:
 
 
 def _closed_surface(levels: _Levels, grid: Grid, name: str, notes: list[str]) -> LabelledSurface:
-    """Extract the surface; mend the cavities until the endocardia are disks."""
-    attempts = dict.fromkeys(ENDOCARDIA, 0)
+    """Extract the surface; mend the cavities until the endocardia are disks.
+
+    A cavity with handles is opened with the first ball, which removes threads of blood, then closed
+    with larger and larger balls, which fills gaps around papillary muscles, until no handle is
+    left.
+    """
+    attempts, balls = dict.fromkeys(ENDOCARDIA, 0), (1.5, 2.0, 4.0, 6.0)  # mm, radius
+
+    def mended(cavity: Floats, attempt: int) -> Floats:
+        if attempt == 1:
+            return -closed_by(-cavity, balls[0], grid.edge)
+        return closed_by(cavity, balls[attempt - 1], grid.edge) if attempt else cavity
+
     while True:
-        lv, rv = map(_mended, (levels.lv, levels.rv), attempts.values())
-        mended = _walled(lv, rv, levels.gaps) if any(attempts.values()) else levels
-        surface = _extract(mended, grid, name)
+        lv, rv = map(mended, (levels.lv, levels.rv), attempts.values())
+        walled = _walled(lv, rv, levels.gaps) if any(attempts.values()) else levels
+        surface = _extract(walled, grid, name)
         if (wrong := _wrong_topology(surface)) is None:
             break
         part, fault = wrong
-        if attempts.get(part, len(BALLS)) == len(BALLS):
+        if attempts.get(part, len(balls)) == len(balls):
             raise InputError(
                 f"{name}: {fault}; fill holes in the walls and take papillary muscles and "
                 "trabeculae that cross the cavities out of the myocardium"
@@ -242,20 +245,12 @@ def _closed_surface(levels: _Levels, grid: Grid, name: str, notes: list[str]) ->
         attempts[part] += 1
     for kind, attempt in attempts.items():
         if attempt:
-            gap = 2 * BALLS[attempt - 1]
+            gap = 2 * balls[attempt - 1]
             how = f"gaps up to {gap:g} mm wide around papillary muscles were filled"
             if attempt == 1:
                 how = "threads of blood were taken away"
             notes.append(f"{name}: {kind.words}: {how}, to leave no handles")
     return surface
-
-
-def _mended(cavity: Floats, attempt: int) -> Floats:
-    if attempt == 0:
-        return cavity
-    if attempt == 1:
-        return -closed_by(-cavity, BALLS[0], EDGE)
-    return closed_by(cavity, BALLS[attempt - 1], EDGE)
 
 
 def _extract(levels: _Levels, grid: Grid, name: str) -> LabelledSurface:
@@ -267,7 +262,15 @@ def _extract(levels: _Levels, grid: Grid, name: str) -> LabelledSurface:
     top = tissue.shape[2] - 1
     far = np.full((*tissue.shape[:2], 1), 1e9)
     vertices, triangles = marching_cubes(np.concatenate([tissue, far], axis=2))
-    vertices, triangles = without_unused_vertices(vertices, _largest_piece(triangles, name))
+    _, pieces = igl.facet_components(triangles)
+    if (sizes := np.bincount(pieces)).max() < 0.99 * len(triangles):
+        listed = ", ".join(str(size) for size in np.sort(sizes)[::-1])
+        raise InputError(
+            f"{name}: the surface of the tissue falls into {len(sizes)} pieces ({listed} triangles)"
+            "; correct the labels so that the tissue is in one piece and without closed holes"
+        )
+    largest = np.asarray(triangles[pieces == sizes.argmax()])
+    vertices, triangles = without_unused_vertices(vertices, largest)
     # the last vertices lie a millionth of an edge above the plane, for the layer on top
     vertices[:, 2] = np.minimum(vertices[:, 2], top)
     base = (vertices[triangles, 2] == top).all(axis=1)
@@ -277,18 +280,6 @@ def _extract(levels: _Levels, grid: Grid, name: str) -> LabelledSurface:
     labels = np.array([Label.EPICARDIUM, *ENDOCARDIA])[np.argmax(active, axis=0)]
     labels[base] = Label.BASE
     return LabelledSurface(grid.positions(vertices), triangles, labels.astype(np.int64), name)
-
-
-def _largest_piece(triangles: Integers, name: str) -> Integers:
-    """Largest piece of a surface; an error if it has less than 99 % of the triangles."""
-    _, pieces = igl.facet_components(triangles)
-    if (sizes := np.bincount(pieces)).max() < 0.99 * len(triangles):
-        listed = ", ".join(str(size) for size in np.sort(sizes)[::-1])
-        raise InputError(
-            f"{name}: the surface of the tissue falls into {len(sizes)} pieces ({listed} triangles)"
-            "; correct the labels so that the tissue is in one piece and without closed holes"
-        )
-    return np.asarray(triangles[pieces == sizes.argmax()])
 
 
 def _wrong_topology(surface: LabelledSurface) -> tuple[Label, str] | None:

@@ -15,12 +15,7 @@ from fascicle.heart.labelled_surface import ENDOCARDIA, Label, LabelledMesh, Lab
 from fascicle.mesh.measures import closed_by_fan, closed_volume, triangle_areas, unit
 from fascicle.mesh.topology import without_unused_vertices
 
-LARGEST_CHANGE = 0.03  # of a volume between its file and the mesh, above which the user is warned
-
 Surface = tuple[Floats, Integers]  # vertices (n, 3) in mm, triangles (m, 3)
-
-
-OPEN_PIECE = "one (cavities must be open at the base)"
 
 
 class Volumes(NamedTuple):
@@ -37,18 +32,18 @@ def volumes(tissue: LabelledSurface | LabelledMesh) -> Volumes:
     return Volumes(lv, rv, closed_volume(tissue.vertices, tissue.triangles) / 1e3)
 
 
-def compared(built: Volumes, given: Volumes, file: str) -> tuple[str, tuple[str, ...]]:
-    """Line that compares the built volumes with those given, and warnings where they differ."""
-    rows, warnings = [], []
+def compared(built: Volumes, reference: Volumes, file: str) -> tuple[str, tuple[str, ...]]:
+    """Line that compares the built volumes with the reference, and warnings where they differ."""
+    rows, warnings, largest = [], [], 0.03  # change of a volume without a warning
     for part, now, before in zip(
-        ("LV cavity", "RV cavity", "myocardium"), built, given, strict=True
+        ("LV cavity", "RV cavity", "myocardium"), built, reference, strict=True
     ):
         change = now / before - 1 if before > 0 else np.inf
         rows.append(f"{part} {now:.1f} ml (input {before:.1f}, {change:+.1%})")
-        if abs(change) > LARGEST_CHANGE:
+        if abs(change) > largest:
             warnings.append(
                 f"{file}: {part} {now:.1f} ml, {before:.1f} ml in the file ({change:+.1%}, more "
-                f"than {LARGEST_CHANGE:.0%}); give a shorter edge length, or correct the file "
+                f"than {largest:.0%}); give a shorter edge length, or correct the file "
                 "where it was cut or filled (see the lines above)"
             )
     return f"volumes: {'; '.join(rows)}", tuple(warnings)
@@ -108,15 +103,15 @@ def check_edge_length(walls: Walls, edge_length: float, name: str) -> None:
         )
 
 
-def leftness(one: Surface, other: Surface, epicardium: Surface) -> float:
+def leftness(first: Surface, second: Surface, epicardium: Surface) -> float:
     """Evidence that the first of two endocardia, rather than the second, is the left one.
 
     The left cavity is nearly convex and round, and its wall is thick; the right one is a crescent
     about the septum with a thin free wall. The evidence is the sum of the logarithms of the ratios
     of these three features, first over second: positive where the first is the left one.
     """
-    first, second = (_features(endocardium, epicardium) for endocardium in (one, other))
-    return float(np.log(first / second).sum())
+    ratios = _features(first, epicardium) / _features(second, epicardium)
+    return float(np.log(ratios).sum())
 
 
 def check_sides(tissue: LabelledSurface | LabelledMesh) -> None:

@@ -11,12 +11,18 @@ from scipy.ndimage import distance_transform_edt
 
 from fascicle.build.endocardia import cleaned_labels
 from fascicle.build.level_sets import closed_by
-from fascicle.build.surface_checks import OPEN_PIECE, check_sides
+from fascicle.build.surface_checks import check_sides
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import ENDOCARDIA, LabelledSurface, missing_parts
-from fascicle.heart.validate import check_units
-from fascicle.mesh.checks import check_edges, first_places, oriented_piece, place, refuse
+from fascicle.mesh.checks import (
+    check_edges,
+    check_units,
+    first_places,
+    oriented_piece,
+    place,
+    refuse,
+)
 from fascicle.mesh.measures import closed_volume, loop_length, self_intersections, turned_outwards
 from fascicle.mesh.meshing import marching_cubes
 from fascicle.mesh.topology import (
@@ -28,8 +34,6 @@ from fascicle.mesh.topology import (
     without_unused_vertices,
 )
 
-MERGED = 1e-6  # of the largest extent; vertices closer than this are merged
-LARGEST_HOLE = 20.0  # mm, length of its boundary; 6 mm across, so no valve or vessel is closed over
 LARGEST_CRUMB = 10.0  # mm, largest extent of a piece or a void that is left out or filled
 
 
@@ -64,8 +68,7 @@ def prepared_surface(surface: LabelledSurface) -> LabelledSurface:
 def closed_surface(surface: LabelledSurface) -> LabelledSurface:
     """Merge repeated vertices, drop broken triangles, close small holes and face outwards."""
     check_units(surface.name, surface.vertices)
-    extent = float(np.ptp(surface.vertices, axis=0).max())
-    merged = merged_vertices(surface.vertices, MERGED * extent)[surface.triangles]
+    merged = merged_vertices(surface.vertices)[surface.triangles]
     whole = whole_triangles(merged)
     merged_surface = replace(surface, triangles=merged[whole], labels=surface.labels[whole])
     one_piece = _without_crumbs(_separated(compacted(merged_surface)))
@@ -137,14 +140,16 @@ def _with_holes_filled(surface: LabelledSurface) -> LabelledSurface:
     """Close small holes by a fan of triangles, with the label of most triangles around."""
     check_edges(surface.name, surface.vertices, surface.triangles)
     vertices, labels = surface.vertices, surface.labels
-    triangles = oriented_piece(surface.name, vertices, surface.triangles, OPEN_PIECE)
+    which = "one (cavities must be open at the base)"
+    triangles = oriented_piece(surface.name, vertices, surface.triangles, which)
     loops = boundary_loops(triangles)
     holes = [(loop_length(vertices, loop), vertices[loop].mean(axis=0)) for loop in loops]
-    if large := [hole for hole in holes if hole[0] > LARGEST_HOLE]:
+    longest = 20.0  # mm around, 6 mm across, so no valve or vessel is closed over
+    if large := [hole for hole in holes if hole[0] > longest]:
         where = ", ".join(f"{length:.0f} mm around at {place(at)}" for length, at in large[:3])
         raise InputError(
             f"{surface.name}: the surface is not closed: {len(large)} of {len(loops)} holes are "
-            f"too large to be closed here ({where}; up to {LARGEST_HOLE:g} mm are); close them"
+            f"too large to be closed here ({where}; up to {longest:g} mm are); close them"
         )
     for loop, (_, middle) in zip(loops, holes, strict=True):
         filling = loop[::-1][None]

@@ -8,18 +8,15 @@ from dataclasses import replace
 import igl
 import numpy as np
 
-from fascicle.build.labelled_files import REGION_NAMES
 from fascicle.core.arrays import Booleans, Integers
 from fascicle.core.errors import InputError
-from fascicle.heart.fibres import SURFACES
-from fascicle.heart.labelled_surface import Label, LabelledMesh
+from fascicle.heart.assembly import ARRAY_NAMES
+from fascicle.heart.labelled_surface import ENDOCARDIA, Label, LabelledMesh
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.measures import closed_by_fan, signed_volumes, triangle_areas
 from fascicle.mesh.topology import boundary_triangles, places_in
 
-VENTRICLES = ("lv", "rv", "septum")
-
-Regions = Mapping[str, tuple[int, ...]]  # the numbers of each of `VENTRICLES`
+Regions = Mapping[str, tuple[int, ...]]  # the numbers of "lv", "rv" and perhaps "septum"
 
 
 def region_arrays(mesh: MeshFile) -> dict[str, Integers]:
@@ -33,7 +30,7 @@ def region_arrays(mesh: MeshFile) -> dict[str, Integers]:
         if values.ndim == 1 and (np.isfinite(values) & (values == np.round(values))).all():
             count = len(np.unique(values))
             if 1 < count <= 200:  # more numbers would be of elements, not of regions
-                rank = name.lower() not in REGION_NAMES, -count
+                rank = name.lower() not in ARRAY_NAMES["region"], -count
                 candidates[name] = rank, values.astype(np.int64)
     ordered = sorted(candidates.items(), key=lambda item: item[1][0])
     return {name: values for name, (_, values) in ordered}
@@ -67,7 +64,7 @@ def ventricles(
     numbers in the array ``region`` and those triangles of the file that are on its boundary; and
     the triangles (k, 3), as points of the file, that lay between ventricles and other tissue.
     """
-    unknown = [name for name in regions if name not in VENTRICLES]
+    unknown = [name for name in regions if name not in ("lv", "rv", "septum")]
     if unknown or not {"lv", "rv"} <= set(regions):
         fault = f"unknown '{unknown[0]}'" if unknown else "lv or rv missing"
         raise InputError(
@@ -83,7 +80,7 @@ def ventricles(
     kept = mesh.keeping(TETRAHEDRON, chosen)
     if TRIANGLE in kept.cells:
         kept = kept.keeping(TRIANGLE, places_in(kept.cells[TRIANGLE], boundary) >= 0)
-    arrays = {**kept.cell_data.get(TETRAHEDRON, {}), REGION_NAMES[0]: values[chosen].astype(float)}
+    arrays = {**kept.cell_data.get(TETRAHEDRON, {}), "region": values[chosen].astype(float)}
     kept = replace(kept, cell_data={**kept.cell_data, TETRAHEDRON: arrays})
     return kept, boundary[places_in(boundary, outer) < 0]
 
@@ -103,7 +100,7 @@ def _regions_with(mesh: MeshFile, region_numbers: Integers, array: str | None) -
         )
     name, values = next(iter(fitting.items()))
     for other, theirs in fitting.items():
-        if name.lower() not in REGION_NAMES and not np.array_equal(
+        if name.lower() not in ARRAY_NAMES["region"] and not np.array_equal(
             np.isin(values, region_numbers), np.isin(theirs, region_numbers)
         ):
             raise InputError(
@@ -130,6 +127,6 @@ def labels_of_ventricles(mesh: LabelledMesh, is_left: Booleans) -> Integers | No
     outer = large[np.argmax(enclosed)]
     rv, lv = sorted(large[large != outer], key=lambda k: float(is_left[owner[piece == k]].mean()))
     labels = np.where(mesh.labels == 0, int(Label.BASE), mesh.labels)
-    for label, which in zip(SURFACES, (lv, rv, outer), strict=True):
+    for label, which in zip((*ENDOCARDIA, Label.EPICARDIUM), (lv, rv, outer), strict=True):
         labels[rest[piece == which]] = label
     return labels

@@ -30,7 +30,7 @@ from fascicle.cli.output import Result, TerminalProgress, every_command, print_t
 from fascicle.core.errors import InputError, given_in
 
 if TYPE_CHECKING:
-    from fascicle.build.torso import TorsoOptions
+    from fascicle.build.build_heart import TorsoOptions
     from fascicle.heart.endocardium import ChosenSeed
     from fascicle.heart.fibres import FibreAngles
     from fascicle.heart.heart import Heart
@@ -170,7 +170,7 @@ def heart_build(
     """
     from fascicle.build.build_heart import build_heart
     from fascicle.build.read_anatomy import Source
-    from fascicle.heart.folder import LABELS_PICTURE, check_heart_folder
+    from fascicle.heart.folder import HEART_FILES, check_heart_folder
     from fascicle.reporting.heart import labels_figure
     from fascicle.reporting.style import save
 
@@ -206,7 +206,7 @@ def heart_build(
         )
     contents = _write_and_check(built.heart, folder, built.notes, warnings=built.anatomy.warnings)
     if built.anatomy.guessed:
-        save(labels_figure(built.anatomy.mesh), picture := folder / LABELS_PICTURE)
+        save(labels_figure(built.anatomy.mesh), picture := folder / HEART_FILES["labels"])
         print(
             f"labels were found, not given: look at {picture}; if they are wrong, label the "
             "surface in the file"
@@ -242,8 +242,8 @@ def heart_import(
     the apex. Without **--torso idealised** the volume conductor is unbounded, and the ratios of the
     leads are wrong.
     """
+    from fascicle.build.build_heart import in_torso
     from fascicle.build.surface_checks import check_sides
-    from fascicle.build.torso import in_torso
     from fascicle.build.whole_heart import ventricles
     from fascicle.core.progress import stage_progress
     from fascicle.heart.assembly import assemble_heart
@@ -298,14 +298,14 @@ def heart_check(
     build' take them. 'fascicle docs hearts' explains the lines.
     """
     from fascicle.core.files import check_writable
-    from fascicle.heart.folder import PICTURE
+    from fascicle.heart.folder import HEART_FILES
     from fascicle.reporting.style import check_picture
 
     if picture is not None:
         check_picture(picture)
     loaded = fascicle.load_heart(heart)
     if picture is None and Path(heart).is_dir():  # not for the packaged heart
-        picture = Path(heart) / PICTURE
+        picture = Path(heart) / HEART_FILES["check"]
     if picture is not None:
         check_writable(picture, "--picture")
     return _check(loaded, _growable_charts(loaded, {"lv": heart, "rv": heart}), picture)
@@ -321,9 +321,9 @@ def heart_refine(heart: HeartArgument, out: OutOption) -> Result:
     endocardia, electrodes and bundles stay. The torso is left out: the mesh holds the lead fields.
     """
     from fascicle.build.refinement import refined
-    from fascicle.heart.folder import MANIFEST, check_heart_folder
+    from fascicle.heart.folder import HEART_FILES, check_heart_folder
 
-    check_heart_folder(out, [Path(heart) / MANIFEST])
+    check_heart_folder(out, [Path(heart) / HEART_FILES["manifest"]])
     coarse = fascicle.load_heart(heart)
     with TerminalProgress() as progress:
         finer = refined(coarse, progress)
@@ -354,10 +354,10 @@ def heart_add_electrodes(
     fascicle simulate heart-frank
     ```
     """
-    from fascicle.build.torso import add_electrodes
-    from fascicle.heart.folder import MANIFEST, check_heart_folder
+    from fascicle.build.build_heart import add_electrodes
+    from fascicle.heart.folder import HEART_FILES, check_heart_folder
 
-    check_heart_folder(out, [Path(heart) / MANIFEST])
+    check_heart_folder(out, [Path(heart) / HEART_FILES["manifest"]])
     with TerminalProgress() as progress:
         more = add_electrodes(heart, lead_names(leads), progress)
     return _write_and_check(more, out)
@@ -417,13 +417,13 @@ def _write_and_check(
     warnings: tuple[str, ...] = (),
 ) -> dict[str, Any]:
     """Write a heart folder and its picture, and print the notes and the contents."""
-    from fascicle.heart.folder import PICTURE, write_heart
+    from fascicle.heart.folder import HEART_FILES, write_heart
 
     for note in notes:
         print(note)
     charts = _growable_charts(heart, sources if sources is not None else {})
     write_heart(heart, folder)
-    contents = _check(heart, charts, folder / PICTURE, warnings)
+    contents = _check(heart, charts, folder / HEART_FILES["check"], warnings)
     print(f"heart written to {folder}")
     return {"folder": folder, "notes": notes} | contents
 
@@ -493,7 +493,7 @@ def _fibre_angles(lv: str, rv: str) -> FibreAngles:
 
 
 def _torso(options: Mapping[str, Any], electrodes: Path | None) -> TorsoOptions:
-    from fascicle.build.torso import TorsoOptions
+    from fascicle.build.build_heart import TorsoOptions
 
     measures = {name: options[name] for name in ("height", "weight", "chest")}
     stated = {name: value for name, value in measures.items() if value is not None}

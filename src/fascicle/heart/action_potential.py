@@ -6,15 +6,13 @@ import csv
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, one_line, printable
 from fascicle.core.files import as_path, check_file
-
-COLUMNS = ["time_ms", "potential_mV"]
-REMEDY = "give a CSV file with the header time_ms,potential_mV and two numbers in every row"
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +26,8 @@ class TabulatedPotential:
     potentials : (n,) array
         Transmembrane potentials of the samples (mV).
     """
+
+    columns: ClassVar[list[str]] = ["time_ms", "potential_mV"]
 
     times: Floats
     potentials: Floats
@@ -67,14 +67,15 @@ def read_action_potential(path: str | PathLike[str]) -> TabulatedPotential:
     """
     file = as_path(path, "action potential", "the path of a CSV file")
     check_file(file, (".csv",), "action potential")
+    remedy = "give a CSV file with the header time_ms,potential_mV and two numbers in every row"
     try:
         text = file.read_text(encoding="utf-8-sig")
         table = [row for row in csv.reader(text.splitlines(), strict=True) if row]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{file}: not a readable table ({one_line(error)}); {REMEDY}") from error
+        raise InputError(f"{file}: not a readable table ({one_line(error)}); {remedy}") from error
     header = [name.strip() for name in table[0]] if table else []
-    if header != COLUMNS:
-        raise InputError(f"{file}: its header is '{printable(','.join(header))[:60]}'; {REMEDY}")
+    if header != TabulatedPotential.columns:
+        raise InputError(f"{file}: its header is '{printable(','.join(header))[:60]}'; {remedy}")
     rows = [_numbers(file, row, number) for number, row in enumerate(table[1:], 1)]
     times, potentials = np.array(rows).reshape(-1, 2).T
     _check(str(file), times, potentials)
@@ -84,7 +85,7 @@ def read_action_potential(path: str | PathLike[str]) -> TabulatedPotential:
 def write_action_potential(path: Path, table: TabulatedPotential) -> None:
     """Write a table that `read_action_potential` reads back exactly."""
     rows = zip(table.times.tolist(), table.potentials.tolist(), strict=True)
-    text = "\n".join([",".join(COLUMNS), *(f"{time!r},{value!r}" for time, value in rows)])
+    text = "\n".join([",".join(table.columns), *(f"{time!r},{value!r}" for time, value in rows)])
     path.write_text(f"{text}\n", encoding="utf-8")
 
 
@@ -93,7 +94,7 @@ def _numbers(file: Path, row: list[str], number: int) -> list[float]:
         values = [float(cell) for cell in row]
     except ValueError:
         values = []
-    if len(values) != len(COLUMNS) or not np.isfinite(values).all():
+    if len(values) != 2 or not np.isfinite(values).all():
         text = printable(",".join(row))[:60]
         raise InputError(f"{file}: row {number} of samples is '{text}'; give two numbers")
     return values
@@ -103,7 +104,7 @@ def _check(file: str, times: Floats, potentials: Floats) -> None:
     if len(times) < 10:
         raise InputError(f"{file}: {len(times)} samples; give 10 or more")
     # the ECG ends at most 2000 ms after the last activation; more than 200 mV means µV
-    for name, values, limit in zip(COLUMNS, (times, potentials), (2000.0, 200.0), strict=True):
+    for name, values, limit in (("time_ms", times, 2000.0), ("potential_mV", potentials, 200.0)):
         furthest = values[np.abs(values).argmax()]
         if abs(furthest) > limit:
             raise InputError(f"{file}: {name} reaches {furthest:g}; give -{limit:g} to {limit:g}")

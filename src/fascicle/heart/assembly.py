@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,25 +12,29 @@ from scipy.spatial import cKDTree
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.ranges import check_array
-from fascicle.heart.coordinate_arrays import read_coordinates
-from fascicle.heart.electrodes import read_electrodes
+from fascicle.heart.electrodes import check_electrodes, read_electrodes
 from fascicle.heart.endocardium import ChosenSeed, oriented_into_cavity, seeded_endocardia
 from fascicle.heart.fibres import is_placeholder, rule_based_fibres
-from fascicle.heart.heart import Heart
+from fascicle.heart.heart import Heart, VentricularCoordinates
 from fascicle.heart.labelled_surface import labelled_mesh, missing_parts
-from fascicle.heart.validate import (
-    check_electrodes,
+from fascicle.mesh.checks import (
     check_endocardium_in_place,
     check_fibres,
     check_tetrahedra,
     check_units,
+    refuse,
 )
-from fascicle.mesh.checks import refuse
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
+from fascicle.mesh.formats.mesh_file import GROUP, TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.measures import principal_axes, unit
 from fascicle.mesh.topology import without_unused_vertices
 
-FIBRE_NAMES = ("fibre", "fibres", "fiber", "fibers", "f0", "fiber_direction", "fibre_direction")
+# Names of arrays in files, in the order in which they are looked for
+ARRAY_NAMES = {
+    "label": ("label", "labels", "class", "classes", "surface", "surfaces", "boundary", GROUP),
+    "region": ("region", "regions", "elemtag", "elemtags", "tag", "tags", GROUP),
+    "fibres": ("fibre", "fibres", "fiber", "fibers", "f0", "fiber_direction", "fibre_direction"),
+    "sheets": ("sheet", "sheets", "s0", "sheet_direction"),
+}
 
 
 def assemble_heart(
@@ -138,7 +143,8 @@ def _fibres_per_tetrahedron(mesh: MeshFile, tetrahedra: Integers, source: MeshFi
     at_vertex = np.zeros((len(mesh.points), 3))
     at_vertex[used] = values[row]
     check_fibres(name, at_vertex[used], mesh.points[used])
-    return average_to_tetrahedra(at_vertex, tetrahedra)
+    # the mean axis of four vertices, as fibres have no sign
+    return principal_axes(unit(at_vertex[tetrahedra]))
 
 
 def _match_by_position(name: str, sources: Floats, targets: Floats, kind: str) -> Integers:
@@ -154,11 +160,6 @@ def _match_by_position(name: str, sources: Floats, targets: Floats, kind: str) -
         targets,
     )
     return np.asarray(row, dtype=np.int64)
-
-
-def average_to_tetrahedra(fibres: Floats, tetrahedra: Integers) -> Floats:
-    """Mean axis of each tetrahedron's four vertex fibres, which have no sign; shape (m, 3)."""
-    return principal_axes(unit(fibres[tetrahedra]))
 
 
 def region_labels(mesh: MeshFile, array: str = "region") -> Integers | None:
@@ -191,10 +192,86 @@ def _fibre_array(source: MeshFile) -> tuple[str, Floats, bool]:
         for key, values in arrays.items():
             if np.shape(values)[1:] == (3,) and key.lower() not in ("normals", "sheet"):
                 candidates[key] = np.asarray(values, dtype=float), per_cell
-    keys = [key for key in candidates if key.lower() in FIBRE_NAMES] or list(candidates)
+    keys = [key for key in candidates if key.lower() in ARRAY_NAMES["fibres"]] or list(candidates)
     if len(keys) != 1:
         raise InputError(
             f"{source.path}: need one array of fibre directions (3 components); found "
             f"{', '.join(keys) or 'none'}; keep one, or name it 'fibre'"
         )
     return keys[0], *candidates[keys[0]]
+
+
+def read_coordinates(mesh: MeshFile) -> VentricularCoordinates | None:
+    """Ventricular coordinates of the vertices of a mesh's tetrahedra, if it has the point arrays.
+
+    The arrays are ``tv``, ``tm``, ``rt`` (or ``rtSin`` and ``rtCos``) and ``ab`` of Cobiveco, or
+    ``v``, ``rho``, ``phi`` and ``z`` of `from_universal`, in upper or lower case; all four. An
+    error if one is not a number a point, or out of range.
+    """
+    arrays = {name.lower(): values for name, values in mesh.point_data.items()}
+    used = np.unique(mesh.cells[TETRAHEDRON])
+    if {"rtsin", "rtcos"} <= set(arrays) and "rt" not in arrays:
+        arrays["rt"] = np.arctan2(arrays["rtsin"], arrays["rtcos"]) / (2 * np.pi) % 1
+    names, universal = VentricularCoordinates.names, ("v", "rho", "phi", "z")
+    if set(names) <= set(arrays):
+        return VentricularCoordinates(*(_checked(mesh, arrays, used, name, 0, 1) for name in names))
+    if not set(universal) <= set(arrays):
+        return None
+    limits = {"v": (-1, 1), "phi": (-np.pi, np.pi)}
+    v, *rho_phi_z = (
+        _checked(mesh, arrays, used, name, *limits.get(name, (0, 1))) for name in universal
+    )
+    if np.ptp(v) == 0:
+        raise InputError(
+            f"{mesh.path}: the point array 'v' of ventricular coordinates is {v[0]:g} everywhere; "
+            "give -1 in the left and 1 in the right ventricle, or remove it"
+        )
+    return from_universal(v, *rho_phi_z)
+
+
+def _checked(
+    mesh: MeshFile, arrays: Mapping[str, Floats], used: Integers, name: str, low: float, high: float
+) -> Floats:
+    """Values of an array at the used points, clipped to its range; an error if far outside."""
+    values, among = np.asarray(arrays[name], dtype=float), "to"
+    if values.shape != (len(mesh.points),):
+        raise InputError(
+            f"{mesh.path}: the point array '{name}' has shape {values.shape}; ventricular "
+            "coordinates are one number a point; correct or remove it"
+        )
+    values = values[used]
+    slack = 1e-3 * (high - low)  # interpolation rounds
+    bad = ~((values >= low - slack) & (values <= high + slack))
+    if name in ("tv", "v"):
+        bad, among = ~np.isin(values, (low, high)), "or"
+    refuse(
+        f"{mesh.path}: the point array '{name}' of ventricular coordinates",
+        bad,
+        f"values are not {low:.4g} {among} {high:.4g}, as {values[np.argmax(bad)]:.4g}",
+        "correct them, or remove the array to have them computed",
+        mesh.points[used],
+        numbers=used,
+    )
+    return values.clip(low, high)
+
+
+def from_universal(v: Floats, rho: Floats, phi: Floats, z: Floats) -> VentricularCoordinates:
+    """Convert universal ventricular coordinates (n,) to those of Cobiveco.
+
+    Universal coordinates are those of Bayer et al. 2018, Med Image Anal 45:83-93: v −1 in the left,
+    1 in the right ventricle; ρ 0 on the endocardium, 1 on the epicardium; φ from −π to π in the
+    left ventricle, to which the septum belongs, and in the right one from its posterior attachment
+    to the anterior one; z 0 at the apex, 1 at the base. Their apex, the left ventricle's, is kept.
+    """
+    right = v > 0
+    behind, before = phi[right].min(), phi[right].max()
+    way = (phi - behind) / (before - behind)
+    septal = ~right & (way >= 0) & (way <= 1)
+    # in the left free wall from the anterior attachment on to the posterior one
+    back = (phi - before) % (2 * np.pi) / (2 * np.pi - before + behind)
+    return VentricularCoordinates(
+        (right | (septal & (rho > 0.5))).astype(float),
+        np.where(septal, np.abs(1 - 2 * rho), 1 - rho),
+        np.where(septal, 1 - way / 3, 2 / 3 * np.where(right, way, 1 - back)),
+        z,
+    )

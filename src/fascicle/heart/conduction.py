@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import igl
 import numpy as np
@@ -15,14 +15,6 @@ from fascicle.core.errors import InputError
 from fascicle.core.quantities import checked, default_of, quantity, region_labels
 from fascicle.core.ranges import check_items, within
 from fascicle.heart.heart import Heart
-
-# α² G is (cm/ms)²; conduction velocities here are in mm/ms
-MM2_PER_CM2 = 100.0
-CONDUCTIVITIES = (
-    "intracellular_l", "intracellular_t", "extracellular_l", "extracellular_t",
-    "torso", "body", "lung", "blood",
-)  # fmt: skip
-SPEEDS = ("alpha", "anisotropy_ratio", "endocardial_layer", "endocardial_speed")
 
 
 class Region(Table, table="region"):
@@ -107,6 +99,13 @@ class Conduction:
         If a value is out of range.
     """
 
+    # names of the fields that are conductivities, and of those that set the velocities alone
+    conductivities: ClassVar = (
+        "intracellular_l", "intracellular_t", "extracellular_l", "extracellular_t",
+        "torso", "body", "lung", "blood",
+    )  # fmt: skip
+    velocities: ClassVar = ("alpha", "anisotropy_ratio", "endocardial_layer", "endocardial_speed")
+
     intracellular_l: float = 3.0
     intracellular_t: float = 0.3
     extracellular_l: float = 3.0
@@ -122,10 +121,10 @@ class Conduction:
     endocardial_speed: float = default_of("endocardial_speed")
 
     def __post_init__(self) -> None:
-        for name in CONDUCTIVITIES:
+        for name in self.conductivities:
             within("conductivity", getattr(self, name), f"conductivity '{name}'")
         check_items(self.regions, Region, "regions", "fascicle.Region")
-        parameters = {name: getattr(self, name) for name in SPEEDS}
+        parameters = {name: getattr(self, name) for name in self.velocities}
         if self.anisotropy_ratio is None:
             del parameters["anisotropy_ratio"]
         checked(parameters)
@@ -141,7 +140,7 @@ class Conduction:
 
         A region replaces an earlier one of the same label.
         """
-        changes = {name: values[name] for name in SPEEDS if name in values}
+        changes = {name: values[name] for name in self.velocities if name in values}
         if "fibre_speed" in values:
             changes["alpha"] = self.alpha * values["fibre_speed"] / self.speeds[0]
         labels = region_labels(values)
@@ -184,7 +183,8 @@ class Conduction:
         """D along and across the fibre (mm²/ms²), scalars, as all G have the same axes."""
         intra = np.array([self.intracellular_l, self.intracellular_t])
         extra = np.array([self.extracellular_l, self.extracellular_t])
-        along, across = MM2_PER_CM2 * self.alpha**2 * intra * extra / (intra + extra)
+        # α² G is in (cm/ms)², 100 mm² a cm²
+        along, across = 100.0 * self.alpha**2 * intra * extra / (intra + extra)
         if self.anisotropy_ratio is not None:
             across = along / self.anisotropy_ratio**2
         return along, across

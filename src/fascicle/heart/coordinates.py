@@ -43,16 +43,19 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.core.ranges import check_kind
-from fascicle.heart.coordinate_arrays import NAMES, WALL, VentricularCoordinates
-from fascicle.heart.fibres import SURFACES
-from fascicle.heart.heart import Heart
-from fascicle.heart.labelled_surface import BASAL, Label, LabelledMesh, labelled_mesh, missing_parts
+from fascicle.heart.fibres import Wall
+from fascicle.heart.heart import Heart, VentricularCoordinates
+from fascicle.heart.labelled_surface import (
+    BASAL,
+    ENDOCARDIA,
+    Label,
+    LabelledMesh,
+    labelled_mesh,
+    missing_parts,
+)
 from fascicle.heart.laplace import QuadraticSpace, quadratic_space, solve_laplace
 from fascicle.mesh.measures import barycentric_gradients, signed_volumes, triangle_normals, unit
 from fascicle.mesh.topology import TETRAHEDRON_FACES, components_of
-
-LV, RV, SEPTUM = range(3)  # parts of the tissue; the first two are free walls
-OFF = 1e-6  # of the way from apex to base
 
 
 def ventricular_coordinates(heart: Heart) -> VentricularCoordinates:
@@ -74,7 +77,7 @@ def ventricular_coordinates(heart: Heart) -> VentricularCoordinates:
     if (arrays := cache.read(heart.digest)) is None:
         arrays = computed_coordinates(labelled_mesh(heart)).arrays
         cache.keep(heart.digest, arrays)
-    return VentricularCoordinates(*(arrays[name] for name in NAMES))
+    return VentricularCoordinates(*(arrays[name] for name in VentricularCoordinates.names))
 
 
 def with_coordinates(
@@ -125,7 +128,7 @@ def transfer_map(values: Floats, heart: Heart, other: Heart) -> Floats:
         )
     of, to = ventricular_coordinates(heart), ventricular_coordinates(other)
     transferred = np.empty((*values.shape[:-1], len(to.ventricle)))
-    for side in (LV, RV):
+    for side in (Wall.LV, Wall.RV):
         in_source, in_target = of.ventricle == side, to.ventricle == side
         places, targets, samples = (
             of.places[in_source],
@@ -138,8 +141,8 @@ def transfer_map(values: Floats, heart: Heart, other: Heart) -> Floats:
         places = np.concatenate([places, places[edge] * (1.1, 1.1, 1)])
         samples = np.moveaxis(np.concatenate([samples, samples[..., edge]], axis=-1), -1, 0)
         # locating a place that is exactly a vertex takes a thousand times as long
-        inwards = np.sign(WALL / 2 - targets[:, 2])
-        targets = targets + OFF * np.column_stack([np.ones((len(targets), 2)), inwards])
+        inwards = np.sign(of.wall / 2 - targets[:, 2])
+        targets = targets + 1e-6 * np.column_stack([np.ones((len(targets), 2)), inwards])
         interpolated = np.moveaxis(LinearNDInterpolator(places, samples)(targets), 0, -1)
         transferred[..., in_target] = np.where(np.isfinite(interpolated), interpolated, nearest)
     return transferred
@@ -156,7 +159,8 @@ def computed_coordinates(
         raise InputError(f"{mesh.name}: no boundary triangle is {', '.join(missing)}; label it")
     progress(0, 4)
     space = quadratic_space(mesh.vertices, mesh.tetrahedra)
-    left, right, outside = (space.on(mesh.having(label)) for label in SURFACES)
+    surfaces = (*ENDOCARDIA, Label.EPICARDIUM)
+    left, right, outside = (space.on(mesh.having(label)) for label in surfaces)
     base = space.on(mesh.having(*BASAL))
     ventricle = _potential(space, (0.0, left), (1.0, right)) > 0.5
     progress(1, 4)
@@ -177,7 +181,7 @@ def computed_coordinates(
     progress(3, 4)
     apicobasal = line_shares(mesh, _potential(space, (0.0, _nodes(space, at_apex)), (1.0, base)))
     progress(4, 4)
-    rotational = np.where(part == SEPTUM, 1 - turned / 3, 2 / 3 * turned)
+    rotational = np.where(part == Wall.SEPTUM, 1 - turned / 3, 2 / 3 * turned)
     return VentricularCoordinates(ventricle.astype(float), transmural, rotational, apicobasal)
 
 
@@ -269,16 +273,16 @@ def _parts(
 
     Each part keeps its largest piece; its other pieces change sides.
     """
-    part = np.where(septal, SEPTUM, np.where(ventricle, RV, LV))
+    part = np.where(septal, Wall.SEPTUM, np.where(ventricle, Wall.RV, Wall.LV))
     joined = space.edges[part[space.edges[:, 0]] == part[space.edges[:, 1]]]
     piece = components_of(joined, len(part))
     size = np.bincount(piece)
-    for kind in (LV, RV, SEPTUM):
+    for kind in Wall:
         if not (members := part == kind).any():
             raise InputError(f"{mesh.name}: no septum between two ventricles; check the labels")
         largest = piece[members][np.argmax(size[piece[members]])]
         septal = np.where(members & (piece != largest), ~septal, septal)
-    return np.where(septal, SEPTUM, np.where(ventricle, RV, LV))
+    return np.where(septal, Wall.SEPTUM, np.where(ventricle, Wall.RV, Wall.LV))
 
 
 def _sides(mesh: LabelledMesh, part: Integers, inwards: Floats) -> tuple[Booleans, Booleans]:
@@ -290,7 +294,7 @@ def _sides(mesh: LabelledMesh, part: Integers, inwards: Floats) -> tuple[Boolean
     # the long axis is the direction most nearly orthogonal to the endocardium's normals
     axis = np.linalg.eigh((normals / areas[:, None]).T @ normals)[1][:, 0]
     axis *= np.sign(axis @ (middle - vertices[mesh.having(*BASAL)].mean(axis=(0, 1))))
-    septum = mesh.tetrahedra[(part[mesh.tetrahedra] == SEPTUM).all(axis=1)]
+    septum = mesh.tetrahedra[(part[mesh.tetrahedra] == Wall.SEPTUM).all(axis=1)]
     gradients = np.einsum("mi,mix->mx", inwards[septum], barycentric_gradients(vertices, septum))
     to_the_right = -signed_volumes(vertices, septum) @ gradients
     away = vertices - middle

@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
+import igl
 import numpy as np
 
 from fascicle.core.arrays import Floats
@@ -22,17 +23,18 @@ from fascicle.core.leads import (
     RIGHT_LEADS,
 )
 from fascicle.core.ranges import check_position, shown
+from fascicle.heart.heart import Heart
+from fascicle.mesh.checks import check_units
 
 Electrodes = dict[str, Floats]  # positions (3,) by name, mm
-GROUND = "RL"  # the right leg
 
 
 def read_electrodes(path: Path | str) -> tuple[Floats, Electrodes]:
     """Read electrodes (mm): positions (9, 3) of `fascicle.core.leads.ELECTRODES`, then others.
 
-    Any other name is an additional electrode, except `GROUND`, which is in no lead and left out;
-    Frank's seven are given all or none. An error if the file is missing, a pickle or unreadable, or
-    an electrode is missing, misnamed or not at a finite position.
+    Any other name is an additional electrode, except RL (the right leg, grounded), which is in no
+    lead and left out; Frank's seven are given all or none. An error if the file is missing, a
+    pickle or unreadable, or an electrode is missing, misnamed or not at a finite position.
     """
     path = Path(path)
     check_file(path, (".csv", ".json"), "electrodes")
@@ -49,7 +51,7 @@ def read_electrodes(path: Path | str) -> tuple[Floats, Electrodes]:
     positions: dict[str, list[float]] = {}
     for name, values in rows:
         electrode = canonical.get(name.strip().upper(), name.strip())
-        if electrode.upper() == GROUND:
+        if electrode.upper() == "RL":
             continue
         if electrode.upper() in of_leads or not re.fullmatch(r"[\w.+ -]{1,24}", electrode):
             raise InputError(
@@ -125,3 +127,25 @@ def write_electrodes(
     else:
         rows = [",".join([name, *map(repr, position)]) for name, position in positions.items()]
         write_text(path, "\n".join(["name,x,y,z", *rows]) + "\n")
+
+
+def check_electrodes(name: str, heart: Heart) -> None:
+    """Refuse electrodes in other units, inside the tissue, or far from any torso."""
+    electrodes = heart.electrodes
+    off = np.linalg.norm(electrodes - np.median(electrodes, axis=0), axis=1)
+    # the two furthest may be misplaced; those of the chest alone span 150 to 250 mm on an adult
+    check_units(f"{name} (electrodes)", electrodes[np.argsort(off)[:7]], (120.0, 1200.0))
+    electrodes = heart.electrode_positions
+    tree = igl.AABB()
+    tree.init(heart.vertices, heart.tetrahedra)
+    inside = np.asarray(igl.in_element(heart.vertices, heart.tetrahedra, electrodes, tree))
+    distance = np.linalg.norm(electrodes - heart.vertices.mean(axis=0), axis=1)
+    for k, electrode in enumerate(heart.electrode_names):
+        where = "lies inside the tissue" if inside[k] >= 0 else ""
+        if distance[k] > 1500:  # mm
+            where = f"is {distance[k]:.0f} mm from the heart"
+        if where:
+            raise InputError(
+                f"{name}: electrode {electrode} {where}; check its position, and that electrodes "
+                "and heart share frame and units (mm)"
+            )

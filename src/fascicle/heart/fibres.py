@@ -40,10 +40,6 @@ from fascicle.heart.labelled_surface import BASAL, Label, LabelledMesh, missing_
 from fascicle.heart.laplace import QuadraticSpace, quadratic_space, solve_laplace
 from fascicle.mesh.measures import principal_axes, unit
 
-# The surfaces that carry an angle. Where two of them share a node the first one has it.
-SURFACES = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM)
-LV, RV, EPI = range(3)
-
 
 @dataclass(frozen=True)
 class FibreAngles:
@@ -146,7 +142,7 @@ def placeholder(directions: Floats) -> str:
 
 
 def is_placeholder(
-    what: str, array: str, directions: Floats, notes: list[str], *, kept: bool
+    kind: str, array: str, directions: Floats, notes: list[str], *, kept: bool
 ) -> bool:
     """Whether directions (m, 3) of an array are a `placeholder` that is not to be kept.
 
@@ -154,37 +150,38 @@ def is_placeholder(
     """
     if not kept and (fault := placeholder(directions)):
         notes.append(
-            f"{what}: {array} is a placeholder, as {fault}; a rule was applied instead (--fibres "
+            f"{kind}: {array} is a placeholder, as {fault}; a rule was applied instead (--fibres "
             "file keeps what is in the mesh's file)"
         )
         return True
     length = np.linalg.norm(directions, axis=1)
     if np.abs(length - 1).max() > 1e-3:
         lengths = f"vectors of length {length.min():.3g} to {length.max():.3g}"
-        notes.append(f"{what}: {array} has {lengths}; they were made unit vectors")
+        notes.append(f"{kind}: {array} has {lengths}; they were made unit vectors")
     return False
 
 
 def wall_potentials(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, Floats]:
-    """The harmonic potentials of the three `SURFACES` in the middle of each tetrahedron.
+    """The harmonic potentials of LV and RV endocardium and epicardium in each tetrahedron's middle.
 
-    Values (3, m), which add up to 1, and gradients (3, m, 3) (1/mm).
+    Values (3, m), which add up to 1, and gradients (3, m, 3) (1/mm). Where two of the surfaces
+    share a node the first one has it.
     """
     surface = np.full(space.size, -1)
-    for k in reversed(range(len(SURFACES))):
-        surface[space.on(mesh.having(SURFACES[k]))] = k
+    for k, label in ((2, Label.EPICARDIUM), (1, Label.RV_ENDOCARDIUM), (0, Label.LV_ENDOCARDIUM)):
+        surface[space.on(mesh.having(label))] = k
     fixed = np.flatnonzero(surface >= 0)
-    solved = [k for k in (LV, RV) if (surface == k).any()]
+    solved = [k for k in (0, 1) if (surface == k).any()]
     boundary_values = np.array([surface[fixed] == k for k in solved], dtype=float)
     solutions = solve_laplace(space, fixed, boundary_values)
     count = len(space.tetrahedra)
     values, gradients = np.zeros((3, count)), np.zeros((3, count, 3))
     for k, solution in zip(solved, solutions, strict=True):
         values[k], gradients[k] = space.at_centroids(solution)
-    values[EPI], gradients[EPI] = 1 - values[LV] - values[RV], -gradients[LV] - gradients[RV]
+    values[2], gradients[2] = 1 - values[0] - values[1], -gradients[0] - gradients[1]
     # quadratic functions overshoot a little; the bound keeps the potential of a surface that exists
     # above that of a missing one
-    present = [*solved, EPI]
+    present = [*solved, 2]
     values[present] = np.maximum(values[present], 1e-6)
     return values / values.sum(axis=0), gradients
 
@@ -270,15 +267,16 @@ def wall_and_depth(potentials: Floats) -> tuple[Integers, Floats]:
     """`Wall` and depth of each tetrahedron, as in `Fibres`, from `wall_potentials`."""
     # the wall between the two surfaces of higher potential
     wall = np.array([Wall.RV, Wall.LV, Wall.SEPTUM])[np.argmin(potentials, axis=0)]
-    inner = potentials[np.where(wall == Wall.RV, RV, LV), np.arange(len(wall))]
-    outer = potentials[np.where(wall == Wall.SEPTUM, RV, EPI), np.arange(len(wall))]
+    left, right, outside = potentials
+    inner = np.where(wall == Wall.RV, right, left)
+    outer = np.where(wall == Wall.SEPTUM, right, outside)
     return wall, 1 - inner / (inner + outer)
 
 
 def _on_surfaces(potentials: Floats, outflow: Floats, angles: FibreAngles) -> tuple[Floats, Floats]:
     """α and β of the three surfaces (rad) for each tetrahedron, shape (3, m)."""
     # epicardial angles pass from the left ventricle's to the right one's along their junction
-    right = potentials[RV] / np.maximum(potentials[LV] + potentials[RV], np.finfo(float).tiny)
+    right = potentials[1] / np.maximum(potentials[0] + potentials[1], np.finfo(float).tiny)
     everywhere = np.ones_like(right)
     epicardial = angles.lv_epicardium * (1 - right) + angles.rv_epicardium * right
     inside = np.outer((angles.lv_endocardium, angles.rv_endocardium), everywhere)

@@ -29,8 +29,7 @@ from fascicle.core.parameters import complete
 from fascicle.core.quantities import SPEED, check_not_twice, checked, region_labels
 from fascicle.heart.action_potential import read_action_potential, write_action_potential
 from fascicle.heart.assembly import assemble_heart
-from fascicle.heart.conduction import SPEEDS, Region
-from fascicle.heart.coordinate_arrays import used_points
+from fascicle.heart.conduction import Conduction, Region
 from fascicle.heart.electrodes import write_electrodes
 from fascicle.heart.heart import Heart, LeadFields, Torso, TorsoTissue
 from fascicle.mesh.checks import refuse
@@ -39,20 +38,19 @@ from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.mesh.measures import signed_volumes
 
-MANIFEST = "heart.toml"
-PICTURE = "check.png"  # of the heart, where the command that wrote the folder drew one
-LABELS_PICTURE = "labels.png"  # of labels that were found from the shape
-# Names of the files a heart is written to, by the manifest's keys
-FILES = {
+# Files of a heart folder, which may be replaced: the manifest, the files by its keys, and pictures,
+# where the command that wrote the folder drew them, of the heart and of labels found from its shape
+HEART_FILES = {
+    "manifest": "heart.toml",
     "mesh": "mesh.vtu",
     "lv_endocardium": "lv_endocardium.vtp",
     "rv_endocardium": "rv_endocardium.vtp",
     "electrodes": "electrodes.csv",
     "torso": "torso.vtu",
     "action_potential": "action_potential.csv",
+    "check": "check.png",
+    "labels": "labels.png",
 }
-# Files of a heart folder, which may be replaced
-OWN_FILES = {MANIFEST, PICTURE, LABELS_PICTURE, *FILES.values()}
 
 
 class Seeds(BaseModel, extra="forbid"):
@@ -88,11 +86,11 @@ class Manifest(BaseModel, extra="forbid"):
     example: dict[str, Any] = {}
 
 
-def as_heart(given: Heart | Path | str) -> Heart:
-    """A heart as it was given, or read from its folder; an error if it is neither."""
-    if isinstance(given, Heart):
-        return given
-    return load_heart(as_path(given, "heart", "a heart, its folder, or 'default'"))
+def as_heart(heart: Heart | Path | str) -> Heart:
+    """A heart as it is, or read from its folder; an error if it is neither."""
+    if isinstance(heart, Heart):
+        return heart
+    return load_heart(as_path(heart, "heart", "a heart, its folder, or 'default'"))
 
 
 def load_heart(path: Path | str) -> Heart:
@@ -117,7 +115,7 @@ def load_heart(path: Path | str) -> Heart:
         with suppress(OSError):  # so may a home; then nothing is kept
             cache.mkdir(parents=True, exist_ok=True)
         return replace(heart, folder=cache)
-    manifest, path = _read_manifest(folder), folder / MANIFEST
+    manifest, path = _read_manifest(folder), folder / HEART_FILES["manifest"]
     surfaces = {"lv": manifest.lv_endocardium, "rv": manifest.rv_endocardium}
     bundles = {"lv": manifest.lv, "rv": manifest.rv}
     mesh = read_mesh(named_by(path, manifest.mesh), "mesh")
@@ -157,9 +155,9 @@ def load_heart(path: Path | str) -> Heart:
 
 
 def _read_manifest(folder: Path) -> Manifest:
-    path = folder / MANIFEST
+    path = folder / HEART_FILES["manifest"]
     if not path.is_file():
-        fault = f"not a heart folder (no {MANIFEST})" if folder.exists() else "no such heart folder"
+        fault = "not a heart folder (no heart.toml)" if folder.exists() else "no such heart folder"
         raise InputError(f"{folder}: {fault}; make one with 'fascicle heart build'")
     try:
         return Manifest.model_validate(read_toml(path, "import the heart again"))
@@ -181,14 +179,14 @@ def _patient_values(path: Path, values: dict[str, Any], heart: Heart) -> dict[st
             Region(properties[name], label).elements(heart)
         for name in properties:
             # `Conduction.with_values` looks at these only; others would have no effect
-            if name not in (*SPEEDS, *SPEED, *regions.values()):
+            if name not in (*Conduction.velocities, *SPEED, *regions.values()):
                 raise InputError(f"'{name}' is not a property of the tissue; leave it out")
         return properties
 
 
 def _read_lead_fields(mesh: MeshFile, heart: Heart) -> Floats:
     """Lead fields (e, n) from the mesh's point arrays; electrodes added later may lack theirs."""
-    used = used_points(mesh)
+    used = np.unique(mesh.cells[TETRAHEDRON])
     rows = []
     for k, electrode in enumerate(heart.electrode_names):
         array = mesh.point_data.get(f"lead_field_{electrode}", np.empty(0))
@@ -197,7 +195,7 @@ def _read_lead_fields(mesh: MeshFile, heart: Heart) -> Floats:
         if array.shape != (len(mesh.points),) or not np.isfinite(array[used]).all():
             raise InputError(
                 f"{mesh.path}: the point array 'lead_field_{electrode}' is missing or not finite; "
-                f"build the heart again, or take 'lead_fields' out of {MANIFEST} to have them "
+                "build the heart again, or take 'lead_fields' out of heart.toml to have them "
                 "computed"
             )
         rows.append(array[used])
@@ -240,29 +238,29 @@ def check_heart_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
             )
     if not folder.is_dir() or not any(folder.iterdir()):
         return
-    if not (folder / MANIFEST).exists():
+    if not (folder / HEART_FILES["manifest"]).exists():
         raise InputError(
-            f"{folder}: holds files and is not a heart folder (no {MANIFEST}); give another --out"
+            f"{folder}: holds files and is not a heart folder (no heart.toml); give another --out"
         )
-    check_nothing_lost(folder, OWN_FILES)
+    check_nothing_lost(folder, set(HEART_FILES.values()))
 
 
 def write_heart(heart: Heart, folder: Path) -> None:
     """Write a heart folder, whole or not at all."""
     check_heart_folder(folder)
-    with atomic_folder(folder, disposable=OWN_FILES) as temporary:
-        write_mesh(heart, temporary / FILES["mesh"])
+    with atomic_folder(folder, disposable=set(HEART_FILES.values())) as temporary:
+        files = {key: temporary / file for key, file in HEART_FILES.items()}
+        write_grid(files["mesh"], *heart_mesh(heart))
         for e in heart.endocardia:
             valves = {} if e.valves is None else {"valve": e.valves.astype(int)}
-            file = temporary / FILES[f"{e.side}_endocardium"]
+            file = files[f"{e.side}_endocardium"]
             write_grid(file, e.vertices, e.triangles, TRIANGLE, cell_data=valves)
-        electrodes = heart.electrodes, heart.additional_electrodes
-        write_electrodes(temporary / FILES["electrodes"], *electrodes)
+        write_electrodes(files["electrodes"], heart.electrodes, heart.additional_electrodes)
         if heart.torso is not None:
-            write_torso(temporary / FILES["torso"], heart.torso)
+            write_torso(files["torso"], heart.torso)
         if heart.action_potential is not None:
-            write_action_potential(temporary / FILES["action_potential"], heart.action_potential)
-        (temporary / MANIFEST).write_text(_manifest_text(heart), encoding="utf-8")
+            write_action_potential(files["action_potential"], heart.action_potential)
+        files["manifest"].write_text(_manifest_text(heart), encoding="utf-8")
 
 
 def _manifest_text(heart: Heart) -> str:
@@ -271,7 +269,7 @@ def _manifest_text(heart: Heart) -> str:
         # characters that cannot be UTF-8 (odd bytes in a path) become '?'
         "name": heart.name.encode("utf-8", "replace").decode("utf-8"),
         "units": "mm",
-        **FILES,
+        **{key: file for key, file in HEART_FILES.items() if key in Manifest.model_fields},
     }
     for optional in ("torso", "action_potential"):
         if getattr(heart, optional) is None:
@@ -296,11 +294,6 @@ def write_torso(path: Path, torso: Torso) -> None:
     """Write a torso as VTU, with its tissues as the cell array ``tissue``."""
     tissues = {"tissue": torso.tissues.astype(np.float64)}
     write_grid(path, torso.vertices, torso.tetrahedra, TETRAHEDRON, cell_data=tissues)
-
-
-def write_mesh(heart: Heart, path: Path) -> None:
-    """Write the tetrahedra and every array of a heart as one VTU file (mm)."""
-    write_grid(path, *heart_mesh(heart))
 
 
 def heart_mesh(heart: Heart) -> Any:

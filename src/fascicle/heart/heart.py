@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import igl
 import numpy as np
@@ -20,7 +20,6 @@ from fascicle.core.files import as_path
 from fascicle.core.leads import ELECTRODES, LEADS, additional_leads
 from fascicle.core.ranges import short_repr
 from fascicle.heart.action_potential import TabulatedPotential
-from fascicle.heart.coordinate_arrays import VentricularCoordinates
 from fascicle.heart.endocardium import Endocardium
 from fascicle.mesh.formats.vtk import pyvista_grid
 from fascicle.mesh.measures import edge_lengths, signed_volumes
@@ -64,6 +63,37 @@ class LeadFields:
     torso: str
 
     __repr__ = short_repr
+
+
+@dataclass(frozen=True)
+class VentricularCoordinates:
+    """Ventricular coordinates of each vertex (n,), as `fascicle.heart.coordinates` defines them.
+
+    The ventricle is 0 in the left, 1 in the right one; the others are from 0 to 1.
+    """
+
+    names: ClassVar = ("tv", "tm", "rt", "ab")  # as Cobiveco writes them
+    wall: ClassVar[float] = 0.1  # thickness in `places`; the way from apex to base is 1
+
+    ventricle: Floats
+    transmural: Floats
+    rotational: Floats
+    apicobasal: Floats
+
+    __repr__ = short_repr
+
+    @property
+    def arrays(self) -> dict[str, Floats]:
+        """Coordinates by their names."""
+        values = (self.ventricle, self.transmural, self.rotational, self.apicobasal)
+        return dict(zip(self.names, values, strict=True))
+
+    @property
+    def places(self) -> Floats:
+        """Positions (n, 3) in a disk for each ventricle, apex in the middle, as thick as `wall`."""
+        turn = 2 * np.pi * self.rotational
+        around = self.apicobasal * np.array([np.cos(turn), np.sin(turn)])
+        return np.column_stack([*around, self.wall * self.transmural])
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,6 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError, printable
 from fascicle.heart.endocardium import long_axis
 from fascicle.heart.heart import Heart
-from fascicle.mesh.formats.mesh_file import GROUP
 from fascicle.mesh.measures import triangle_normals, unit
 from fascicle.mesh.topology import boundary_loops
 
@@ -134,18 +133,9 @@ def labelled_mesh(heart: Heart) -> LabelledMesh:
 
 Names = Mapping[str, Label]  # the caller's own names and numbers (as text) of labels
 
-# Arrays of surfaces and meshes that hold labels, in the order in which they are looked for
-LABEL_NAMES = ("label", "labels", "class", "classes", "surface", "surfaces", "boundary", GROUP)
-EXAMPLE = "--labels base=1,epicardium=2,lv=3,rv=4"
-# Names of the surfaces in files for other software
-SURFACE_NAMES = {
-    Label.LV_ENDOCARDIUM: "lv_endo",
-    Label.RV_ENDOCARDIUM: "rv_endo",
-    Label.EPICARDIUM: "epi",
-    Label.BASE: "base",
-}
-# Words that decide, in the order in which they do: "lv_epi" is epicardium, "rv base" is base
-DECIDING: dict[Label, tuple[str, ...]] = {
+# Words that decide, in the order in which they do ("lv_epi" is epicardium, "rv base" is base), and
+# words that may accompany them
+LABEL_WORDS: dict[Label | None, tuple[str, ...]] = {
     Label.MITRAL: ("mitral", "mv"),
     Label.AORTIC: ("aortic", "aorta", "av", "aov"),
     Label.TRICUSPID: ("tricuspid", "tv"),
@@ -154,14 +144,13 @@ DECIDING: dict[Label, tuple[str, ...]] = {
     Label.BASE: ("base", "basal"),
     Label.LV_ENDOCARDIUM: ("lv", "left"),
     Label.RV_ENDOCARDIUM: ("rv", "right"),
-}
-# Words that decide, and words that may accompany them
-WORDS = {word for words in DECIDING.values() for word in words} | {
-    "endo", "endocardium", "endocardial", "ventricle", "ventricular", "ventricles", "heart",
-    "surface", "surf", "sur", "face", "faces", "boundary", "wall", "valve", "annulus", "opening",
-    "plane", "septum", "septal", "sept", "free", "cavity", "side", "set", "the", "of",
+    None: (
+        "endo", "endocardium", "endocardial", "ventricle", "ventricular", "ventricles", "heart",
+        "surface", "surf", "sur", "face", "faces", "boundary", "wall", "valve", "annulus",
+        "opening", "plane", "septum", "septal", "sept", "free", "cavity", "side", "set", "the",
+        "of",
+    ),
 }  # fmt: skip
-ANY_WORD = "|".join(sorted(WORDS, key=len, reverse=True))
 
 
 def label_of(name: str) -> Label | None:
@@ -173,13 +162,14 @@ def label_of(name: str) -> Label | None:
     """
     if len(name) > 60:
         return None
+    any_word = "|".join(sorted(sum(LABEL_WORDS.values(), ()), key=len, reverse=True))
     words: set[str] = set()
     for letters in re.findall("[^\\W\\d_]+", name.lower()):
-        matches = re.findall(rf"({ANY_WORD})(?=(?:{ANY_WORD})*$)", letters)
+        matches = re.findall(rf"({any_word})(?=(?:{any_word})*$)", letters)
         if "".join(matches) != letters:
             return None
         words.update(matches)
-    meant = [label for label, deciding in DECIDING.items() if words.intersection(deciding)]
+    meant = [label for label, some in LABEL_WORDS.items() if label and words.intersection(some)]
     if not meant or set(meant) == {Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM}:
         return None
     return meant[0]
@@ -255,6 +245,7 @@ def labels_of(source: str, numbers: Integers, names: Names, groups: Mapping[int,
         by_value = [f"{label.value} {label.name.lower()}" for label in free]
         raise InputError(
             f"{source}: unknown labels: {', '.join(strange)}; known are "
-            f"{', '.join(by_name + by_value)}; say which number is what, as in {EXAMPLE}"
+            f"{', '.join(by_name + by_value)}; say which number is what, as in "
+            "--labels base=1,epicardium=2,lv=3,rv=4"
         )
     return np.array(labels, dtype=np.int64)[which]

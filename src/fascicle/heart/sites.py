@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -23,11 +23,10 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.declared import Fraction, Table
 from fascicle.core.errors import InputError
 from fascicle.core.ranges import did_you_mean, plain_name
-from fascicle.heart.coordinate_arrays import VentricularCoordinates
 from fascicle.heart.coordinates import ventricular_coordinates
 from fascicle.heart.endocardium import about_long_axis, long_axis, septal_seeds
 from fascicle.heart.fibres import Wall, wall_and_depth, wall_potentials
-from fascicle.heart.heart import Heart
+from fascicle.heart.heart import Heart, VentricularCoordinates
 from fascicle.heart.labelled_surface import labelled_mesh
 from fascicle.heart.laplace import quadratic_space
 from fascicle.mesh.measures import unit
@@ -43,15 +42,6 @@ SEGMENTS = (
 )  # fmt: skip
 RIGHT, APEX = 0, 17  # segment numbers of the right ventricle's free wall, and of the apex
 LAYERS = ("endocardium", "epicardium")
-RIGHT_SITES = ("rv apex", "rv septum", "rv outflow tract", "rv free wall")
-# mm below the left root, on the endocardium
-LEFT_SITES = {"left bundle": 5.0, "left septum": 15.0}
-# Other names of sites, as `plain_name` gives them
-SITE_ALIASES = {
-    "rvot": "rv outflow tract", "rvoutflow": "rv outflow tract", "rightventricularapex": "rv apex",
-    "rightseptum": "rv septum", "lbb": "left bundle", "leftbundlebranch": "left bundle",
-    "lvseptum": "left septum",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -119,6 +109,16 @@ class CoordinateSite(Table, table="stimulus.site", once=True):
 class Sites:
     """The named sites of a heart."""
 
+    # mm below the left root, on the endocardium
+    left: ClassVar = {"left bundle": 5.0, "left septum": 15.0}
+    right: ClassVar = ("rv apex", "rv septum", "rv outflow tract", "rv free wall")
+    # other names of sites, as `plain_name` gives them
+    aliases: ClassVar = {
+        "rvot": "rv outflow tract", "rvoutflow": "rv outflow tract",
+        "rightventricularapex": "rv apex", "rightseptum": "rv septum", "lbb": "left bundle",
+        "leftbundlebranch": "left bundle", "lvseptum": "left septum",
+    }  # fmt: skip
+
     def __init__(self, heart: Heart) -> None:
         self.heart = heart
         self._known: dict[str | CoordinateSite, tuple[float, float, float]] = {}
@@ -179,16 +179,16 @@ class Sites:
         if segment is not None and (segment[1] is None or 1 <= int(segment[1]) <= len(SEGMENTS)):
             number = int(segment[1]) if segment[1] is not None else 1 + SEGMENTS.index(segment[2])
             return self._in_segment(number, segment[3])
-        if name in LEFT_SITES:
-            return self._below_left_root(LEFT_SITES[name])
-        if name in RIGHT_SITES:
+        if name in self.left:
+            return self._below_left_root(self.left[name])
+        if name in self.right:
             return self._on_the_right(name)
-        names = [*LEFT_SITES, *RIGHT_SITES, *(f"{segment} {LAYERS[0]}" for segment in SEGMENTS)]
+        names = [*self.left, *self.right, *(f"{segment} {LAYERS[0]}" for segment in SEGMENTS)]
         layers = [(plain_name(s), f"{s} {layer}") for s in SEGMENTS for layer in LAYERS]
-        hint = did_you_mean(name, names, [*SITE_ALIASES.items(), *layers])
+        hint = did_you_mean(name, names, [*self.aliases.items(), *layers])
         raise InputError(
             f"there is no site '{spelling}'; {f'{hint} Sites' if hint else 'sites'} are "
-            f"{', '.join((*LEFT_SITES, *RIGHT_SITES))}, and segments with a layer, such as "
+            f"{', '.join((*self.left, *self.right))}, and segments with a layer, such as "
             f"'{SEGMENTS[11]} {LAYERS[1]}' or 'segment 12 {LAYERS[1]}'; or give ventricular "
             "coordinates"
         )

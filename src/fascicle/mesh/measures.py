@@ -10,13 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.topology import boundary_loops, fan
 
 # Quadrature of degree 2 on a tetrahedron (Hammer and Stroud, 1956): four points of equal weight,
 # each nearer to one corner, in barycentric coordinates
-_NEAR, _FAR = (5 + 3 * np.sqrt(5)) / 20, (5 - np.sqrt(5)) / 20
-HAMMER_STROUD_POINTS = _FAR + (_NEAR - _FAR) * np.eye(4)
+HAMMER_STROUD_POINTS = (5 - np.sqrt(5)) / 20 + np.sqrt(5) / 5 * np.eye(4)
 
 
 def unit(vectors: Floats) -> Floats:
@@ -158,7 +156,7 @@ def quality(vertices: Floats, tetrahedra: Integers) -> Quality:
     """
     import pyvista as pv
 
-    grid = pv.UnstructuredGrid({TETRAHEDRON: tetrahedra}, vertices)
+    grid = pv.UnstructuredGrid({pv.CellType.TETRA: tetrahedra}, vertices)
     angles, _ = igl.dihedral_angles(vertices, tetrahedra)
     return Quality(
         vertices=len(vertices),
@@ -181,11 +179,11 @@ def self_intersections(vertices: Floats, triangles: Integers) -> Integers:
     return np.unique(np.sort(np.reshape(pairs, (-1, 2)), axis=1), axis=0)
 
 
-def intersections(one: tuple[Floats, Integers], other: tuple[Floats, Integers]) -> Integers:
+def intersections(first: tuple[Floats, Integers], second: tuple[Floats, Integers]) -> Integers:
     """Pairs (k, 2) of triangles of two surfaces (vertices and triangles) that meet."""
     arrays = [
         np.ascontiguousarray(array, kind)
-        for surface in (one, other)
+        for surface in (first, second)
         for array, kind in zip(surface, (np.float64, np.int64), strict=True)
     ]
     _, pairs, _ = igl.predicates.find_intersections(*arrays)

@@ -21,29 +21,27 @@ from fascicle.core.errors import InputError
 from fascicle.mesh.measures import closed_volume, signed_volumes, turned_outwards
 from fascicle.mesh.topology import unique_edges
 
-NOTHING = 0  # Netgen's number for a domain without elements
-
 
 class Interface(NamedTuple):
     """A closed surface (mm), counter-clockwise seen from outside, between two domains.
 
-    Domains have numbers from 1 up without gaps, or are `NOTHING`.
+    Domains have numbers from 1 up without gaps; 0 is Netgen's number for one without elements.
     """
 
     vertices: Floats
     triangles: Integers
-    inner: int
-    outer: int
+    inner: int = 1
+    outer: int = 0
 
 
 def tetrahedralise(
-    interfaces: Sequence[Interface], what: str, remedy: str, **parameters: float
+    interfaces: Sequence[Interface], space: str, remedy: str, **parameters: float
 ) -> tuple[Floats, Integers, Integers]:
     """Fill the domains between closed surfaces, left as they are, by Netgen.
 
     Schöberl 1997, Comput Vis Sci 1:41-52. The surfaces touch neither themselves nor one another.
-    An error calls the space between them `what`. Netgen's parameters are ``maxh``, the longest edge
-    (mm), and others.
+    An error calls what lies between them `space`. Netgen's parameters are ``maxh``, the longest
+    edge (mm), and others.
 
     The result is vertices (n, 3) (mm), those of the interfaces first, tetrahedra (m, 4), positively
     oriented, and the domain that each lies in (m,).
@@ -73,13 +71,13 @@ def tetrahedralise(
     vertices = np.array(mesh.Coordinates(), dtype=float, order="C")
     missing = 1 - float(signed_volumes(vertices, tetrahedra).sum()) / sum(
         closed_volume(interface.vertices, interface.triangles)
-        * (int(interface.inner != NOTHING) - int(interface.outer != NOTHING))
+        * (int(interface.inner > 0) - int(interface.outer > 0))
         for interface in interfaces
     )
     if abs(missing) > 1e-6:  # more than rounding: it leaves out what it cannot fill
         why = f" ({failure[1].strip()})" if failure else ""
         raise InputError(
-            f"{what}: {missing:.2%} could not be filled with tetrahedra{why}; {remedy}"
+            f"{space}: {missing:.2%} could not be filled with tetrahedra{why}; {remedy}"
         )
     return vertices, tetrahedra, elements["index"].astype(np.int64)
 

@@ -14,12 +14,11 @@ from fascicle.core.arrays import Booleans, Floats, Integers
 # Corners of the face opposite each corner of a tetrahedron, counter-clockwise seen from outside
 TETRAHEDRON_FACES = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
 TETRAHEDRON_EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
-TRIANGLE_EDGES = np.array([(0, 1), (1, 2), (2, 0)])
 
 
 def directed_edges(triangles: Integers) -> Integers:
     """Edges of triangles (m, 3) as each runs around it, shape (3m, 2)."""
-    return np.asarray(triangles[:, TRIANGLE_EDGES].reshape(-1, 2))
+    return np.asarray(triangles[:, [(0, 1), (1, 2), (2, 0)]].reshape(-1, 2))
 
 
 def unique_edges(triangles: Integers) -> tuple[Integers, Integers]:
@@ -87,11 +86,14 @@ def pieces_of(tetrahedra: Integers, count: int) -> Integers:
     return components_of(tetrahedra[:, [(0, 1), (0, 2), (0, 3)]].reshape(-1, 2), count)
 
 
-def merged_vertices(vertices: Floats, tolerance: float) -> Integers:
+def merged_vertices(vertices: Floats, tolerance: float | None = None) -> Integers:
     """For each vertex (n, 3) the first one that it is merged with, shape (n,).
 
-    Vertices within the tolerance (mm) of one another, or linked by others that are, become one.
+    Vertices within the tolerance (mm), by default a millionth of the largest extent, of one
+    another, or linked by others that are, become one.
     """
+    if tolerance is None:
+        tolerance = 1e-6 * float(np.ptp(vertices, axis=0).max())
     pairs = cKDTree(vertices).query_pairs(tolerance, output_type="ndarray")
     group = components_of(pairs, len(vertices))
     _, first = np.unique(group, return_index=True)
@@ -107,10 +109,10 @@ def whole_triangles(triangles: Integers) -> Booleans:
     return np.asarray(whole & (corners[:, 1:] != corners[:, :-1]).all(axis=1))
 
 
-def places_in(triangles: Integers, others: Integers) -> Integers:
-    """Row of each triangle (m, 3) in `others` (n, 3), in any order of corners; -1 if absent."""
-    rows = np.sort(np.concatenate([others, triangles]), axis=1)
+def places_in(triangles: Integers, among: Integers) -> Integers:
+    """Row of each triangle (m, 3) in `among` (n, 3), in any order of corners; -1 if absent."""
+    rows = np.sort(np.concatenate([among, triangles]), axis=1)
     _, number = np.unique(rows, axis=0, return_inverse=True)
     place = np.full(number.max() + 1, -1)
-    place[number[: len(others)]] = np.arange(len(others))
-    return np.asarray(place[number[len(others) :]])
+    place[number[: len(among)]] = np.arange(len(among))
+    return np.asarray(place[number[len(among) :]])

@@ -17,7 +17,7 @@ from fascicle.core.errors import FileError, InputError, ValueRefusedError, given
 from fascicle.core.files import PACKAGED, as_path, check_file, write_text
 from fascicle.core.progress import Progress
 from fascicle.core.ranges import shown
-from fascicle.heart.folder import MANIFEST
+from fascicle.heart.folder import HEART_FILES
 from fascicle.networks.prior import PARAMETERS, read_settings
 from fascicle.networks.settings import FitSettings, checked_settings
 from fascicle.patients.outcome import Outcome, Status
@@ -98,9 +98,10 @@ class Patient:
     def check(self) -> Outcome | None:
         """Outcome of a patient whose files are missing or settings invalid; else None."""
         try:
-            if self.heart not in PACKAGED and not (Path(self.heart) / MANIFEST).is_file():
+            manifest = HEART_FILES["manifest"]
+            if self.heart not in PACKAGED and not (Path(self.heart) / manifest).is_file():
                 raise FileError(
-                    f"{self.heart}: not a heart folder (no {MANIFEST}); make one with "
+                    f"{self.heart}: not a heart folder (no {manifest}); make one with "
                     "'fascicle heart build'"
                 )
             existing_file(self.recording)

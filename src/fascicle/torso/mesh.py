@@ -11,7 +11,7 @@ from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.heart import Heart, Torso, TorsoTissue
 from fascicle.heart.labelled_surface import ENDOCARDIA, LabelledMesh, labelled_mesh
 from fascicle.mesh.measures import signed_volumes, winding_number
-from fascicle.mesh.meshing import NOTHING, Interface, tetrahedralise
+from fascicle.mesh.meshing import Interface, tetrahedralise
 from fascicle.mesh.topology import without_unused_vertices
 from fascicle.torso.electrode_sites import FARTHEST
 from fascicle.torso.idealised import FITTED, fitted_torso, idealised_torso
@@ -67,8 +67,8 @@ def mesh_torso(
     # one optimisation step leaves no dihedral angle below 5 degrees around a good heart mesh
     vertices, tetrahedra, domains = tetrahedralise(
         [
-            Interface(heart, triangles, NOTHING, around),
-            Interface(*skin, around, NOTHING),
+            Interface(heart, triangles, 0, around),
+            Interface(*skin, around),
             *(Interface(*lung, number, around) for number, lung in enumerate(lungs, first_lung)),
         ],
         f"{mesh.name}: the torso around it",

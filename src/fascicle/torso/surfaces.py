@@ -13,8 +13,14 @@ import numpy as np
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import LabelledMesh
-from fascicle.heart.validate import check_units
-from fascicle.mesh.checks import check_edges, first_places, oriented_piece, place, refuse
+from fascicle.mesh.checks import (
+    check_edges,
+    check_units,
+    first_places,
+    oriented_piece,
+    place,
+    refuse,
+)
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.measures import closed_volume, intersections, self_intersections, turned_outwards

@@ -18,9 +18,9 @@ SOLIDS = {11: ("voxels", 8), 12: ("hexahedra", 8), 13: ("wedges", 6), 14: ("pyra
 GROUP = "gmsh:physical"  # meshio's name for the number of a cell's physical group
 
 
-def damaged(path: Path, found: object) -> InputError:
+def damaged(path: Path, fault: object) -> InputError:
     """Error of a file that ends early or contradicts itself."""
-    return InputError(f"{path}: truncated or damaged ({found}); export or copy it again")
+    return InputError(f"{path}: truncated or damaged ({fault}); export or copy it again")
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class MeshFile:
     cells: dict[int, Integers]
     point_data: dict[str, Floats] = field(default_factory=dict)
     cell_data: dict[int, dict[str, Floats]] = field(default_factory=dict)
-    others: dict[str, int] = field(default_factory=dict)  # how many cells of other kinds there are
+    other_cells: dict[str, int] = field(default_factory=dict)  # number of those of other kinds
     has_polylines: bool = False  # a line was split into segments, which share its cell data
     # dimension and number of Gmsh's physical groups; cells have the number in the array `GROUP`
     groups: dict[str, tuple[int, int]] = field(default_factory=dict)
@@ -59,13 +59,13 @@ class MeshFile:
     def require(self, kind: int, name: str) -> Integers:
         """Cells of one kind."""
         cells = self.cells.get(kind)
-        other_cells = ", ".join(f"{count} {other}" for other, count in self.others.items())
+        other_cells = ", ".join(f"{count} {other}" for other, count in self.other_cells.items())
         if cells is None or not len(cells):
             contents = f"{len(self.points)} points, other cells: {other_cells or 'none'}"
             raise InputError(
                 f"{self.path}: no {name} in this file ({contents}); give a mesh that has {name}"
             )
-        if self.others and kind != LINE:
+        if self.other_cells and kind != LINE:
             raise InputError(
                 f"{self.path}: {len(cells)} {name}, but also other cells ({other_cells}); "
                 f"make the whole mesh of {name}"

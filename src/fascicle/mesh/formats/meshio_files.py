@@ -22,15 +22,12 @@ from fascicle.core.errors import InputError, one_line
 from fascicle.core.netcdf import DAMAGED
 from fascicle.mesh.formats.mesh_file import GROUP, LINE, TETRAHEDRON, TRIANGLE, MeshFile, damaged
 
-# Gmsh's number of an element type: its name and how many nodes it has
+# Gmsh's number of an element type: its name, how many nodes it has, and VTK's number if it is used
 GMSH_ELEMENTS = {
-    1: ("line", 2), 2: ("triangle", 3), 3: ("quadrangle", 4), 4: ("tetra", 4),
-    5: ("hexahedron", 8), 6: ("wedge", 6), 7: ("pyramid", 5), 8: ("line3", 3), 9: ("triangle6", 6),
-    10: ("quadrangle9", 9), 11: ("tetrahedron10", 10), 15: ("vertex", 1),
-}  # fmt: skip
-USED = {
-    "line": LINE, "triangle": TRIANGLE, "tetra": TETRAHEDRON, "hexahedron": 12, "wedge": 13,
-    "pyramid": 14,
+    1: ("line", 2, LINE), 2: ("triangle", 3, TRIANGLE), 3: ("quadrangle", 4, None),
+    4: ("tetra", 4, TETRAHEDRON), 5: ("hexahedron", 8, 12), 6: ("wedge", 6, 13),
+    7: ("pyramid", 5, 14), 8: ("line3", 3, None), 9: ("triangle6", 6, None),
+    10: ("quadrangle9", 9, None), 11: ("tetrahedron10", 10, None), 15: ("vertex", 1, None),
 }  # fmt: skip
 
 
@@ -49,7 +46,8 @@ def read_meshio(path: Path) -> MeshFile:
         raise damaged(path, one_line(printed.getvalue()))
     cells: dict[int, Integers] = {}
     cell_data: dict[int, dict[str, Floats]] = {}
-    for name, kind in USED.items():
+    used = {name: kind for name, _, kind in GMSH_ELEMENTS.values() if kind is not None}
+    for name, kind in used.items():
         if blocks := [i for i, block in enumerate(data.cells) if block.type == name]:
             cells[kind] = np.concatenate([data.cells[i].data for i in blocks]).astype(np.int64)
             cell_data[kind] = {
@@ -60,7 +58,7 @@ def read_meshio(path: Path) -> MeshFile:
     if points.shape[1] != 3:
         raise InputError(f"{path}: points have {points.shape[1]} coordinates; 3 are needed")
     other_cells = {
-        block.type: len(block.data) for block in data.cells if block.type not in (*USED, "vertex")
+        block.type: len(block.data) for block in data.cells if block.type not in (*used, "vertex")
     }
     groups = {name: (int(of), int(number)) for name, (number, of) in data.field_data.items()}
     return MeshFile(
@@ -127,16 +125,16 @@ def _parsed(path: Path, content: bytes) -> MeshFile:
         raise ValueError("no nodes or no elements")
     ids = nodes[:, 0].astype(np.int64)
     cells, cell_data, other_cells = {}, {}, {}
-    for kind in sorted({kind for kind, _ in elements}):
-        type_name = GMSH_ELEMENTS[kind][0]
-        rows = np.concatenate([rows for of, rows in elements if of == kind])
-        if type_name in USED:
+    for element in sorted({element for element, _ in elements}):
+        type_name, _, kind = GMSH_ELEMENTS[element]
+        rows = np.concatenate([rows for of, rows in elements if of == element])
+        if kind is not None:
             places = _places(rows[:, 2:], ids)
             if (places < 0).any():
                 raise ValueError(f"no node {rows[:, 2:][places < 0][0]}")
-            cells[USED[type_name]] = places
+            cells[kind] = places
             arrays = {GROUP: rows[:, 1].astype(float)} | _arrays(data["ElementData"], rows[:, 0])
-            cell_data[USED[type_name]] = arrays
+            cell_data[kind] = arrays
         elif type_name != "vertex":
             other_cells[type_name] = len(rows)
     point_data = _arrays(data["NodeData"], ids)

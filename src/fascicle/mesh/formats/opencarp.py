@@ -24,9 +24,10 @@ from fascicle.mesh.formats.mesh_file import (
     damaged,
 )
 
-# Names of elements: VTK's number of those that are used here, and how many nodes they have
-OPENCARP_ELEMENTS = {"Ln": (LINE, 2), "Tr": (TRIANGLE, 3), "Tt": (TETRAHEDRON, 4)}
-OTHER_ELEMENTS = {
+# Names of elements: VTK's number of those that are used here and how many nodes they have, or what
+# the others are
+OPENCARP_ELEMENTS: dict[str, tuple[int, int] | str] = {
+    "Ln": (LINE, 2), "Tr": (TRIANGLE, 3), "Tt": (TETRAHEDRON, 4),
     "Cx": "connections", "Qd": "quadrangles", "Py": "pyramids", "Pr": "prisms", "Hx": "hexahedra",
     "Oc": "octahedra",
 }  # fmt: skip
@@ -58,16 +59,15 @@ def read_opencarp_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
         by_type.setdefault(line.lstrip()[:2], []).append(row)
     cells, cell_data, other_cells = {}, dict[int, dict[str, Floats]](), {}
     for code, rows_of_type in by_type.items():
-        if code in OTHER_ELEMENTS:
-            other_cells[OTHER_ELEMENTS[code]] = len(rows_of_type)
-            continue
-        if code not in OPENCARP_ELEMENTS:
-            types = ", ".join((*OPENCARP_ELEMENTS, *OTHER_ELEMENTS))
+        if (element := OPENCARP_ELEMENTS.get(code)) is None:
             raise InputError(
                 f"{elements}: line {rows_of_type[0] + 2} is of an unknown element type "
-                f"'{printable(code)}'; the types are {types}"
+                f"'{printable(code)}'; the types are {', '.join(OPENCARP_ELEMENTS)}"
             )
-        kind, corners = OPENCARP_ELEMENTS[code]
+        if isinstance(element, str):
+            other_cells[element] = len(rows_of_type)
+            continue
+        kind, corners = element
         text = [lines[row].lstrip()[2:] for row in rows_of_type]
         numbers = _indices(elements, text, corners, len(points))
         cells[kind] = np.ascontiguousarray(numbers[:, :corners])
@@ -75,11 +75,9 @@ def read_opencarp_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
         cell_data[kind] = {"region": tags[:, 0]} if tags.size else {}
     if opencarp_file(path, ".lon").exists():
         directions = _read_directions(opencarp_file(path, ".lon"), len(lines))
-        for code in by_type.keys() & OPENCARP_ELEMENTS.keys():
-            rows = by_type[code]
-            cell_data[OPENCARP_ELEMENTS[code][0]] |= {
-                name: v[rows] for name, v in directions.items()
-            }
+        for code, rows in by_type.items():
+            if not isinstance(element := OPENCARP_ELEMENTS[code], str):
+                cell_data[element[0]] |= {name: v[rows] for name, v in directions.items()}
     return MeshFile(elements, points, cells, {}, cell_data, other_cells)
 
 
@@ -116,13 +114,7 @@ def read_surf(path: Path, points: int) -> Integers:
 
 def read_vtx(path: Path, points: int) -> Integers:
     """Read the vertex numbers (k,) of a `.vtx` file, for a mesh with this number of points."""
-    header, *lines = _lines(path, "vertices")
-    domain = lines[0].strip() if lines else ""
-    if domain not in ("intra", "extra"):
-        raise InputError(
-            f"{path}: the second line is '{_start(domain)}'; it must be 'intra' or 'extra'"
-        )
-    text = _checked_count(path, header, lines[1:])
+    text = _counted_lines(path, "vertices", has_domain=True)
     return _indices(path, text, 1, points, tagged=False)[:, 0]
 
 
@@ -146,13 +138,15 @@ def _lines(path: Path, purpose: str) -> list[str]:
     return text.rstrip().split("\n")
 
 
-def _counted_lines(path: Path, purpose: str) -> list[str]:
+def _counted_lines(path: Path, purpose: str, has_domain: bool = False) -> list[str]:
+    """Lines after the header and perhaps a domain, if they are as many as the header says."""
     header, *lines = _lines(path, purpose)
-    return _checked_count(path, header, lines)
-
-
-def _checked_count(path: Path, header: str, lines: list[str]) -> list[str]:
-    """Lines, if they are as many as the header says."""
+    if has_domain:
+        domain = lines.pop(0).strip() if lines else ""
+        if domain not in ("intra", "extra"):
+            raise InputError(
+                f"{path}: the second line is '{_start(domain)}'; it must be 'intra' or 'extra'"
+            )
     if not lines or header.strip() != str(len(lines)):
         raise damaged(path, f"the first line is '{_start(header)}', and {len(lines)} lines follow")
     return lines
@@ -211,12 +205,13 @@ def write_surf(path: Path, triangles: Integers) -> None:
 
 
 def write_opencarp_mesh(
-    stem: Path, points: Floats, code: str, cells: Integers, tags: Integers
+    stem: Path, points: Floats, code: str, cells: Integers, tags: Integers | None = None
 ) -> None:
     """Write ``<stem>.pts`` and ``<stem>.elem``: points (n, 3) in mm, and cells (m, k) with tags.
 
-    The code is openCARP's name of the cells, such as ``"Tt"`` for tetrahedra.
+    The code is openCARP's name of the cells, such as ``"Tt"`` for tetrahedra; default tags are 1.
     """
+    tags = tags if tags is not None else np.ones(len(cells), dtype=np.int64)
     positions = _rows("%.6f %.6f %.6f", points * 1000)
     write_text(opencarp_file(stem, ".pts"), f"{len(points)}\n{positions}")
     text = _rows(" ".join([code, *["%d"] * (cells.shape[1] + 1)]), np.column_stack([cells, tags]))

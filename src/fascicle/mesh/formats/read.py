@@ -1,23 +1,24 @@
-"""Mesh files of any format: VTK, VTU, VTP, OBJ, STL, PLY, Gmsh and openCARP."""
+"""Mesh files of any format; hexahedra, wedges and pyramids are cut into tetrahedra."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from fascicle.core.arrays import Integers
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
 from fascicle.core.isolated import read_isolated
 from fascicle.mesh.checks import refuse
-from fascicle.mesh.formats.cut import cut_into_tetrahedra
-from fascicle.mesh.formats.mesh_file import OPENCARP_FORMATS, MeshFile, damaged
+from fascicle.mesh.formats.mesh_file import OPENCARP_FORMATS, SOLIDS, TETRAHEDRON, MeshFile, damaged
 from fascicle.mesh.formats.meshio_files import gmsh22_header, read_gmsh22, read_meshio
 from fascicle.mesh.formats.opencarp import read_opencarp_mesh
 from fascicle.mesh.formats.vtk import is_ascii_vtk, read_vtk
 
-VTK_FORMATS = (".vtk", ".vtu", ".vtp", ".obj", ".stl")
-MESH_FORMATS = (*VTK_FORMATS, ".ply", ".msh", *OPENCARP_FORMATS)
+MESH_FORMATS = (".vtk", ".vtu", ".vtp", ".obj", ".stl", ".ply", ".msh", *OPENCARP_FORMATS)
 
 
 def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
@@ -34,7 +35,8 @@ def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
     if path.suffix.lower() == ".msh" and gmsh22_header(content := path.read_bytes()):
         mesh: MeshFile = read_gmsh22(path, content)
     else:
-        mesh = read_isolated(read_vtk if path.suffix.lower() in VTK_FORMATS else read_meshio, path)
+        by_meshio = path.suffix.lower() in (".ply", ".msh")
+        mesh = read_isolated(read_meshio if by_meshio else read_vtk, path)
     if not len(mesh.points):
         raise InputError(f"{path}: no points could be read; the file is empty or truncated")
     bad = np.asarray(~np.isfinite(mesh.points).all(axis=1))
@@ -68,3 +70,85 @@ def _check_complete(path: Path) -> None:
         raise InputError(f"{path}: the file is empty; export or copy it again")
     if not complete:
         raise damaged(path, f"no {end} at its end")
+
+
+def cut_into_tetrahedra(mesh: MeshFile) -> MeshFile:
+    """Cut the solid cells of a file into tetrahedra, which take the rows of their arrays.
+
+    VTK orders the corners of a cell by their numbers (Schroeder, Geveci and Malaterre 2004,
+    "Compatible triangulations of spatial decompositions", IEEE Visualization), so neighbours agree
+    on the diagonal of their common face. Corners that coincide, as at an apex, are allowed. A cell
+    numbered the other way round is turned; one that is cut into a tetrahedron of no positive volume
+    is refused.
+    """
+    solids = {kind: cells for kind, cells in mesh.cells.items() if kind in SOLIDS and len(cells)}
+    if not solids:
+        return mesh
+    whole = [mesh.cells.get(TETRAHEDRON, np.empty((0, 4), dtype=np.int64))]
+    rest = {kind: cells for kind, cells in mesh.cells.items() if kind not in SOLIDS}
+    arrays = {kind: mesh.cell_data.get(kind, {}) for kind in solids}
+    if len(whole[0]):
+        arrays[TETRAHEDRON] = mesh.cell_data.get(TETRAHEDRON, {})
+    names = set.intersection(*map(set, arrays.values()))
+    rows = {name: [arrays[TETRAHEDRON][name]] if len(whole[0]) else [] for name in names}
+    for kind, cells in solids.items():
+        parts, parent = _parts(mesh, kind, cells)
+        whole.append(parts)
+        for name in names:
+            rows[name].append(arrays[kind][name][parent])
+    count = ", ".join(f"{len(cells)} {SOLIDS[kind][0]}" for kind, cells in solids.items())
+    kept = {kind: values for kind, values in mesh.cell_data.items() if kind not in SOLIDS}
+    note = f"mesh: {count} were cut into {sum(map(len, whole[1:]))} tetrahedra"
+    return replace(
+        mesh,
+        cells={**rest, TETRAHEDRON: np.concatenate(whole)},
+        cell_data={
+            **kept, TETRAHEDRON: {name: np.concatenate(values) for name, values in rows.items()}
+        },
+        notes=(*mesh.notes, note),
+    )  # fmt: skip
+
+
+def _parts(mesh: MeshFile, kind: int, cells: Integers) -> tuple[Integers, Integers]:
+    """Tetrahedra (m, 4) of the cells of one kind, and the cell that each is a part of (m,)."""
+    from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
+    from vtkmodules.vtkCommonCore import vtkPoints
+    from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkUnstructuredGrid
+    from vtkmodules.vtkFiltersGeneral import vtkDataSetTriangleFilter
+
+    grid, points, cell_array = vtkUnstructuredGrid(), vtkPoints(), vtkCellArray()
+    points.SetData(numpy_to_vtk(np.ascontiguousarray(mesh.points)))
+    corners = numpy_to_vtkIdTypeArray(np.ascontiguousarray(cells, dtype=np.int64).ravel())
+    cell_array.SetData(cells.shape[1], corners)
+    grid.SetPoints(points)
+    grid.SetCells(kind, cell_array)
+    number: Any = numpy_to_vtk(np.arange(len(cells)))
+    number.SetName("cell")
+    grid.GetCellData().AddArray(number)
+    cutter = vtkDataSetTriangleFilter()
+    cutter.TetrahedraOnlyOn()
+    cutter.SetInputData(grid)
+    cutter.Update()
+    output = cutter.GetOutput()
+    connections = vtk_to_numpy(output.GetCells().GetConnectivityArray())
+    parts = connections.reshape(-1, 4).astype(np.int64)
+    parent = vtk_to_numpy(output.GetCellData().GetArray("cell")).astype(np.int64)
+    ordered = np.sort(parts, axis=1)
+    proper = (np.diff(ordered, axis=1) > 0).all(axis=1)  # without coinciding corners
+    parts, parent = parts[proper], parent[proper]
+    origin, a, b, c = (mesh.points[parts[:, k]] for k in range(4))
+    volume = np.einsum("ij,ij->i", a - origin, np.cross(b - origin, c - origin))
+    low, high = np.full(len(cells), np.inf), np.full(len(cells), -np.inf)
+    np.minimum.at(low, parent, volume)
+    np.maximum.at(high, parent, volume)
+    refuse(
+        str(mesh.path),
+        ~((low > 0) | (high < 0)),
+        f"{SOLIDS[kind][0]} are flat or folded, so that no tetrahedra of positive volume fill them",
+        "correct the order of their corners, or remesh them",
+        mesh.points,
+        cells,
+    )
+    turned = high[parent] < 0
+    parts[turned] = parts[turned][:, [0, 2, 1, 3]]
+    return parts, parent
