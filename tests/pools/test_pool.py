@@ -68,8 +68,9 @@ def test_processes(simulator, recordings, points, expected):
         assert len(list(networks(elsewhere, recordings[0], [EXAMPLE_PARAMETERS] * 2))) == 2
         found = evaluated(simulator, paced, points[:2], pool)
         assert_same(found, evaluated(simulator, paced, points[:2], Threads(1)))
-        sent = [content for content, _ in pool._sent]
-        assert sent == [simulator.model, recordings, recordings[0], paced]
+        shared = simulator.model, simulator.prior, recordings, simulator.memory
+        sent = [id(content) for content, _ in pool._sent]
+        assert sent == [*map(id, (*shared, recordings[0], paced))]
 
 
 class Counting(Pool):
@@ -195,7 +196,7 @@ class TestCluster:
         assert pool.workers == 2
         assert_same(evaluated(simulator, recordings, points, pool), expected)
         assert_same(evaluated(simulator, recordings, points, pool), expected)
-        assert len(pool._sent) == 2  # the model, and the recordings
+        assert len(pool._sent) == 4  # the model, its prior, the recordings, and no beats
         with pytest.raises(InputError, match="not to be had"):
             list(pool.map(refuse, points, simulator.model))
 

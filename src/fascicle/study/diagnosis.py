@@ -126,4 +126,6 @@ def mixture(
         means_apart,
         agree and bool((effective * RUNS >= effective_wanted).all()),
         {name: joined(partial(of_part, name)) for name in averaged_names},
+        states=diagnosis.probable,
+        unnamed=diagnosis.unnamed,
     )
