@@ -33,8 +33,9 @@ import numpy.typing as npt
 
 from benchmarks.references import solve_from_vertices
 from fascicle.build.refinement import refined
-from fascicle.forward.eikonal.activation import attach, solve
-from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium
+from fascicle.forward.eikonal.activation import solve
+from fascicle.forward.eikonal.build import build_myocardium
+from fascicle.forward.eikonal.myocardium import Myocardium, attach
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart

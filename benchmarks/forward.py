@@ -147,7 +147,8 @@ def measure_fascicle(case: Case, repeats: int) -> Report:
     from benchmarks.eikonal_residual import eikonal_residual
     from benchmarks.references import solve_from_vertices
     from fascicle.core.parameters import Infeasible
-    from fascicle.forward.eikonal.activation import attach, solve
+    from fascicle.forward.eikonal.activation import solve
+    from fascicle.forward.eikonal.myocardium import attach
     from fascicle.forward.model import ForwardModel
 
     model = ForwardModel(_heart(case))

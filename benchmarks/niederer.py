@@ -41,8 +41,9 @@ import numpy.typing as npt
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import least_squares
 
-from fascicle.forward.eikonal.activation import attach, solve
-from fascicle.forward.eikonal.myocardium import build_myocardium
+from fascicle.forward.eikonal.activation import solve
+from fascicle.forward.eikonal.build import build_myocardium
+from fascicle.forward.eikonal.myocardium import attach
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.forward.ecg.lead_field import MM_PER_CM
-from fascicle.forward.eikonal.activation import attach, initial_front
-from fascicle.forward.eikonal.myocardium import Myocardium
+from fascicle.forward.eikonal.activation import initial_front
+from fascicle.forward.eikonal.myocardium import Myocardium, attach
 from fascicle.kernels.coupled import sweep
+from fascicle.torso.lead_fields import MM_PER_CM
 
 
 @dataclass(frozen=True)

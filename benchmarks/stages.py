@@ -51,7 +51,8 @@ def serve(heart: str) -> None:
     in every checkout that can be compared.
     """
     from fascicle.core.parameters import Infeasible
-    from fascicle.forward.eikonal.activation import attach, solve
+    from fascicle.forward.eikonal.activation import solve
+    from fascicle.forward.eikonal.myocardium import attach
     from fascicle.forward.model import ForwardModel
     from fascicle.heart.folder import load_heart
     from fascicle.networks.prior import study_space

@@ -26,8 +26,11 @@ import fascicle
 from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
 from fascicle.core.parameters import Infeasible, read_parameters
 from fascicle.core.quantities import QUANTITIES, TORSO_QUANTITIES
-from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP, build_electrocardiograph
-from fascicle.forward.ecg.lead_field import nodal_gradients
+from fascicle.forward.ecg.electrocardiogram import (
+    SAMPLE_STEP,
+    build_electrocardiograph,
+    nodal_gradients,
+)
 from fascicle.forward.loss import align
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.recording.window import qrs_window

@@ -8,14 +8,15 @@ import numpy as np
 from numba import njit
 
 from benchmarks.references import solve_from_vertices
-from fascicle.forward.eikonal.activation import attach, solve
-from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium
+from fascicle.forward.eikonal.activation import solve
+from fascicle.forward.eikonal.build import build_myocardium
+from fascicle.forward.eikonal.myocardium import Myocardium, attach
 from fascicle.forward.primitives import InactiveRoot, JunctionDelays
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium, oriented_into_cavity
 from fascicle.heart.heart import Heart
-from fascicle.kernels.ray import ray_time
+from fascicle.kernels.ray_travel_times import ray_time
 from fascicle.mesh.measures import signed_volumes
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.recording.target import Target, smooth_noise

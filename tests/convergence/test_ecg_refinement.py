@@ -7,7 +7,7 @@ import pytest
 from builders import box, solve_without_trees
 
 from benchmarks import ecg_error
-from fascicle.forward.eikonal.myocardium import build_myocardium
+from fascicle.forward.eikonal.build import build_myocardium
 from fascicle.heart.conduction import Conduction
 from fascicle.mesh.measures import signed_volumes
 

@@ -24,7 +24,7 @@ from builders import (
     straight_times,
 )
 
-from fascicle.forward.eikonal.myocardium import build_myocardium
+from fascicle.forward.eikonal.build import build_myocardium
 
 pytestmark = pytest.mark.slow
 

@@ -21,8 +21,8 @@ from fascicle.forward.ecg.electrocardiogram import (
     Electrocardiograph,
     build_electrocardiograph,
     channel_weights,
+    unbounded_gradients,
 )
-from fascicle.forward.ecg.lead_field import unbounded_gradients
 from fascicle.mesh.measures import barycentric_gradients, signed_volumes
 
 RISE = 20.0 - -85.2  # mV

@@ -23,10 +23,7 @@ def test_aligned_is_the_same_from_the_start_of_a_cache_line(dtype):
     assert aligned(np.empty((0, 3), dtype)).shape == (0, 3)
 
 
-def test_elements_of_a_heart_are_aligned(default_heart):
+def test_elements_of_a_heart_are_aligned(default_model):
     """Whether it was prepared here, or sent from another process."""
-    from fascicle.forward.model import ForwardModel
-
-    model = ForwardModel(default_heart)
-    for each in (model, pickle.loads(pickle.dumps(model))):
-        assert each.myocardium.mesh.solver.ctypes.data % CACHE_LINE == 0
+    for model in (default_model, pickle.loads(pickle.dumps(default_model))):
+        assert model.myocardium.mesh.solver.ctypes.data % CACHE_LINE == 0

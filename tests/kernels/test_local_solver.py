@@ -6,7 +6,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from numba import njit
 
-from fascicle.kernels.local_solver import from_edge, from_face, from_new_corner
+from fascicle.kernels.coupled import from_edge, from_face, from_new_corner
 
 HALVINGS = 60  # golden sections; the interval shrinks to 3e-13
 FLATTEST = 1e-6  # volume over the product of the edges at the vertex; 0.17 in a right-angled corner

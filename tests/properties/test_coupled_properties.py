@@ -6,7 +6,7 @@ from clinical import SHORT_BUNDLES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fascicle.forward.eikonal.activation import attach
+from fascicle.forward.eikonal.myocardium import attach
 
 SIZE = (30.0, 20.0, 6.0)  # mm
 MYOCARDIUM = box_tissue(SIZE, (10, 7, 2), jitter=0.2, fibre=(2.0, 1.0, 0.4))

@@ -42,18 +42,6 @@ def test_no_segment_chord_is_longer_than_the_segment(surface):
     assert np.median(chords / tree.lengths[1:]) > 0.98
 
 
-def test_each_fascicle_keeps_its_own_length(surface):
-    """Changing one must not change the other (a shared queue in the published code did)."""
-    _, (first, second) = LENGTHS[surface[0].side]
-    base = stretches(grow(surface, rules=BARE))
-    tree = grow(surface, fascicles=(first, second - 4.4), rules=BARE)
-    changed = stretches(tree)
-    assert tree.lengths[changed[1][1:]].sum() == pytest.approx(first)
-    assert tree.lengths[changed[2][1:]].sum() == pytest.approx(second - 4.4)
-    assert len(changed[0]) == len(base[0])
-    assert len(changed[1]) == len(base[1])
-
-
 def test_trees_change_continuously_with_lengths(surface):
     """0.001 mm more must not jump, also across a whole number of segments; a staircase would."""
     bundle, _ = LENGTHS[surface[0].side]
@@ -128,18 +116,6 @@ def test_positive_fascicle_angle_turns_counter_clockwise_seen_from_the_blood(sur
         assert np.sign(np.cross(heading, other) @ into_cavity) == np.sign(angle)
 
 
-def test_branches_leave_at_the_branch_angle_to_both_sides(surface):
-    """In the metric the map is nearly conformal, so 0.15 rad in the disk is about that in 3-D."""
-    tree = grow(surface, rules=GrowthRules(generations=1))
-    children = [np.flatnonzero(tree.parents == node) for node in range(len(tree.nodes))]
-    forks = [node for node in range(1, len(tree.nodes)) if len(children[node]) == 2][1:]
-    assert len(forks) == 2  # the ends of the two fascicles
-    for fork in forks:
-        a, b = tree.nodes[children[fork]] - tree.nodes[fork]
-        between = math.acos(a @ b / np.linalg.norm(a) / np.linalg.norm(b))
-        assert 0.15 < between < 0.6  # rad; 2·0.15 where the map is conformal
-
-
 def fork_on_a_plane(repulsion):
     """The two sisters, (n, 2) in mm, that leave the origin of a plane about the x-axis."""
     corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
@@ -202,18 +178,19 @@ def test_threads_that_grow_at_once_grow_what_one_grows_alone(surface):
 
 
 def test_another_process_finds_growth_compiled():
-    said = (
+    """After this one has compiled it, or found it."""
+    endocardium = half_ellipsoid()
+    chart = build_chart(endocardium)
+    grow((endocardium, chart, find_seed(endocardium, chart)))
+    commands = (
         "from fascicle.forward.compile_kernels import compile_kernels\n"
         "from fascicle.purkinje.growth import REPULSION, _grow\n"
         "compile_kernels(print)\n"
         "stats = _grow(REPULSION.function).stats\n"
         "print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))\n"
     )
-    _, second = (
-        subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True)
-        for _ in range(2)
-    )
-    assert second.stdout.split()[-2:] == ["1", "0"]
+    other = subprocess.run([sys.executable, "-c", commands], stdout=-1, text=True, check=True)
+    assert other.stdout.split()[-2:] == ["1", "0"]
 
 
 def test_rounding_of_the_coordinates_does_not_change_the_tree(surface):

@@ -23,7 +23,7 @@ from clinical import SHORT_BUNDLES
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from fascicle.forward.eikonal.activation import attach
+from fascicle.forward.eikonal.myocardium import attach
 
 HALVINGS = 50
 ROUNDS = 30
@@ -101,7 +101,7 @@ class Alternation:
 class Straight(Alternation):
     """Sites offer vertices and other sites the ray travel time; then updates on the mesh.
 
-    Stimuli do everywhere, junctions as far as `fascicle.forward.eikonal.ray_travel_times` says: to
+    Stimuli do everywhere, junctions as far as `fascicle.forward.eikonal.myocardium` says: to
     the corners of their elements and what is in reach, and to sites in elements all of whose
     corners they come to.
     """

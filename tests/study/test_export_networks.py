@@ -12,7 +12,7 @@ from builders import block_of_random_tissue, case, conduction_for
 
 from benchmarks.references import solve_from_vertices
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.forward.eikonal.myocardium import build_myocardium
+from fascicle.forward.eikonal.build import build_myocardium
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.primitives import Stimulus
 from fascicle.heart.conduction import Conduction, Region

@@ -10,7 +10,7 @@ from spheres import ball, boundary_area_vectors, heart_in_torso, isotropic, rim_
 
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES, lead_matrix
-from fascicle.forward.ecg.lead_field import nodal_gradients
+from fascicle.forward.ecg.electrocardiogram import nodal_gradients
 from fascicle.heart.conduction import Conduction, Region, transversely_isotropic
 from fascicle.heart.heart import TorsoTissue
 from fascicle.mesh.measures import barycentric_gradients, signed_volumes
@@ -48,37 +48,35 @@ def mesh():
     return torso.vertices, tetrahedra, sigma, fields
 
 
-class TestConductivity:
-    def test_scar_keeps_the_intact_one(self):
-        heart, torso = chest(4)
-        scar = Conduction(regions=(Region(0.0, centre=(0.0, 0.0, 40.0), radius=30.0),))
-        assert (lead_fields(heart, torso, scar) == lead_fields(heart, torso, Conduction())).all()
+def test_scar_keeps_the_intact_conductivity():
+    heart, torso = chest(4)
+    scar = Conduction(regions=(Region(0.0, centre=(0.0, 0.0, 40.0), radius=30.0),))
+    assert (lead_fields(heart, torso, scar) == lead_fields(heart, torso, Conduction())).all()
 
 
-class TestStiffness:
-    def test_linear_potentials_across_a_layered_anisotropic_box(self):
-        """A field that is exact in linear elements: the normal current is continuous at x = 6."""
-        block = box(12.0, 6, jitter=0.0)
-        left = block.vertices[block.tetrahedra].mean(axis=1)[:, 0] < 6.0
-        sigma = transversely_isotropic(np.tile(OBLIQUE, (len(left), 1)), 6.0, 1.5)
-        sigma[~left] = 2.4 * np.eye(3)
-        slope = np.array([0.7, -0.4, 0.2])  # mV/mm, on the left
-        beyond = slope.copy()
-        beyond[0] = (sigma[left][0] @ slope)[0] / 2.4
-        x = block.vertices
-        potential = x @ slope + np.maximum(x[:, 0] - 6.0, 0) * (beyond - slope)[0]
+def test_linear_potentials_across_a_layered_anisotropic_box():
+    """A field that is exact in linear elements: the normal current is continuous at x = 6."""
+    block = box(12.0, 6, jitter=0.0)
+    left = block.vertices[block.tetrahedra].mean(axis=1)[:, 0] < 6.0
+    sigma = transversely_isotropic(np.tile(OBLIQUE, (len(left), 1)), 6.0, 1.5)
+    sigma[~left] = 2.4 * np.eye(3)
+    slope = np.array([0.7, -0.4, 0.2])  # mV/mm, on the left
+    beyond = slope.copy()
+    beyond[0] = (sigma[left][0] @ slope)[0] / 2.4
+    x = block.vertices
+    potential = x @ slope + np.maximum(x[:, 0] - 6.0, 0) * (beyond - slope)[0]
 
-        triangles, owner, area = boundary_area_vectors(x, block.tetrahedra)
-        slopes = np.where(left[owner, None], slope, beyond)
-        # mS/cm · mV/mm · mm²: 10 mm/cm · (1 cm/10 mm)² leave a tenth of a µA
-        inflow = 0.1 * np.einsum("ti,tij,tj->t", area, sigma[owner], slopes) / 3
-        current = np.bincount(triangles.ravel(), np.repeat(inflow, 3), len(x))
-        stiffness = assemble_stiffness(x, block.tetrahedra, sigma)
-        assert np.abs(stiffness @ potential - current).max() < 1e-12 * np.abs(current).max() * 100
+    triangles, owner, area = boundary_area_vectors(x, block.tetrahedra)
+    slopes = np.where(left[owner, None], slope, beyond)
+    # mS/cm · mV/mm · mm²: 10 mm/cm · (1 cm/10 mm)² leave a tenth of a µA
+    inflow = 0.1 * np.einsum("ti,tij,tj->t", area, sigma[owner], slopes) / 3
+    current = np.bincount(triangles.ravel(), np.repeat(inflow, 3), len(x))
+    stiffness = assemble_stiffness(x, block.tetrahedra, sigma)
+    assert np.abs(stiffness @ potential - current).max() < 1e-12 * np.abs(current).max() * 100
 
-        # tangential currents differ across the interface, but close within each face
-        solved = solve_neumann(stiffness, current[None])[0]
-        assert solved == pytest.approx(potential - potential.mean(), abs=1e-8)
+    # tangential currents differ across the interface, but close within each face
+    solved = solve_neumann(stiffness, current[None])[0]
+    assert solved == pytest.approx(potential - potential.mean(), abs=1e-8)
 
 
 class TestReciprocity:
@@ -236,10 +234,9 @@ class TestRefusals:
             solve_neumann(stiffness, loads, most_iterations=2)
 
 
-class TestRuns:
-    def test_are_the_same_whatever_the_random_state(self):
-        heart, torso = chest(6)
-        np.random.seed(1)  # noqa: NPY002 - the state that must not matter
-        first = lead_fields(heart, torso, Conduction())
-        np.random.seed(2)  # noqa: NPY002
-        assert (lead_fields(heart, torso, Conduction()) == first).all()
+def test_runs_are_the_same_whatever_the_random_state():
+    heart, torso = chest(6)
+    np.random.seed(1)  # noqa: NPY002 - the state that must not matter
+    first = lead_fields(heart, torso, Conduction())
+    np.random.seed(2)  # noqa: NPY002
+    assert (lead_fields(heart, torso, Conduction()) == first).all()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -193,7 +194,13 @@ class SequenceSummary:
         for name in MAPPED:
             median, low, high = np.percentile([getattr(s, name) for s in sequences], (50, 5, 95))
             times[name] = float(median), float(low), float(high)
-        first, last = (_shares([getattr(s, of) for s in sequences]) for of in ("first", "last"))
+        first, last = (  # the most frequent first
+            {
+                part: count / len(sequences)
+                for part, count in Counter(sorted(getattr(s, end) for s in sequences)).most_common()
+            }
+            for end in ("first", "last")
+        )
         return cls(times, first, last, float(np.mean([s.is_mapped for s in sequences])))
 
     @property
@@ -228,10 +235,3 @@ class SequenceSummary:
             )
         ]
         return [*ends, *times]
-
-
-def _shares(names: Sequence[str]) -> dict[str, float]:
-    """Share of each name, the most frequent first."""
-    distinct, counts = np.unique(names, return_counts=True)
-    order = np.argsort(-counts, kind="stable")
-    return {str(distinct[k]): float(counts[k] / len(names)) for k in order}

@@ -9,8 +9,11 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.parameters import Infeasible, ParameterSpace, free
 from fascicle.core.quantities import TORSO_QUANTITIES
-from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, build_electrocardiograph
-from fascicle.forward.ecg.lead_field import unbounded_gradients
+from fascicle.forward.ecg.electrocardiogram import (
+    Electrocardiograph,
+    build_electrocardiograph,
+    unbounded_gradients,
+)
 from fascicle.forward.model import ForwardModel
 from fascicle.mesh.measures import barycentric_gradients, solid_centroid, unit
 from fascicle.torso.electrode_sites import Electrode

@@ -10,7 +10,8 @@ import numpy as np
 from fascicle.core.parameters import Infeasible
 from fascicle.core.progress import Progress
 from fascicle.forward.cable.template import default_template
-from fascicle.forward.eikonal.activation import attach, solve
+from fascicle.forward.eikonal.activation import solve
+from fascicle.forward.eikonal.myocardium import attach
 from fascicle.forward.preparation import build
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium
@@ -18,17 +19,14 @@ from fascicle.heart.heart import Heart
 from fascicle.kernels.gaussian import integrated
 from fascicle.purkinje.growth import GrowthRules, grow_from_parameters
 
-SILENCE = 1.0  # s before the first report of progress; kernels that were compiled before take less
-COMPILED_PARTS = 4
-
 _compiled = False  # in this process
 
 
-def compile_kernels(progress: Progress) -> None:
+def compile_kernels(progress: Progress, silence: float = 1.0) -> None:
     """Compute the action potential, and run every kernel on a tiny heart.
 
     Once in a process; kernels that were compiled on this machine before are read from disk.
-    `progress` is called with the steps done, once they take longer than `SILENCE`.
+    `progress` is called with the steps done, once they take longer than `silence` (s).
     """
     global _compiled
     if _compiled:
@@ -38,9 +36,9 @@ def compile_kernels(progress: Progress) -> None:
     def report() -> None:
         nonlocal is_slow
         is_slow = True
-        progress("compilation", finished, COMPILED_PARTS, "once on this machine")
+        progress("compilation", finished, 4, "once on this machine")
 
-    timer = Timer(SILENCE, report)
+    timer = Timer(silence, report)
     timer.start()
     try:
         for done in _steps():

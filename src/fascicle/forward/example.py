@@ -11,11 +11,6 @@ from fascicle.forward.model import ForwardModel
 from fascicle.heart.folder import load_heart
 from fascicle.purkinje.tree import FEW_JUNCTIONS
 
-SUBJECT = "camps-dti004"  # whose network is of human anatomy, and whose ECG is normal
-SHORTER = 0.9  # of the length that fits
-SHORTEST_LENGTH = 0.1  # mm
-MOST_TRIES = 40
-
 
 def example_parameters(model: ForwardModel) -> dict[str, float]:
     """Parameters of a network with a plausible ECG, that grows on the heart of a model.
@@ -42,7 +37,8 @@ def example_parameters(model: ForwardModel) -> dict[str, float]:
     check_kind(model, ForwardModel, "model", "a fascicle.ForwardModel")
     if model.heart.example:
         return dict(model.heart.example)
-    subject = load_heart(SUBJECT)
+    # its network is of human anatomy, and its ECG is normal
+    subject = load_heart("camps-dti004")
     parameters, few = dict(subject.example), {}
     for endocardium, of_subject in zip(model.heart.endocardia, subject.endocardia, strict=True):
         side, share = endocardium.side, endocardium.area / of_subject.area
@@ -51,10 +47,11 @@ def example_parameters(model: ForwardModel) -> dict[str, float]:
             if name.startswith(f"{side}_") and "length" in name:
                 parameters[name] *= factor
     best, most = dict(parameters), 0
-    for _ in range(MOST_TRIES):
+    shorter = 0.9  # of the length that fits
+    for _ in range(40):
         grown = model.grow(parameters)
         if isinstance(grown, Infeasible):
-            parameters[grown.quantity] = max(SHORTER * grown.most, SHORTEST_LENGTH)
+            parameters[grown.quantity] = max(shorter * grown.most, 0.1)  # mm
             continue
         junctions = {tree.side: len(tree.junctions) for tree in grown}
         if min(junctions.values()) > most:
@@ -63,7 +60,7 @@ def example_parameters(model: ForwardModel) -> dict[str, float]:
         if not sparse:
             return parameters
         for side in sparse:  # it ends close to the base, where there is no room for branches
-            parameters[f"{side}_initial_length"] *= SHORTER
+            parameters[f"{side}_initial_length"] *= shorter
     if most:
         return best
     raise InputError(

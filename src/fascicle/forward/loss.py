@@ -17,8 +17,6 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from fascicle.core.arrays import Complexes, Floats
 
-UPSAMPLING = 4  # of the correlation, before its highest point is refined
-NEWTON_STEPS = 4  # steps that refine the highest point; three reach rounding error
 FILTER_PADDING = 200  # samples before and after a simulation for what filters spread
 
 # Gain of filters at frequencies of shape (k,), in cycles per sample
@@ -145,14 +143,14 @@ def _shifted(spectrum: Complexes, shift: float) -> Floats:
 
 def _highest(product: Complexes) -> float:
     """Shift (samples, 0 to n) at which a correlation of spectrum (n/2 + 1,) is highest."""
-    size = 2 * (len(product) - 1)
-    fine = irfft(product, UPSAMPLING * size)
-    shift = int(np.argmax(fine)) / UPSAMPLING
+    size, upsampling = 2 * (len(product) - 1), 4
+    fine = irfft(product, upsampling * size)
+    shift = int(np.argmax(fine)) / upsampling
     omega = 2 * np.pi * _frequencies(product)
-    for _ in range(NEWTON_STEPS):
+    for _ in range(4):  # Newton steps; three reach rounding error
         here = product * np.exp(1j * omega * shift)
         slope, curvature = -(omega * here.imag).sum(), -(omega**2 * here.real).sum()
         if curvature >= 0:  # flat: no correlation at all
             break
-        shift -= float(np.clip(slope / curvature, -1 / UPSAMPLING, 1 / UPSAMPLING))
+        shift -= float(np.clip(slope / curvature, -1 / upsampling, 1 / upsampling))
     return shift

@@ -37,8 +37,9 @@ from fascicle.forward.ecg.electrocardiogram import (
     axial_projection,
     first_sample,
 )
-from fascicle.forward.eikonal.activation import Coupling, attach, solve
-from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium
+from fascicle.forward.eikonal.activation import solve
+from fascicle.forward.eikonal.build import build_myocardium
+from fascicle.forward.eikonal.myocardium import Coupling, Myocardium, attach
 from fascicle.forward.preparation import Prepared, as_arrays, cached, from_arrays, prepare
 from fascicle.forward.primitives import FURTHEST_STIMULUS
 from fascicle.forward.scenario import Scenario

@@ -13,17 +13,17 @@ from typing import Any, TypeVar
 import numpy as np
 
 from fascicle.core.array_cache import ArrayCache
-from fascicle.core.arrays import Floats
 from fascicle.core.files import DISPOSABLE
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.forward.ecg.electrocardiogram import (
     ActionPotential,
     Electrocardiograph,
     build_electrocardiograph,
+    nodal_gradients,
+    unbounded_gradients,
 )
-from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded_gradients
-from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium, find_on_surface
-from fascicle.forward.eikonal.nearest_triangles import Candidates
+from fascicle.forward.eikonal.build import build_myocardium
+from fascicle.forward.eikonal.myocardium import Candidates, Myocardium, search_tree
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
@@ -34,7 +34,6 @@ from fascicle.purkinje.growth import Seed, find_seed
 from fascicle.torso.lead_fields import resolve_lead_fields
 
 ONCE = "once per heart"
-KEPT = 4  # conductions in a heart's cache; the oldest go
 
 Made = TypeVar("Made")
 
@@ -77,7 +76,7 @@ def prepare(
         lambda: build(heart, conduction, action_potential, progress),
         as_arrays,
         lambda arrays: from_arrays(arrays, action_potential, heart)[1],
-        most=KEPT,
+        most=4,  # conductions in a heart's cache; the oldest go
     )
 
 
@@ -127,25 +126,21 @@ def build(
     """Prepare a heart without the cache; parameters as for `prepare`."""
     charts = {e.side: build_chart(e) for e in heart.endocardia}
     barycentric = barycentric_gradients(heart.vertices, heart.tetrahedra)
+    fields = resolve_lead_fields(heart, conduction, stage_progress(progress, "lead fields", ONCE))
+    if fields is None:
+        electrodes = heart.electrode_positions
+        gradients = unbounded_gradients(
+            heart.vertices, heart.tetrahedra, electrodes, conduction.torso
+        )
+    else:
+        gradients = nodal_gradients(fields.values, heart.tetrahedra, barycentric)
     electrocardiograph = build_electrocardiograph(
         heart.tetrahedra, barycentric, heart.volumes, conduction.intracellular(heart.fibres),
-        _lead_field_gradients(heart, conduction, barycentric, progress),
-        action_potential, [*heart.additional_electrodes],
+        gradients, action_potential, [*heart.additional_electrodes],
     )  # fmt: skip
     report = stage_progress(progress, "preparation", ONCE)
     myocardium = build_myocardium(heart, conduction, report, barycentric)
     return Prepared(charts, _seeds(heart, charts), myocardium, electrocardiograph)
-
-
-def _lead_field_gradients(
-    heart: Heart, conduction: Conduction, barycentric: Floats, progress: Progress | None
-) -> Floats:
-    """Mean ∇Z of each electrode in each tetrahedron (kΩ/mm), shape (9 + a, m, 3)."""
-    fields = resolve_lead_fields(heart, conduction, stage_progress(progress, "lead fields", ONCE))
-    if fields is not None:
-        return nodal_gradients(fields.values, heart.tetrahedra, barycentric)
-    electrodes = heart.electrode_positions
-    return unbounded_gradients(heart.vertices, heart.tetrahedra, electrodes, conduction.torso)
 
 
 def _seeds(heart: Heart, charts: dict[str, Chart]) -> dict[str, Seed]:
@@ -196,7 +191,7 @@ def from_arrays(
         heart = Heart(lv=lv, rv=rv, additional_electrodes=more, **parts["heart"])
     charts = {e.side: Chart(**parts[e.side]) for e in heart.endocardia}
     mesh, myocardium = EikonalMesh(**parts["mesh"]), parts["myocardium"]
-    tree = find_on_surface(mesh.vertices, myocardium["surface"])
+    tree = search_tree(mesh.vertices, myocardium["surface"])
     table = TravelTimeTable(**parts["travel_times"])
     candidates = {side: Candidates(**parts[f"{side} candidates"]) for side in charts}
     return heart, Prepared(

@@ -14,8 +14,11 @@ from fascicle.core.leads import INDEPENDENT_ROWS, LEADS, lead_matrix
 from fascicle.core.parameters import Infeasible
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.threads import one_thread
-from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, channel_weights
-from fascicle.forward.ecg.lead_field import nodal_gradients
+from fascicle.forward.ecg.electrocardiogram import (
+    Electrocardiograph,
+    channel_weights,
+    nodal_gradients,
+)
 from fascicle.forward.preparation import ONCE, cached
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
@@ -25,8 +28,6 @@ from fascicle.torso.mesh import torso_of
 from fascicle.torso.variation.conductor import build_conductor
 from fascicle.torso.variation.response import TorsoResponse
 from fascicle.torso.variation.training import build_response
-
-TORSO_SEED = 0  # of the torsos that are solved: the same in every run
 
 
 @dataclass(frozen=True)
@@ -101,12 +102,12 @@ def torso_model(heart: Heart, conduction: Conduction, response: TorsoResponse) -
 
 
 def prepare_response(
-    heart: Heart, conduction: Conduction, wanted: Sequence[str], progress: Progress | None = None
+    heart: Heart, conduction: Conduction, names: Sequence[str], progress: Progress | None = None
 ) -> TorsoResponse:
     """Response of a heart's lead fields to the torso, cached; see `ForwardModel.torso`."""
     if not heart.has_torso:
         raise InputError(
-            f"parameter '{wanted[0]}': {heart.name} has no torso; build the heart again with one "
+            f"parameter '{names[0]}': {heart.name} has no torso; build the heart again with one "
             "(fascicle heart build), or leave the parameter out"
         )
 
@@ -114,7 +115,8 @@ def prepare_response(
         torso = torso_of(heart, stage_progress(progress, "torso", ONCE))
         conductor = build_conductor(heart, torso, conduction)
         report = stage_progress(progress, "torso response", ONCE)
-        return build_response(conductor, np.random.default_rng(TORSO_SEED), report)
+        # the same torsos are solved in every run
+        return build_response(conductor, np.random.default_rng(0), report)
 
     return cached(
         heart, conduction, "body", make, TorsoResponse.arrays, lambda a: TorsoResponse(**a)

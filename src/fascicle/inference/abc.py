@@ -177,13 +177,6 @@ def total_variation(a: ErrorDensity, b: ErrorDensity) -> float:
     return 0.5 * float(np.trapezoid(np.abs(a(nodes) - b(nodes)), nodes))
 
 
-def from_reference(evaluation: Evaluation, reference: ErrorDensity) -> float:
-    """Total variation of an evaluation's per-beat errors from a density; 1 without a tree."""
-    if not evaluation.feasible:
-        return 1.0
-    return total_variation(ErrorDensity.fit(evaluation.beat_errors), reference)
-
-
 def _left_out(errors: Floats, bandwidth: float) -> float:
     """Mean log-likelihood of each error under the kernels of all the others (constants dropped)."""
     z = (errors[:, None] - errors[None, :]) / bandwidth
@@ -245,7 +238,10 @@ def sample(
                 evaluated += 1
                 if len(accepted) == samples:
                     continue
-                distance = from_reference(evaluation, density)
+                distance = 1.0  # without a tree
+                if evaluation.feasible:
+                    errors = ErrorDensity.fit(evaluation.beat_errors)
+                    distance = total_variation(errors, density)
                 if distance < tolerance:
                     accepted.append(evaluation)
                     distances.append(distance)

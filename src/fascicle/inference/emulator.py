@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 Singles = NDArray[np.float32]
 
 BATCH_EXAMPLES = 256  # examples in a step
-RATE, DECAY = 2e-3, 0.01  # largest learning rate; weight decay relative to it
-MOMENTS = (0.9, 0.99)  # Adam's memory of gradients and of their squares
+RATE = 2e-3  # largest learning rate
 
 
 class NeuralNetwork(NamedTuple):
@@ -75,11 +74,6 @@ def _forward(weights: tuple[Singles, ...], inputs: Singles) -> Iterator[tuple[Si
     yield (hidden,)
 
 
-def as_it_is(x: Singles) -> Singles:
-    """Identity link, of outputs whose mean squared error is minimised."""
-    return x
-
-
 def softmax(x: Singles) -> Singles:
     """Class probabilities (n, q), which add up to 1, from the outputs of a network."""
     exponentials = np.exp(x - x.max(axis=1, keepdims=True))
@@ -122,7 +116,7 @@ def train_together(
     """
     done = [0] * len(trainings)
 
-    def one(number: int, rng: np.random.Generator) -> NeuralNetwork:
+    def train_one(number: int, rng: np.random.Generator) -> NeuralNetwork:
         def reported(step: int) -> None:
             done[number] = step
             progress(sum(done))
@@ -130,7 +124,7 @@ def train_together(
         return trainings[number](rng=rng, progress=reported)
 
     with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(one, range(len(trainings)), rng.spawn(len(trainings))))
+        return list(pool.map(train_one, range(len(trainings)), rng.spawn(len(trainings))))
 
 
 def train(
@@ -143,7 +137,7 @@ def train(
     steps: int = 3000,
     begin: NeuralNetwork | None = None,
     rate: float = RATE,
-    link: Callable[[Singles], Singles] = as_it_is,
+    link: Callable[[Singles], Singles] | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> NeuralNetwork:
     """Train a network on examples: inputs (n, p) of about unit size, and outputs (n, q).
@@ -158,9 +152,9 @@ def train(
         Network to train further; by default the weights are drawn at random.
     rate : float
         Largest learning rate.
-    link : callable
+    link : callable, optional
         Function from what the network gives to the outputs: `logistic` and `softmax` give the
-        probabilities of outputs that are 0 or 1.
+        probabilities of outputs that are 0 or 1. Without one, the mean squared error is minimised.
     progress : callable
         Called now and then with the number of steps done.
     """
@@ -170,6 +164,8 @@ def train(
         first = rng.standard_normal((before, after)) / np.sqrt(before)
         weights += (first.astype(np.float32), np.zeros(after, np.float32))
     warming = min(200, steps / 3)
+    memory, memory_of_squares = 0.9, 0.99  # Adam's, of gradients and of their squares
+    decay = 0.01  # of weights, relative to the learning rate
     means, squares = ([np.zeros_like(w) for w in weights] for _ in range(2))
     order = np.empty(0, int)
     for step in range(1, steps + 1):
@@ -178,15 +174,16 @@ def train(
         batch, order = order[:BATCH_EXAMPLES], order[BATCH_EXAMPLES:]
         kept = [*_forward(weights, inputs[batch])]
         raw_outputs = kept[-1][0] @ weights[-2] + weights[-1]
-        slope = link(raw_outputs) - outputs[batch]  # of the link's loss in `raw_outputs`
+        # slope of the link's loss in `raw_outputs`
+        slope = (raw_outputs if link is None else link(raw_outputs)) - outputs[batch]
         now = rate * min(1.0, step / warming) * 0.5 * (1 + np.cos(np.pi * step / steps))
         gradients = _gradients(weights, kept, slope / np.float32(len(batch)))
         for weight, gradient, mean, square in zip(weights, gradients, means, squares, strict=True):
-            mean += (1 - MOMENTS[0]) * (gradient - mean)
-            square += (1 - MOMENTS[1]) * (gradient**2 - square)
-            size = np.sqrt(square / (1 - MOMENTS[1] ** step)) + 1e-8
-            change = mean / (1 - MOMENTS[0] ** step) / size
-            weight -= (now * (change + DECAY * (weight.ndim == 2) * weight)).astype(np.float32)
+            mean += (1 - memory) * (gradient - mean)
+            square += (1 - memory_of_squares) * (gradient**2 - square)
+            size = np.sqrt(square / (1 - memory_of_squares**step)) + 1e-8
+            change = mean / (1 - memory**step) / size
+            weight -= (now * (change + decay * (weight.ndim == 2) * weight)).astype(np.float32)
         if step % 50 == 0 or step == steps:
             progress(step)
     return NeuralNetwork(weights)

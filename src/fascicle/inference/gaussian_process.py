@@ -52,19 +52,6 @@ class Hyperparameters:
         return cls(tuple(length_scales), variance, noise)
 
 
-def _prior(dimension: int) -> tuple[Floats, Floats]:
-    """Centres and deviations (d + 2,) of the normal priors on the logarithms.
-
-    For inputs in the unit cube and outputs of variance one. Length scales have the dimension-scaled
-    prior of Hvarfner, Hellsten and Nardi (ICML 2024), BoTorch's default.
-    """
-    scale = math.sqrt(2) + 0.5 * math.log(dimension)
-    return (
-        np.array([*[scale] * dimension, 0.0, -5.0]),
-        np.array([*[math.sqrt(3)] * dimension, 1.0, 2.0]),
-    )
-
-
 def _cholesky(covariance: Floats) -> Floats:
     """Lower Cholesky factor; the diagonal is raised, tenfold each time, until it exists."""
     jitter = 1e-10 * covariance.diagonal().mean()
@@ -93,14 +80,6 @@ def _bordered(whitener: Floats, covariance: Floats, variance: float) -> Floats:
     return larger
 
 
-def _inverse(factor: Floats) -> Floats:
-    """(LLᵀ)⁻¹ of the lower Cholesky factor L, whose upper triangle holds zeros."""
-    lower, _ = lapack.dpotri(factor, lower=True)  # leaves the upper triangle as it is
-    inverse = lower + lower.T
-    np.fill_diagonal(inverse, lower.diagonal())
-    return np.asarray(inverse)
-
-
 def log_marginal_likelihood(
     points: Floats, outputs: Floats, hyperparameters: Hyperparameters
 ) -> tuple[float, Floats]:
@@ -114,7 +93,9 @@ def log_marginal_likelihood(
     r = cdist(scaled, scaled)
     kernel = hyperparameters.variance * np.exp(-r)
     factor = _cholesky(kernel + hyperparameters.noise * np.eye(len(r)))
-    inverse = _inverse(factor)
+    lower, _ = lapack.dpotri(factor, lower=True)  # leaves the zeros of the upper triangle
+    inverse = np.asarray(lower + lower.T)
+    np.fill_diagonal(inverse, lower.diagonal())
     alpha = inverse @ outputs
     fit = -0.5 * outputs @ alpha - np.log(factor.diagonal()).sum()
     value = float(fit) - 0.5 * len(r) * math.log(2 * math.pi)
@@ -135,11 +116,15 @@ def fit(
 ) -> Hyperparameters:
     """Hyper-parameters of highest posterior density (L-BFGS-B on the logarithms).
 
-    Points (n, d) lie in the unit cube, outputs (n,) have mean zero and a variance near one. Without
-    a `start` the search starts at the modes of the priors.
+    Points (n, d) lie in the unit cube, outputs (n,) have mean zero and a variance near one. The
+    priors on the logarithms are normal; length scales have the dimension-scaled one of Hvarfner,
+    Hellsten and Nardi (ICML 2024), BoTorch's default. Without a `start` the search starts at their
+    modes.
     """
     dimension = points.shape[1]
-    centre, spread = _prior(dimension)
+    scale = math.sqrt(2) + 0.5 * math.log(dimension)
+    centre = np.array([*[scale] * dimension, 0.0, -5.0])
+    spread = np.array([*[math.sqrt(3)] * dimension, 1.0, 2.0])
     # of length scales, variance and noise: the least noise keeps the Cholesky factorisation alive
     # with nearly coincident points
     bounds = np.log([*[(0.02, 200.0)] * dimension, (1e-2, 1e3), (1e-6, 1.0)])

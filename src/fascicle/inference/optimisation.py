@@ -172,13 +172,13 @@ def maximise(
     rng: np.random.Generator,
     acquisition: FeasibleLogImprovement,
     best_points: Floats,
-    known: Floats,
+    observed: Floats,
 ) -> Floats:
     """Find the best point of the unit cube for an acquisition function, shape (d,).
 
     Candidates are uniform points, and perturbations of the best points (k, d), where the kernel has
-    a cusp; the best few of each are polished by L-BFGS-B. The result keeps away from known
-    points (n, d), see `first_apart`.
+    a cusp; the best few of each are polished by L-BFGS-B. The result keeps away from
+    observed points (n, d), see `first_apart`.
     """
     uniform = rng.random((2000, best_points.shape[1]))
     local = perturbed(rng, best_points, 1000)
@@ -189,16 +189,18 @@ def maximise(
     polished = _polished(acquisition, starts)
     values = [acquisition(polished), *values]
     order = np.argsort(-np.concatenate(values), kind="stable")
-    return first_apart(np.vstack([polished, *raw])[order], known)
+    return first_apart(np.vstack([polished, *raw])[order], observed)
 
 
-def first_apart(candidates: Floats, known: Floats) -> Floats:
-    """Find the first candidate, of (m, d), that is 1e-4 away from all known points (n, d).
+def first_apart(candidates: Floats, observed: Floats) -> Floats:
+    """Find the first candidate, of (m, d), that is 1e-4 away from all observed points (n, d).
 
     A nearer one (any coordinate's range is 1) adds nothing.
     """
-    distance, _ = cKDTree(known).query(candidates, p=np.inf, distance_upper_bound=1e-4)
-    return np.asarray(candidates[np.isinf(distance).argmax()])  # infinite: no known point so near
+    distance, _ = cKDTree(observed).query(candidates, p=np.inf, distance_upper_bound=1e-4)
+    return np.asarray(
+        candidates[np.isinf(distance).argmax()]
+    )  # infinite: no observed point so near
 
 
 def _polished(acquisition: FeasibleLogImprovement, starts: Floats) -> Floats:

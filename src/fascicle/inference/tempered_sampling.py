@@ -36,7 +36,6 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.threads import one_thread
 
 FORGOTTEN = 0.3  # correlation of a score with its beginning, at most, after the moves of a stage
-ACCEPTED = 0.3  # share of accepted proposals to which the step length is adapted
 
 # Log-likelihoods (m,) of points (m, d) of the unit cube; -inf where there is none.
 LogLikelihoods = Callable[[Floats], Floats]
@@ -221,17 +220,13 @@ def _move(
         log_ratio += 0.5 * ((now.scores**2).sum(axis=1) - (proposed**2).sum(axis=1))
         accepted = np.log(rng.random(len(values))) < log_ratio
         now.scores[accepted], now.values[accepted] = proposed[accepted], values[accepted]
-        now.length = float(min(1.0, now.length * np.exp(accepted.mean() - ACCEPTED)))
-        remembered = _remembered(start, now.scores)
+        # the step length is adapted to a share of 0.3 of accepted proposals
+        now.length = float(min(1.0, now.length * np.exp(accepted.mean() - 0.3)))
+        a, b = ((x - x.mean(axis=0)) / x.std(axis=0) for x in (start, now.scores))
+        remembered = float(np.clip((a * b).mean(axis=0).max(), 0, 1))
         if step + 1 >= fewest and remembered < forgotten:
             break
     return remembered
-
-
-def _remembered(start: Floats, end: Floats) -> float:
-    """The largest correlation of any score with its beginning."""
-    a, b = ((x - x.mean(axis=0)) / x.std(axis=0) for x in (start, end))
-    return float(np.clip((a * b).mean(axis=0).max(), 0, 1))
 
 
 @dataclass(frozen=True)

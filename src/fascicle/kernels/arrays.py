@@ -6,6 +6,7 @@ whether it is negative and counts from the end.
 
 from __future__ import annotations
 
+from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,13 +19,24 @@ FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 CORNERS = 4  # of a tetrahedron
 
-# Columns of `EikonalMesh.cells`: the first of four, one for each corner, and those of D⁻¹
-GRADIENT_X, GRADIENT_Y, GRADIENT_Z, AT_ORIGIN = 0, 4, 8, 12
-XX, YY, ZZ, XY, XZ, YZ = range(16, 22)
-CELL_COLUMNS = 22
+# Columns of `EikonalMesh.solver`: six products for the edges 01, 02, 03, 12, 13, 23, and from here
+# on six squares
+SQUARES = 6
 
-# Columns of `EikonalMesh.solver`: the first of six each, for the edges 01, 02, 03, 12, 13, 23
-PRODUCTS, SQUARES = 0, 6
+
+class Column(IntEnum):
+    """Columns of `EikonalMesh.cells`: the first of four, one for each corner, and those of D⁻¹."""
+
+    GRADIENT_X = 0
+    GRADIENT_Y = 4
+    GRADIENT_Z = 8
+    AT_ORIGIN = 12
+    XX = 16
+    YY = 17
+    ZZ = 18
+    XY = 19
+    XZ = 20
+    YZ = 21
 
 
 def aligned(array: NDArray[Any]) -> NDArray[Any]:
@@ -100,7 +112,8 @@ class EikonalMesh(NamedTuple):
     @property
     def metric(self) -> NDArray[np.float64]:
         """D⁻¹ of each tetrahedron (ms²/mm²), shape (m, 3, 3)."""
-        return self.cells[:, [XX, XY, XZ, XY, YY, YZ, XZ, YZ, ZZ]].reshape(-1, 3, 3)
+        columns = Column.XX + np.array([0, 3, 4, 3, 1, 5, 4, 5, 2])
+        return self.cells[:, columns].reshape(-1, 3, 3)
 
 
 class TravelTimeTable(NamedTuple):
@@ -166,22 +179,13 @@ class RayTravelTimes(NamedTuple):
     target: NDArray[np.int32]
     time: NDArray[np.float64]
 
-
-class LocatedSites(NamedTuple):
-    """Positions of sites in the mesh.
-
-    Attributes
-    ----------
-    positions, elements : (j, 3) and (j,) arrays
-        Positions (mm), and the tetrahedron of each; -1 where there is none.
-    barycentric, to_corner : (j, 4) arrays
-        Barycentric coordinates in the tetrahedron, and squared travel times (ms²) to its corners.
-    """
-
-    positions: NDArray[np.float64]
-    elements: NDArray[np.int64]
-    barycentric: NDArray[np.float64]
-    to_corner: NDArray[np.float64]
+    def joined_with(self, other: RayTravelTimes) -> RayTravelTimes:
+        """Join with the rays of other sites, which come last."""
+        return RayTravelTimes(
+            np.concatenate([self.start, self.start[-1] + other.start[1:]]),
+            np.concatenate([self.target, other.target]),
+            np.concatenate([self.time, other.time]),
+        )
 
 
 class JunctionSites(NamedTuple):
@@ -190,7 +194,7 @@ class JunctionSites(NamedTuple):
     Attributes
     ----------
     element, to_corner : (j,) and (j, 4) arrays
-        As `elements` and `to_corner` of `LocatedSites`.
+        Tetrahedron of each, -1 where there is none, and squared travel times (ms²) to its corners.
     node : (j,) array
         Tree node of each.
     anterograde, retrograde : (j,) arrays
@@ -216,7 +220,7 @@ class JunctionSites(NamedTuple):
 STATE = np.dtype(
     [
         ("time", np.float64),  # when the front arrives (ms)
-        ("bucket", np.int32),  # of the queue; `NOT_QUEUED` or `IN_BATCH` if it is in none
+        ("bucket", np.int32),  # of the queue; a `Bucket` of `coupled` if it is in none
         ("before", np.int32),  # the nodes on both sides of it in its bucket's list, -1 at the ends
         ("after", np.int32),
         ("origin", np.int32),  # site that fired it, or by which the front entered its tree; else -1
@@ -225,12 +229,12 @@ STATE = np.dtype(
 
 
 class Queue(NamedTuple):
-    """The nodes that wait to be taken, in buckets of time; see `fascicle.kernels.queue`.
+    """The nodes that wait to be taken, in buckets of time; see `fascicle.kernels.coupled.lower`.
 
     Attributes
     ----------
-    head : (RING,) array
-        The first node in the list of each bucket, -1 where there is none.
+    head : (r,) array
+        The first node in the list of each bucket, -1 where there is none; r is a power of 2.
     now : (1,) array
         A bucket before which all are empty.
     """
@@ -239,13 +243,22 @@ class Queue(NamedTuple):
     now: NDArray[np.int64]
 
 
+# An element in which a vertex may lower a corner
+CHOSEN = np.dtype(
+    [
+        ("star", np.uint32),  # its place in `EikonalMesh.star`
+        ("slot", np.uint16),  # the vertex's place in the batch
+        ("corners", np.uint16),  # which of a, b and c may be lowered: the sum of 1, 2 and 4
+    ]
+)
+
 # A vertex's neighbour when elements are chosen: how much later than the vertex it is (ms, rounded
 # up), and 1 if it lends its time to faces, as neighbours do that do not wait to be taken
 NEAR = np.dtype([("later", np.float32), ("lends", np.uint32)])
 
 
 class Surroundings(NamedTuple):
-    """Room for a batch of vertices and what is around them; see `fascicle.kernels.star`.
+    """Room for a batch of vertices and what is around them; see `fascicle.kernels.coupled`.
 
     Attributes
     ----------
@@ -254,20 +267,20 @@ class Surroundings(NamedTuple):
     time, near : (b·k,) array, and (b·k,) array of NEAR
         Of up to k neighbours of each: their arrival times (ms) so far, and what elements are
         chosen by.
-    chosen : (e,) array
-        The elements that may lower a corner, packed.
+    chosen : (e,) array of CHOSEN
+        The elements in which a corner may be lowered.
     face : (f,) array
         The faces by which a corner may be lowered: `CORNERS`·place of the element in `chosen` +
         which of its corners the face is opposite to.
-    faces : array
-        Blocks of a few faces side by side, each quantity of all of them in a row.
+    faces : (b, 14·8) array
+        Blocks of eight faces side by side, each quantity of all of them in a row.
     """
 
     batch: NDArray[np.int64]
     now: NDArray[np.float64]
     time: NDArray[np.float64]
     near: NDArray[np.void]
-    chosen: NDArray[np.uint64]
+    chosen: NDArray[np.void]
     face: NDArray[np.uint32]
     faces: NDArray[np.float64]
 

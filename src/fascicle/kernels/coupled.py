@@ -1,12 +1,453 @@
-"""Trees and myocardium in one label-correcting sweep."""
+"""Trees and myocardium in one label-correcting sweep.
+
+Nodes of both wait in a queue. One that is taken lowers its neighbours through segments, edges and
+elements; these enter the queue, or move in it.
+
+The local solver gives the earliest arrival from a face, edge or vertex. For a point and the others
+at relative positions eᵢ, with A_ij = eᵢᵀD⁻¹eⱼ (ms²), the arrival time is the minimum of
+Σλᵢτᵢ + √(λᵀAλ) over the simplex, τᵢ (ms) being their times. In its interior it is
+
+    μ = (b + √(b² − a(c − 1))) / a,   a = 1ᵀQ1,  b = 1ᵀQτ,  c = τᵀQτ,  Q = A⁻¹,
+
+accepted when Q(μ1 − τ) ≥ 0; otherwise the minimum lies on an edge, by the same formula in two
+unknowns, or at a vertex.
+
+Most of the time is spent on the edges and elements around vertices, their stars, so the processor
+must not wait: neither for memory, which is asked for before its turn, nor to learn which way a
+branch goes. A batch of vertices is worked on at a time, in steps: elements that may lower a corner
+are picked out first, then those of their faces that may; the data of the faces are laid side by
+side in blocks of `LANES`, and each block is worked on at once.
+"""
+
+import math
+from enum import IntEnum
 
 import numpy as np
 
-from fascicle.kernels.arrays import CORNERS, FACES, SQUARES
-from fascicle.kernels.jit import kernel
-from fascicle.kernels.local_solver import from_face
-from fascicle.kernels.queue import IN_BATCH, lower, take
-from fascicle.kernels.star import PAIRS, SETTLED, fetch_star, through_stars
+from fascicle.kernels.arrays import CACHE_LINE, CORNERS, FACES, SQUARES
+from fascicle.kernels.jit import kernel, prefetch
+
+# Smallest decrease (ms) that is worth passing on; below the rounding that matters, above noise.
+SETTLED = 1e-10
+
+# A determinant below this fraction of the product of the diagonal: the point lies in the face, the
+# inside of which is then not used. Meshes with flat elements are refused when they are read.
+FLAT_ELEMENT = 1e-14
+
+# PAIRS[s]: where, among the six pairs of a tetrahedron's corners, stand those of corner s with the
+# others a, b, c, and the pairs ab, ac, bc
+PAIRS = np.array(
+    [[0, 1, 2, 3, 4, 5], [0, 3, 4, 1, 2, 5], [1, 3, 5, 0, 2, 4], [2, 4, 5, 0, 1, 3]], np.uint32
+)
+
+# SOLVER_COLUMNS[s, k]: the columns of `EikonalMesh.solver` with what `from_new_corner` is given for
+# the face of corner s opposite to a, b or c: products, and all squares but the one of the far edge
+# (Numba caches no kernel with an array that is not contiguous)
+SOLVER_COLUMNS = np.ascontiguousarray(
+    np.concatenate([PAIRS[:, PAIRS[1:]], PAIRS[:, PAIRS[1:, :5]] + np.uint32(SQUARES)], axis=2)
+)
+
+LAST = 2_000_000_000.0  # bucket of all later times, too; −LAST likewise of earlier ones
+LANES = 8  # faces in a block: as many as the widest registers hold
+
+
+class FaceRow(IntEnum):
+    """Rows of a block of faces s, j, k of a corner, after the eleven of `SOLVER_COLUMNS`."""
+
+    TJ = 11  # times of j and k, less that of s (ms); inf if they are not to be used
+    TK = 12
+    DELAY = 13  # after s (ms) with which the face fires the corner
+    COUNT = 14
+
+
+class Bucket(IntEnum):
+    """Bucket of a node that is not in the queue."""
+
+    NOT_QUEUED = np.iinfo(np.int32).min  # nothing is to be done with it
+    IN_BATCH = np.iinfo(np.int32).min + 1  # its turn in a batch of nodes that were taken is to come
+
+
+@kernel(inline="always")
+def _unlink(node, nodes, head):
+    before, after = nodes[node].before, nodes[node].after
+    if before >= 0:
+        nodes[before].after = after
+    else:
+        head[nodes[node].bucket & (len(head) - 1)] = after
+    if after >= 0:
+        nodes[after].before = before
+
+
+@kernel()
+def lower(node, arrival, origin, nodes, queue, size):
+    """Lower a node to an arrival (ms), and enter or move it in a queue of `size` nodes.
+
+    A node that is taken too early is taken again, so exact order is not needed; and a node is
+    entered, moved and taken at a cost that does not grow with the queue. Buckets form a ring: one
+    list holds the nodes of one bucket of every lap.
+
+    `nodes` is an array of STATE, and the `Queue` is one of `fascicle.kernels.arrays`. Returns the
+    queue's size.
+    """
+    state, head = nodes[node], queue.head
+    state.time, state.origin = arrival, origin
+    # 20 buckets in 1 ms: an element's delay is longer than one, but on the finest meshes
+    bucket = int(min(max(arrival * 20.0, -LAST), LAST))
+    previous = state.bucket
+    if previous == bucket:
+        return size
+    if previous > Bucket.IN_BATCH:
+        _unlink(node, nodes, head)
+        size -= 1
+    first = head[bucket & (len(head) - 1)]
+    state.before, state.after, state.bucket = -1, first, bucket
+    if first >= 0:
+        nodes[first].before = node
+    head[bucket & (len(head) - 1)] = node
+    queue.now[0] = min(queue.now[0], bucket)
+    return size + 1
+
+
+@kernel()
+def take(nodes, queue):
+    """Take a node of the earliest bucket out of a queue that holds one; returns the node."""
+    head, now, passed = queue.head, queue.now[0], 0
+    while True:
+        node = head[now & (len(head) - 1)]
+        while node >= 0 and nodes[node].bucket != now:
+            node = nodes[node].after
+        if node >= 0:
+            break
+        now, passed = now + 1, passed + 1
+        if passed == len(head):  # the earliest bucket that holds a node is of a later lap
+            now, passed = int(LAST), 0
+            for k in range(len(head)):
+                node = head[k]
+                while node >= 0:
+                    now = min(now, nodes[node].bucket)
+                    node = nodes[node].after
+    _unlink(node, nodes, head)
+    nodes[node].bucket, queue.now[0] = Bucket.NOT_QUEUED, now
+    return node
+
+
+@kernel(inline="always")
+def from_edge(a11, a12, a22, t1, t2):
+    """Earliest arrival (ms) through the inside of an edge; inf where the minimum is at an end."""
+    det = a11 * a22 - a12 * a12
+    if det <= FLAT_ELEMENT * a11 * a22:
+        return np.inf
+    q11, q12, q22 = a22, -a12, a11  # det·Q, so that a, b, c carry a factor det
+    s1, s2 = q11 + q12, q12 + q22
+    a = s1 + s2
+    base = min(t1, t2)
+    d1, d2 = t1 - base, t2 - base
+    b = s1 * d1 + s2 * d2
+    c = q11 * d1 * d1 + 2.0 * q12 * d1 * d2 + q22 * d2 * d2
+    disc = b * b - a * (c - det)
+    if disc < 0.0:
+        return np.inf
+    mu = (b + math.sqrt(disc)) / a
+    r1, r2 = mu - d1, mu - d2
+    if q11 * r1 + q12 * r2 < 0.0 or q12 * r1 + q22 * r2 < 0.0:
+        return np.inf
+    return base + mu
+
+
+@kernel(inline="always")
+def from_inside_face(gram, times):
+    """Earliest arrival (ms) through the inside of a face; inf where the minimum is on an edge.
+
+    `gram` holds A_ij in the order 11, 12, 13, 22, 23, 33, `times` the three τᵢ.
+    """
+    a11, a12, a13, a22, a23, a33 = gram
+    t1, t2, t3 = times
+    q11 = a22 * a33 - a23 * a23
+    q12 = a13 * a23 - a12 * a33
+    q13 = a12 * a23 - a13 * a22
+    det = a11 * q11 + a12 * q12 + a13 * q13
+    if det <= FLAT_ELEMENT * a11 * a22 * a33:
+        return np.inf
+    q22 = a11 * a33 - a13 * a13
+    q23 = a12 * a13 - a11 * a23
+    q33 = a11 * a22 - a12 * a12
+    base = min(t1, t2, t3)
+    d1, d2, d3 = t1 - base, t2 - base, t3 - base
+    s1, s2, s3 = q11 + q12 + q13, q12 + q22 + q23, q13 + q23 + q33
+    v1 = q11 * d1 + q12 * d2 + q13 * d3
+    v2 = q12 * d1 + q22 * d2 + q23 * d3
+    v3 = q13 * d1 + q23 * d2 + q33 * d3
+    a = s1 + s2 + s3
+    b = s1 * d1 + s2 * d2 + s3 * d3
+    c = v1 * d1 + v2 * d2 + v3 * d3
+    disc = b * b - a * (c - det)
+    if disc < 0.0:
+        return np.inf
+    mu = (b + math.sqrt(disc)) / a
+    if mu * s1 < v1 or mu * s2 < v2 or mu * s3 < v3:
+        return np.inf
+    return base + mu
+
+
+@kernel()
+def from_face(gram, times):
+    """As `from_inside_face`, from the face's edges and corners, too; times may be inf."""
+    a11, a12, a13, a22, a23, a33 = gram
+    t1, t2, t3 = times
+    best = min(t1 + math.sqrt(a11), t2 + math.sqrt(a22), t3 + math.sqrt(a33))
+    if t1 < np.inf and t2 < np.inf:
+        best = min(best, from_edge(a11, a12, a22, t1, t2))
+        if t3 < np.inf:
+            best = min(best, from_inside_face(gram, times))
+    if t1 < np.inf and t3 < np.inf:
+        best = min(best, from_edge(a11, a13, a33, t1, t3))
+    if t2 < np.inf and t3 < np.inf:
+        best = min(best, from_edge(a22, a23, a33, t2, t3))
+    return best
+
+
+@kernel(inline="always", error_model="numpy")
+def _along_edge(ss, jj, sj, tj):
+    """Delay after s with which the inside of the edge from s to j fires a; inf where its ends do.
+
+    As `from_edge` for times 0 and tj, with b² − a(c − det) = det·(sj − tj²).
+    """
+    aj = 0.5 * (ss + jj - sj)
+    det = ss * jj - aj * aj
+    mu = ((ss - aj) * tj + math.sqrt(det * (sj - tj * tj))) / sj
+    inside = ((jj - aj) * mu + aj * tj >= 0.0) & ((ss - aj) * mu - ss * tj >= 0.0)
+    return mu if inside & (det > FLAT_ELEMENT * ss * jj) else np.inf
+
+
+@kernel(inline="always", error_model="numpy")
+def from_new_corner(products, squares, tj, tk, use_j, use_k):
+    """Delay after corner s (ms) with which its face s, j, k fires corner a through s; or inf.
+
+    The edge opposite s and the path from s itself are left out. The objective is convex: where its
+    minimum in the face's plane lies outside the face, the minimum on the face lies on an edge that
+    faces it, one opposite a corner whose weight is negative. Without branches: several faces are
+    solved at a time.
+
+    Parameters
+    ----------
+    products : tuple of 6 floats
+        pᵢⱼ = ∇λᵢ·D∇λⱼ of the barycentric coordinates in the element a, s, j, k (1/ms²), for the
+        pairs as, aj, ak, sj, sk, jk. The time in the element has the slope √(−Σ pᵢⱼ(τᵢ − τⱼ)²),
+        which is 1 in a front; the front comes through the face if it leaves each of its corners
+        behind: Σⱼ pᵢⱼ τⱼ ≤ 0.
+    squares : tuple of 5 floats
+        Squared travel times (ms²) from a to s, j and k, and from s to j and k.
+    tj, tk, use_j, use_k : float, float, bool, bool
+        Times of j and k, less that of s (ms), and which of the two are to be used.
+    """
+    pas, paj, pak, psj, psk, pjk = products
+    ss, jj, kk, sj, sk = squares
+    paa, pjj, pkk = -(pas + paj + pak), -(paj + psj + pjk), -(pak + psk + pjk)
+    b = paj * tj + pak * tk
+    vj, vk = pjj * tj + pjk * tk, pjk * tj + pkk * tk
+    mu = (math.sqrt(b * b - paa * (vj * tj + vk * tk - 1.0)) - b) / paa  # NaN if there is no root
+    behind_j = (paj * mu + vj <= 0.0) & use_j & use_k
+    behind_k = (pak * mu + vk <= 0.0) & use_j & use_k
+    inside = behind_j & behind_k & (pas * mu + psj * tj + psk * tk <= 0.0)
+    delay = mu if inside else np.inf
+    by_j, by_k = _along_edge(ss, jj, sj, tj), _along_edge(ss, kk, sk, tk)
+    delay = min(delay, by_j if use_j & (not behind_k) else np.inf)
+    return min(delay, by_k if use_k & (not behind_j) else np.inf)
+
+
+@kernel(inline="always")
+def _fetch_star(node, mesh):
+    """Prefetch the lists of a vertex's neighbours and elements."""
+    # as many cache lines as most vertices' lists take: a loop as long as a list is dearer
+    first = mesh.link_start[node] * mesh.link.itemsize
+    for line in range(4):
+        prefetch(mesh.link, first + line * CACHE_LINE)
+    first = mesh.star_start[node] * mesh.star.itemsize
+    for line in range(8):
+        prefetch(mesh.star, first + line * CACHE_LINE)
+
+
+@kernel(inline="always")
+def _through_edges(node, at, mesh, front, size):
+    """Lower the neighbours through edges, note their times from `at` on; return the queue's size.
+
+    Corners that wait in the queue lend their times to no face: the last corner of a face to be
+    taken passes on the front that comes through all of it.
+    """
+    nodes, around = front.nodes, front.around
+    now, first = nodes[node].time, mesh.link_start[node]
+    for k in range(mesh.link_start[node + 1] - first):
+        other = np.int64(mesh.link[first + k].vertex)
+        arrival, time = now + mesh.link[first + k].time, nodes[other].time
+        if arrival < time - SETTLED:
+            time = arrival
+            size = lower(other, arrival, nodes[node].origin, nodes, front.queue, size)
+        later = np.float32(time - now)
+        around.time[at + k] = time
+        # no less than before it was rounded to single precision
+        around.near[at + k].later = later + abs(later) * np.float32(2.0**-22)
+        around.near[at + k].lends = nodes[other].bucket == Bucket.NOT_QUEUED
+    return size
+
+
+@kernel(inline="always")
+def _divided(number):
+    """Quotient and remainder of CORNERS·quotient + remainder, unsigned."""
+    return number // np.uint32(CORNERS), number % np.uint32(CORNERS)
+
+
+@kernel(inline="always")
+def _choose(node, slot, at, count, mesh, front):
+    """List the elements in which a vertex may lower a corner, after `count` others; count all.
+
+    `slot` is the vertex's place in the batch, and its neighbours stand from `at` on.
+    """
+    around, begin = front.around, count
+    chosen, near = around.chosen, around.near[at:]
+    for e in range(np.uint64(mesh.star_start[node]), np.uint64(mesh.star_start[node + 1])):
+        row = mesh.star[e]
+        a, b, c = row.a, row.b, row.c
+        lends_a, lends_b, lends_c = near[a].lends, near[b].lends, near[c].lends
+        to_a = (lends_b | lends_c) & np.uint32(row.least_a < near[a].later)
+        to_b = (lends_a | lends_c) & np.uint32(row.least_b < near[b].later)
+        to_c = (lends_a | lends_b) & np.uint32(row.least_c < near[c].later)
+        corners = to_a + 2 * to_b + 4 * to_c
+        chosen[count].star, chosen[count].slot, chosen[count].corners = e, slot, corners
+        count += np.uint64(corners > 0)
+    for i in range(begin, count):
+        t, _ = _divided(mesh.star[chosen[i].star].item)
+        row = np.int64(t) * mesh.solver.strides[0]
+        prefetch(mesh.solver, row)
+        prefetch(mesh.solver, row + CACHE_LINE)
+    return count
+
+
+@kernel(inline="always")
+def _is_steep(p, s, da, db, dc):
+    """Whether times in an element rise more steeply than in a front.
+
+    `p` are its products, and the corners beside s are later than that by da, db and dc.
+    """
+    square = -(
+        p[PAIRS[s, 0]] * da * da + p[PAIRS[s, 1]] * db * db + p[PAIRS[s, 2]] * dc * dc
+        + p[PAIRS[s, 3]] * (da - db) ** 2 + p[PAIRS[s, 4]] * (da - dc) ** 2
+        + p[PAIRS[s, 5]] * (db - dc) ** 2
+    )  # fmt: skip
+    return square > 1.0 + 1e-12  # below, it is rounding
+
+
+@kernel(inline="always")
+def _faces(count, room, mesh, front):
+    """List the faces of chosen elements that may lower a corner; return their number.
+
+    There is room for `room` neighbours of each vertex. Where times rise no steeper than a front
+    does, nothing in the element can be earlier.
+    """
+    around, n = front.around, np.uint64(0)
+    for i in range(np.uint32(count)):
+        element = around.chosen[i]
+        row, slot = mesh.star[element.star], element.slot
+        at = slot * room
+        t, s = _divided(row.item)
+        now = around.now[slot]
+        da, db = around.time[at + row.a] - now, around.time[at + row.b] - now
+        steep = _is_steep(mesh.solver[t], s, da, db, around.time[at + row.c] - now)
+        to_lower = np.uint32(element.corners) * np.uint32(steep)
+        for k in range(CORNERS - 1):
+            around.face[n] = i * np.uint32(CORNERS) + np.uint32(k)
+            n += np.uint64((to_lower >> np.uint32(k)) & np.uint32(1))
+    return np.int64(n)
+
+
+@kernel(inline="always")
+def _lay_out_faces(n, room, mesh, around):
+    """Lay the inputs of the delays through the faces side by side."""
+    for i in range(n):
+        place, k = _divided(around.face[i])
+        element = around.chosen[place]
+        row, slot = mesh.star[element.star], element.slot
+        at = slot * room
+        t, s = _divided(row.item)
+        block, lane = around.faces[i // LANES], i % LANES
+        for m in range(SOLVER_COLUMNS.shape[2]):
+            block[m * LANES + lane] = mesh.solver[t, SOLVER_COLUMNS[s, k, m]]
+        now = around.now[slot]
+        at_j = at + (row.b if k == 0 else row.a)
+        at_k = at + (row.b if k == 2 else row.c)
+        block[FaceRow.TJ * LANES + lane] = (
+            around.time[at_j] - now if around.near[at_j].lends else np.inf
+        )
+        block[FaceRow.TK * LANES + lane] = (
+            around.time[at_k] - now if around.near[at_k].lends else np.inf
+        )
+
+
+@kernel(error_model="numpy")
+def _delays(f):
+    for i in range(LANES):
+        products = (
+            f[i], f[LANES + i], f[2 * LANES + i],
+            f[3 * LANES + i], f[4 * LANES + i], f[5 * LANES + i],
+        )  # fmt: skip
+        squares = (
+            f[6 * LANES + i], f[7 * LANES + i], f[8 * LANES + i],
+            f[9 * LANES + i], f[10 * LANES + i],
+        )  # fmt: skip
+        tj, tk = f[FaceRow.TJ * LANES + i], f[FaceRow.TK * LANES + i]
+        f[FaceRow.DELAY * LANES + i] = from_new_corner(
+            products, squares, tj, tk, tj < np.inf, tk < np.inf
+        )
+
+
+@kernel(inline="always")
+def _lower_through_faces(n, mesh, front, size):
+    """Lower corners to their arrivals through the first n faces; returns the queue's size."""
+    nodes, around = front.nodes, front.around
+    for i in range(n):
+        place, k = _divided(around.face[i])
+        element = around.chosen[place]
+        row, slot = mesh.star[element.star], element.slot
+        node = around.batch[slot]
+        block, lane = around.faces[i // LANES], i % LANES
+        arrival = around.now[slot] + block[FaceRow.DELAY * LANES + lane]
+        first = mesh.link_start[node]
+        corner = row.a if k == 0 else (row.b if k == 1 else row.c)
+        other = np.int64(mesh.link[first + corner].vertex)
+        if arrival < nodes[other].time - SETTLED:
+            # the origin of the face's earliest corner
+            source, soonest = node, 0.0
+            tj, tk = block[FaceRow.TJ * LANES + lane], block[FaceRow.TK * LANES + lane]
+            if tj < soonest:
+                soonest = tj
+                source = np.int64(mesh.link[first + (row.b if k == 0 else row.a)].vertex)
+            if tk < soonest:
+                source = np.int64(mesh.link[first + (row.b if k == 2 else row.c)].vertex)
+            size = lower(other, arrival, nodes[source].origin, nodes, front.queue, size)
+    return size
+
+
+@kernel(inline="always")
+def _through_stars(count, mesh, front, size):
+    """Propagate from the first `count` vertices of `front.around.batch` through edges and elements.
+
+    `size` is the number of nodes in the queue; the number afterwards is returned.
+    """
+    around, nodes = front.around, front.nodes
+    room, chosen = np.uint64(len(around.time) // len(around.batch)), np.uint64(0)
+    for slot in range(np.uint64(count)):
+        node = around.batch[slot]
+        if nodes[node].bucket != Bucket.IN_BATCH:
+            continue  # lowered by another of the batch, it is to be taken again
+        nodes[node].bucket = Bucket.NOT_QUEUED
+        at = slot * room
+        around.now[slot] = nodes[node].time
+        size = _through_edges(node, at, mesh, front, size)
+        chosen = _choose(node, slot, at, chosen, mesh, front)
+    faces = _faces(chosen, room, mesh, front)
+    _lay_out_faces(faces, room, mesh, around)
+    for block in range((faces + LANES - 1) // LANES):
+        _delays(around.faces[block])
+    return _lower_through_faces(faces, mesh, front, size)
 
 
 @kernel()
@@ -35,10 +476,9 @@ def _to_tree_node(other, arrival, by, vertices, forest, front, size):
     """Lower tree node `other` by a front that entered at site `by`; returns the queue's size."""
     state = front.nodes[vertices + other]
     if arrival < state.time - SETTLED:
-        state.time, state.origin = arrival, by
         if forest.site[other] >= 0:
             front.entered_by[forest.site[other]] = -1
-        size = lower(vertices + other, front.nodes, front.queue, size)
+        size = lower(vertices + other, arrival, by, front.nodes, front.queue, size)
     return size
 
 
@@ -53,16 +493,14 @@ def _fire(site, now, sites, front, size):
     for k in range(sites.to_vertices.start[site], sites.to_vertices.start[site + 1]):
         vertex, arrival = sites.to_vertices.target[k], now + sites.to_vertices.time[k]
         if arrival < nodes[vertex].time - SETTLED:
-            nodes[vertex].time, nodes[vertex].origin = arrival, site
-            size = lower(vertex, nodes, front.queue, size)
+            size = lower(vertex, arrival, site, nodes, front.queue, size)
     for k in range(sites.to_sites.start[site], sites.to_sites.start[site + 1]):
         entered = sites.to_sites.target[k]
         arrival = now + sites.to_sites.time[k] + sites.retrograde[entered]
         other = sites.node[entered]
         if arrival < nodes[other].time - SETTLED:
-            nodes[other].time, nodes[other].origin = arrival, entered
             front.entered_by[entered] = site
-            size = lower(other, nodes, front.queue, size)
+            size = lower(other, arrival, entered, nodes, front.queue, size)
     return size
 
 
@@ -98,9 +536,8 @@ def _into_trees(node, sites, mesh, front, size):
             continue
         arrival = delay + _arrival_inside(site, t, sites, mesh, nodes)
         if arrival < nodes[other].time - SETTLED:
-            nodes[other].time, nodes[other].origin = arrival, site
             front.entered_by[site] = nodes[earliest].origin
-            size = lower(other, nodes, front.queue, size)
+            size = lower(other, arrival, site, nodes, front.queue, size)
     return size
 
 
@@ -144,20 +581,20 @@ def sweep(front, sources, mesh, forest, sites):
     sources : (s,) array
         Nodes from which the front starts: vertices whose time is given, and the sites' nodes.
     """
+    batch, nodes = front.around.batch, front.nodes
     vertices, size = len(mesh.vertices), 0
     for source in sources:
-        size = lower(source, front.nodes, front.queue, size)
-    batch, nodes = front.around.batch, front.nodes
+        size = lower(source, nodes[source].time, nodes[source].origin, nodes, front.queue, size)
     while size > 0:
         count = 0
         while count < len(batch) and size > 0:
             node, size = take(nodes, front.queue), size - 1
             if node < vertices:
-                batch[count], nodes[node].bucket = node, IN_BATCH
+                batch[count], nodes[node].bucket = node, Bucket.IN_BATCH
                 count += 1
-                fetch_star(node, mesh)
+                _fetch_star(node, mesh)
             else:
                 size = _from_tree_node(node, vertices, forest, sites, front, size)
-        size = through_stars(count, mesh, front, size)
+        size = _through_stars(count, mesh, front, size)
         for k in range(count):
             size = _into_trees(batch[k], sites, mesh, front, size)

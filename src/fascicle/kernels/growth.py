@@ -18,9 +18,6 @@ from numpy.typing import NDArray
 from fascicle.kernels.jit import allocating_kernel, kernel
 
 GROWN, TOO_LARGE = -1, -2  # status of a complete tree, and of one larger than that of any heart
-MOST_NODES = 200_000  # of a tree: a hundred times those of a heart; more take minutes
-MOST_ENDS = 20_000  # of a generation; each end becomes a junction, with rays to the tissue
-GRID = 64  # cells per side of the hash that finds nearest nodes
 
 # What the search for the nearest node reads of a node lies together: one cache line, not five
 NODE = np.dtype(
@@ -44,12 +41,15 @@ class Rules(NamedTuple):
     generations: int
     branch_angle: float
     clearance: float
+    most_nodes: int = 200_000  # of a tree: a hundred times those of a heart; more take minutes
+    most_ends: int = 20_000  # of a generation; each end becomes a junction, with rays to the tissue
 
 
 class Tree(NamedTuple):
-    """A tree that grows: nodes and room for more, how many there are, and the (GRID, GRID) hash.
+    """A tree that grows: nodes and room for more, how many there are, and the (64, 64) hash.
 
-    In each cell of the hash stands a node from which `following` leads to the others, or -1.
+    The hash finds nearest nodes: in each cell stands a node from which `following` leads to the
+    others, or -1.
     """
 
     nodes: NDArray[np.void]
@@ -139,8 +139,8 @@ def path_lengths(parents, lengths):
 
 
 @kernel(inline="always")
-def _cell(x):
-    return min(max(int((x + 1.0) * 0.5 * GRID), 0), GRID - 1)
+def _cell(x, head):
+    return min(max(int((x + 1.0) * 0.5 * len(head)), 0), len(head) - 1)
 
 
 @kernel()
@@ -157,8 +157,8 @@ def _nearest(point, kin, nearest, nodes, head, metric):
     # the box around the ellipse of that distance, which the disk bounds
     reach = best_square / (g11 * g22 - g12 * g12)
     du, dv = min(math.sqrt(reach * g22), 2.0), min(math.sqrt(reach * g11), 2.0)
-    for i in range(_cell(u - du), _cell(u + du) + 1):
-        for j in range(_cell(v - dv), _cell(v + dv) + 1):
+    for i in range(_cell(u - du, head), _cell(u + du, head) + 1):
+        for j in range(_cell(v - dv, head), _cell(v + dv, head) + 1):
             k = head[i, j]
             while k >= 0:
                 node = nodes[k]
@@ -180,7 +180,7 @@ def _append(tree, point, parent, length, branch):
     node = nodes[n]
     node.u, node.v, node.triangle = u, v, triangle
     node.parent, node.length, node.branch = parent, length, branch
-    i, j = _cell(u), _cell(v)
+    i, j = _cell(u, head), _cell(v, head)
     node.following = head[i, j]
     head[i, j] = n
     return Tree(nodes, n + 1, head)
@@ -255,7 +255,7 @@ def _trunk(seed, bundle_length, fascicle_lengths, fascicle_angles, step, chart):
     """
     fascicles = len(fascicle_lengths)
     tips, heading = np.empty(fascicles, np.int64), np.empty((fascicles, 2))
-    tree = Tree(np.empty(8192, NODE), 0, np.full((GRID, GRID), -1, np.int32))
+    tree = Tree(np.empty(8192, NODE), 0, np.full((64, 64), -1, np.int32))
     tree = _append(tree, (seed.point[0], seed.point[1], seed.triangle), -1, 0.0, 0)
     bundle = seed.heading[0], seed.heading[1]
     tree, fork, missing = _lay(0, bundle, bundle_length, step, 0, tree, chart)
@@ -340,7 +340,7 @@ def make_grow(term: Callable[..., tuple[float, float]], cache: bool) -> Any:
         label = len(tips) + 1  # of the first branch of a generation
         for _ in range(rules.generations if status == GROWN else 0):
             count = 2 * len(tips)
-            if tree.size > MOST_NODES or count > MOST_ENDS:
+            if tree.size > rules.most_nodes or count > rules.most_ends:
                 status = TOO_LARGE
                 break
             tree, tips, heading = _grow_generation(

@@ -19,8 +19,6 @@ allocating_kernel = partial(njit, cache=True, nogil=True)
 kernel = partial(allocating_kernel, _nrt=False)
 
 CHANNELS = 8  # of the ECG integral; contiguous in every array
-DOUBLE, INDEX = ir.DoubleType(), ir.IntType(64)
-CHANNEL_VECTOR = ir.VectorType(DOUBLE, CHANNELS)
 
 
 @intrinsic
@@ -51,6 +49,7 @@ def add_to_rows(typing_context, array, rows, factors, source, first, shares):
     """
     if not array.layout == source.layout == "C":
         raise TypingError("rows of channels must be contiguous")
+    index, channels = ir.IntType(64), ir.VectorType(ir.DoubleType(), CHANNELS)
 
     def generate(context, builder, signature, arguments):
         def row(which, number):
@@ -67,18 +66,18 @@ def add_to_rows(typing_context, array, rows, factors, source, first, shares):
 
         def in_all(value):
             """Repeat a number in every channel."""
-            vector = ir.Constant(CHANNEL_VECTOR, ir.Undefined)
+            vector = ir.Constant(channels, ir.Undefined)
             for channel in range(CHANNELS):
-                vector = builder.insert_element(vector, value, ir.Constant(INDEX, channel))
+                vector = builder.insert_element(vector, value, ir.Constant(index, channel))
             return vector
 
         cast_types = {1: types.int64, 2: types.float64, 5: types.float64}
-        total = ir.Constant(CHANNEL_VECTOR, None)
+        total = ir.Constant(channels, None)
         for i, share in enumerate(items(5)):
-            number = builder.add(arguments[4], ir.Constant(INDEX, i))
+            number = builder.add(arguments[4], ir.Constant(index, i))
             values = builder.load(row(3, number), align=4)
-            if values.type != CHANNEL_VECTOR:
-                values = builder.fpext(values, CHANNEL_VECTOR)
+            if values.type != channels:
+                values = builder.fpext(values, channels)
             total = builder.fadd(total, builder.fmul(in_all(share), values))
         for number, factor in zip(items(1), items(2), strict=True):
             to = row(0, number)

@@ -43,7 +43,7 @@ def _dot(p, q):
 
 
 @kernel()
-def nearest_of(points, rows, candidates, vertices, surface, found, triangles, squares):
+def nearest_of(points, rows, candidates, vertices, surface, positions, triangles, squares):
     """Find the nearest points of a surface, where it is known which triangles can have them.
 
     Returns False, with invalid output, if a point lies outside its row's ball.
@@ -52,11 +52,11 @@ def nearest_of(points, rows, candidates, vertices, surface, found, triangles, sq
     ----------
     points, rows : (n, 3) and (n,) arrays
         Points (mm), and the row of the candidates of each.
-    candidates : fascicle.forward.eikonal.nearest_triangles.Candidates
+    candidates : fascicle.forward.eikonal.myocardium.Candidates
         Triangles that can be nearest to any point of a row's ball.
     vertices, surface : (v, 3) and (b, 3) arrays
         The surface (mm).
-    found, triangles, squares : (n, 3), (n,) and (n,) arrays
+    positions, triangles, squares : (n, 3), (n,) and (n,) arrays
         Written: nearest points (mm), their triangles, and squared distances (mm²).
     """
     start, triangle, least, centre, square = candidates
@@ -86,7 +86,7 @@ def nearest_of(points, rows, candidates, vertices, surface, found, triangles, sq
             if distance < best:
                 best = distance
                 triangles[n] = t
-                found[n, 0], found[n, 1], found[n, 2] = px, py, pz
+                positions[n, 0], positions[n, 1], positions[n, 2] = px, py, pz
                 if best <= 1e-20:  # mm²: it lies on the triangle, and none is nearer
                     break
         if best == np.inf:

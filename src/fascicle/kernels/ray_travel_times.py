@@ -10,20 +10,129 @@ import math
 
 import numpy as np
 
-from fascicle.kernels.arrays import AT_ORIGIN, CORNERS, FACES, SQUARES, RayTravelTimes
+from fascicle.kernels.arrays import CORNERS, FACES, SQUARES, Column, RayTravelTimes
 from fascicle.kernels.jit import allocating_kernel, kernel
-from fascicle.kernels.ray import gradient, ray_time, travel
+
+ARRIVED = 1.0 - 1e-9  # share of the path at which rounding decides what is crossed next
 
 # The six points, as barycentric coordinates. Inside the triangle, so that rays start in its
 # element: its corners and the middles of its sides, moved a little towards the centre.
-INSET = 0.002
 POINTS = np.array(
     [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0],
      [0.5, 0.5, 0.0], [0.5, 0.0, 0.5], [0.0, 0.5, 0.5]]
-) * (1.0 - 3.0 * INSET) + INSET  # fmt: skip
+) * (1.0 - 3.0 * 0.002) + 0.002  # fmt: skip
 
 # Row i: what a², b², c², ab, ac and bc of a point (a, b, c) add to the weight of each of the six
 BASIS = np.linalg.inv(POINTS[:, [0, 1, 2, 0, 0, 1]] * POINTS[:, [0, 1, 2, 1, 2, 2]])
+
+
+@kernel(inline="always")
+def travel(cells, t, x, y, z):
+    """√(dᵀD⁻¹d) for d = (x, y, z), in mm, in tetrahedron t (ms); `cells` of `EikonalMesh`."""
+    return math.sqrt(
+        cells[t, Column.XX] * x * x + cells[t, Column.YY] * y * y + cells[t, Column.ZZ] * z * z
+        + 2.0 * (
+            cells[t, Column.XY] * x * y + cells[t, Column.XZ] * x * z + cells[t, Column.YZ] * y * z
+        )
+    )  # fmt: skip
+
+
+@kernel(inline="always")
+def gradient(cells, t, corner):
+    """Gradient of a corner's barycentric coordinate (1/mm); it points away from its face."""
+    x, y, z = Column.GRADIENT_X, Column.GRADIENT_Y, Column.GRADIENT_Z
+    return cells[t, x + corner], cells[t, y + corner], cells[t, z + corner]
+
+
+@kernel(inline="always", error_model="numpy")
+def _crossing(t, face, point, direction, cells):
+    """Parameter s at which the line p + s·d leaves tetrahedron t through a face, or inf."""
+    ax, ay, az = gradient(cells, t, face)
+    rate = ax * direction[0] + ay * direction[1] + az * direction[2]
+    s = -(ax * point[0] + ay * point[1] + az * point[2] + cells[t, Column.AT_ORIGIN + face]) / rate
+    return s if rate < -1e-12 else np.inf  # else parallel to the face
+
+
+@kernel(inline="always", error_model="numpy")
+def _exit(t, point, direction, cells):
+    """Parameter s at which the line leaves tetrahedron t, and the face through which.
+
+    Without branches, as no processor could predict which face it is.
+    """
+    s0 = _crossing(t, 0, point, direction, cells)
+    s1 = _crossing(t, 1, point, direction, cells)
+    s2 = _crossing(t, 2, point, direction, cells)
+    s3 = _crossing(t, 3, point, direction, cells)
+    near, nearer = (1 if s1 < s0 else 0), (3 if s3 < s2 else 2)
+    sa, sb = min(s0, s1), min(s2, s3)
+    return min(sa, sb), (nearer if sb < sa else near)
+
+
+@kernel(error_model="numpy")
+def ray_time(start, t, goal, limit, cells, neighbours, slowness):
+    """Time (ms) along the straight line from a point to another, or inf if it leaves the tissue.
+
+    Where the line meets the boundary the path follows the boundary face towards the goal and takes
+    the straight line again as soon as it can. Any path inside the tissue takes at least the
+    geodesic's time, so the result is never early. It is inf, too, as soon as it is certain to be
+    above `limit` (ms).
+
+    `start` and `goal` are (x, y, z) in mm, `t` the tetrahedron that holds the start, and the rest
+    fields of `EikonalMesh`.
+    """
+    x, y, z = start
+    gx, gy, gz = goal
+    dx, dy, dz = gx - x, gy - y, gz - z
+    least = slowness * math.sqrt(dx * dx + dy * dy + dz * dz)
+    total, done = 0.0, 0.0
+    for _ in range(2000):  # elements, then the path is given up
+        leave, face = _exit(t, (x, y, z), (dx, dy, dz), cells)
+        whole = travel(cells, t, dx, dy, dz)  # if all of the line had this element's D
+        if leave >= ARRIVED:
+            return total + (1.0 - done) * whole
+        leave = max(leave, done)
+        total += (leave - done) * whole
+        done = leave
+        if neighbours[t, face] < 0:
+            x, y, z = x + done * dx, y + done * dy, z + done * dz
+            return _slide((x, y, z), t, goal, total, limit, cells, neighbours, slowness)
+        t = neighbours[t, face]
+        if total + (1.0 - done) * least > limit:
+            return np.inf
+    return np.inf
+
+
+@kernel(error_model="numpy")
+def _slide(point, t, goal, total, limit, cells, neighbours, slowness):
+    """Go on from a point of the boundary, in tetrahedron t, after `total` ms; see `ray_time`."""
+    x, y, z = point
+    gx, gy, gz = goal
+    for _ in range(100):  # elements along the boundary
+        dx, dy, dz = gx - x, gy - y, gz - z
+        least = total + slowness * math.sqrt(dx * dx + dy * dy + dz * dz)
+        if least > limit:
+            return np.inf
+        straight = True
+        for _ in range(3):  # faces on the boundary, at most
+            leave, face = _exit(t, (x, y, z), (dx, dy, dz), cells)
+            leave = min(max(leave, 0.0), 1.0)
+            if leave > 1.0 - ARRIVED or neighbours[t, face] >= 0:
+                break
+            # on a boundary face and heading out: slide along it
+            ax, ay, az = gradient(cells, t, face)
+            inwards = (ax * dx + ay * dy + az * dz) / (ax * ax + ay * ay + az * az)
+            dx, dy, dz = dx - inwards * ax, dy - inwards * ay, dz - inwards * az
+            straight = False
+        total += leave * travel(cells, t, dx, dy, dz)
+        x, y, z = x + leave * dx, y + leave * dy, z + leave * dz
+        if leave == 1.0:
+            if straight:
+                return total
+        elif neighbours[t, face] >= 0:
+            t = neighbours[t, face]
+        elif leave <= 1.0 - ARRIVED:
+            return np.inf
+    return np.inf
 
 
 @kernel(inline="always")
@@ -55,18 +164,6 @@ def trace_rays(points, elements, start, vertex, longest, mesh, square):
                 square[k, i] = time * time if time <= longest else np.inf
                 if square[k, i] == np.inf:  # of no use without all of them
                     break
-
-
-@kernel(inline="always")
-def _locate(s, sites, mesh):
-    """Fill in a site's barycentric coordinates and the times to its element's corners."""
-    cells, t = mesh.cells, sites.elements[s]
-    x, y, z = _row(sites.positions, s)
-    for c in range(CORNERS):
-        gx, gy, gz = gradient(cells, t, c)
-        sites.barycentric[s, c] = gx * x + gy * y + gz * z + cells[t, AT_ORIGIN + c]
-        vx, vy, vz = _row(mesh.vertices, mesh.corners[t, c])
-        sites.to_corner[s, c] = travel(cells, t, vx - x, vy - y, vz - z) ** 2
 
 
 @kernel(inline="always")
@@ -131,7 +228,7 @@ def rays_to_vertices(sites, rows, opposite, mesh, table, reach, longest, rays):
 
     Parameters
     ----------
-    sites : LocatedSites
+    sites : fascicle.forward.eikonal.myocardium.LocatedPoints
         Where they have an element, their `barycentric` and `to_corner` are overwritten.
     rows, opposite : (j,) arrays
         The row of the table for each, -1 to trace instead, and the corner opposite its triangle.
@@ -142,13 +239,18 @@ def rays_to_vertices(sites, rows, opposite, mesh, table, reach, longest, rays):
     rays : RayTravelTimes
         Overwritten, as far as there is need.
     """
-    barycentric = sites.barycentric
+    barycentric, cells = sites.barycentric, mesh.cells
     rays.start[0] = used = 0
     for s in range(len(sites.elements)):
         t, row, away = sites.elements[s], rows[s], opposite[s]
         site = _row(sites.positions, s)
         if t >= 0:
-            _locate(s, sites, mesh)
+            x, y, z = site
+            for k in range(CORNERS):
+                gx, gy, gz = gradient(cells, t, k)
+                barycentric[s, k] = gx * x + gy * y + gz * z + cells[t, Column.AT_ORIGIN + k]
+                vx, vy, vz = _row(mesh.vertices, mesh.corners[t, k])
+                sites.to_corner[s, k] = travel(cells, t, vx - x, vy - y, vz - z) ** 2
             if row >= 0:
                 a, b = barycentric[s, FACES[away, 0]], barycentric[s, FACES[away, 1]]
                 c = barycentric[s, FACES[away, 2]]
@@ -182,15 +284,6 @@ def _time_inside(site, sites, mesh, time_to):
             square -= barycentric[site, c] * barycentric[site, d] * mesh.solver[t, pair]
             pair += 1
     return max(math.sqrt(max(square, 0.0)), least) if all_reached else np.inf
-
-
-@allocating_kernel()
-def _longer(rays):
-    """Copy of rays with room for twice as many."""
-    used = len(rays.target)
-    target, time = np.empty(2 * used, np.int32), np.empty(2 * used)
-    target[:used], time[:used] = rays.target, rays.time
-    return RayTravelTimes(rays.start, target, time)
 
 
 @allocating_kernel()
@@ -229,7 +322,9 @@ def rays_to_sites(sites, order, first, mesh, to_vertices, time_to, rays):
             to_other = max(to_other, mesh.slowness * math.sqrt(gx * gx + gy * gy + gz * gz))
             if to_other < np.inf:
                 if used == len(rays.target):
-                    rays = _longer(rays)
+                    longer, more = np.empty(2 * used, np.int32), np.empty(2 * used)
+                    longer[:used], more[:used] = rays.target, rays.time
+                    rays = RayTravelTimes(rays.start, longer, more)
                 rays.target[used], rays.time[used] = other, to_other
                 used += 1
         for k in range(len(target)):

@@ -226,25 +226,26 @@ def grow_from_parameters(
     numbers = range(1, fascicles(side, parameters) + 1)
     lengths = [parameters[f"{side}_fascicle_length_{k}"] for k in numbers]
     lengths = [parameters[f"{side}_initial_length"], *lengths]
+    limits = growth.Rules(
+        step=float(rules.branch_length / rules.segments),
+        segments=int(rules.segments),
+        generations=int(rules.generations),
+        branch_angle=float(rules.branch_angle),
+        clearance=float(rules.clearance),
+    )
     status, missing, grown = _grow(rules.term.function)(
         seed,
         float(lengths[0]),
         np.array(lengths[1:], float),
         np.array([parameters[f"{side}_fascicle_angle_{k}"] for k in numbers], float),
-        growth.Rules(
-            step=float(rules.branch_length / rules.segments),
-            segments=int(rules.segments),
-            generations=int(rules.generations),
-            branch_angle=float(rules.branch_angle),
-            clearance=float(rules.clearance),
-        ),
+        limits,
         np.array(rules.term.values, float),
         chart,
     )
     if status == growth.TOO_LARGE:
         raise InputError(
-            f"the {side.upper()} tree grows to more than {growth.MOST_NODES} nodes, or "
-            f"{growth.MOST_ENDS} ends at a time; choose fewer generations or segments, a larger "
+            f"the {side.upper()} tree grows to more than {limits.most_nodes} nodes, or "
+            f"{limits.most_ends} ends at a time; choose fewer generations or segments, a larger "
             "clearance or longer branches"
         )
     if status == growth.GROWN:
@@ -262,7 +263,7 @@ def tree_of_nodes(side: str, nodes: NDArray[np.void], chart: Chart) -> PurkinjeT
 
 
 def tree_outside(
-    side: str, branch: int, wanted: float, missing: float, end: NDArray[np.void], chart: Chart
+    side: str, branch: int, length: float, missing: float, end: NDArray[np.void], chart: Chart
 ) -> Infeasible:
     """The outcome where `missing` mm were not laid; `end`, of shape (1,), is on the base."""
     part, name = "bundle", "initial_length"
@@ -270,9 +271,9 @@ def tree_outside(
         part, name = f"fascicle {branch}", f"fascicle_length_{branch}"
     place = ", ".join(f"{x:.1f}" for x in growth.lift(end, chart)[0].tolist())
     return Infeasible(
-        f"{side.upper()} {part} leaves the endocardium after {wanted - missing:.1f} of "
-        f"{wanted:.1f} mm, at ({place}) mm on the base",
+        f"{side.upper()} {part} leaves the endocardium after {length - missing:.1f} of "
+        f"{length:.1f} mm, at ({place}) mm on the base",
         "shorten it",
         f"{side}_{name}",
-        wanted - missing,
+        length - missing,
     )

@@ -38,7 +38,6 @@ from fascicle.mesh.measures import unit
 from fascicle.mesh.topology import components_of, merged_vertices
 from fascicle.purkinje.tree import PurkinjeTree
 
-FURTHEST_ROOT = 2.0  # mm, between the place given for a root and the tree's nearest node
 SAME_NODE = 1e-4  # mm; ends of polylines closer than this are one node (single precision)
 
 
@@ -133,7 +132,8 @@ def read_tree(
         raise InputError(f"{path}: marks no root (point array 'root'); give a point near it")
     distances = np.linalg.norm(nodes - (near if marked is None else marked), axis=1)
     root = int(np.argmin(distances))
-    if distances[root] > FURTHEST_ROOT:
+    furthest = 2.0  # mm, between the place given for a root and the nearest node
+    if distances[root] > furthest:
         root_place, nearest_place = (
             ", ".join(f"{x:.4f}" for x in point) for point in (near, nodes[root])
         )
@@ -145,7 +145,7 @@ def read_tree(
             )
         raise InputError(
             f"{path}: the node nearest to the root given ({root_place}) is {distances[root]:.1f} "
-            f"mm away, at ({nearest_place}) mm, more than {FURTHEST_ROOT:g} mm; {remedy}"
+            f"mm away, at ({nearest_place}) mm, more than {furthest:g} mm; {remedy}"
         )
     graph = coo_array((np.ones(len(segments)), segments.T), (len(nodes), len(nodes))).tocsr()
     _, parents = breadth_first_order(graph, root, directed=False)

@@ -23,12 +23,6 @@ from fascicle.torso.trunk import TrunkSize
 
 Pose = Literal["standard", "ras", "lps"]
 
-# The long axis points to the left, to the front and down, at about 45 degrees to the three planes
-# of the torso (common anatomical knowledge; these figures are those of the packaged heart). The LV
-# and the RV lie side by side: the axis from one to the other is horizontal.
-AZIMUTH = np.radians(48)  # of the long axis: from straight ahead towards the patient's left
-ELEVATION = np.radians(38)  # of the long axis: below the horizontal plane
-
 
 @dataclass(frozen=True)
 class TorsoFrame:
@@ -87,8 +81,15 @@ def surface_middle(surface: Surface) -> Floats:
 
 
 def standard_axes() -> Floats:
-    """The axes of `heart_axes` in the torso frame, for a heart in the standard pose; (3, 3)."""
-    ce, se, ca, sa = np.cos(ELEVATION), np.sin(ELEVATION), np.cos(AZIMUTH), np.sin(AZIMUTH)
+    """The axes of `heart_axes` in the torso frame, for a heart in the standard pose; (3, 3).
+
+    The long axis points to the left, to the front and down, at about 45 degrees to the three planes
+    of the torso (common anatomical knowledge; these figures are those of the packaged heart). The
+    LV and the RV lie side by side: the axis from one to the other is horizontal.
+    """
+    azimuth = np.radians(48)  # of the long axis: from straight ahead towards the patient's left
+    elevation = np.radians(38)  # of the long axis: below the horizontal plane
+    ce, se, ca, sa = np.cos(elevation), np.sin(elevation), np.cos(azimuth), np.sin(azimuth)
     apex_to_base = np.array([-ce * sa, ce * ca, se])
     lv_to_rv = np.array([-ca, -sa, 0.0])
     return np.stack([lv_to_rv, np.cross(apex_to_base, lv_to_rv), apex_to_base], axis=1)

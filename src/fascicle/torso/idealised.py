@@ -44,7 +44,6 @@ from fascicle.torso.heart_pose import (
 )
 from fascicle.torso.surfaces import Surface, TorsoSurfaces, check_within, signed_distance
 from fascicle.torso.trunk import (
-    WIDEST,
     Deformation,
     Outside,
     TrunkSize,
@@ -61,14 +60,7 @@ from fascicle.torso.trunk import (
 
 FITTED = "fitted to the electrodes"  # key of lead fields whose torso is not in the heart's folder
 SKIN_MARGIN = 5.0  # mm that must remain between heart and skin
-FARTHEST_ELECTRODE = (
-    60.0  # mm from the fitted skin to an electrode, most that the deformation can close
-)
-# Standard deviations of the fitted quantities: tilt (rad), position of the heart to the left, back
-# and up (mm), and the logarithms of the measures
-TILT = np.radians(10)
-POSITION = np.array([12.0, 12.0, 20.0])
-BODY_MEASURES = {"height": 0.09, "girth": 0.15, "depth": 0.1, "shoulders": 0.1, "hips": 0.1}
+FARTHEST_ELECTRODE = 60.0  # mm from the fitted skin, the most that the deformation can close
 
 
 def idealised_torso(
@@ -90,13 +82,13 @@ def fitted_torso(
     mesh: LabelledMesh,
     electrodes: Floats,
     name: str,
-    known: Mapping[str, float],
+    measures: Mapping[str, float],
     pose: Pose = "standard",
 ) -> tuple[TorsoSurfaces, FittedTrunk]:
     """Put an idealised torso around a heart (mm), with given electrodes on its skin.
 
-    Electrodes (9, 3), called `name` in errors, are in the heart's coordinates (mm). Measures of
-    the person that are known, arguments of `TrunkSize`, are kept. In the "standard" pose the
+    Electrodes (9, 3), called `name` in errors, are in the heart's coordinates (mm). The
+    person's `measures`, arguments of `TrunkSize`, are kept. In the "standard" pose the
     torso's axes follow from the electrodes, else they are those of the image that the heart comes
     from; both are tilted a little where that fits better.
     """
@@ -108,7 +100,7 @@ def fitted_torso(
         rotation = torso_frame(mesh, standard, pose).rotation
     heart = mesh.vertices[np.unique(mesh.triangles)]
     centroid = solid_centroid(mesh.vertices, mesh.tetrahedra)
-    fitted = fit_trunk(name, electrodes, heart, centroid, rotation, known)
+    fitted = fit_trunk(name, electrodes, heart, centroid, rotation, measures)
     placed = fitted.frame.to_torso(heart)
     hull = convex_hull(placed)
     undeformed_trunk = outside_trunk(fitted.size)
@@ -190,31 +182,35 @@ def fit_trunk(
     heart: Floats,
     centroid: Floats,
     rotation: Floats,
-    known: Mapping[str, float],
+    measures: Mapping[str, float],
 ) -> FittedTrunk:
     """Find the most probable trunk for electrodes (9, 3), called `name`.
 
     Nonlinear least squares for tilt (3,), position (3,) and measures, all in standard deviations.
     Points (n, 3) of the heart's surface and the myocardium's centroid (3,) are in the heart's
     coordinates (mm), as the torso's axes, the columns of `rotation`, which are tilted a little; see
-    `fitted_torso` for the measures `known`.
+    `fitted_torso` for the `measures`.
     """
     hull = heart[ConvexHull(heart).vertices]
-    fixed = set(known) | ({"girth"} if {"chest", "weight"} & set(known) else set())
-    unknown = [measure for measure in BODY_MEASURES if measure not in fixed]
+    # standard deviations of the fitted quantities: tilt (rad), position of the heart to the left,
+    # back and up (mm), and the logarithms of the measures
+    tilt, spread = np.radians(10), np.array([12.0, 12.0, 20.0])
+    deviations = {"height": 0.09, "girth": 0.15, "depth": 0.1, "shoulders": 0.1, "hips": 0.1}
+    fixed = set(measures) | ({"girth"} if {"chest", "weight"} & set(measures) else set())
+    unknown = [measure for measure in deviations if measure not in fixed]
 
     def trunk_of(x: Floats) -> tuple[TrunkSize, TorsoFrame]:
         """Measures and frame of a trunk: tilted about its axes, then moved around the heart."""
         steps = zip(unknown, x[6:], strict=True)
-        factors = {measure: float(np.exp(BODY_MEASURES[measure] * step)) for measure, step in steps}
+        factors = {measure: float(np.exp(deviations[measure] * step)) for measure, step in steps}
         girth = factors.pop("girth", None)
-        values = {"height": TrunkSize.height, **known}
+        values = {"height": TrunkSize.height, **measures}
         values |= {measure: values.get(measure, 1.0) * f for measure, f in factors.items()}
         if girth is not None:
             values["chest"] = girth * TrunkSize().girth
         size = TrunkSize(**values)
-        tilted = rotation @ Rotation.from_rotvec(TILT * x[:3]).as_matrix()
-        position = default_position(size) + POSITION * x[3:6]
+        tilted = rotation @ Rotation.from_rotvec(tilt * x[:3]).as_matrix()
+        position = default_position(size) + spread * x[3:6]
         return size, TorsoFrame(tilted, centroid - tilted @ position)
 
     def residuals(x: Floats) -> Floats:
@@ -236,7 +232,7 @@ def fit_trunk(
     fit = least_squares(
         residuals, np.zeros(len(most)), bounds=(-most, most), loss="cauchy", f_scale=3.0
     )
-    shift = POSITION * fit.x[3:6]
+    shift = spread * fit.x[3:6]
     axis = int(np.argmax(np.abs(shift)))
     if abs(shift[axis]) > 80:  # mm
         way = (("right", "left"), ("front", "back"), ("feet", "head"))[axis][int(shift[axis] > 0)]
@@ -261,7 +257,7 @@ def leaving(outside: Outside, size: TrunkSize) -> Floats:
     """Standard sites (9, 3) on a trunk's level set (mm), by bisection along their rays."""
     starts, directions = site_rays(size)
     low = np.zeros(len(starts))
-    high = np.full(len(starts), 2 * WIDEST * size.half_width)
+    high = np.full(len(starts), 2 * size.widest * size.half_width)
     for _ in range(30):
         middle = (low + high) / 2
         inside = outside(starts + middle[:, None] * directions) < 0

@@ -27,7 +27,7 @@ from fascicle.mesh.measures import closed_volume, intersections, self_intersecti
 from fascicle.mesh.meshing import remeshed_triangles
 from fascicle.mesh.topology import boundary_triangles, directed_edges, without_unused_vertices
 
-SKIN_EDGE, LUNG_EDGE = 11.0, 9.0  # mm, of the triangles
+EDGES = {"torso": 11.0, "lung": 9.0}  # mm, of the triangles of each surface
 LEAST_GAP = 0.5  # mm, between one surface and another
 
 
@@ -84,13 +84,13 @@ def read_torso_surfaces(
     An error if a file cannot be read, or its surface is missing, open, in several pieces, not in mm
     or out of place.
     """
-    outer = _read_surface(Path(skin), "torso", SKIN_EDGE)
-    inner = tuple(_read_surface(Path(lung), "lung", LUNG_EDGE) for lung in lungs)
+    outer = _read_surface(Path(skin), "torso")
+    inner = tuple(_read_surface(Path(lung), "lung") for lung in lungs)
     check_within(mesh, outer, inner, [str(skin), *map(str, lungs)])
     return TorsoSurfaces(outer, inner)
 
 
-def _read_surface(path: Path, purpose: str, edge: float) -> Surface:
+def _read_surface(path: Path, purpose: str) -> Surface:
     """Triangles of a file, or the boundary of its tetrahedra; a too fine surface is remeshed."""
     mesh = read_mesh(path, purpose)
     if len(mesh.cells.get(TETRAHEDRON, ())):
@@ -106,7 +106,7 @@ def _read_surface(path: Path, purpose: str, edge: float) -> Surface:
     surface = Surface(vertices, turned_outwards(vertices, oriented))
     if len(triangles) > 20_000:
         check_closed(str(path), surface, purpose)
-        surface = remeshed(surface, edge)
+        surface = remeshed(surface, EDGES[purpose])
     return surface
 
 

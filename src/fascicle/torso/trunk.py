@@ -25,6 +25,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from math import sqrt
+from typing import ClassVar
 
 import igl
 import numpy as np
@@ -35,7 +36,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.mesh.measures import triangle_normals, turned_outwards
 from fascicle.mesh.topology import without_unused_vertices
-from fascicle.torso.surfaces import LUNG_EDGE, SKIN_EDGE, Surface, remeshed, signed_distance
+from fascicle.torso.surfaces import EDGES, Surface, remeshed, signed_distance
 
 # About the distance (mm) of points (n, 3) to a surface, negative inside
 Outside = Callable[[Floats], Floats]
@@ -43,25 +44,8 @@ Outside = Callable[[Floats], Floats]
 Deformation = Callable[[Floats], Floats]
 
 TRUNK_SHAPE = ("depth", "shoulders", "hips")
-SQUARENESS = 2.4  # exponent of the superellipse that is the outline; 2 is an ellipse
-WIDEST = 1.2  # half-widths of the chest beyond which no section of the trunk reaches
-# Sections of the trunk: level (of the height), half-width and half-depth of the outline (of those
-# at V1's level), and how much of the shoulders' and of the hips' width counts there
-SECTIONS = np.array(
-    [
-        (0.480, 0.88, 0.86, 0.0, 1.0),
-        (0.530, 1.02, 0.96, 0.0, 1.0),  # hip
-        (0.610, 0.92, 0.92, 0.0, 0.5),  # waist
-        (0.680, 0.97, 0.98, 0.0, 0.0),
-        (0.735, 1.00, 1.00, 0.0, 0.0),  # V1
-        (0.770, 1.03, 0.96, 0.5, 0.0),
-        (0.800, 1.10, 0.82, 1.0, 0.0),  # shoulder
-        (0.825, 0.86, 0.66, 1.0, 0.0),
-        (0.845, 0.46, 0.50, 0.5, 0.0),  # neck
-        (0.870, 0.36, 0.44, 0.0, 0.0),
-    ]
-)
-# Likewise of the rib cage with its contents: level, half-width and half-depth
+# Sections of the rib cage with its contents: level (of the height), half-width and half-depth (of
+# those of the outline at V1's level)
 CAGE = np.array(
     [
         (0.600, 0.84, 0.80),
@@ -88,6 +72,10 @@ class TrunkSize:
     depth: float = 1.0
     shoulders: float = 1.0
     hips: float = 1.0
+    # exponent of the superellipse that is the outline; 2 is an ellipse
+    squareness: ClassVar[float] = 2.4
+    # half-widths of the chest beyond which no section of the trunk reaches
+    widest: ClassVar[float] = 1.2
 
     def __post_init__(self) -> None:
         # girth comes last, as it is a number only if height and weight are possible
@@ -110,7 +98,7 @@ class TrunkSize:
         """Half the width of the chest's outline at the level of V1 (mm)."""
         angle = np.linspace(0, 2 * np.pi, 721)
         outline = np.stack([np.cos(angle), np.sin(angle)])
-        outline = np.sign(outline) * np.abs(outline) ** (2 / SQUARENESS)
+        outline = np.sign(outline) * np.abs(outline) ** (2 / self.squareness)
         outline[1] *= self.depth * 0.70
         return float(10 * self.girth / np.linalg.norm(np.diff(outline), axis=0).sum())
 
@@ -136,12 +124,12 @@ def trunk(size: TrunkSize) -> Surface:
 
 def skin_of(outside: Outside, box: Floats) -> Surface:
     """Mesh the surface on which a function vanishes, within a box (2, 3), as a skin."""
-    return remeshed(level_set(outside, box, 12.0), SKIN_EDGE)
+    return remeshed(level_set(outside, box, 12.0), EDGES["torso"])
 
 
 def trunk_box(size: TrunkSize, margin: float = 0.0) -> Floats:
     """Two opposite corners (2, 3) of a box around the trunk, in the torso frame (mm)."""
-    across = WIDEST * max(1.0, size.shoulders, size.hips, size.depth) * size.half_width
+    across = size.widest * max(1.0, size.shoulders, size.hips, size.depth) * size.half_width
     lower, upper = _ends(size)
     corners = np.array([[-across, -across, lower], [across, across, upper]])
     return np.asarray(corners + np.array([[-margin], [margin]]))
@@ -154,10 +142,25 @@ def _ends(size: TrunkSize) -> tuple[float, float]:
 
 def outside_trunk(size: TrunkSize) -> Outside:
     """Approximate signed distance (mm) from the skin in the torso frame, negative inside."""
+    # level (of the height), half-width and half-depth of the outline (of those at V1's level), and
+    # how much of the shoulders' and of the hips' width counts there
+    sections = np.array(
+        [
+            (0.480, 0.88, 0.86, 0.0, 1.0),
+            (0.530, 1.02, 0.96, 0.0, 1.0),  # hip
+            (0.610, 0.92, 0.92, 0.0, 0.5),  # waist
+            (0.680, 0.97, 0.98, 0.0, 0.0),
+            (0.735, 1.00, 1.00, 0.0, 0.0),  # V1
+            (0.770, 1.03, 0.96, 0.5, 0.0),
+            (0.800, 1.10, 0.82, 1.0, 0.0),  # shoulder
+            (0.825, 0.86, 0.66, 1.0, 0.0),
+            (0.845, 0.46, 0.50, 0.5, 0.0),  # neck
+            (0.870, 0.36, 0.44, 0.0, 0.0),
+        ]
+    )
+    sections[:, 1] *= size.shoulders ** sections[:, 3] * size.hips ** sections[:, 4]
+    beyond = beyond_sections(size, sections[:, :3].copy())
     lower, upper = _ends(size)
-    sections = SECTIONS[:, :3].copy()
-    sections[:, 1] *= size.shoulders ** SECTIONS[:, 3] * size.hips ** SECTIONS[:, 4]
-    beyond = beyond_sections(size, sections)
 
     def outside(points: Floats) -> Floats:
         ends = np.maximum(lower - points[:, 2], points[:, 2] - upper)
@@ -173,7 +176,8 @@ def beyond_sections(size: TrunkSize, sections: Floats) -> Outside:
 
     def outside(points: Floats) -> Floats:
         half = halves(np.clip(points[:, 2], level[0], level[-1]))
-        relative = (np.abs(points[:, :2] / half) ** SQUARENESS).sum(axis=1) ** (1 / SQUARENESS)
+        powers = np.abs(points[:, :2] / half) ** size.squareness
+        relative = powers.sum(axis=1) ** (1 / size.squareness)
         # `reach` is the outline's radius towards a point: the distance is exact along x and y
         reach = np.linalg.norm(points[:, :2], axis=1) / np.maximum(relative, 1e-9)
         return np.asarray((relative - 1) * np.clip(reach, half.min(axis=1), half.max(axis=1)))
@@ -274,4 +278,4 @@ def _lung(
     reach = np.array([half_width, half_depth])
     box = np.stack([np.append(-reach, size.level(CAGE[0, 0])), np.append(reach, top)])
     surface = level_set(outside, box, spacing)
-    return remeshed(surface, LUNG_EDGE) if len(surface.triangles) else None
+    return remeshed(surface, EDGES["lung"]) if len(surface.triangles) else None

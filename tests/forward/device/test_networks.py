@@ -18,7 +18,7 @@ from fascicle.core.parameters import EXAMPLE_PARAMETERS, HUMAN_SPACE, Infeasible
 from fascicle.forward.beat import Beat
 from fascicle.forward.device import batch
 from fascicle.forward.device.backend import GpuBackend
-from fascicle.forward.eikonal.activation import attach
+from fascicle.forward.eikonal.myocardium import attach
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.conduction import Conduction, Region
 

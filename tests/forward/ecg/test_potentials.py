@@ -13,9 +13,10 @@ from fascicle.forward.ecg.electrocardiogram import (
     build_electrocardiograph,
     channel_weights,
     first_sample,
+    nodal_gradients,
+    unbounded_gradients,
 )
-from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded_gradients
-from fascicle.forward.eikonal.myocardium import build_myocardium
+from fascicle.forward.eikonal.build import build_myocardium
 from fascicle.heart.conduction import Conduction
 from fascicle.mesh.measures import barycentric_gradients
 

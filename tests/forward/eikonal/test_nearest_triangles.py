@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.forward.eikonal.activation import attach
-from fascicle.forward.eikonal.nearest_triangles import Candidates
+from fascicle.forward.eikonal.myocardium import Candidates, attach
 from fascicle.kernels.nearest_triangle import nearest_of
 
 

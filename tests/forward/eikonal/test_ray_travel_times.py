@@ -20,9 +20,9 @@ from builders import (
     straight_times,
 )
 
-from fascicle.forward.eikonal import activation
-from fascicle.forward.eikonal.activation import attach
-from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium
+from fascicle.forward.eikonal import myocardium as myocardium_module
+from fascicle.forward.eikonal.build import build_myocardium
+from fascicle.forward.eikonal.myocardium import Myocardium, attach
 from fascicle.heart.conduction import Region
 from fascicle.kernels.ray_travel_times import POINTS
 from fascicle.purkinje.tree import PurkinjeTree
@@ -339,18 +339,18 @@ class TestAroundScar:
 def test_stimuli_of_a_scenario_are_looked_for_once(uniform, monkeypatch):
     """Another network does not trace them again, other points do; the times are the same."""
     looked, traced = [], []
-    inside, find_neighbourhood = Myocardium.inside, activation.find_neighbourhood
+    inside, rays_to_mesh = Myocardium.inside, myocardium_module.rays_to_mesh
 
     def counted_inside(myocardium, points):
         looked.append(len(points))
         return inside(myocardium, points)
 
-    def counted(positions, elements, triangles, *others):
-        traced.append((len(positions), triangles is None))
-        return find_neighbourhood(positions, elements, triangles, *others)
+    def counted(located, triangles, myocardium):
+        traced.append((len(located.elements), triangles is None))
+        return rays_to_mesh(located, triangles, myocardium)
 
     monkeypatch.setattr(Myocardium, "inside", counted_inside)
-    monkeypatch.setattr(activation, "find_neighbourhood", counted)
+    monkeypatch.setattr(myocardium_module, "rays_to_mesh", counted)
     myocardium = replace(uniform, last_stimuli={})
     points = np.array([[3.1, 4.2, 5.3], [10.0, 2.0, 9.0]])
     first = attach(myocardium, [star(on_endocardia(16))], points)

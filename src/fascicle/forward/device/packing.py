@@ -8,8 +8,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP, Electrocardiograph
-from fascicle.forward.eikonal.myocardium import Myocardium
-from fascicle.forward.eikonal.ray_travel_times import grouped
+from fascicle.forward.eikonal.myocardium import Myocardium, grouped
 from fascicle.forward.preparation import Prepared
 from fascicle.kernels.arrays import CORNERS
 from fascicle.kernels.ray_travel_times import BASIS

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats, Integers, Singles
 from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, LEADS, lead_matrix
-from fascicle.forward.ecg.lead_field import MM_PER_CM
 from fascicle.kernels.deposit import deposit, respond, reweight
 from fascicle.kernels.jit import CHANNELS
+from fascicle.mesh.measures import HAMMER_STROUD_POINTS
 
 SAMPLE_STEP = 1.0  # sampling of the ECG (ms)
 
@@ -221,7 +221,7 @@ def channel_weights(
     mean ∇Z (c, m, 3) (kΩ/mm), c ≤ 8.
     """
     # mS/cm · mm³ · (1/mm) · (kΩ/mm) = 1/10
-    current = np.einsum("m,mij,cmj->mci", volumes / MM_PER_CM, intracellular, gradients)
+    current = np.einsum("m,mij,cmj->mci", volumes / 10, intracellular, gradients)
     weights = np.zeros((len(volumes), 3, CHANNELS))
     weights[:, :, : len(gradients)] = barycentric[:, 1:] @ current.transpose(0, 2, 1)
     return weights
@@ -239,9 +239,8 @@ def build_electrocardiograph(
     """Precompute the ECG integral of a heart of tetrahedra (m, 4).
 
     `gradients` (9 + a, m, 3) are the mean ∇Z of each electrode in each tetrahedron (kΩ/mm), by
-    `lead_field.unbounded_gradients`, or `lead_field.nodal_gradients` of lead fields known at the
-    vertices; `additional` names the electrodes besides the nine; the others are those of
-    `channel_weights`.
+    `unbounded_gradients`, or `nodal_gradients` of lead fields known at the vertices; `additional`
+    names the electrodes besides the nine; the others are those of `channel_weights`.
     """
 
     def weights(rows: Sequence[int]) -> NDArray[np.float32]:
@@ -255,3 +254,30 @@ def build_electrocardiograph(
     return Electrocardiograph(
         corners.astype(np.int32), weights(INDEPENDENT_ROWS), action_potential, groups, len(more)
     )
+
+
+def unbounded_gradients(
+    vertices: Floats, corners: Integers, electrodes: Floats, conductivity: float
+) -> Floats:
+    """Mean over each element of ∇Z = −r/(4πσ|r|³), r from the electrode, by quadrature.
+
+    (e, m, 3) (kΩ/mm), for electrodes (e, 3) (mm) and a conductivity σ (mS/cm). Far closer than the
+    gradient of the interpolated Z, which in a flat element can be wrong by half.
+    """
+    # (q, 3, m), so that sums run along whole rows
+    points = np.ascontiguousarray(np.moveaxis(HAMMER_STROUD_POINTS @ vertices[corners], 0, 2))
+    gradients = np.empty((len(electrodes), len(corners), 3))
+    for electrode, gradient in zip(electrodes, gradients, strict=True):
+        towards = electrode[:, None] - points
+        towards /= np.sqrt((towards * towards).sum(axis=1, keepdims=True)) ** 3
+        gradient[:] = towards.mean(axis=0).T
+    return gradients * 10 / (4 * np.pi * conductivity)  # 10 mm in 1 cm
+
+
+def nodal_gradients(lead_fields: Floats, corners: Integers, gradients: Floats) -> Floats:
+    """∇Z (e, m, 3) (kΩ/mm) of lead fields (e, n) (kΩ) at the vertices, linear in each element.
+
+    `corners` (m, 4) are the vertices of each tetrahedron, `gradients` (m, 4, 3) those of its
+    barycentric coordinates (1/mm).
+    """
+    return np.asarray(np.einsum("emk,mki->emi", lead_fields[:, corners], gradients))

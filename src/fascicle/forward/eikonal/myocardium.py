@@ -1,45 +1,50 @@
-"""The myocardium as prepared for the sweep, once per heart."""
+"""The myocardium as prepared for the sweep, and trees and stimuli attached to it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import igl
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import reverse_cuthill_mckee
+from scipy.spatial import KDTree
 
 from fascicle.core.arrays import Booleans, Floats, Integers
-from fascicle.core.progress import StageProgress, no_progress
-from fascicle.forward.eikonal.nearest_triangles import Candidates, find_candidates
-from fascicle.forward.eikonal.ray_travel_times import (
-    SiteNeighbourhood,
-    build_travel_time_table,
-    grouped,
-)
-from fascicle.heart.conduction import Conduction
-from fascicle.heart.heart import Heart
 from fascicle.kernels.arrays import (
-    AT_ORIGIN,
-    CELL_COLUMNS,
     CORNERS,
-    FACES,
-    LINK,
-    PRODUCTS,
-    SQUARES,
-    STAR,
-    XX,
     EikonalMesh,
+    Forest,
+    JunctionSites,
+    RayTravelTimes,
     TravelTimeTable,
-    aligned,
 )
 from fascicle.kernels.nearest_triangle import nearest_of
-from fascicle.kernels.star import number_neighbours
-from fascicle.mesh.measures import barycentric_gradients
-from fascicle.mesh.topology import TETRAHEDRON_EDGES, boundary_triangles
+from fascicle.kernels.ray_travel_times import rays_to_sites, rays_to_vertices
+from fascicle.purkinje.tree import PurkinjeTree
+
+
+class Candidates(NamedTuple):
+    """Boundary triangles that can be nearest to each triangle of an endocardium.
+
+    Attributes
+    ----------
+    start : (m + 1,) array
+        Where the candidates of each triangle begin in the list.
+    triangle, least : (c,) arrays
+        The list, and a lower bound of the distance of each from its ball's centre (mm), ascending.
+    centre, square : (m, 3) and (m,) arrays
+        A ball around each triangle: its centre (mm) and its squared radius (mm²). The boundary
+        triangle nearest to any point of the ball is among the candidates.
+    """
+
+    start: Integers
+    triangle: Integers
+    least: Floats
+    centre: Floats
+    square: Floats
 
 
 class LocatedPoints(NamedTuple):
@@ -55,12 +60,17 @@ class LocatedPoints(NamedTuple):
         The boundary triangle that is nearest to each.
     distances : (n,) array
         Distances from the requested points to these (mm).
+    barycentric, to_corner : (n, 4) arrays
+        Barycentric coordinates in the tetrahedron, and squared travel times (ms²) to its corners;
+        `rays_to_mesh` fills them in.
     """
 
     positions: Floats
     elements: Integers
     triangles: Integers
     distances: Floats
+    barycentric: Floats
+    to_corner: Floats
 
 
 @dataclass(frozen=True)
@@ -85,8 +95,8 @@ class Myocardium:
     candidates : dict of side to Candidates
         The boundary triangles that can be nearest to each triangle of an endocardium.
     last_stimuli : dict
-        Cache of the last stimuli and their neighbourhood: those of a scenario are the same for
-        every network.
+        Cache of the last stimuli and the rays from them: those of a scenario are the same for every
+        network.
     """
 
     mesh: EikonalMesh
@@ -97,7 +107,7 @@ class Myocardium:
     owner: Integers
     tree: igl.AABB
     candidates: dict[str, Candidates]
-    last_stimuli: dict[tuple[bytes, int], tuple[LocatedPoints, SiteNeighbourhood]] = field(
+    last_stimuli: dict[tuple[bytes, int], tuple[LocatedPoints, RayTravelTimes]] = field(
         default_factory=dict
     )
 
@@ -123,231 +133,274 @@ class Myocardium:
     def _located(self, positions: Floats, triangles: Integers, squares: Floats) -> LocatedPoints:
         elements = self.owner[triangles]
         elements = np.where(self.conducts[elements], elements, -1)
-        return LocatedPoints(positions, elements, triangles, np.sqrt(squares))
+        unknown = np.zeros((len(elements), 4)), np.full((len(elements), 4), np.inf)
+        return LocatedPoints(positions, elements, triangles, np.sqrt(squares), *unknown)
 
     @cached_property
     def _cells(self) -> tuple[Integers, Any]:
         """Corners of the elements, and the search tree of these."""
-        corners, cells = self.mesh.corners.astype(np.int64), igl.AABB()
-        cells.init(self.mesh.vertices, corners)
-        return corners, cells
+        corners = self.mesh.corners.astype(np.int64)
+        return corners, search_tree(self.mesh.vertices, corners)
 
     def inside(self, points: Floats) -> LocatedPoints:
         """Points in the tissue; those outside are moved to the nearest point of its surface."""
         site = self.on_surface(points)
-        if not len(points):
-            return site
-        positions, elements, distances = site.positions.copy(), site.elements, site.distances
-        corners, cells = self._cells
+        positions = site.positions.copy()
         for k, point in enumerate(points):
+            corners, cells = self._cells
             around = np.array(cells.find(self.mesh.vertices, corners, point), dtype=np.int64)
             if around.size:
                 conducting = around[self.conducts[around]]
-                elements[k] = conducting[0] if conducting.size else -1
-                positions[k], distances[k] = point, 0.0
-        return LocatedPoints(positions, elements, site.triangles, distances)
+                site.elements[k] = conducting[0] if conducting.size else -1
+                positions[k], site.distances[k] = point, 0.0
+        return site._replace(positions=positions)
 
 
-def build_myocardium(
-    heart: Heart,
-    conduction: Conduction,
-    progress: StageProgress = no_progress,
-    gradients: Floats | None = None,
-    table: TravelTimeTable | None = None,
-    like: Myocardium | None = None,
-) -> Myocardium:
-    """Precompute metric, squared travel times, adjacency and ray travel times of a heart.
+@dataclass(frozen=True)
+class Coupling:
+    """Trees and stimuli attached to the myocardium: all that does not depend on when they fire.
 
-    Vertices and elements are renumbered along the mesh, so that what is near in space is near in
-    memory; `Myocardium.order` leads back. `progress` counts the triangles from which rays are
-    traced, if that takes a while. `gradients` (m, 4, 3) are those of the barycentric coordinates in
-    the heart's tetrahedra (1/mm), `table` the ray travel times, if at hand; `like` is
-    the myocardium of the same heart with another conduction.
+    Sites are numbered junctions first, tree by tree, then stimuli. On the last node, the His
+    bundle, hang the roots of all trees; nothing passes there unless `activation.solve` is given a
+    bundle.
+
+    Attributes
+    ----------
+    myocardium : Myocardium
+        Myocardium that they are attached to.
+    trees : tuple of PurkinjeTree
+        Any number of trees.
+    located : LocatedPoints
+        Where junctions and stimuli lie in the myocardium.
+    nodes : (k + 1,) array
+        Where each tree's nodes start, counting on from the mesh's vertices; after them come the
+        stimuli, a node each, and the His bundle.
+    roots : (k,) array
+        The node of each tree's root.
+    junctions : (k + 1,) array
+        Where each tree's junctions start among the sites.
+    lengths : (n_nodes,) array
+        Length of the segment that ends in each node (mm), tree by tree, then stimuli and the
+        His bundle.
+    forest, sites : Forest, JunctionSites
+        Input of the sweep, with neither travel times nor delays.
     """
-    if gradients is None:
-        gradients = barycentric_gradients(heart.vertices, heart.tetrahedra)
-    if like is None:
-        links = _links(heart.edges, len(heart.vertices))
-        order = reverse_cuthill_mckee(links, symmetric_mode=True)
-    else:
-        order = like.order
-    number = np.argsort(order)  # its inverse
-    vertices, renumbered = np.ascontiguousarray(heart.vertices[order]), number[heart.tetrahedra]
-    place = np.argsort(renumbered.min(axis=1), kind="stable")
-    corners = np.ascontiguousarray(renumbered[place], dtype=np.int32)
-    scale = conduction.diffusion_scale(heart)[place]
-    conducts = scale > 0
-    whole_scale = np.where(conducts, scale, 1.0)
-    cells, solver, least = _elements(
-        vertices, corners, place, heart.fibres, gradients, conduction, whole_scale
+
+    myocardium: Myocardium
+    trees: tuple[PurkinjeTree, ...]
+    located: LocatedPoints
+    nodes: Integers
+    roots: Integers
+    junctions: Integers
+    lengths: Floats
+    forest: Forest
+    sites: JunctionSites
+
+    @property
+    def stimuli(self) -> LocatedPoints:
+        """Locations of the stimuli in the myocardium."""
+        return LocatedPoints._make(values[self.junctions[-1] :] for values in self.located)
+
+    @property
+    def stimulus_nodes(self) -> slice:
+        """The nodes of the stimuli."""
+        return slice(self.nodes[-1], len(self.lengths) - 1)
+
+
+def attach(
+    myocardium: Myocardium,
+    trees: Sequence[PurkinjeTree],
+    points: Floats | None = None,
+    sources: int | None = None,
+) -> Coupling:
+    """Find where trees and stimuli meet the myocardium.
+
+    Parameters
+    ----------
+    myocardium : Myocardium
+        The myocardium.
+    trees : sequence of PurkinjeTree
+        Any number of trees; junctions are moved to the nearest point of the tissue's surface.
+    points : (s, 3) array, optional
+        Stimuli in the myocardium (mm); those outside are moved to its surface.
+    sources : int, optional
+        Number of points, the first ones, with rays to every vertex; rays from the others, vertices
+        that a stimulus captures, reach as far as from junctions. By default all points.
+    """
+    stimuli = np.empty((0, 3)) if points is None else np.asarray(points, float).reshape(-1, 3)
+    located = _locate_junctions(myocardium, trees)
+    to_vertices = rays_to_mesh(located, located.triangles, myocardium)
+    if len(stimuli):
+        sources = len(stimuli) if sources is None else sources
+        located_stimuli, from_stimuli = _locate_stimuli(myocardium, stimuli, sources)
+        located = _joined(located, located_stimuli)
+        to_vertices = to_vertices.joined_with(from_stimuli)
+    nodes, junctions = (
+        np.cumsum([0, *map(len, parts)])
+        for parts in ([tree.nodes for tree in trees], [tree.junctions for tree in trees])
     )
-    edges = _edges(corners[conducts], solver[conducts, SQUARES:], len(vertices))
-    mesh = EikonalMesh(
-        vertices,
-        corners,
-        cells,
-        _face_neighbours(corners, conducts),
-        aligned(solver),
-        *_stars(corners, conducts, least, *edges),
-        *edges,
-        slowness=float(1 / (max(conduction.speeds) * np.sqrt(scale.max()))),
+    his = int(nodes[-1]) + len(stimuli)
+    junction_nodes = [t.junctions + first for t, first in zip(trees, nodes[:-1], strict=True)]
+    site_node = np.concatenate([*junction_nodes, np.arange(nodes[-1], his)]).astype(np.int64)
+    node_site = np.full(his + 1, -1, dtype=np.int64)
+    node_site[site_node] = np.arange(len(site_node))
+    parents, lengths = np.full(his + 1, -1, dtype=np.int64), np.zeros(his + 1)
+    for tree, first in zip(trees, nodes[:-1], strict=True):
+        part = slice(first, first + len(tree.nodes))
+        parents[part] = np.where(tree.parents >= 0, tree.parents + first, -1)
+        lengths[part] = tree.lengths
+    order = np.concatenate([[his], _parents_first(parents[:his])])
+    roots = nodes[:-1] + np.array([tree.root for tree in trees], dtype=np.int64)
+    parents[roots] = his
+    child = np.flatnonzero(parents >= 0)
+    child_start, by_parent = grouped(parents[child], len(parents))
+    no_delay = np.zeros(len(site_node))
+    attached = np.flatnonzero(located.elements >= 0)
+    corners = myocardium.mesh.corners[located.elements[attached]].ravel()
+    reader_start, by_corner = grouped(corners, len(myocardium.mesh.vertices))
+    sites = JunctionSites(
+        element=located.elements,
+        to_corner=located.to_corner,
+        node=site_node + len(myocardium.mesh.vertices),
+        anterograde=no_delay,
+        retrograde=no_delay,
+        reader_start=reader_start,
+        reader=attached[by_corner // CORNERS],
+        to_vertices=to_vertices,
+        to_sites=_rays_between(located, to_vertices, myocardium.mesh),
     )
-    if like is None:
-        surface, owner = boundary_triangles(corners)
-        tree = find_on_surface(vertices, surface)
-        candidates = {
-            e.side: find_candidates(e.vertices[e.triangles], vertices, surface, tree)
-            for e in heart.endocardia
-        }
-    else:
-        surface, owner, tree, candidates = like.surface, like.owner, like.tree, like.candidates
-    if table is None:
-        endocardia = _triangles_at(heart, vertices, surface, tree)
-        endocardia = endocardia[conducts[owner[endocardia]]]
-        table = build_travel_time_table(mesh, surface, owner, endocardia, progress)
-    return Myocardium(mesh, table, order, conducts, surface, owner, tree, candidates)
+    forest = Forest(order, parents, no_delay[:0], child_start, child[by_parent], node_site)
+    return Coupling(
+        myocardium, tuple(trees), located, nodes, roots, junctions, lengths, forest, sites
+    )
 
 
-def _elements(
-    vertices: Floats,
-    corners: NDArray[np.int32],
-    place: Integers,
-    fibres: Floats,
-    gradients: Floats,
-    conduction: Conduction,
-    scale: Floats,
-) -> tuple[Floats, Floats, NDArray[np.float32]]:
-    """Arrays `cells` and `solver` of an `EikonalMesh`, and the least delays of `STAR`, (m, 4, 3).
+def _locate_junctions(myocardium: Myocardium, trees: Sequence[PurkinjeTree]) -> LocatedPoints:
+    """Find the points of the tissue's surface that are nearest to the trees' junctions."""
+    located = [myocardium.on_surface(np.empty((0, 3)))] if not trees else []
+    for tree in trees:
+        points = tree.nodes[tree.junctions]
+        if tree.triangles is None or len(tree.triangles) != len(tree.nodes):
+            located.append(myocardium.on_surface(points))
+        else:
+            located.append(myocardium.on_surface_from(tree.triangles[tree.junctions], points))
+    return _joined(*located)
 
-    `place` is the heart's number of each tetrahedron, by which fibres and gradients are found.
+
+def _locate_stimuli(
+    myocardium: Myocardium, points: Floats, sources: int
+) -> tuple[LocatedPoints, RayTravelTimes]:
+    """Find points in the myocardium and the rays from them; the last result is cached."""
+    key = points.tobytes(), sources
+    stimuli = myocardium.last_stimuli.get(key)
+    if stimuli is None:
+        located = myocardium.inside(points)
+        centres = LocatedPoints._make(values[:sources] for values in located)
+        captured = LocatedPoints._make(values[sources:] for values in located)
+        nowhere = np.full(len(captured.elements), -1)  # in no triangle: their rays are traced
+        rays = rays_to_mesh(centres, None, myocardium)
+        rays = rays.joined_with(rays_to_mesh(captured, nowhere, myocardium))
+        stimuli = located, rays
+        myocardium.last_stimuli.clear()
+        myocardium.last_stimuli[key] = stimuli
+    return stimuli
+
+
+def rays_to_mesh(
+    located: LocatedPoints, triangles: Integers | None, myocardium: Myocardium
+) -> RayTravelTimes:
+    """Find the ray travel times from sites to the vertices around them.
+
+    Parameters
+    ----------
+    located : LocatedPoints
+        Locations of the sites; `barycentric` and `to_corner` are filled in.
+    triangles : (j,) array or None
+        The boundary triangle that each site lies in, -1 for none: times are read from the table;
+        where it lacks the triangle, rays are traced as far as it reaches. If None, rays from all
+        sites are traced, to every vertex.
+    myocardium : Myocardium
+        The myocardium, with the ray travel times from its endocardia.
     """
-    count = len(corners)
-    cells, solver = np.empty((count, CELL_COLUMNS)), np.empty((count, 2 * len(TETRAHEDRON_EDGES)))
-    least = np.empty((count, CORNERS, CORNERS - 1), np.float32)
-    i, j = TETRAHEDRON_EDGES.T
-    chunk = 1 << 16  # elements at a time, which bounds the memory
-    for first in range(0, count, chunk):
-        part = slice(first, first + chunk)
-        points = vertices[corners[part]]
-        metric = conduction.metric(fibres[place[part]]) / scale[part, None, None]
-        slopes = gradients[place[part]]
-        cells[part, :AT_ORIGIN] = np.swapaxes(slopes, 1, 2).reshape(-1, AT_ORIGIN)
-        cells[part, AT_ORIGIN:XX] = -np.einsum("mki,mi->mk", slopes, points[:, 0])
-        cells[part, AT_ORIGIN] += 1
-        cells[part, XX:] = metric[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-        steered = np.einsum("mij,mkj->mki", np.linalg.inv(metric), slopes)
-        products = np.einsum("mei,mei->me", slopes[:, i], steered[:, j])
-        solver[part, PRODUCTS:SQUARES] = products
-        edges = points[:, j] - points[:, i]
-        solver[part, SQUARES:] = np.einsum("mei,mij,mej->me", edges, metric, edges)
-        reached = _reach(solver[part, SQUARES:]).astype(np.float32)
-        least[part] = np.nextafter(reached, np.float32(-np.inf))  # rounded down
-    return cells, solver, least
+    mesh, table, elements = myocardium.mesh, myocardium.travel_times, located.elements
+    count = len(elements)
+    rows, opposite = np.full(count, -1, np.int32), np.zeros(count, np.int8)
+    reach = longest = np.inf
+    if triangles is not None:
+        rows = np.where(triangles >= 0, table.row[triangles], np.int32(-1))
+        opposite = table.opposite[triangles]
+        reach, longest = table.reach, table.longest
+    room = np.where(rows >= 0, table.start[rows + 1] - table.start[rows], len(mesh.vertices))
+    off = np.flatnonzero((rows < 0) & (elements >= 0))
+    if off.size and reach < np.inf:
+        room[off] = KDTree(mesh.vertices).query_ball_point(
+            located.positions[off], reach * (1 + 1e-9), return_length=True
+        )
+    rays = _room(count, int((room + CORNERS)[elements >= 0].sum()))
+    rays_to_vertices(located, rows, opposite, mesh, table, reach, longest, rays)
+    return _used(rays)
 
 
-def _edges(
-    corners: NDArray[np.int32], squares: Floats, count: int
-) -> tuple[Integers, NDArray[np.void]]:
-    """Neighbours of each vertex along edges, as starts and list, with least travel times."""
-    i, j = TETRAHEDRON_EDGES.T
-    tail = np.concatenate([corners[:, i], corners[:, j]]).ravel().astype(np.int64)
-    head = np.concatenate([corners[:, j], corners[:, i]]).ravel()
-    pair = tail * count + head
-    order = np.argsort(pair, kind="stable")
-    first = np.flatnonzero(np.diff(pair[order], prepend=-1))
-    edge = order[first]
-    link = np.empty(len(edge), LINK)
-    link["vertex"] = head[edge]
-    link["time"] = np.sqrt(np.minimum.reduceat(np.tile(squares.ravel(), 2)[order], first))
-    start = np.concatenate([[0], np.cumsum(np.bincount(tail[edge], minlength=count))])
-    return start, link
+def _rays_between(
+    sites: LocatedPoints, to_vertices: RayTravelTimes, mesh: EikonalMesh
+) -> RayTravelTimes:
+    """Find the ray travel times from sites to the other sites around them."""
+    attached = np.flatnonzero(sites.elements >= 0)
+    first = mesh.corners[sites.elements[attached], 0]
+    order = np.argsort(first, kind="stable")
+    time_to = np.full(len(mesh.vertices), np.inf)
+    room = _room(len(sites.elements), 16 * len(attached) + 1)  # usually enough
+    return _used(
+        rays_to_sites(sites, attached[order], first[order], mesh, to_vertices, time_to, room)
+    )
 
 
-def _triangles_at(heart: Heart, vertices: Floats, surface: Integers, tree: igl.AABB) -> Integers:
-    """Boundary triangles that the endocardia lie on.
+def _joined(*located: LocatedPoints) -> LocatedPoints:
+    return LocatedPoints._make(map(np.concatenate, zip(*located, strict=True)))
 
-    They have their centre near an endocardium, or are nearest to its vertices or triangles.
+
+def _room(sites: int, most: int) -> RayTravelTimes:
+    return RayTravelTimes(np.empty(sites + 1, np.int64), np.empty(most, np.int32), np.empty(most))
+
+
+def _used(rays: RayTravelTimes) -> RayTravelTimes:
+    used = rays.start[-1]
+    return RayTravelTimes(rays.start, rays.target[:used], rays.time[:used])
+
+
+def _parents_first(parents: Integers) -> Integers:
+    """Order of the nodes with parents first; that of their numbers if it is so already."""
+    order = np.arange(len(parents))
+    if (parents < order).all():
+        return order
+    depth, above = np.zeros(len(parents), dtype=np.int64), parents.copy()
+    while (above >= 0).any():
+        depth += above >= 0
+        above = np.where(above >= 0, parents[above], -1)
+    return np.argsort(depth, kind="stable")
+
+
+def grouped(groups: NDArray[np.integer], count: int) -> tuple[Integers, Integers]:
+    """Sort items by their group; those of one group stay in the order in which they came.
+
+    Parameters
+    ----------
+    groups : (n,) array
+        The group of each item.
+    count : int
+        How many groups there are.
+
+    Returns
+    -------
+    start, order : (count + 1,) and (n,) arrays
+        Where each group starts in the order, and the order.
     """
-    centres = vertices[surface].mean(axis=1)
-    near = []
-    for endocardium in heart.endocardia:
-        square, _, _ = find_on_surface(
-            endocardium.vertices, endocardium.triangles
-        ).squared_distance(endocardium.vertices, endocardium.triangles, centres)
-        # within a quarter of an edge
-        near.append(np.flatnonzero(square < (0.25 * heart.edge_length) ** 2))
-        corners = endocardium.vertices[endocardium.triangles]
-        sides = (corners + np.roll(corners, 1, axis=1)) / 2
-        points = [corners.reshape(-1, 3), sides.reshape(-1, 3), corners.mean(axis=1)]
-        near.append(tree.squared_distance(vertices, surface, np.concatenate(points))[1])
-    return np.unique(np.concatenate(near))
+    sizes = np.bincount(groups, minlength=count)
+    return np.concatenate([[0], np.cumsum(sizes)]), np.argsort(groups, kind="stable")
 
 
-def find_on_surface(vertices: Floats, surface: Integers) -> igl.AABB:
-    """Search tree that finds the nearest of a surface's triangles."""
+def search_tree(vertices: Floats, cells: Integers) -> igl.AABB:
+    """Search tree that finds the triangle or tetrahedron nearest to a point."""
     tree = igl.AABB()
-    tree.init(vertices, surface)
+    tree.init(vertices, cells)
     return tree
-
-
-def _stars(
-    corners: NDArray[np.int32],
-    conducts: Booleans,
-    least: NDArray[np.float32],
-    link_start: Integers,
-    link: NDArray[np.void],
-) -> tuple[Integers, NDArray[np.void]]:
-    """Conducting elements around each vertex, as starts and list."""
-    flat = np.flatnonzero(np.repeat(conducts, CORNERS))  # CORNERS·tetrahedron + corner
-    start, order = grouped(corners.ravel()[flat], len(link_start) - 1)
-    star = np.empty(len(flat), STAR)
-    star["item"] = flat[order]
-    tetrahedron, corner = np.divmod(flat[order], CORNERS)
-    link_numbers = np.empty((len(flat), CORNERS - 1), np.uint16)
-    at = corners[tetrahedron[:, None], FACES[corner]]
-    number_neighbours(start, at, link_start, link["vertex"], link_numbers)
-    star["a"], star["b"], star["c"] = link_numbers.T
-    star["least_a"], star["least_b"], star["least_c"] = least[tetrahedron, corner].T
-    return start, star
-
-
-def _reach(squares: Floats) -> Floats:
-    """Least delay (ms) between a corner and another one that is reached through it; (m, 4, 3).
-
-    A front that comes to corner x from direction v, through the face that corner s belongs to,
-    reaches x later than s by the projection of the edge from s to x on v, in the metric. Its least
-    value over the face's cone of directions is on one of its edges, or inside the side that is
-    opposite to s where the projection on that side's plane points away from it.
-    """
-    square = np.zeros((len(squares), 4, 4))
-    for k, (i, j) in enumerate(TETRAHEDRON_EDGES):
-        square[:, i, j] = square[:, j, i] = squares[:, k]
-    least = np.empty((len(squares), 4, 3))
-    for s in range(4):
-        for turn, x in enumerate(FACES[s]):
-            j, k = (c for c in FACES[s] if c != x)
-            ss, jj, kk = square[:, s, x], square[:, j, x], square[:, k, x]
-            sj, sk = (ss + jj - square[:, s, j]) / 2, (ss + kk - square[:, s, k]) / 2
-            jk = (jj + kk - square[:, j, k]) / 2
-            on_edges = np.minimum(np.sqrt(ss), np.minimum(sj / np.sqrt(jj), sk / np.sqrt(kk)))
-            det = jj * kk - jk * jk
-            along_j, along_k = (sj * kk - sk * jk) / det, (sk * jj - sj * jk) / det
-            away = (along_j <= 0) & (along_k <= 0)
-            projection = np.sqrt(np.maximum(along_j * sj + along_k * sk, 0))
-            least[:, s, turn] = np.where(away, -projection, on_edges)
-    return least
-
-
-def _links(edges: Integers, count: int) -> sp.csr_array:
-    """Symmetric pattern of the vertices that share an edge."""
-    rows, columns = np.concatenate([edges, edges[:, ::-1]]).T
-    entries = np.ones(len(rows), dtype=np.int8)
-    return sp.coo_array((entries, (rows, columns)), shape=(count, count)).tocsr()
-
-
-def _face_neighbours(corners: NDArray[np.int32], conducts: Booleans) -> NDArray[np.int32]:
-    """Tetrahedron across the face opposite each corner, -1 where none conducts; shape (m, 4)."""
-    faces = np.asarray(igl.tet_tet_adjacency(corners.astype(np.int64))[0])
-    neighbours = faces[:, [2, 3, 1, 0]]  # libigl's faces are 012, 013, 123, 203
-    neighbours[(neighbours >= 0) & ~conducts[neighbours]] = -1
-    return neighbours.astype(np.int32)

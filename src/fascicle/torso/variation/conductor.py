@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import igl
 import numpy as np
@@ -25,9 +26,6 @@ from fascicle.heart.heart import Heart, Torso, TorsoTissue
 from fascicle.mesh.measures import solid_centroid, unit
 from fascicle.torso.electrode_sites import Electrode
 from fascicle.torso.lead_fields import assemble_stiffness, outer_boundary, total_conductivity
-
-# Least |J|: volumes between heart and skin may shrink to a tenth
-LEAST_COMPRESSION = 0.1
 
 
 @dataclass(frozen=True)
@@ -43,6 +41,10 @@ class TorsoState:
     geometry: Floats
     ratios: Floats
     chest: Floats
+    # ends of the ranges between which the response is interpolated: of the geometry, displacements
+    # (mm), rotations (rad) and size, and of the logarithm of each conductivity
+    reach: ClassVar[Floats] = np.array([20.0] * 3 + [np.radians(20.0)] * 3 + [0.15])
+    log_factor: ClassVar[float] = np.log(2.0)
 
     @classmethod
     def of(cls, values: Mapping[str, float]) -> TorsoState:
@@ -111,6 +113,8 @@ class Morph:
     centres: Floats
     share: Floats
     slope: Floats
+    # least |J|: volumes between heart and skin may shrink to a tenth
+    least_compression: ClassVar[float] = 0.1
 
     def jacobians(self, motion: SkinMotion) -> Floats:
         """J = I + (y(x) − x)⊗∇w + w(∇y − I) for the skin's motion y, shape (m, 3, 3)."""
@@ -231,7 +235,8 @@ class Conductor:
 
     def is_possible(self, state: TorsoState) -> bool:
         """Whether the heart keeps clear of the skin."""
-        return float(self.morph.determinants(self.motion(state)).min()) > LEAST_COMPRESSION
+        least = float(self.morph.determinants(self.motion(state)).min())
+        return least > self.morph.least_compression
 
     def stiffness(self, state: TorsoState) -> csr_matrix:
         """Conductances (n, n) over the factor on the myocardium's conductivity (1/kΩ)."""

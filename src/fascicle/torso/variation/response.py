@@ -30,7 +30,7 @@ from fascicle.core.parameters import Infeasible
 from fascicle.core.quantities import torso_values
 from fascicle.core.threads import one_thread
 from fascicle.torso.electrode_sites import Electrode
-from fascicle.torso.variation.conductor import LEAST_COMPRESSION, Morph, SkinMotion, TorsoState
+from fascicle.torso.variation.conductor import Morph, SkinMotion, TorsoState
 
 # Places (mm) of chest electrodes along the skin, whose triangles have edges of some 11 mm: beyond
 # the 25 mm of one electrode over a chest of 0.85, and upwards also the 40 mm of all together
@@ -38,17 +38,13 @@ SPACING = 6.0
 LEFT: Floats = SPACING * np.arange(-5.0, 6.0)
 UPWARD: Floats = SPACING * np.arange(-13.0, 14.0)
 FIXED = Electrode.V1 + 6 * len(LEFT) * len(UPWARD)  # first place of the additional electrodes
-# Ends of the ranges of interpolation: displacements (mm), rotations (rad), size, and the logarithm
-# of conductivities
-REACH = np.array([20.0] * 3 + [np.radians(20.0)] * 3 + [0.15])
-LOG_FACTOR = np.log(2.0)
 
 
 def exterior_inputs(state: TorsoState) -> Floats:
     """Inputs (8,) of the response outside the hull: pose, size and lungs, scaled to about ±1."""
     plain, lung, _ = state.ratios
-    geometry = (state.geometry - [0, 0, 0, 0, 0, 0, 1]) / REACH
-    return np.append(geometry, np.log(lung / plain) / (2 * LOG_FACTOR))
+    geometry = (state.geometry - [0, 0, 0, 0, 0, 0, 1]) / state.reach
+    return np.append(geometry, np.log(lung / plain) / (2 * state.log_factor))
 
 
 def near_field(electrodes: Floats, hull: Floats, projection: Floats, energy: Floats) -> Floats:
@@ -95,7 +91,7 @@ class TorsoResponse:
         """
         motion = SkinMotion.of(self.centroid, self.axes, state)
         critical = Morph(self.critical_centres, self.critical_share, self.critical_slope)
-        if critical.determinants(motion).min() < LEAST_COMPRESSION:
+        if critical.determinants(motion).min() < critical.least_compression:
             return Infeasible("the heart would touch the skin", "move it less")
         weights = self._weights(exterior_inputs(state)[None])[0].astype(self.outer.dtype)
         outer = np.empty(self.filled.shape)

@@ -38,8 +38,6 @@ from fascicle.torso.variation.conductor import Conductor, TorsoState
 from fascicle.torso.variation.response import (
     FIXED,
     LEFT,
-    LOG_FACTOR,
-    REACH,
     SPACING,
     UPWARD,
     TorsoResponse,
@@ -122,8 +120,8 @@ def random_torsos(conductor: Conductor, count: int, rng: np.random.Generator) ->
     states: list[TorsoState] = []
     while len(states) < count:
         for point in 2 * qmc.LatinHypercube(24, rng=rng).random(count) - 1:
-            geometry = [0, 0, 0, 0, 0, 0, 1] + REACH * point[:7]
-            factors = np.exp(LOG_FACTOR * point[7:11])
+            geometry = [0, 0, 0, 0, 0, 0, 1] + TorsoState.reach * point[:7]
+            factors = np.exp(TorsoState.log_factor * point[7:11])
             # mm: each electrode alone, and all of the chest together upwards
             chest = np.stack([25.0 * point[11:17], 25.0 * point[17:23]], axis=1)
             chest[:, 1] += 40.0 * point[23]
