@@ -42,7 +42,7 @@ from examples.recover_known_network import synthetic_target
 from fascicle.cli.output import TerminalProgress
 from fascicle.forward.beat import Beat
 from fascicle.networks.target_comparison import Network, evaluate
-from fascicle.reporting.activation import SINCE_FIRST, ActivationRow, activation_figure
+from fascicle.reporting.activation import ActivationRow, activation_figure
 from fascicle.reporting.ecg import EcgGroup, ecg_figure
 from fascicle.reporting.parameters import pair_figure
 from fascicle.reporting.style import Colour, new_figure, save
@@ -160,7 +160,7 @@ def write_figures(
     heart, true = model.heart, simulate(model, truth)
     drawn = {"truth": true, "best": fitted.best_network.beat}
     rows = [ActivationRow.of(name, simulation).since_first() for name, simulation in drawn.items()]
-    save(activation_figure(heart, rows, SINCE_FIRST), folder / "activation.png")
+    save(activation_figure(heart, rows), folder / "activation.png")
     time_axis = target.time[window]
     predicted = np.stack([network.predicted for network in networks])[:, :, window]
     reference = EcgGroup("reference", "beat", time_axis, target.qrs_beats, Colour.BLUE)

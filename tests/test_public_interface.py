@@ -42,7 +42,7 @@ WRONG: dict[str, Any] = {
 # What the arguments of a function also take; None is taken where it is the default. A text may be
 # the name of a file that is not there.
 ALSO = {
-    ("explore", "given"): {"heart"},
+    ("explore", "source"): {"heart"},
     ("ForwardModel", "heart"): {"heart"},
     ("simulate_prior", "heart"): {"heart"},
     ("ventricular_coordinates", "heart"): {"heart"},
@@ -125,7 +125,7 @@ def right(study, predicted, recording, default_heart, default_model, tmp_path_fa
     pacing = predicted["left-bundle-branch-pacing"]
     return {
         "outside_allowed": (fascicle.outside_allowed, {}),
-        "explore": (fascicle.explore, {"given": default_heart}),
+        "explore": (fascicle.explore, {"source": default_heart}),
         "example_parameters": (fascicle.example_parameters, {"model": default_model}),
         "ForwardModel": (fascicle.ForwardModel, {"heart": default_heart}),
         "ForwardModel.simulate": (

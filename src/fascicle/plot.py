@@ -33,17 +33,17 @@ from fascicle.prediction.predicted import Predicted
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import as_target
-from fascicle.reporting.activation import draw_tree
+from fascicle.reporting.activation import draw_tree, spread_figure
 from fascicle.reporting.ecg import target_figure
 from fascicle.reporting.heart import draw_heart
 from fascicle.reporting.parameters import pair_figure, prior_figure
-from fascicle.reporting.prediction import simulated_activation_figure, simulated_ecg_figure
-from fascicle.reporting.scenarios import (
+from fascicle.reporting.prediction import (
     index_figure,
     prediction_ecg_figure,
     scenario_activation_figure,
     scenario_ecg_figure,
-    spread_figure,
+    simulated_activation_figure,
+    simulated_ecg_figure,
 )
 from fascicle.reporting.study import draw_losses, recorded_ecg_figure
 from fascicle.reporting.style import P, one_axes, user_first
@@ -128,7 +128,8 @@ def activation(
 def activation_spread(heart: Heart | StudyLike, predicted: Mapping[str, Predicted]) -> list[Axes]:
     """Standard deviation of the activation over the networks, a row a scenario."""
     _check_predicted(predicted)
-    return _shown(spread_figure, _heart(heart, predicted), predicted)
+    spreads = {name: prediction.maps["activation_sd"] for name, prediction in predicted.items()}
+    return _shown(spread_figure, _heart(heart, predicted), spreads)
 
 
 def indices(predicted: Mapping[str, Predicted]) -> list[Axes]:

@@ -9,12 +9,11 @@ import numpy as np
 import pandas as pd
 import pytest
 import pyvista as pv
+from builders import KUHN
 
 from fascicle.core.leads import ELECTRODES
 
 WIDTH, CELLS = 60.0, 8  # mm; cubes along each side of the tissue
-CUBE = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1), (1, 1, 1)]
-KUHN = [(0, 1, 3, 7), (0, 3, 2, 7), (0, 2, 6, 7), (0, 6, 4, 7), (0, 4, 5, 7), (0, 5, 1, 7)]
 RINGS, SPOKES = 9, 24
 
 SMALL_PARAMETERS = {
@@ -43,8 +42,8 @@ def block_of_tissue(cells=CELLS, hollow=False):
         radius = cup_radius((z - 10.0) / 45.0)
         cubes = cubes[(np.hypot(np.minimum(abs(x - 15), abs(x - 45)), y - WIDTH / 2) > radius)]
     corner = cubes @ stride
-    offsets = np.array(CUBE) @ stride
-    tetrahedra = (corner[:, None, None] + offsets[np.array(KUHN)][None]).reshape(-1, 4)
+    offsets = np.array([[k & 1, k >> 1 & 1, k >> 2] for k in range(8)]) @ stride
+    tetrahedra = (corner[:, None, None] + offsets[KUHN][None]).reshape(-1, 4)
     return lattice * (WIDTH / cells), tetrahedra
 
 
@@ -134,23 +133,28 @@ class Ended:
         return self.status == 0 and all(line.startswith(("warning: ", "took ")) for line in said)
 
 
+def exit_status(*arguments):
+    """Exit status of `fascicle ...`, run in this process."""
+    from fascicle.cli import main
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", ["fascicle", *map(str, arguments)])
+        try:
+            main()
+        except SystemExit as leaving:
+            return leaving.code if isinstance(leaving.code, int) else 0
+    return 0
+
+
 @pytest.fixture
 def run(monkeypatch, capfd):
     """Run `fascicle ...` in this process; what VTK prints by itself is captured too."""
-    from fascicle.cli import main
-
     # a slow machine takes seconds to prepare a heart, and then says so
     monkeypatch.setattr("fascicle.core.progress.ProgressLines._speak", lambda self: None)
 
     def call(*arguments):
-        monkeypatch.setattr("sys.argv", ["fascicle", *map(str, arguments)])
         capfd.readouterr()
-        status = 0
-        try:
-            main()
-        except SystemExit as leaving:
-            status = leaving.code if isinstance(leaving.code, int) else 0
-        return Ended(status, *capfd.readouterr())
+        return Ended(exit_status(*arguments), *capfd.readouterr())
 
     return call
 
@@ -235,6 +239,17 @@ def small_heart(tmp_path_factory):
     folder = tmp_path_factory.mktemp("hearts") / "block"
     write_heart(heart, folder)
     return folder
+
+
+@pytest.fixture(scope="session")
+def written(small_heart, tmp_path_factory):
+    """Outputs of a simulation of the small heart from parameters."""
+    folder = tmp_path_factory.mktemp("simulated")
+    values = "".join(f"{name} = {value}\n" for name, value in SMALL_PARAMETERS.items())
+    (folder / "parameters.toml").write_text(values)
+    options = "--params", folder / "parameters.toml", "--out", folder / "out"
+    assert exit_status("simulate", small_heart, *options) == 0
+    return folder / "out"
 
 
 @pytest.fixture

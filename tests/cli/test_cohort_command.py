@@ -6,7 +6,7 @@ import pytest
 
 from fascicle.core.errors import InputError
 from fascicle.patients import patient
-from fascicle.patients.outcome import Outcome, Status
+from fascicle.patients.patient import Outcome, Status
 
 HEAD = "patient,heart,recording\n"
 

@@ -190,7 +190,7 @@ class TestProgress:
         path = tmp_path / "screen"
         with path.open("w") as screen:
             say = partial(write_with_time, stream=screen)
-            progress = ProgressLines(say, first=0.05, every=0.2)
+            progress = ProgressLines(say, first=0.05, interval=0.2)
             yield progress, path.read_text
             progress.end()
 

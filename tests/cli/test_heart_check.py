@@ -1,8 +1,13 @@
-"""`fascicle heart check` and other commands on heart folders, good and spoilt."""
+"""`fascicle heart check` and `refine` of heart folders, good and spoilt."""
 
 import shutil
 
+import numpy as np
 import pytest
+
+from fascicle.core.parameters import read_parameters
+from fascicle.forward.model import ForwardModel
+from fascicle.heart.folder import load_heart
 
 
 @pytest.fixture
@@ -95,3 +100,23 @@ def test_missing_and_damaged_files(heart, check_refused, name):
 def test_odd_file_names(heart, check_refused, name):
     edit(heart, "mesh.vtu", name)
     check_refused("error: ", "; ")
+
+
+def test_refined_heart(blank_pictures, run, refused, small_heart, parameters, outside):
+    ended = run("heart", "refine", small_heart, "--out", outside / "fine")
+    assert ended.well, ended.err
+    coarse, fine = load_heart(small_heart), load_heart(outside / "fine")
+    assert len(fine.tetrahedra) == 8 * len(coarse.tetrahedra)
+    np.testing.assert_allclose(fine.volumes.sum(), coarse.volumes.sum(), rtol=1e-12)
+    said = [line.split() for line in ended.out.splitlines()]
+    assert ["tetrahedra", f"{len(coarse.tetrahedra)}", f"{len(fine.tetrahedra)}"] in said
+    assert (outside / "fine" / "check.png").is_file()
+    again = ["heart", "refine", outside / "fine", "--out", outside / "fine"]
+    refused(again, "holds the input heart.toml, which would be lost")
+    network = read_parameters(parameters())
+    one, other = (ForwardModel(heart).simulate(network) for heart in (coarse, fine))
+    for tree, same in zip(one.trees, other.trees, strict=True):
+        np.testing.assert_array_equal(tree.nodes, same.nodes)
+    samples = min(one.leads.shape[1], other.leads.shape[1])
+    difference = one.leads[:, :samples] - other.leads[:, :samples]
+    assert np.linalg.norm(difference) < 0.08 * np.linalg.norm(other.leads)

@@ -114,17 +114,3 @@ def test_what_went_out_builds_the_same_heart(export, folder, heart, run, outside
     for side in ("lv", "rv"):
         assert getattr(again, side).area == pytest.approx(getattr(heart, side).area, rel=1e-6)
     np.testing.assert_array_equal(again.regions, heart.regions)
-
-
-@pytest.mark.parametrize(
-    ("name", "kind", "words"),
-    [
-        ("heart.vtk", "vtu", "a vtu file must end in .vtu"),
-        ("heart", "gmsh", "a gmsh file must end in .msh"),
-        ("notes/heart", "opencarp", "cannot be written"),
-    ],
-)
-def test_bad_places(refused, folder, outside, name, kind, words):
-    (outside / "notes").write_text("mine")
-    refused(["heart", "export", folder, "--format", kind, "--out", outside / name], words)
-    assert [path.name for path in outside.iterdir()] == ["notes"]

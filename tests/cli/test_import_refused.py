@@ -365,6 +365,9 @@ class TestOut:
         (out / "thesis.tex").write_text("mine")
         words = "holds files and is not a heart folder", "another --out"
         refused(materials.command(out), out, *words)
+        (out / "heart.toml").write_text("mine")
+        refused(materials.command(out), "holds 'thesis.tex', which would be lost")
+        (out / "heart.toml").unlink()
         monkeypatch.chdir(outside)
         refused(materials.command("."), ".: is the folder you are in", "; give a folder of its own")
         refused(materials.command(".."), "..: is the folder you are in, or holds it")

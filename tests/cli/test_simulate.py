@@ -4,19 +4,16 @@ import csv
 import json
 import math
 import shutil
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 import pyvista as pv
 
-from fascicle.cli import main
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.heart.folder import load_heart
 from fascicle.recording.window import qrs_window, qrs_windows
-from tests.cli.conftest import SMALL_PARAMETERS
 
 FILES = [
     "activation.png", "activation.vtu", "ecg.csv", "ecg.png", "junctions.vtu", "lv_tree.vtu",
@@ -30,23 +27,9 @@ def read_ecg(folder):
     return header, np.array(rows, dtype=float)
 
 
-@pytest.fixture(scope="module")
-def written(small_heart, tmp_path_factory):
-    """Outputs of a simulation from parameters."""
-    folder = tmp_path_factory.mktemp("simulated")
-    values = "".join(f"{name} = {value}\n" for name, value in SMALL_PARAMETERS.items())
-    (folder / "parameters.toml").write_text(values)
-    asked = ["--params", folder / "parameters.toml", "--out", folder / "out"]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sys.argv", ["fascicle", *map(str, ["simulate", small_heart, *asked])])
-        with suppress(SystemExit):
-            main()
-    return folder / "out"
-
-
 @pytest.fixture
 def simulated(written, outside):
-    """A copy of these outputs."""
+    """A copy of the outputs of a simulation from parameters."""
     return shutil.copytree(written, outside / "from parameters")
 
 
@@ -145,6 +128,13 @@ class TestOutputs:
         v1, v6 = (rows[:, header.index(lead)] for lead in ("V1", "V6"))
         assert -v1.min() > v1.max()  # rS on the right, R on the left
         assert v6.max() > -v6.min()
+        # pictures in another format take the place of the first
+        assert (out / "ecg.png").read_bytes().startswith(b"\x89PNG")
+        ended = run("simulate", "default", "--format", "svg")
+        assert ended.status == 0
+        assert "pictures: simulation/ecg.svg, simulation/activation.svg" in ended.out
+        assert b"<svg" in (out / "activation.svg").read_bytes()[:2000]
+        assert not (out / "ecg.png").exists()
 
 
 def as_polyline(path, out):
@@ -226,42 +216,26 @@ class TestTrees:
         assert counts[0]["junctions"] == counts[1]["junctions"]
         assert counts[1]["length_mm"] == pytest.approx(counts[0]["length_mm"], rel=0.01)
 
-    def spoilt(self, simulated, outside, **arrays):
+    @pytest.mark.parametrize("case", SPOILT)
+    def test_spoilt_trees(self, simulated, outside, simulate_refused, case):
         """The left tree, saved with other points, lines or lengths."""
+        spoil, *words = SPOILT[case]
         tree = pv.read(simulated / "lv_tree.vtu")
-        points = arrays.get("points", np.array(tree.points))
-        lines = arrays.get("lines", tree.cells.reshape(-1, 3)[:, 1:])
-        spoilt = pv.UnstructuredGrid({pv.CellType.LINE: lines}, points)
+        arrays = {"points": np.array(tree.points), "lines": tree.cells.reshape(-1, 3)[:, 1:]}
+        arrays |= spoil(*arrays.values(), tree["length"])
+        spoilt = pv.UnstructuredGrid({pv.CellType.LINE: arrays["lines"]}, arrays["points"])
         if "length" in arrays:
             spoilt.cell_data["length"] = arrays["length"]
         spoilt.save(file := outside / "spoilt.vtu")
-        return file
-
-    @pytest.mark.parametrize("case", SPOILT)
-    def test_spoilt_trees(self, simulated, outside, simulate_refused, case):
-        spoil, *words = SPOILT[case]
-        tree = pv.read(simulated / "lv_tree.vtu")
-        arrays = spoil(np.array(tree.points), tree.cells.reshape(-1, 3)[:, 1:], tree["length"])
-        file = self.spoilt(simulated, outside, **arrays)
         simulate_refused(self.arguments(simulated, lv=file), file, *words)
 
-    def test_no_lines(self, simulated, simulate_refused):
-        file = simulated / "activation.vtu"
-        simulate_refused(self.arguments(simulated, lv=file), file, "no lines", "; give a mesh")
-
-    def test_swapped(self, simulated, simulate_refused):
-        lv, rv = simulated / "rv_tree.vtu", simulated / "lv_tree.vtu"
-        simulate_refused(
-            self.arguments(simulated, lv, rv), lv, "given as the LV tree", "; swap the two trees"
-        )
-
-    def test_only_one(self, simulated, simulate_refused):
-        for side in ("lv", "rv"):
-            simulate_refused(
-                [f"--{side}-tree", simulated / f"{side}_tree.vtu"], "only one tree", "; give both"
-            )
-
-    def test_trees_and_parameters(self, simulated, parameters, simulate_refused):
+    def test_files_that_do_not_go_together(self, simulated, parameters, simulate_refused):
+        lv, rv, tissue = (simulated / f"{n}.vtu" for n in ("lv_tree", "rv_tree", "activation"))
+        simulate_refused(self.arguments(simulated, tissue), tissue, "no lines", "; give a mesh")
+        words = rv, "given as the LV tree", "; swap the two trees"
+        simulate_refused(self.arguments(simulated, rv, lv), *words)
+        for option, tree in (("--lv-tree", lv), ("--rv-tree", rv)):
+            simulate_refused([option, tree], "only one tree", "; give both")
         arguments = [*self.arguments(simulated), "--params", parameters()]
         simulate_refused(arguments, "exclude each other; give one kind")
 
@@ -351,12 +325,6 @@ class TestOut:
         assert {p.name: p.read_bytes() for p in simulated.iterdir()} == before
         assert list(outside.iterdir()) == [simulated]
 
-    def test_the_heart_itself(self, small_heart, parameters, refused):
-        before = {p.name: p.read_bytes() for p in small_heart.iterdir() if p.is_file()}
-        arguments = ["simulate", small_heart, "--params", parameters(), "--out", small_heart]
-        refused(arguments, "which would be lost")
-        assert {p.name: p.read_bytes() for p in small_heart.iterdir() if p.is_file()} == before
-
 
 def test_leads_of_additional_electrodes_follow_the_twelve(
     blank_pictures, small_heart, parameters, simulated, outside, run
@@ -387,17 +355,6 @@ def test_standard_electrodes_need_a_skin(small_heart, outside, refused):
     refused(["heart", "add-electrodes", small_heart, "--out", out], *words)
     asked = ["heart", "add-electrodes", small_heart, "--out", out, "--leads", "V7,V1"]
     refused(asked, "lead V1: its electrodes have no standard place")
-
-
-def test_pictures_in_other_formats_take_the_place_of_the_first(run, tmp_path):
-    out = tmp_path / "s"
-    assert run("simulate", "default", "--out", out).status == 0
-    assert (out / "ecg.png").read_bytes().startswith(b"\x89PNG")
-    ended = run("simulate", "default", "--out", out, "--format", "svg")
-    assert ended.status == 0
-    assert f"pictures: {out}/ecg.svg, {out}/activation.svg" in ended.out
-    assert b"<svg" in (out / "activation.svg").read_bytes()[:2000]
-    assert not (out / "ecg.png").exists()
 
 
 def test_the_picture_shows_every_lead_and_says_when_time_begins(default_model, default_heart):

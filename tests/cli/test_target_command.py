@@ -45,6 +45,11 @@ def arms_exchanged(signal):
     signal[:6] = -i, iii, ii, avl, avr, avf
 
 
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    return table(tmp_path_factory.mktemp("recording") / "rec.csv")
+
+
 @pytest.fixture
 def target_refused(outside, refused):
     def call(recording, *words, extra=()):
@@ -56,8 +61,8 @@ def target_refused(outside, refused):
 
 
 def test_dicom(outside, run):
-    recording = get_testdata_file("waveform_ecg.dcm", download=False)
-    ended = run("target", recording, "--out", outside / "mein Ziel ♥.nc")
+    dicom = get_testdata_file("waveform_ecg.dcm", download=False)
+    ended = run("target", dicom, "--out", outside / "mein Ziel ♥.nc")
     assert ended.status == 0
     target = read_target(outside / "mein Ziel ♥.nc")
     assert 60 < target.qrs_duration < 130
@@ -70,21 +75,12 @@ def test_dicom(outside, run):
     assert sorted(path.suffix for path in outside.iterdir()) == [".nc", ".png"]
     assert (outside / "mein Ziel ♥.png").read_bytes().startswith(b"\x89PNG")
     assert "Einthoven" in ended.out
-    said = json.loads(run("target", recording, "--out", outside / "t.nc", "--json").out)
+    said = json.loads(run("target", dicom, "--out", outside / "t.nc", "--json").out)
     assert said["qrs_duration_ms"] == target.qrs_duration
     criteria = {one["name"]: one["met"] for one in said["conventional_criteria"]}
     assert criteria == {one.name: one.met for one in target.conventional_criteria}
     assert said["global_qrs_duration_ms"] == target.global_qrs_duration
     assert (said["global_qrs_onset_ms"], said["global_qrs_offset_ms"]) == target.global_qrs
-
-
-def test_csv_and_window_of_ones_own(outside, tmp_path, run):
-    recording = table(tmp_path / "rec.csv")
-    out = outside / "t.nc"
-    assert run("target", recording, "--onset", -40, "--offset", 60, "--out", out).status == 0
-    target = read_target(out)
-    assert (target.qrs_onset, target.qrs_offset) == (-40, 60)
-    assert target.heart_rate == pytest.approx(75, abs=1)
 
 
 @pytest.mark.parametrize(
@@ -96,8 +92,8 @@ def test_csv_and_window_of_ones_own(outside, tmp_path, run):
     ],
 )
 def test_recordings_that_will_not_do(tmp_path, target_refused, options, words):
-    recording = table(tmp_path / "rec.csv", **options)
-    target_refused(recording, recording, "; ", *words)
+    file = table(tmp_path / "rec.csv", **options)
+    target_refused(file, file, "; ", *words)
 
 
 def test_files_that_are_no_recordings(tmp_path, target_refused):
@@ -124,9 +120,11 @@ def made(run, outside, recording, *options):
     return read_target(outside / "t.nc"), ended
 
 
-def test_beats_and_class(tmp_path, run, outside):
-    recording = table(tmp_path / "rec.csv")
+def test_beats_class_and_window(recording, run, outside):
     everything, _ = made(run, outside, recording)
+    chosen, _ = made(run, outside, recording, "--onset", -40, "--offset", 60)
+    assert (chosen.qrs_onset, chosen.qrs_offset) == (-40, 60)
+    assert chosen.heart_rate == pytest.approx(75, abs=1)
     some, _ = made(run, outside, recording, "--exclude-beat", "3", "--exclude-beat", "5-6")
     assert len(some.beats) == len(everything.beats) - 3
     assert some.provenance["choice_exclude"] == "3, 5, 6"
@@ -140,10 +138,9 @@ def test_beats_and_class(tmp_path, run, outside):
     assert np.array_equal(same.beats, everything.beats)
 
 
-def test_leads_and_polarity(tmp_path, run, outside):
-    right = table(tmp_path / "rec.csv")
-    truth, _ = made(run, outside, right)
-    without, ended = made(run, outside, right, "--leads", "I,II,V1-V4,V6")
+def test_leads_and_polarity(recording, tmp_path, run, outside):
+    truth, _ = made(run, outside, recording)
+    without, ended = made(run, outside, recording, "--leads", "I,II,V1-V4,V6")
     assert [LEADS[k] for k in np.flatnonzero(~without.used)] == ["V5"]
     assert "III, aVR, aVL, aVF" in ended.out
     flat = table(tmp_path / "flat.csv", change=flat_v2)
@@ -157,25 +154,18 @@ def test_leads_and_polarity(tmp_path, run, outside):
     assert mended.beats == pytest.approx(truth.beats, abs=1e-4)
 
 
-def test_what_the_file_does_not_say(tmp_path, run, outside):
-    bare = table(tmp_path / "rec.csv", leads=LEADS[::-1], unit="")
-    target, _ = made(run, outside, bare, "--unit", "mV")
-    assert target.heart_rate == pytest.approx(75, abs=1)
-
-
 def test_filters(tmp_path, run, outside):
-    recording = table(tmp_path / "rec.csv", change=lambda s: s.__iadd__(hum(s)))
-    humming, ended = made(run, outside, recording)
+    noisy = table(tmp_path / "rec.csv", change=lambda s: s.__iadd__(hum(s)))
+    humming, ended = made(run, outside, noisy)
     assert "at 50 Hz" in ended.err
-    quiet, _ = made(run, outside, recording, "--notch", "50", "--lowpass", "150")
+    quiet, _ = made(run, outside, noisy, "--notch", "50", "--lowpass", "150")
     # 0.08 mV of hum in V6, whose phase differs from beat to beat
     assert humming.standard_deviation[11].mean() > 0.05
     assert quiet.standard_deviation[11].mean() < 0.5 * humming.standard_deviation[11].mean()
     assert quiet.provenance["choice_notch_hz"] == "50"
 
 
-def test_filters_are_told(tmp_path, run, outside):
-    recording = table(tmp_path / "rec.csv")
+def test_filters_are_told(recording, run, outside):
     target, ended = made(run, outside, recording)
     assert target.response is None
     assert re.search(r"^filters +none known$", ended.out, re.MULTILINE)
@@ -230,21 +220,17 @@ def hum(signal):
         (("--recorder-lowpass", "5"), "recorder's low-pass is 5 Hz; give 20 to 1000 Hz"),
     ],
 )
-def test_choices_that_cannot_be(tmp_path, target_refused, options, words):
-    target_refused(table(tmp_path / "rec.csv"), words, extra=options)
-
-
-def test_picture_must_not_be_the_target(tmp_path, outside, refused):
-    recording = table(tmp_path / "rec.csv")
-    refused(["target", recording, "--out", outside / "t.png"], "t.png", "such as target.nc")
+def test_choices_that_cannot_be(recording, target_refused, options, words):
+    target_refused(recording, words, extra=options)
 
 
 def test_what_was_said_of_the_file_is_said_again(tmp_path, outside, run):
-    asked = ["target", table(tmp_path / "rec.csv"), "--out", outside / "t.nc", "--unit", "mV"]
-    assert re.search(r"(?m)^read with +unit mV$", run(*asked).out)
-    said = json.loads(run(*asked, "--invert", "V2", "--json").out)["read_with"]
-    assert said == ["unit mV", "upside down: V2"]
-    target = read_target(outside / "t.nc")
+    bare = table(tmp_path / "rec.csv", leads=LEADS[::-1], unit="")
+    target, ended = made(run, outside, bare, "--unit", "mV")
+    assert target.heart_rate == pytest.approx(75, abs=1)
+    assert re.search(r"(?m)^read with +unit mV$", ended.out)
+    target, ended = made(run, outside, bare, "--unit", "mV", "--invert", "V2", "--json")
+    assert json.loads(ended.out)["read_with"] == ["unit mV", "upside down: V2"]
     assert (target.provenance["choice_unit"], target.provenance["inverted"]) == ("mV", "V2")
 
 
@@ -260,8 +246,8 @@ def test_gains_per_lead_are_caught_and_repaired(data_folder, outside, run, targe
     assert half.beats == pytest.approx(right.beats / 2, abs=3e-3)
 
 
-def test_out(tmp_path, outside, refused, run):
-    recording = table(tmp_path / "rec.csv")
+def test_out(recording, tmp_path, outside, refused, run):
+    refused(["target", recording, "--out", outside / "t.png"], "t.png", "such as target.nc")
     refused(["target", recording, "--out", outside], outside, "not an ordinary file")
     (outside / "file").write_text("mine")
     refused(["target", recording, "--out", outside / "file" / "t.nc"], "; choose another place")

@@ -42,7 +42,13 @@ def study(target, tmp_path_factory):
     return fascicle.fit("default", target, folder, **BUDGET)
 
 
-def test_study_folder_holds_what_is_promised(study):
+@pytest.fixture(scope="module")
+def loaded(study):
+    """The same study, read from its folder, which takes seconds."""
+    return load_study(study.folder)
+
+
+def test_study_folder_holds_what_is_promised(study, loaded):
     folder = study.folder
     posterior = az.from_netcdf(folder / "posterior.nc")
     assert set(posterior.posterior.data_vars) == {*HUMAN_SPACE.names}
@@ -63,7 +69,7 @@ def test_study_folder_holds_what_is_promised(study):
     assert {"activation", "activation_mean", "activation_sd"} <= set(activation.point_data)
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["verdict"] == study.verdict
-    assert load_study(folder).verdict == study.verdict
+    assert loaded.verdict == study.verdict
     target = study.recordings[0].target
     for name, recorded in (
         ("qrs_duration_ms", target.qrs_duration),
@@ -383,11 +389,12 @@ def test_a_report_against_another_scenario(study, tmp_path, run, refused):
     assert b"<svg" in (tmp_path / "figures" / "heart.svg").read_bytes()[:2000]
 
 
-def test_gains_are_those_that_were_drawn(study):
-    again = load_study(study.folder)
+def test_networks_and_gains_are_those_that_were_drawn(study, loaded):
+    first, again = study.networks()[0], loaded.networks()[0]
+    np.testing.assert_allclose(again.predicted, first.predicted, atol=1e-9)
     with xr.open_dataset(study.folder / "posterior.nc", group="sample_stats") as stats:
-        np.testing.assert_array_equal(again.gains, stats["gain"].to_numpy().ravel())
-    np.testing.assert_array_equal(again.gains, study.gains)
+        np.testing.assert_array_equal(loaded.gains, stats["gain"].to_numpy().ravel())
+    np.testing.assert_array_equal(loaded.gains, study.gains)
     drawn = [network.drawn_gain for network in study.networks(chosen=[5, 0])]
     assert drawn == [study.gains[5], study.gains[0]]
     assert np.ptp(study.gains) > 0
@@ -462,9 +469,3 @@ def test_impossible_settings_are_refused_in_one_line(target, tmp_path, setting):
         fascicle.fit("default", target, tmp_path / "s", **setting)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "s").exists()
-
-
-def test_load_study_gives_the_same_networks(study):
-    loaded = load_study(study.folder)
-    first, again = study.networks()[0], loaded.networks()[0]
-    np.testing.assert_allclose(again.predicted, first.predicted, atol=1e-9)

@@ -98,7 +98,7 @@ def test_one_child_reads_many_files_but_not_after_a_large_one(path, monkeypatch)
     first = read_isolated(process, path)
     assert first != os.getpid()
     assert read_isolated(process, path) == first
-    monkeypatch.setattr(isolated, "LARGE", 0)
+    monkeypatch.setattr(isolated.Limits, "large", 0)
     assert read_isolated(process, path) == first
     assert read_isolated(process, path) != first
 
@@ -127,7 +127,7 @@ def test_larger_files_may_take_more(path):
 
 @pytest.mark.parametrize(("reader", "seconds"), [(endless, 1.0), (asleep, 0.2)])
 def test_what_does_not_end_is_a_refusal(path, monkeypatch, reader, seconds):
-    monkeypatch.setattr(isolated, "SECONDS", seconds)
+    monkeypatch.setattr(isolated.Limits, "least_seconds", seconds)
     with pytest.raises(InputError, match=f"not read within {seconds:.0f} s of computing"):
         read_isolated(reader, path)
 

@@ -18,7 +18,7 @@ from fascicle.heart.sites import Sites
 from fascicle.networks import prior_simulations
 from fascicle.pools.pool import Threads
 from fascicle.recording.target import Target
-from fascicle.reporting.origin import origin_figure
+from fascicle.reporting.activation import origin_figure
 
 
 @pytest.fixture(scope="module")

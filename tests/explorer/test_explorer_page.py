@@ -13,6 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
 
 from fascicle.explorer.session import Session, packed
 from fascicle.reporting.page.page import _file
@@ -31,6 +33,8 @@ class Server:
         )  # fmt: skip
         line = self.process.stdout.readline()
         self.url = re.search(r"http://\S+", line)[0]
+        self.port = self.url.split(":")[2].split("/")[0]
+        self.origin = f"http://127.0.0.1:{self.port}"
 
     def ended(self):
         """Its exit status, and what it said on standard error."""
@@ -44,6 +48,22 @@ def server():
     if made.process.poll() is None:
         made.process.kill()
     made.process.communicate()
+
+
+@pytest.fixture(scope="module")
+def lasting():
+    """Address of a server that does not end with a test's page, as another one is open."""
+    made = Server("default")
+    with connect(f"{made.url.replace('http', 'ws')}socket", origin=made.origin, max_size=None):
+        yield made.url
+    status, said = made.ended()
+    assert status == 0
+    assert re.fullmatch(r"(took .*\n)?", said)
+
+
+@pytest.fixture
+def page(lasting, visit):
+    return visit(lasting)
 
 
 @pytest.fixture
@@ -105,8 +125,7 @@ def in_the_middle(page):
     return box["x"] + box["width"] / 2, box["y"] + box["height"] * 0.55
 
 
-def test_a_slider_gives_the_ecg_that_simulate_gives(server, visit, default_model):
-    page = visit(server.url)
+def test_a_slider_gives_the_ecg_that_simulate_gives(page, default_model):
     before = shown(page)
     change(page, lambda: slide(page, "lv_initial_length", 18))
     after = shown(page)
@@ -121,8 +140,7 @@ def test_a_slider_gives_the_ecg_that_simulate_gives(server, visit, default_model
     assert shown(page)["leads"] == before["leads"]
 
 
-def test_clicks_pace_and_block_and_undo_takes_them_back(server, visit):
-    page = visit(server.url)
+def test_clicks_pace_and_block_and_undo_takes_them_back(page):
     sinus = total(page)
     page.get_by_label("click", exact=True).select_option("pace here")
     change(page, lambda: page.mouse.click(*in_the_middle(page)))
@@ -142,8 +160,7 @@ def test_clicks_pace_and_block_and_undo_takes_them_back(server, visit):
     assert "Infinity" in page.evaluate("String(Math.max(...explorer.beat.arrays.activation))")
 
 
-def test_states_and_pacings_are_chosen_and_compared_with_a_pinned_beat(server, visit):
-    page = visit(server.url)
+def test_states_and_pacings_are_chosen_and_compared_with_a_pinned_beat(page):
     sinus = shown(page)["said"]
     page.get_by_role("button", name="pin").click()
     conduction = page.get_by_label("conduction", exact=True)
@@ -157,8 +174,7 @@ def test_states_and_pacings_are_chosen_and_compared_with_a_pinned_beat(server, v
     assert shown(page)["said"] == sinus | {"id": shown(page)["said"]["id"]}
 
 
-def test_heart_and_ecg_have_one_cursor(server, visit):
-    page = visit(server.url)
+def test_heart_and_ecg_have_one_cursor(page):
     page.get_by_label("time after the first").evaluate(
         "e => { e.value = 30; e.dispatchEvent(new Event('input')) }"
     )
@@ -167,8 +183,7 @@ def test_heart_and_ecg_have_one_cursor(server, visit):
     assert page.evaluate("explorer.time") == 31
 
 
-def test_what_was_found_is_saved(server, visit, tmp_path):
-    page = visit(server.url)
+def test_what_was_found_is_saved(page, tmp_path):
     kept = []
     page.on("download", lambda each: kept.append(each))
     page.get_by_role("button", name="save parameters").click()
@@ -180,8 +195,7 @@ def test_what_was_found_is_saved(server, visit, tmp_path):
     assert (tmp_path / "heart.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_every_exercise_can_be_begun(server, visit):
-    page = visit(server.url)
+def test_every_exercise_can_be_begun(page):
     exercises = page.get_by_label("exercises").locator("summary")
     for summary in exercises.all():
         summary.click()
@@ -191,8 +205,7 @@ def test_every_exercise_can_be_begun(server, visit):
 
 
 @pytest.mark.slow
-def test_what_is_not_learnt_has_sliders_too(server, visit, default_model):
-    page = visit(server.url)
+def test_what_is_not_learnt_has_sliders_too(page, default_model):
     page.get_by_text("growth and junctions").click()
     change(page, lambda: slide(page, "branch_length", 12))
     grown = default_model.simulate(shown(page)["state"]["values"])
@@ -291,7 +304,7 @@ import sys
 sys.path.insert(0, {folder!r})
 from test_explorer_page import Slow
 import fascicle
-from fascicle.explorer.server import serve
+from fascicle.explorer.explore import serve
 serve(Slow(fascicle.ForwardModel("default")), opened=lambda url: print(url, flush=True))
 """
 
@@ -320,11 +333,7 @@ def test_ctrl_c_ends_it(server):
 
 
 def test_nobody_else_gets_in(server):
-    from websockets.exceptions import InvalidStatus
-    from websockets.sync.client import connect
-
-    port = server.url.split(":")[2].split("/")[0]
-    own = f"http://127.0.0.1:{port}"
+    port, own = server.port, server.origin
     socket = server.url.replace("http", "ws") + "socket"
     for url in (f"{own}/", f"{own}/other/", f"{own}/other/viewer.js", f"{server.url}../x"):
         with pytest.raises(urllib.error.HTTPError, match="404"):
@@ -342,8 +351,7 @@ def test_nobody_else_gets_in(server):
 
 
 def test_a_port_that_is_taken_is_said(server):
-    port = server.url.split(":")[2].split("/")[0]
-    command = [sys.executable, "-m", "fascicle.cli", "explore", "default", "--port", port]
+    command = [sys.executable, "-m", "fascicle.cli", "explore", "default", "--port", server.port]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ended.returncode == 2
-    assert f"port {port}" in ended.stderr.splitlines()[-1]
+    assert f"port {server.port}" in ended.stderr.splitlines()[-1]

@@ -6,8 +6,7 @@ import pytest
 
 import fascicle
 from fascicle.explorer import explore as explore_module
-from fascicle.explorer.explore import widget
-from fascicle.explorer.server import in_browser
+from fascicle.explorer.explore import in_browser, widget
 from fascicle.explorer.session import Session
 
 # A cell of a notebook, with a kernel that answers

@@ -76,6 +76,7 @@ def test_it_describes_the_surface_and_the_sliders(session):
 
 
 def test_an_answer_is_what_simulate_gives(session):
+    assert PageState(values={}).beat() is None  # no scenario, of an intrinsic beat
     values = {**session.start, "cv": 2.4, "interventricular_delay": -20.0}
     said, arrays = ask(session, values=values)
     expected = session.model.simulate(values)
@@ -265,11 +266,8 @@ def test_what_cannot_be_simulated_is_said_in_a_line(session, message, words):
     assert arrays == {}
 
 
-def test_a_stimulus_far_from_the_heart_is_refused(session):
+def test_what_does_not_fit_the_heart_is_said(session):
     assert "stimulus" in ask(session, stimuli=[[9e3, 0, 0]])[0]["error"]
-
-
-def test_a_tree_that_does_not_fit_is_said(session):
     values = {**session.start, "lv_initial_length": 400.0}
     assert ask(session, values=values)[0]["error"].startswith("no network: ")
 
@@ -279,7 +277,3 @@ def test_what_is_given_must_be_there(tmp_path):
         session_of(tmp_path / "none", None, None)
     with pytest.raises(fascicle.InputError, match="target"):
         session_of("default", 3, None)
-
-
-def test_a_state_of_the_intrinsic_beat_has_no_scenario():
-    assert PageState(values={}).beat() is None

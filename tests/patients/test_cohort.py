@@ -13,8 +13,7 @@ from fascicle.core.errors import OutputError
 from fascicle.patients import cohort as cohort_module
 from fascicle.patients import patient
 from fascicle.patients.cohort import answer, write_overview
-from fascicle.patients.outcome import Outcome, Status
-from fascicle.patients.patient import read_table
+from fascicle.patients.patient import Outcome, Status, read_table
 from fascicle.study.lock import study_lock
 
 FORK = multiprocessing.get_context("fork")

@@ -14,8 +14,7 @@ import pytest
 
 import fascicle
 from fascicle.core.errors import InputError, OutputError
-from fascicle.patients.outcome import Status
-from fascicle.patients.patient import read_table
+from fascicle.patients.patient import Status, read_table
 from tests.dask_processes import LOST, a_local_cluster, a_scheduler, a_worker_of
 
 distributed = pytest.importorskip("distributed")

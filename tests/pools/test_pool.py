@@ -23,7 +23,7 @@ from builders import case
 import fascicle
 from fascicle.core.errors import FileError, InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.core.shared_files import read_shared, write_shared
+from fascicle.core.threads import read_shared, write_shared
 from fascicle.forward import model as model_module
 from fascicle.forward.primitives import His
 from fascicle.networks.target_comparison import evaluate, networks

@@ -1,50 +1,37 @@
 """A block of tissue with two wells for cavities, where every area is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from builders import box
 
 from fascicle.heart.endocardium import Endocardium, oriented_into_cavity
-from fascicle.heart.heart import Heart
-from fascicle.mesh.measures import signed_volumes
 
-CELL = 5.0  # mm
-CELLS = (8, 4, 6)  # x from right to left of the patient, y from front to back, z upwards
+# x from right to left of the patient, y from front to back, z upwards, in cells of 5 mm
 WELLS = {"rv": ((1, 3), (1, 3), (3, 6)), "lv": ((5, 7), (1, 3), (2, 6))}
-KUHN = np.array(
-    [[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]]
-)
 
 
-def in_well(side, vertices, triangles):
-    """Which boundary triangles are walls and floor of a well."""
-    spans = CELL * np.array(WELLS[side], dtype=float)
-    centres = vertices[triangles].mean(axis=1)
-    inside = ((centres >= spans[:, 0] - 1e-9) & (centres <= spans[:, 1] + 1e-9)).all(axis=1)
-    return inside & (centres[:, 2] < CELL * CELLS[2] - 1e-9)
+def in_well(side, places):
+    """Which places (n, 3), in cells, lie in a well, or on its walls and floor."""
+    low, high = np.array(WELLS[side], dtype=float).T
+    return ((places >= low - 1e-9) & (places <= high + 1e-9)).all(axis=1)
 
 
 @pytest.fixture(scope="package")
 def block():
-    nodes = np.array([n + 1 for n in CELLS])
-    vertices = CELL * np.indices(nodes).reshape(3, -1).T
-    solid = np.ones(CELLS, dtype=bool)
-    for spans in WELLS.values():
-        solid[tuple(slice(*span) for span in spans)] = False
-    strides = np.array([nodes[1] * nodes[2], nodes[2], 1])
-    corner = np.array([strides @ [c & 1, c >> 1 & 1, c >> 2] for c in range(8)])
-    tetrahedra = ((np.argwhere(solid) @ strides)[:, None] + corner)[:, KUHN].reshape(-1, 4)
-    flip = signed_volumes(vertices, tetrahedra) < 0
-    tetrahedra[flip] = tetrahedra[flip][:, [1, 0, 2, 3]]
-    blank = Endocardium("lv", vertices[:3], np.array([[0, 1, 2]]), 0, 1)
-    fibres = np.tile([1.0, 0, 0], (len(tetrahedra), 1))
-    draft = Heart(vertices, tetrahedra, fibres, blank, blank, np.zeros((9, 3)))
+    whole = box((40.0, 20.0, 30.0), (8, 4, 6))
+    centres = whole.vertices[whole.tetrahedra].mean(axis=1) / 5
+    solid = ~np.any([in_well(side, centres) for side in WELLS], axis=0)
+    draft = replace(whole, tetrahedra=whole.tetrahedra[solid], fibres=whole.fibres[solid])
     triangles, sides = draft.boundary[0], {}
+    centres = draft.vertices[triangles].mean(axis=1) / 5
     for side in WELLS:
-        chosen = triangles[in_well(side, vertices, triangles)]
+        chosen = triangles[in_well(side, centres) & (centres[:, 2] < 6 - 1e-9)]
         used, local = np.unique(chosen, return_inverse=True)
-        faces = oriented_into_cavity(vertices[used], local.reshape(-1, 3), side)
-        sides[side] = Endocardium(side, vertices[used], faces, 0, 1)
-    return Heart(vertices, tetrahedra, fibres, sides["lv"], sides["rv"], np.zeros((9, 3)))
+        faces = oriented_into_cavity(draft.vertices[used], local.reshape(-1, 3), side)
+        sides[side] = Endocardium(side, draft.vertices[used], faces, 0, 1)
+    return replace(draft, **sides)
 
 
 @pytest.fixture(scope="package")
@@ -60,3 +47,11 @@ def pixels():
         return picture[row, column]
 
     return colours
+
+
+def edges(polygon):
+    """Times of a `fill_between` polygon, and its lower and upper edge."""
+    outline = polygon.get_paths()[0].vertices
+    at = np.unique(outline[:, 0])
+    values = [outline[outline[:, 0] == t, 1] for t in at]
+    return at, np.array([v.min() for v in values]), np.array([v.max() for v in values])

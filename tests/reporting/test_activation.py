@@ -14,7 +14,7 @@ from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.reporting import surfaces
-from fascicle.reporting.activation import SINCE_FIRST, SPREAD, ActivationRow, activation_figure
+from fascicle.reporting.activation import ActivationRow, activation_figure, spread_figure
 from fascicle.reporting.style import new_figure
 from fascicle.reporting.surfaces import DrawnSurface, draw_surfaces, heart_views
 
@@ -132,7 +132,7 @@ def rows(heart):
 
 
 def test_rows_share_one_scale_of_round_isochrones(block):
-    figure = activation_figure(block, rows(block), SINCE_FIRST)
+    figure = activation_figure(block, rows(block))
     *panels, bar = figure.axes
     assert len(panels) == 2 * (len(VIEWS) + 2)
     assert bar.get_ylabel() == "time since the first activation (ms)"
@@ -153,7 +153,7 @@ def test_rows_share_one_scale_of_round_isochrones(block):
 
 def test_surface_has_the_colours_of_its_times(block, pixels):
     """In the front view the band changes every 5 mm, in the hues of the colour bar."""
-    figure = activation_figure(block, rows(block)[:1], SINCE_FIRST)
+    figure = activation_figure(block, rows(block)[:1])
     axes, view = figure.axes[1], heart_views(block)["anterior"]
     middles = np.arange(2.5, WIDTH, 5)
     places = np.column_stack([middles, np.zeros(8), np.full(8, 12.0)])
@@ -169,16 +169,16 @@ def test_surface_has_the_colours_of_its_times(block, pixels):
 
 def test_what_is_never_reached_is_grey_and_no_time_at_all_refused(block, pixels):
     activation = np.where(block.vertices[:, 0] > 20, np.inf, block.vertices[:, 0])
-    figure = activation_figure(block, [ActivationRow("blocked", activation)], SPREAD)
+    figure = spread_figure(block, {"blocked": activation})
     assert figure.axes[-1].get_ylabel() == "standard deviation (ms)"
     place = heart_views(block)["anterior"].project(np.array([[32.0, 0.0, 12.0]]))[:, :2]
     assert np.ptp(pixels(figure.axes[1], place)) < 0.02
     with pytest.raises(InputError, match="ever activated"):
-        activation_figure(block, [ActivationRow("none", np.full_like(activation, np.inf))], SPREAD)
+        spread_figure(block, {"none": np.full_like(activation, np.inf)})
 
 
 def test_tree_segments_carry_their_node_times_and_stay_in_their_cavity(block, pixels):
-    figure = activation_figure(block, rows(block), SINCE_FIRST)
+    figure = activation_figure(block, rows(block))
     axes = next(a for a in figure.axes if a.get_title() == "LV Purkinje network")
     coloured = [c for c in axes.collections if c.get_array() is not None]
     assert sorted(np.concatenate([c.get_array() for c in coloured])) == [10.0, 30.0, 45.0]
@@ -199,7 +199,7 @@ def test_times_since_the_first_activation_are_those_of_tissue_and_trees(block):
 def test_long_names_of_rows_stay_beside_their_rows(block):
     names = [f"{k}-a-scenario-without-end" * 4 for k in range(2)]
     times = 20 + block.vertices[:, 0]
-    figure = activation_figure(block, [ActivationRow(name, times) for name in names], SPREAD)
+    figure = spread_figure(block, dict.fromkeys(names, times))
     figure.canvas.draw()
     panels = figure.axes[: 2 * len(VIEWS) : len(VIEWS)]
     upper, lower = (axes.texts[0].get_window_extent() for axes in panels)

@@ -4,6 +4,7 @@ from matplotlib.text import Text
 
 from fascicle.core.leads import LEADS
 from fascicle.reporting.ecg import EcgGroup, ecg_figure
+from tests.reporting.conftest import edges
 
 TIME = np.arange(-40.0, 81.0)
 
@@ -13,20 +14,11 @@ def ecgs(count, time=TIME, seed=0):
     return rng.uniform(-1.5, 2.0, (count, 12, len(time)))
 
 
-def figure_of(predicted, recorded=None):
+def figure_of(predicted, recorded=None, **options):
     groups = [EcgGroup("predicted", "network", TIME, predicted, "#D55E00")]
     if recorded is not None:
         groups.insert(0, EcgGroup("recorded", "beat", TIME, recorded, "#0072B2"))
-    return ecg_figure(groups)
-
-
-def band_edges(axes, index):
-    """Lower and upper edge of a `fill_between` polygon, as functions of time."""
-    outline = axes.collections[index].get_paths()[0].vertices
-    times = np.unique(outline[:, 0])
-    low = [outline[outline[:, 0] == t, 1].min() for t in times]
-    high = [outline[outline[:, 0] == t, 1].max() for t in times]
-    return times, np.array(low), np.array(high)
+    return ecg_figure(groups, **options)
 
 
 def panel(figure, lead):
@@ -42,7 +34,7 @@ def test_lines_are_means_and_bands_run_from_minimum_to_maximum():
         np.testing.assert_array_equal(recorded.get_xdata(), TIME)
         np.testing.assert_allclose(recorded.get_ydata(), beats[:, index].mean(axis=0))
         np.testing.assert_allclose(predicted.get_ydata(), networks[:, index].mean(axis=0))
-        times, low, high = band_edges(axes, 1)
+        times, low, high = edges(axes.collections[1])
         np.testing.assert_array_equal(times, TIME)
         np.testing.assert_allclose(low, networks[:, index].min(axis=0))
         np.testing.assert_allclose(high, networks[:, index].max(axis=0))
@@ -95,11 +87,7 @@ def test_additional_leads_have_panels_after_the_twelve(more, grid):
     networks = np.concatenate([ecgs(3)] + more * [ecgs(3)[:, :1]], axis=1)[:, : len(leads)]
     beats = networks.copy()
     beats[:, -1] = np.nan
-    groups = [
-        EcgGroup("recorded", "beat", TIME, beats, "#6B6B6B"),
-        EcgGroup("predicted", "network", TIME, networks, "#D55E00"),
-    ]
-    figure = ecg_figure(groups, leads=leads)
+    figure = figure_of(networks, beats, leads=leads)
     assert {axes.texts[0].get_text() for axes in figure.axes} == {*leads}
     assert figure.axes[0].get_gridspec().get_geometry() == grid
     recorded, predicted = panel(figure, leads[-1]).lines
@@ -124,14 +112,14 @@ def test_single_beat_has_a_line_and_no_band():
 
 
 def test_notes_time_zero_and_caption():
-    groups = [EcgGroup("predicted", "network", TIME, ecgs(3), "#D55E00")]
     notes = [f"r {k / 12:.2f}" for k in range(12)]
     caption = (
         "mean explains 83%, r 0.92; window QRS duration 177 ms, predicted 126 (121 to 139); global "
         "QRS duration 191 ms, predicted 132 (128 to 145); frontal axis -129 degrees, predicted "
         "-128 (-160 to -100)"
     )
-    figure = ecg_figure(groups, "Title", notes, "R peak", caption)
+    texts = {"title": "Title", "notes": notes, "time_zero": "R peak", "caption": caption}
+    figure = figure_of(ecgs(3), **texts)
     for index, lead in enumerate(LEADS):
         assert [text.get_text() for text in panel(figure, lead).texts] == [lead, notes[index]]
     first, *lines = figure.get_supxlabel().split("\n")

@@ -25,8 +25,8 @@ from fascicle.reporting.names import MEASURES, scenario_name
 from fascicle.reporting.page.content import meaning, prediction
 from fascicle.reporting.page.marks import marks, where
 from fascicle.reporting.page.page import _safe, _template
-from fascicle.reporting.page.scene import MOST_NETWORKS, NONE, scene
-from fascicle.reporting.scenarios import scenario_activation_figure, scenario_ecg_figure
+from fascicle.reporting.page.scene import NONE, scene
+from fascicle.reporting.prediction import scenario_activation_figure, scenario_ecg_figure
 from fascicle.study.population import Posterior
 from fascicle.study.statements import Caution, ParameterStatement, Statements
 
@@ -257,7 +257,7 @@ class TestScene:
             for total in totals
         ]
         content = scene(default_heart, found, networks)
-        assert len(content["networks"]) == MOST_NETWORKS
+        assert len(content["networks"]) == 40
         total, speed = content["orders"]  # alpha is the same in all
         np.testing.assert_array_equal(total["values"], totals[np.array(content["networks"]) - 1])
         assert total["values"][0] == 100

@@ -16,6 +16,7 @@ from fascicle.recording.recording import Recording
 from fascicle.recording.target import Target
 from fascicle.reporting.recording import class_colours, recording_figure, strip_span
 from fascicle.reporting.style import Colour, save
+from tests.reporting.conftest import edges
 
 HEIGHTS = np.array([0.6, 0.9, 0.3, -0.75, 0.15, 0.6, -1.2, -1.8, -1.5, 0.5, 1.4, 1.2])  # mV
 BEFORE, AFTER = 200, 300  # ms about R
@@ -69,14 +70,6 @@ def traces(axes, colour):
 
 def panel(figure, lead):
     return figure.axes[1:][4 * (lead % 3) + lead // 3]
-
-
-def edges(polygon):
-    """Lower and upper edge of a `fill_between` polygon."""
-    outline = polygon.get_paths()[0].vertices
-    at = np.unique(outline[:, 0])
-    values = [outline[outline[:, 0] == t, 1] for t in at]
-    return at, np.array([v.min() for v in values]), np.array([v.max() for v in values])
 
 
 def test_panels_show_every_beat_the_mean_and_the_spread_of_the_target():

@@ -11,7 +11,7 @@ from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.sweeps import SEGMENT, STIMULUS_DELAY, Swept
 from fascicle.reporting.names import index_label
-from fascicle.reporting.scenarios import SHOWN, bulls_eye_figure, index_figure, sweep_figure
+from fascicle.reporting.prediction import SHOWN, bulls_eye_figure, index_figure, sweep_figure
 
 LONG = "a-scenario-of-one's-own-" * 5
 

@@ -257,7 +257,7 @@ def locate(
     """
     from fascicle.core.files import check_folder
     from fascicle.emulation.origin import ORIGIN_PICTURE
-    from fascicle.reporting.origin import origin_figure
+    from fascicle.reporting.activation import origin_figure
     from fascicle.reporting.style import save
 
     check_folder(out)
@@ -348,8 +348,7 @@ def explore(
     save parameters and scenario for 'fascicle simulate', a picture or a film. It ends with the last
     page, or Ctrl-C. Only this machine can open the page, and nothing is loaded from elsewhere.
     """
-    from fascicle.explorer.explore import session_of
-    from fascicle.explorer.server import in_browser, serve
+    from fascicle.explorer.explore import in_browser, serve, session_of
 
     with TerminalProgress() as progress:
         session = session_of(heart, target, progress)
@@ -667,18 +666,18 @@ def demo(
     bundle branch block simulated on the same heart, so that the truth is known: by how much each
     pacing shortens activation is printed with what is found. It takes three minutes.
     """
-    from fascicle.cli.demo import DEMO_BLOCK, fit_own_beat, treat_block
+    from fascicle.cli.demo import fit_own_beat, treat_block
     from fascicle.cli.printing import print_fit, print_prediction, print_reductions
 
-    own_beat = out / "own-beat"
+    heart, block, own_beat = "camps-dti004", "left bundle branch block", out / "own-beat"
     with resumable(own_beat), TerminalProgress() as progress:
-        fitted = fit_own_beat(own_beat, progress)
+        fitted = fit_own_beat(heart, own_beat, progress)
     print_row("own beat", fitted.verdict)
     for warning in fitted.warnings:
         print(f"warning: {warning}")
     with resumable(out), TerminalProgress() as progress:
-        fitted, predicted, reductions = treat_block(out, progress)
-    print(f"\n{DEMO_BLOCK}, simulated on the same heart")
+        fitted, predicted, reductions = treat_block(heart, block, out, progress)
+    print(f"\n{block}, simulated on the same heart")
     print_fit(fitted, written_summary(out / "study"))
     print_prediction(predicted)
     print_reductions(predicted, "intrinsic")

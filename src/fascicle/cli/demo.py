@@ -19,36 +19,28 @@ from fascicle.reporting.prediction import write_prediction
 from fascicle.reporting.recording import recording_figure
 from fascicle.reporting.style import save
 
-DEMO_HEART = "camps-dti004"
-DEMO_BLOCK = "left bundle branch block"  # what the pacing of the demonstration treats
 
-
-def fit_own_beat(out: Path, progress: Progress) -> FittedStudy:
-    """Fit the beat that was recorded from the subject of the heart; `out` gets target and study.
+def fit_own_beat(heart: str, out: Path, progress: Progress) -> FittedStudy:
+    """Fit the beat that was recorded from the subject of a heart; `out` gets target and study.
 
     The subject is healthy: nothing is blocked. The study resumes.
     """
-    analysis = _analysed(DEMO_HEART, out)
-    fixed = {"conduction": 0.0}
-    return fascicle.fit(
-        DEMO_HEART, analysis.target, out / "study", parameters=fixed, progress=progress
-    )
+    analysis, fixed = _analysed(heart, out), {"conduction": 0.0}
+    return fascicle.fit(heart, analysis.target, out / "study", parameters=fixed, progress=progress)
 
 
 def treat_block(
-    out: Path, progress: Progress
+    heart: str, block: str, out: Path, progress: Progress
 ) -> tuple[FittedStudy, dict[str, Predicted], dict[str, float]]:
-    """Simulate a block on the same heart, fit, and compare three pacings.
+    """Simulate a block on a heart, fit, and compare three pacings.
 
     The folder `out` gets ``ecg.csv``, ``target.nc`` and ``target.png``, ``study``, ``pacings`` and
     ``report.html``; run again, the study resumes. The last of what is returned is by how much each
     pacing shortens the total activation time (ms) in truth.
     """
-    model = fascicle.ForwardModel(DEMO_HEART, progress=progress)
-    truth = {
-        **fascicle.example_parameters(model),
-        "conduction": CONDUCTION_STATES[DEMO_BLOCK].number,
-    }
+    model = fascicle.ForwardModel(heart, progress=progress)
+    state = {"conduction": CONDUCTION_STATES[block].number}
+    truth = fascicle.example_parameters(model) | state
     scenarios = fascicle.read_scenarios(PACINGS)
     beat, *paced = (_simulated(model, truth, case) for case in (None, *scenarios.values()))
     reductions = [
@@ -57,7 +49,7 @@ def treat_block(
     out.mkdir(parents=True, exist_ok=True)
     write_ecg(out / "ecg.csv", beat.ecg)
     analysis = _analysed(out / "ecg.csv", out)
-    fitted = fascicle.fit(DEMO_HEART, analysis.target, out / "study", progress=progress)
+    fitted = fascicle.fit(heart, analysis.target, out / "study", progress=progress)
     networks = fitted.networks(progress)
     predicted = fascicle.predict(fitted, scenarios, progress, networks)
     write_prediction(fitted, predicted, out / "pacings", progress=progress)

@@ -28,6 +28,7 @@ from fascicle.cli.options import (
 )
 from fascicle.cli.output import Result, TerminalProgress, every_command, print_table
 from fascicle.core.errors import InputError, given_in
+from fascicle.core.quantities import SIDES
 
 if TYPE_CHECKING:
     from fascicle.build.build_heart import TorsoOptions
@@ -37,13 +38,9 @@ if TYPE_CHECKING:
     from fascicle.purkinje.chart import Chart
 
 
-def _option(panel: str, text: str | None = None) -> Any:
-    """Describe an option in one of the panels of ``--help``."""
-    return Option(help=text, rich_help_panel=panel)
-
-
-_anatomy, _fibres = (partial(_option, panel) for panel in ("Anatomy", "Fibres"))
-
+# Options in the panels of ``--help``
+_anatomy = partial(Option, rich_help_panel="Anatomy")
+_fibres = partial(Option, rich_help_panel="Fibres")
 
 AnatomyArgument = Annotated[
     Path | None,
@@ -54,19 +51,18 @@ AnatomyArgument = Annotated[
 ]
 PartOption = Annotated[
     Path | None,
-    _anatomy("One of separate surfaces, which need not meet exactly; a missing base is made."),
+    _anatomy(help="One of separate surfaces, which need not meet exactly; a missing base is made."),
 ]
 RegionsOption = Annotated[
     str | None,
     _anatomy(
-        "Numbers of the ventricles in a mesh of a whole heart, as lv=1,rv=2,septum=7; a name may "
-        "come several times."
+        help="Numbers of the ventricles in a mesh of a whole heart, as lv=1,rv=2,septum=7; a name "
+        "may come several times."
     ),
 ]
 RegionArrayOption = Annotated[
-    str | None, _anatomy("Name of the file's array that holds the regions.")
+    str | None, _anatomy(help="Name of the file's array that holds the regions.")
 ]
-SEEDS = ("lv_root", "lv_direction", "rv_root", "rv_direction")
 
 heart_app = typer.Typer(
     no_args_is_help=True,
@@ -76,10 +72,7 @@ heart_app = typer.Typer(
 
 def _with_torso_and_bundles(torso: str) -> Callable[[Command], Command]:
     """Give a command the options of the torso, which is `torso` by default, and of the bundles."""
-
-    def torso_option(name: str, kind: Any, text: str, default: Any = None) -> Any:
-        return option(name, kind, default, panel="Torso", help=text)
-
+    around, lung = partial(option, panel="Torso"), "Closed surface of a lung, with --torso FILE."
     point = "Point of the endocardium: its number, from 0, or x,y,z in mm."
     skin = "'idealised', 'none' (unbounded conductor), or a closed surface of the skin."
     pose = (
@@ -87,13 +80,17 @@ def _with_torso_and_bundles(torso: str) -> Callable[[Command], Command]:
         "by its axes; 'ras' (NIfTI) or 'lps' (DICOM) where its coordinates are the patient's."
     )
     options = [
-        torso_option("torso", str, skin, torso),
-        torso_option("lung", list[Path] | None, "Closed surface of a lung, with --torso FILE."),
-        torso_option("height", float | None, "Height of the person (m)."),
-        torso_option("weight", float | None, "Weight of the person (kg)."),
-        torso_option("chest", float | None, "Circumference of the chest (cm)."),
-        torso_option("pose", Literal["standard", "ras", "lps"], pose, "standard"),
-        *(option(name, str | None, None, panel="Bundles", help=point) for name in SEEDS),
+        around("torso", str, torso, help=skin),
+        around("lung", list[Path] | None, None, help=lung),
+        around("height", float | None, None, help="Height of the person (m)."),
+        around("weight", float | None, None, help="Weight of the person (kg)."),
+        around("chest", float | None, None, help="Circumference of the chest (cm)."),
+        around("pose", Literal["standard", "ras", "lps"], "standard", help=pose),
+        *(
+            option(f"{side}_{end}", str | None, None, panel="Bundles", help=point)
+            for side in SIDES
+            for end in ("root", "direction")
+        ),
     ]
     return lambda command: with_options(command, options)
 
@@ -110,25 +107,27 @@ def heart_build(
     labels: Annotated[
         str | None,
         _anatomy(
-            "Numbers in the file, as base=1,epicardium=2,lv=3,rv=4 (surfaces) or "
+            help="Numbers in the file, as base=1,epicardium=2,lv=3,rv=4 (surfaces) or "
             "lv=1,rv=2,myocardium=3,scar=4 (segmentations)."
         ),
     ] = None,
     label_array: Annotated[
         str | None,
         _anatomy(
-            "Name of the file's array that holds them; by default 'label', 'class', 'surface' or "
-            "'boundary'."
+            help="Name of the file's array that holds them; by default 'label', 'class', "
+            "'surface' or 'boundary'."
         ),
     ] = None,
-    labels_file: Annotated[Path | None, _anatomy("Labels of an STL: one number per line.")] = None,
+    labels_file: Annotated[
+        Path | None, _anatomy(help="Labels of an STL: one number per line.")
+    ] = None,
     regions: RegionsOption = None,
     region_array: RegionArrayOption = None,
     remesh: Annotated[
         bool,
         _anatomy(
-            "Remesh the inside of a tetrahedral mesh that has flat elements; its surface, fibres "
-            "and regions stay."
+            help="Remesh the inside of a tetrahedral mesh that has flat elements; its surface, "
+            "fibres and regions stay."
         ),
     ] = False,
     lv_endocardium: PartOption = None,
@@ -138,19 +137,19 @@ def heart_build(
     fibres: Annotated[
         Literal["rule", "file"] | None,
         _fibres(
-            "Those of a rule or of the mesh's file; by default the file's, unless they are a "
+            help="Those of a rule or of the mesh's file; by default the file's, unless they are a "
             "placeholder."
         ),
     ] = None,
     lv_angles: Annotated[
-        str, _fibres("Helix angles, endocardium,epicardium (degrees).")
+        str, _fibres(help="Helix angles, endocardium,epicardium (degrees).")
     ] = "60,-60",
     rv_angles: Annotated[str, _fibres()] = "90,-25",
     electrodes: Annotated[
         Path | None,
-        _option(
-            "Torso",
-            "Nine electrodes, CSV name,x,y,z or JSON, to which the idealised torso is fitted; "
+        Option(
+            rich_help_panel="Torso",
+            help="Nine electrodes, CSV name,x,y,z or JSON, to which the idealised torso is fitted; "
             "by default they are at its standard positions.",
         ),
     ] = None,
@@ -502,23 +501,21 @@ def _torso(options: Mapping[str, Any], electrodes: Path | None) -> TorsoOptions:
 
 
 def _seeds(options: Mapping[str, Any]) -> dict[str, tuple[ChosenSeed, ChosenSeed]]:
-    lv, lv_to, rv, rv_to = (_seed(name, options[name]) for name in SEEDS)
-    return {"lv": (lv, lv_to), "rv": (rv, rv_to)}
+    """Read root and direction of both bundles: numbers of points, or three coordinates (mm)."""
 
+    def seed(side: str, end: str) -> ChosenSeed:
+        text = options[f"{side}_{end}"]
+        if text is None or re.fullmatch(r"\s*-?\d+\s*", text):
+            return text if text is None else int(text)
+        values = _floats(text, 3)
+        if values is None:
+            raise InputError(
+                f"--{side}-{end} {text}: give the number of a point of the endocardium, "
+                "from 0, or its position x,y,z (mm)"
+            )
+        return values[0], values[1], values[2]
 
-def _seed(name: str, text: str | None) -> ChosenSeed:
-    """The number of a point, or three coordinates (mm)."""
-    if text is None:
-        return None
-    if re.fullmatch(r"\s*-?\d+\s*", text):
-        return int(text)
-    values = _floats(text, 3)
-    if values is None:
-        raise InputError(
-            f"--{name.replace('_', '-')} {text}: give the number of a point of the endocardium, "
-            "from 0, or its position x,y,z (mm)"
-        )
-    return values[0], values[1], values[2]
+    return {side: (seed(side, "root"), seed(side, "direction")) for side in SIDES}
 
 
 def _floats(text: str, count: int) -> list[float] | None:

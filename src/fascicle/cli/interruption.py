@@ -20,14 +20,13 @@ from typing import NoReturn
 
 from fascicle.core.files import remove_unfinished
 
-GRACE = 1.5  # s in which the process may end by itself
-
 
 @dataclass
 class Interruption:
     """Signal that asked the program to end, if any, and whether it has ended by itself."""
 
     number: int | None = None
+    grace: float = 1.5  # s in which the process may end by itself
     over: threading.Event = field(default_factory=threading.Event)
 
     @property
@@ -43,9 +42,9 @@ class Interruption:
         sys.exit(self.status)
 
     def watch(self, reader: int) -> None:
-        """End the process `GRACE` after a signal whose number comes through a pipe."""
+        """End the process `grace` after a signal whose number comes through a pipe."""
         while (number := os.read(reader, 1)) != b"":
-            if number[0] in (signal.SIGINT, signal.SIGTERM) and not self.over.wait(GRACE):
+            if number[0] in (signal.SIGINT, signal.SIGTERM) and not self.over.wait(self.grace):
                 remove_unfinished()
                 os._exit(128 + number[0])
 

@@ -79,9 +79,9 @@ def every_command(command: Callable[..., Result]) -> Callable[..., None]:
     return with_options(run, options)
 
 
-def print_row(what: str, text: object) -> None:
+def print_row(label: str, text: object) -> None:
     """Print a line of a result: its name and its text."""
-    print(f"{what:<22} {text}")
+    print(f"{label:<22} {text}")
 
 
 def print_table(rows: Sequence[Sequence[str]]) -> None:

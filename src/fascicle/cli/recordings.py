@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,7 +19,6 @@ from fascicle.core.ranges import digits
 from fascicle.recording.readers.formats import known_formats
 
 if TYPE_CHECKING:
-    from fascicle.recording.criteria import Criterion
     from fascicle.recording.pipeline import Analysis
     from fascicle.recording.quality import CheckResult
     from fascicle.recording.target import Target
@@ -232,7 +230,18 @@ def _print_target(target: Target) -> None:
         width = f"{last - first:.0f} ± {np.hypot(first_sd, last_sd):.0f} ms"
         ends = f"{first:.0f} ± {first_sd:.0f} to {last:.0f} ± {last_sd:.0f} ms about R"
         print_row(name, f"{width}, from {ends} ({how})")
-    _print_criteria(target.conventional_criteria)
+    # the conventional criteria that are met, by their sources, and those that lack a lead
+    criteria = target.conventional_criteria
+    met: dict[str, list[str]] = {criterion.source: [] for criterion in criteria}
+    for criterion in criteria:
+        if criterion.met:
+            met[criterion.source].append(criterion.name)
+    lines = [f"{'; '.join(names)} ({source})" for source, names in met.items() if names]
+    none = "none of the conventional criteria of bundle branch or fascicular block is met"
+    for text in lines or [f"{none} ({', '.join(met)})"]:
+        print_row("conventional criteria", text)
+    if undecided := [criterion.name for criterion in criteria if criterion.met is None]:
+        print_row("not decided", f"{'; '.join(undecided)}: leads are not used")
     if target.noise is not None:
         print_row("noise", f"{target.noise:.3g} mV, as stated")
     else:
@@ -240,27 +249,6 @@ def _print_target(target: Target) -> None:
         print_row("beat to beat", f"{spread:.3f} mV (mean standard deviation in the QRS)")
     for warning in target.provenance.get("warnings", "").splitlines():
         print(f"warning: {warning}", file=sys.stderr)
-
-
-def _print_criteria(criteria: Sequence[Criterion]) -> None:
-    """Print the conventional criteria that are met, and those that lack a lead."""
-    sources = dict.fromkeys(criterion.source for criterion in criteria)
-    met = {
-        source: [
-            criterion for criterion in criteria if criterion.met and criterion.source == source
-        ]
-        for source in sources
-    }
-    lines = [
-        f"{'; '.join(criterion.name for criterion in group)} ({source})"
-        for source, group in met.items()
-        if group
-    ]
-    none = "none of the conventional criteria of bundle branch or fascicular block is met"
-    for text in lines or [f"{none} ({', '.join(sources)})"]:
-        print_row("conventional criteria", text)
-    if undecided := [criterion.name for criterion in criteria if criterion.met is None]:
-        print_row("not decided", f"{'; '.join(undecided)}: leads are not used")
 
 
 def _picture_path(out: Path, recording: Path, kind: str) -> Path:

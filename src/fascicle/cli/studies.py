@@ -26,7 +26,7 @@ from fascicle.core.errors import InputError
 
 if TYPE_CHECKING:
     from fascicle.core.arrays import Floats
-    from fascicle.patients.outcome import Outcome
+    from fascicle.patients.patient import Outcome
 
 study_app = typer.Typer(
     no_args_is_help=True, help="Show the results of finished studies, compare and export them."
@@ -74,6 +74,7 @@ def study_compare(
     import numpy as np
 
     from fascicle.cli.printing import interval
+    from fascicle.study.population import Posterior
 
     if len(studies) < 2:
         raise InputError("give two or more studies to compare")
@@ -81,7 +82,11 @@ def study_compare(
         fitted = [fascicle.load_study(study, progress) for study in studies]
     for number, (folder, study) in enumerate(zip(studies, fitted, strict=True), 1):
         print(f"{number}  {folder}: {study.verdict}")
-    values = [_parameters(study) for study in fitted]
+    values: list[Mapping[str, Floats]] = []
+    for study in fitted:
+        posterior = study.population if isinstance(study.population, Posterior) else None
+        reliable = len(study.population) and (posterior is None or posterior.converged)
+        values.append(study.population.values if reliable else {})
     lines = [["", *map(str, range(1, len(studies) + 1)), ""]]
     rows: dict[str, list[Any]] = {}
     apart: dict[str, float] = {}
@@ -139,16 +144,6 @@ def study_export(
     return {"folder": out, "format": to} | summary
 
 
-def _parameters(fitted: fascicle.FittedStudy) -> Mapping[str, Floats]:
-    """Values of each parameter in the networks; none if the runs have not converged."""
-    from fascicle.study.population import Posterior
-
-    population = fitted.population
-    if not len(population) or (isinstance(population, Posterior) and not population.converged):
-        return {}
-    return population.values
-
-
 def cohort(
     table: Annotated[
         Path, Argument(metavar="TABLE", help="CSV file: a patient a row ('fascicle docs files').")
@@ -180,8 +175,8 @@ def cohort(
     Without a scheduler patients are fitted here, one after the other, on all cores; with one, each
     by a worker of a Dask cluster ('fascicle docs cluster').
     """
-    from fascicle.patients.cohort import PAGE, RESULTS, outcomes
-    from fascicle.patients.outcome import Status
+    from fascicle.patients.cohort import outcomes
+    from fascicle.patients.patient import CohortPart, Status
 
     patient_outcomes: list[Outcome] = []
     with resumable(out), TerminalProgress() as progress:
@@ -194,10 +189,10 @@ def cohort(
             if outcome.error_file is not None:
                 print(outcome.error_file.read_text(encoding="utf-8"), file=sys.stderr)
     missing = sum(outcome.status is not Status.FITTED for outcome in patient_outcomes)
-    page = (out / PAGE).resolve()
+    page = (out / CohortPart.PAGE).resolve()
     print(f"{len(patient_outcomes) - missing} of {len(patient_outcomes)} patients fitted")
     if missing:
-        print(f"{missing} not fitted: the reasons are in {out / RESULTS}")
+        print(f"{missing} not fitted: the reasons are in {out / CohortPart.RESULTS}")
     print(page.as_uri())
     patients = [outcome.model_dump(mode="json") for outcome in patient_outcomes]
     result = {"folder": out, "page": page, "patients": patients}

@@ -19,7 +19,6 @@ import platformdirs
 from fascicle.core.errors import FileError, OutputError, printable
 from fascicle.core.ranges import shown
 
-CACHE_VARIABLE = "FASCICLE_CACHE"  # environment variable with another folder for the cache
 PACKAGED = ("default", "camps-dti004")  # hearts: an idealised one, and one subject's
 DISPOSABLE = ".fascicle-cache"  # what is in a folder of this name can be computed again
 _unfinished: set[Path] = set()  # temporary files and folders that are being written
@@ -162,15 +161,15 @@ def check_nothing_lost(folder: Path, new: Collection[str]) -> None:
             )
 
 
-def as_path(value: object, what: str, needed: str = "a path") -> Path:
-    """Check a value that must be a path; `what` and `needed` are for the message."""
+def as_path(value: object, label: str, needed: str = "a path") -> Path:
+    """Check a value that must be a path; `label` and `needed` are for the message."""
     if not isinstance(value, str | os.PathLike) or "\0" in str(value):
-        raise FileError(f"{what} is {shown(value)}; give {needed}")
+        raise FileError(f"{label} is {shown(value)}; give {needed}")
     path = Path(value)
     try:
         path.exists()
     except OSError as error:  # a name that is too long, for one
-        raise FileError(f"{shown(str(path))}: {error.strerror} ({what}); check the path") from None
+        raise FileError(f"{shown(str(path))}: {error.strerror} ({label}); check the path") from None
     return path
 
 
@@ -247,6 +246,6 @@ def packaged_heart(name: Path | str) -> Path | None:
 
 
 def user_cache() -> Path:
-    """Folder of the cache outside hearts and studies; it may be deleted at any time."""
-    chosen = os.environ.get(CACHE_VARIABLE)
+    """Folder of the cache outside hearts and studies, or FASCICLE_CACHE; it may be deleted."""
+    chosen = os.environ.get("FASCICLE_CACHE")
     return Path(chosen) if chosen else Path(platformdirs.user_cache_dir("fascicle"))

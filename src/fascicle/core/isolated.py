@@ -26,12 +26,20 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from fascicle.core.errors import InputError
+import numpy as np
 
-SECONDS = 3.0  # of computing for any file; one microsecond more for each of its bytes
-LARGE = 64 * 2**20  # bytes; a child that has read a larger file holds much memory, and is ended
+from fascicle.core.errors import InputError, one_line
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+# What the libraries raise on damaged files
+DAMAGED: tuple[type[Exception], ...] = (
+    OSError, ValueError, LookupError, TypeError, AttributeError, RuntimeError, ArithmeticError,
+    AssertionError, NameError, EOFError,
+)  # fmt: skip
 
 
 def available_memory() -> float:
@@ -50,6 +58,9 @@ def available_memory() -> float:
 class Limits:
     """Memory (bytes of address space) and computing time (s) that reading a file may take."""
 
+    least_seconds: ClassVar[float] = 3.0  # one microsecond more for each byte of the file
+    large: ClassVar[int] = 64 * 2**20  # bytes; such a file leaves a child that holds much memory
+
     memory: float
     seconds: float
     size: int
@@ -59,7 +70,7 @@ class Limits:
         """Limits that grow with the size of the files; never more memory than is free."""
         size, least = sum(path.stat().st_size for path in paths), 3 * 2**29
         memory = min(least + 64 * size, max(available_memory(), least))
-        return cls(memory, SECONDS + 1e-6 * size, size)
+        return cls(memory, cls.least_seconds + 1e-6 * size, size)
 
     def too_much_memory(self, path: Path) -> InputError:
         """Error of a file that takes more memory."""
@@ -93,7 +104,7 @@ def read_isolated(
             raise
         finally:
             timer.cancel()
-        if exhausted or limits.size > LARGE:
+        if exhausted or limits.size > Limits.large:
             child.end()
     if error is not None:
         raise error
@@ -229,3 +240,46 @@ def _answer(
         return None, limits.too_much_memory(path), True
     except Exception:  # noqa: BLE001 - raised again where the file was asked for
         return None, RuntimeError(f"{path}: {traceback.format_exc()}"), False
+
+
+def load_netcdf(path: Path, group: str = "/") -> xr.Dataset:
+    """Load one group of a file, in a child process: HDF5 may crash or never end.
+
+    Variables are as stored: fill values are not replaced, times are not decoded. Raises InputError
+    if the file cannot be read, or has no such group.
+    """
+    import xarray as xr
+
+    parts = read_isolated(read_group, path, group=group)
+    variables = {name: (dims, values, attrs) for name, dims, values, attrs in parts["variables"]}
+    try:
+        return xr.Dataset(variables, attrs=parts["attributes"])
+    except ValueError as error:  # sizes that contradict one another
+        raise InputError(f"{path}: damaged ({one_line(error)})") from None
+
+
+def read_group(path: Path, group: str) -> dict[str, Any]:
+    """Attributes and variables of a group, as plain data."""
+    import h5netcdf
+
+    try:
+        with h5netcdf.File(path, "r", decode_vlen_strings=True) as file:
+            h5_group = file if group == "/" else file[group]
+            variables = [
+                (name, variable.dimensions, _plain(variable[...]), _attributes(variable))
+                for name, variable in h5_group.variables.items()
+            ]
+            return {"variables": variables, "attributes": _attributes(h5_group)}
+    except (*DAMAGED, h5netcdf.CompatibilityError) as error:
+        raise InputError(f"{path}: not a readable netCDF file ({one_line(error)})") from None
+
+
+def _attributes(item: Any) -> dict[str, Any]:
+    return {str(name): _plain(value) for name, value in item.attrs.items()}
+
+
+def _plain(value: Any) -> Any:
+    """Value without Python objects: texts become arrays of fixed width."""
+    if isinstance(value, np.ndarray) and value.dtype.hasobject:
+        return value.astype(str)
+    return value

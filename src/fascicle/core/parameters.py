@@ -282,22 +282,6 @@ def network_space(lv: int = 2, rv: int = 2) -> ParameterSpace:
 
 
 NETWORK_SPACE = network_space()
-# Prior ranges of human anatomy and conduction; docs/quantities.md names the source of each
-HUMAN_RANGES: dict[str, tuple[float, float]] = {
-    "lv_initial_length": (5.0, 20.0),
-    "rv_initial_length": (35.0, 60.0),
-    "interventricular_delay": (-75.0, 60.0),
-    "cv": (1.5, 3.5),
-    "fibre_speed": (0.4, 0.8),
-}
-# Lengths (mm), then directions of left fascicles and angles of right ones (rad)
-LEFT_FASCICLES = {
-    "anterior": ((20.0, 50.0), (0.6, 1.5)),
-    "septal": ((5.0, 20.0), (-0.8, 0.8)),
-    "posterior": ((20.0, 50.0), (-1.6, -0.6)),
-}
-RIGHT_FASCICLES = ((5.0, 30.0), (-2.0, 0.0)), ((5.0, 30.0), (0.3, 1.8))
-ANY_FASCICLE = (5.0, 50.0), (-1.6, 1.6)
 
 
 def human_space(lv: int = 3, rv: int = 2) -> ParameterSpace:
@@ -306,14 +290,21 @@ def human_space(lv: int = 3, rv: int = 2) -> ParameterSpace:
     Of three left fascicles the first is the anterior one, the second the septal one, the third the
     posterior one; of two there is no septal one.
     """
-    left = [LEFT_FASCICLES[n] for n in (("anterior", "posterior") if lv == 2 else LEFT_FASCICLES)]
-    sides = ("lv", left if lv > 1 else [], lv), ("rv", [*RIGHT_FASCICLES] if rv > 1 else [], rv)
-    ranges = {n: r for n, r in HUMAN_RANGES.items() if n.endswith("initial_length")}
+    # docs/quantities.md names the source of each range; lengths (mm), then directions of left
+    # fascicles and angles of right ones (rad)
+    anterior, septal = ((20.0, 50.0), (0.6, 1.5)), ((5.0, 20.0), (-0.8, 0.8))
+    posterior, other = ((20.0, 50.0), (-1.6, -0.6)), ((5.0, 50.0), (-1.6, 1.6))
+    left = [] if lv < 2 else [anterior, posterior] if lv == 2 else [anterior, septal, posterior]
+    right = [] if rv < 2 else [((5.0, 30.0), (-2.0, 0.0)), ((5.0, 30.0), (0.3, 1.8))]
+    sides = ("lv", left, lv), ("rv", right, rv)
+    ranges = {"lv_initial_length": (5.0, 20.0), "rv_initial_length": (35.0, 60.0)}
     for number, kinds in enumerate((("length", "length"), ("direction", "angle"))):
         for (side, named, count), kind in zip(sides, kinds, strict=True):
-            of_side = [*named, *[ANY_FASCICLE] * count][:count]
-            ranges |= {f"{side}_fascicle_{kind}_{k}": r[number] for k, r in enumerate(of_side, 1)}
-    ranges |= HUMAN_RANGES
+            for k, fascicle in enumerate([*named, *[other] * count][:count], 1):
+                ranges[f"{side}_fascicle_{kind}_{k}"] = fascicle[number]
+    ranges |= {
+        "interventricular_delay": (-75.0, 60.0), "cv": (1.5, 3.5), "fibre_speed": (0.4, 0.8),
+    }  # fmt: skip
     return ParameterSpace(
         tuple(free(name, lower=lower, upper=upper) for name, (lower, upper) in ranges.items())
     )

@@ -50,12 +50,12 @@ def check_progress(progress: object) -> None:
 
 
 @contextmanager
-def shown_progress(wanted: Progress | Lines | None) -> Iterator[Progress | None]:
+def shown_progress(progress: Progress | Lines | None) -> Iterator[Progress | None]:
     """Give the callback that a caller of the Python interface wants.
 
     "lines" are written on standard error while the context lasts.
     """
-    callback = progress_of(wanted)
+    callback = progress_of(progress)
     try:
         yield callback
     finally:
@@ -63,12 +63,12 @@ def shown_progress(wanted: Progress | Lines | None) -> Iterator[Progress | None]
             callback.end()
 
 
-def progress_of(wanted: Progress | Lines | None) -> Progress | None:
+def progress_of(progress: Progress | Lines | None) -> Progress | None:
     """Progress callback for an object that outlives the call; see `shown_progress`."""
-    if isinstance(wanted, str) and wanted == "lines":
+    if isinstance(progress, str) and progress == "lines":
         return ProgressLines(lambda line: write_with_time(line, sys.stderr))
-    check_progress(wanted)
-    return wanted
+    check_progress(progress)
+    return progress
 
 
 def write_with_time(line: str, stream: TextIO) -> None:
@@ -97,10 +97,12 @@ def stage_name(stage: str) -> str:
 
 
 class ProgressLines:
-    """Lines on the progress of a stage: after `first` s, then every `every` s, at its end."""
+    """Lines on the progress of a stage: after `first` s, then each `interval` s, at its end."""
 
-    def __init__(self, say: Callable[[str], None], first: float = 2.0, every: float = 10.0) -> None:
-        self._say, self._first, self._every = say, first, every
+    def __init__(
+        self, say: Callable[[str], None], first: float = 2.0, interval: float = 10.0
+    ) -> None:
+        self._say, self._first, self._interval = say, first, interval
         self._bars: Bars | None = None
         self._tasks: dict[str, Task] = {}
         self._said: dict[str, float] = {}  # when (s) a stage was last reported
@@ -115,24 +117,20 @@ class ProgressLines:
     def __call__(self, stage: str, done: int, total: int, message: str) -> None:
         """See `Progress`; several threads may call."""
         with self._lock:
-            self._show(stage, done, total, message)
-
-    def _show(self, stage: str, done: int, total: int, message: str) -> None:
-        if self._bars is None:
-            self._bars = self._make_bars()
-            self._bars.start()
-            threading.Thread(target=self._speak, daemon=True).start()
-        if stage not in self._tasks:
-            name = stage_name(stage)
-            self._bars.add_task(name, total=total, message="", first=done)
-            self._tasks[stage] = self._bars.tasks[-1]
-        task = self._tasks[stage]
-        if done < task.completed:  # the stage of another patient
-            self._bars.reset(task.id, first=done, message=message)
-            self._said.pop(stage, None)
-        self._bars.update(task.id, completed=done, total=total, message=message)
-        if task.finished and self._said.pop(stage, None) is not None:
-            self._say(_line(task))
+            if self._bars is None:
+                self._bars = self._make_bars()
+                self._bars.start()
+                threading.Thread(target=self._speak, daemon=True).start()
+            if stage not in self._tasks:
+                self._bars.add_task(stage_name(stage), total=total, message="", first=done)
+                self._tasks[stage] = self._bars.tasks[-1]
+            task = self._tasks[stage]
+            if done < task.completed:  # the stage of another patient
+                self._bars.reset(task.id, first=done, message=message)
+                self._said.pop(stage, None)
+            self._bars.update(task.id, completed=done, total=total, message=message)
+            if task.finished and self._said.pop(stage, None) is not None:
+                self._say(_line(task))
 
     def end(self, clear: bool = False) -> None:
         """Stop reporting; with `clear`, bars that were shown are removed."""
@@ -146,7 +144,7 @@ class ProgressLines:
         while not self._over.wait(self._first / 4):
             for stage, task in [*self._tasks.items()]:
                 now = time.monotonic()
-                wait = self._every if stage in self._said else self._first
+                wait = self._interval if stage in self._said else self._first
                 since = self._said.get(stage, now - (task.elapsed or 0.0))
                 if not task.finished and now - since >= wait:
                     self._said[stage] = now

@@ -237,7 +237,7 @@ SPEED = ("alpha", "fibre_speed")  # of the myocardium: two names for one thing
 DELAY = ("root_time", "interventricular_delay")  # of the right ventricle, likewise
 
 
-def declare(known: Quantity) -> None:
+def declare(declared: Quantity) -> None:
     """Add a quantity to the model: parameters, options and settings files may then name it.
 
     `Quantity.apply` says what it does to the conduction of the tissue; `Quantity.changes` must be
@@ -245,15 +245,15 @@ def declare(known: Quantity) -> None:
     of a `fascicle.GrowthTerm` have ``Changes.TREES`` and are declared by that. Raises
     ValueRefusedError if another quantity has this name, or if it changes nothing.
     """
-    if QUANTITIES.get(known.name, known) != known or known.name in GROUPS:
-        raise ValueRefusedError(f"parameter '{known.name}' is taken; choose another name")
-    is_applied = known.apply is not None and known.changes in (Changes.TIMES, Changes.TISSUE)
-    if known.changes is not Changes.TREES and not is_applied:
+    if QUANTITIES.get(declared.name, declared) != declared or declared.name in GROUPS:
+        raise ValueRefusedError(f"parameter '{declared.name}' is taken; choose another name")
+    is_applied = declared.apply is not None and declared.changes in (Changes.TIMES, Changes.TISSUE)
+    if declared.changes is not Changes.TREES and not is_applied:
         raise ValueRefusedError(
-            f"parameter '{known.name}' changes nothing; give `apply`, and what it changes: "
+            f"parameter '{declared.name}' changes nothing; give `apply`, and what it changes: "
             "Changes.TIMES or Changes.TISSUE"
         )
-    QUANTITIES[known.name] = known
+    QUANTITIES[declared.name] = declared
 
 
 def declare_state(state: ConductionState) -> None:
@@ -351,17 +351,19 @@ def checked(values: Mapping[str, Any]) -> dict[str, float]:
     return {name: check(quantity(name), value) for name, value in values.items()}
 
 
-def check(known: Quantity, value: Any) -> float:
+def check(declared: Quantity, value: Any) -> float:
     """Number as a float, if it is possible for this quantity; see `checked`."""
-    if known.choices and isinstance(value, str):
-        if value not in known.choices:
-            hint = did_you_mean(value, known.choices, [])
+    if declared.choices and isinstance(value, str):
+        if value not in declared.choices:
+            hint = did_you_mean(value, declared.choices, [])
             hint = hint or "'fascicle parameters' lists the names"
-            raise ValueRefusedError(f"parameter '{known.name}' is {shown(value)}; {hint}")
-        value = known.choices.index(value)
-    number = known.valid.check(value, f"parameter '{known.name}'")
-    if known.is_integer and number != int(number):
-        raise ValueRefusedError(f"parameter '{known.name}' is {shown(number)}; give a whole number")
+            raise ValueRefusedError(f"parameter '{declared.name}' is {shown(value)}; {hint}")
+        value = declared.choices.index(value)
+    number = declared.valid.check(value, f"parameter '{declared.name}'")
+    if declared.is_integer and number != int(number):
+        raise ValueRefusedError(
+            f"parameter '{declared.name}' is {shown(number)}; give a whole number"
+        )
     return number
 
 

@@ -46,11 +46,11 @@ class Range:
     def _suffix(self) -> str:
         return f" {self.unit}" if self.unit else ""
 
-    def check(self, value: Any, what: str) -> float:
-        """Check a number and give it as a float; `what` names it in the message."""
-        as_float = number(value, what)
+    def check(self, value: Any, label: str) -> float:
+        """Check a number and give it as a float; `label` names it in the message."""
+        as_float = number(value, label)
         if as_float not in self:
-            raise ValueRefusedError(f"{what} is {digits(as_float)}{self._suffix}; give {self}")
+            raise ValueRefusedError(f"{label} is {digits(as_float)}{self._suffix}; give {self}")
         return as_float
 
 
@@ -82,26 +82,26 @@ RANGES = {
 }
 
 
-def number(value: Any, what: str) -> float:
-    """Number of Python or NumPy as a float; `what` names it in the message."""
+def number(value: Any, label: str) -> float:
+    """Number of Python or NumPy as a float; `label` names it in the message."""
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
-        raise ValueRefusedError(f"{what} is {shown(value)}; give a number")
+        raise ValueRefusedError(f"{label} is {shown(value)}; give a number")
     try:
         return float(value)
     except OverflowError:  # a whole number of hundreds of digits
-        raise ValueRefusedError(f"{what} is {shown(value)}; give a smaller number") from None
+        raise ValueRefusedError(f"{label} is {shown(value)}; give a smaller number") from None
 
 
-def within(name: str, value: Any, what: str) -> float:
+def within(name: str, value: Any, label: str) -> float:
     """A number as a float, if it lies in the range of this name in `RANGES`."""
-    return RANGES[name].check(value, what)
+    return RANGES[name].check(value, label)
 
 
-def check_count(value: Any, what: str, least: int = 1) -> None:
+def check_count(value: Any, label: str, least: int = 1) -> None:
     """Refuse a value that is not a whole number, or less than `least`."""
     whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
     if not whole or value < least:
-        raise ValueRefusedError(f"{what} is {shown(value)}; give a whole number, {least} or more")
+        raise ValueRefusedError(f"{label} is {shown(value)}; give a whole number, {least} or more")
 
 
 def plain_name(name: str) -> str:
@@ -110,53 +110,53 @@ def plain_name(name: str) -> str:
 
 
 def did_you_mean(
-    name: str, known: Iterable[str], aliases: Iterable[tuple[str, str]] = ()
+    name: str, names: Iterable[str], aliases: Iterable[tuple[str, str]] = ()
 ) -> str | None:
     """Question whether a known name was meant; None if none is similar.
 
     `aliases` are pairs of another name, as `plain_name` gives it, and the known one.
     """
     meant: dict[str, list[str]] = {}
-    for key, candidate in (*((plain_name(candidate), candidate) for candidate in known), *aliases):
+    for key, candidate in (*((plain_name(candidate), candidate) for candidate in names), *aliases):
         meant.setdefault(key, []).append(candidate)
     plain = plain_name(name)
     near = [plain] if plain in meant else difflib.get_close_matches(plain, meant, 1, cutoff=0.75)
     return f"did you mean {' or '.join(map(repr, meant[near[0]]))}?" if near else None
 
 
-def check_kind(value: object, kind: type | tuple[type, ...], what: str, needed: str) -> None:
-    """Refuse a value of another class; the message says `what` it is and what is `needed`."""
+def check_kind(value: object, kind: type | tuple[type, ...], label: str, needed: str) -> None:
+    """Refuse a value of another class; the message has its `label` and what is `needed`."""
     if not isinstance(value, kind):
-        raise ValueRefusedError(f"{what} is {shown(value)}; give {needed}")
+        raise ValueRefusedError(f"{label} is {shown(value)}; give {needed}")
 
 
-def check_items(values: object, kind: type | tuple[type, ...], what: str, needed: str) -> None:
+def check_items(values: object, kind: type | tuple[type, ...], label: str, needed: str) -> None:
     """Refuse a value that is not a list or tuple of such objects; see `check_kind`."""
     if not isinstance(values, list | tuple) or not all(isinstance(v, kind) for v in values):
-        raise ValueRefusedError(f"{what}: {shown(values)} was given; give a list of {needed}")
+        raise ValueRefusedError(f"{label}: {shown(values)} was given; give a list of {needed}")
 
 
-def check_position(value: Any, what: str) -> None:
+def check_position(value: Any, label: str) -> None:
     """Refuse a value that is not a position of three coordinates (mm) in range."""
     if isinstance(value, str) or not hasattr(value, "__len__") or len(value) != 3:
-        raise ValueRefusedError(f"{what} is {shown(value)}; give three coordinates (mm)")
+        raise ValueRefusedError(f"{label} is {shown(value)}; give three coordinates (mm)")
     for coordinate in value:
-        within("coordinate", coordinate, f"{what}: a coordinate")
+        within("coordinate", coordinate, f"{label}: a coordinate")
 
 
-def check_array(name: str, values: Floats, what: str) -> None:
+def check_array(name: str, values: Floats, label: str) -> None:
     """Refuse an array with a number outside a range of `RANGES`; non-finite ones are left out."""
     import numpy as np  # the command line must not load it
 
     finite = values[np.isfinite(values)]
     if finite.size:
-        within(name, finite[np.abs(finite).argmax()], what)
+        within(name, finite[np.abs(finite).argmax()], label)
 
 
-def check_text(value: Any, what: str) -> None:
+def check_text(value: Any, label: str) -> None:
     """Refuse a value that is not a text of one line of at most 200 characters."""
     if not isinstance(value, str) or not value.isprintable() or len(value) > 200:
-        raise ValueRefusedError(f"{what} is {shown(value)}; give a text, of one line")
+        raise ValueRefusedError(f"{label} is {shown(value)}; give a text, of one line")
 
 
 def digits(value: float) -> str:

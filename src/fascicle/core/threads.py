@@ -1,17 +1,22 @@
-"""Cores, threads of the linear algebra, and results shared between threads."""
+"""Cores, threads of the linear algebra, and objects shared by threads and processes."""
 
 from __future__ import annotations
 
+import hashlib
 import os
+import pickle
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
+from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np  # noqa: F401 - NumPy and SciPy each bring a BLAS, both are found below
 import scipy.linalg  # noqa: F401
 from threadpoolctl import ThreadpoolController
+
+from fascicle.core.errors import FileError
 
 _BLAS = ThreadpoolController().select(user_api="blas")
 
@@ -76,3 +81,34 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+class SharedFile(NamedTuple):
+    """A file that `write_shared` has written, and the SHA-256 of its content."""
+
+    path: Path
+    digest: str
+
+
+def write_shared(path: Path, content: object) -> SharedFile:
+    """Pickle an object for processes that can read this file."""
+    pickled = pickle.dumps(content)
+    path.write_bytes(pickled)
+    return SharedFile(path, hashlib.sha256(pickled).hexdigest())
+
+
+def _read(file: SharedFile) -> Any:
+    """Unpickle a file; FileError if it was changed, as it could then run somebody else's code."""
+    pickled = file.path.read_bytes()
+    digest = hashlib.sha256(pickled).hexdigest()
+    if digest != file.digest:
+        raise FileError(
+            f"{file.path}: has been changed since it was written for the workers (SHA-256 "
+            f"{digest[:12]}, not {file.digest[:12]}); see who else writes to the temporary folder"
+        )
+    return pickle.loads(pickled)  # noqa: S301 - by `write_shared`
+
+
+# The last four objects are kept: a model, and the recordings it is compared with, of two studies.
+# Threads of a worker start together, and one heart is enough for all.
+read_shared = made_once(_read, 4)

@@ -1,8 +1,21 @@
-"""Begin to explore a heart or a study: on a page of this machine, or in a notebook."""
+"""Begin to explore a heart or a study: in a notebook, or on a page of this machine.
+
+The local page is served to this machine alone, until its last page is closed.
+"""
 
 from __future__ import annotations
 
+import asyncio
+import json
+import secrets
+import socket
 import sys
+import threading
+import warnings
+import webbrowser
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import suppress
 from functools import partial
 from importlib.resources import files
 from importlib.util import find_spec
@@ -14,7 +27,6 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import as_path
 from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.ranges import check_kind
-from fascicle.explorer.server import serve
 from fascicle.explorer.session import Session
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.folder import as_heart
@@ -25,23 +37,9 @@ from fascicle.recording.target_files import read_target
 from fascicle.study.fitted import FittedStudy, load_study
 from fascicle.study.study import CONFIGURATION
 
-# Script of the notebook; the page calls the same `fascicleExplorer`, and has a socket
-RENDER = """
-export default {
-  render({ model, el }) {
-    const heard = (message, [view]) =>
-      explorer?.heard(view.buffer.slice(view.byteOffset, view.byteOffset + view.byteLength));
-    const explorer = window.fascicleExplorer(el, (message) => model.send(message));
-    model.on("msg:custom", heard);
-    model.send({ ask: "description" });
-    return () => { model.off("msg:custom", heard); explorer?.dispose(); };
-  },
-};
-"""
-
 
 def explore(
-    given: Heart | FittedStudy | Path | str,
+    source: Heart | FittedStudy | Path | str,
     target: Target | Path | str | None = None,
     progress: Progress | Lines | None = "lines",
 ) -> Any:
@@ -52,7 +50,7 @@ def explore(
 
     Parameters
     ----------
-    given : Heart, FittedStudy or path
+    source : Heart, FittedStudy or path
         A heart or a study, its folder, or the name of a packaged heart.
     target : Target or path, optional
         A recording, with which simulated ECGs are compared; a study has its own.
@@ -65,7 +63,7 @@ def explore(
         If neither a heart nor a study is there, or the target cannot be used.
     """
     with shown_progress(progress) as shown:
-        session = session_of(given, target, shown)
+        session = session_of(source, target, shown)
     kernel = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     if hasattr(kernel, "kernel"):
         return widget(session)
@@ -73,21 +71,21 @@ def explore(
 
 
 def session_of(
-    given: Heart | FittedStudy | Path | str,
+    source: Heart | FittedStudy | Path | str,
     target: Target | Path | str | None,
     progress: Progress | None,
 ) -> Session:
     """Session of the arguments of `explore`."""
     check_kind(target, (Target, Path, str, NoneType), "target", "a fascicle target, or its file")
-    if isinstance(given, Path | str) and (as_path(given, "heart") / CONFIGURATION).is_file():
-        given = load_study(given)
-    if isinstance(given, FittedStudy):
+    if isinstance(source, Path | str) and (as_path(source, "heart") / CONFIGURATION).is_file():
+        source = load_study(source)
+    if isinstance(source, FittedStudy):
         if target is not None:
             raise InputError(
-                f"{given.folder}: a study has its own recordings; leave out the target"
+                f"{source.folder}: a study has its own recordings; leave out the target"
             )
-        return Session.of_study(given)
-    model = ForwardModel(as_heart(given), progress=progress)
+        return Session.of_study(source)
+    model = ForwardModel(as_heart(source), progress=progress)
     if target is None:
         return Session(model)
     read = target if isinstance(target, Target) else read_target(target)
@@ -102,8 +100,22 @@ def widget(session: Session) -> Any:
 
     page = files("fascicle") / "reporting" / "page"
 
+    # the page calls the same `fascicleExplorer`, and has a socket
+    script = """
+export default {
+  render({ model, el }) {
+    const heard = (message, [view]) =>
+      explorer?.heard(view.buffer.slice(view.byteOffset, view.byteOffset + view.byteLength));
+    const explorer = window.fascicleExplorer(el, (message) => model.send(message));
+    model.on("msg:custom", heard);
+    model.send({ ask: "description" });
+    return () => { model.off("msg:custom", heard); explorer?.dispose(); };
+  },
+};
+"""
+
     class Explorer(AnyWidget):
-        _esm = (page / "viewer.js").read_text(encoding="utf-8") + RENDER
+        _esm = (page / "viewer.js").read_text(encoding="utf-8") + script
         _css = (page / "explorer.css").read_text(encoding="utf-8")
 
     explorer = Explorer()
@@ -115,3 +127,164 @@ def widget(session: Session) -> Any:
 
     explorer.on_msg(answer)
     return explorer
+
+
+def serve(session: Session, port: int = 0, opened: Callable[[str], object] | None = None) -> None:
+    """Show a session on a page of this machine; returns when its last page was closed, or Ctrl-C.
+
+    Parameters
+    ----------
+    session : Session
+        Session to show.
+    port : int
+        Port of the page; any free one if 0.
+    opened : callable, optional
+        Called with the address of the page once it can be opened; a browser by default.
+
+    Raises
+    ------
+    InputError
+        If the port is taken.
+    """
+    import uvicorn
+
+    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind((Application.address, port))
+    except OSError as error:
+        listening.close()
+        raise InputError(
+            f"port {port}: {error.strerror}; leave out --port, or give another"
+        ) from None
+    app = Application(session, listening.getsockname()[1], opened or in_browser)
+    config = uvicorn.Config(
+        app.asgi(), log_level="error", ws="websockets-sansio", ws_max_size=2**20, lifespan="on",
+        ws_per_message_deflate=False,  # which takes longer than the simulation
+        timeout_graceful_shutdown=1,
+    )  # fmt: skip
+    server = uvicorn.Server(config)
+    app.end = lambda: setattr(server, "should_exit", True)
+    try:
+        server.run(sockets=[listening])
+    finally:
+        listening.close()
+
+
+def in_browser(url: str) -> None:
+    """Open a page; a warning says where it is if no browser can be opened."""
+    if not webbrowser.open(url):
+        warnings.warn(f"no browser could be opened here; open {url}", stacklevel=2)
+
+
+async def in_thread(work: Callable[[], bytes]) -> bytes:
+    """Result of `work`, done in a thread for which the end of the program does not wait."""
+    loop, result = asyncio.get_running_loop(), Future[bytes]()
+
+    def run() -> None:
+        try:
+            result.set_result(work())
+        except Exception as error:  # noqa: BLE001 - raised again where it is awaited
+            result.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    return await asyncio.wrap_future(result, loop=loop)
+
+
+class Application:
+    """Web application: the page, and a socket for every page that is open."""
+
+    address = "127.0.0.1"  # of this machine alone
+    reloaded_within = 3.0  # s that a page may be away for before the server ends
+    # Nothing from elsewhere is loaded, and no other page may hold this one
+    policy = (
+        "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' "
+        "data: blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors "
+        "'none'"
+    )
+
+    def __init__(self, session: Session, port: int, opened: Callable[[str], object]) -> None:
+        self.session, self.opened = session, opened
+        self.token = secrets.token_urlsafe(24)
+        self.hosts = {f"{name}:{port}" for name in (self.address, "localhost")}
+        self.url = f"http://{self.address}:{port}/{self.token}/"
+        self.pages = 0
+        self.end: Callable[[], object] = lambda: None
+
+    def asgi(self) -> Any:
+        """The ASGI application: every address begins with the token."""
+        from contextlib import asynccontextmanager
+
+        from starlette.applications import Starlette
+        from starlette.requests import Request
+        from starlette.responses import Response
+        from starlette.routing import Route, WebSocketRoute
+
+        kinds = {"": "text/html", "explorer.css": "text/css", "viewer.js": "text/javascript"}
+
+        async def file(request: Request) -> Response:
+            name = request.path_params.get("name", "")
+            if request.headers.get("host") not in self.hosts or name not in kinds:
+                return Response("not found", 404)
+            content = files("fascicle") / "reporting" / "page" / (name or "explorer.html")
+            headers = {"Content-Security-Policy": self.policy, "Referrer-Policy": "no-referrer"}
+            return Response(content.read_text(encoding="utf-8"), 200, headers, kinds[name])
+
+        @asynccontextmanager
+        async def life(app: Starlette) -> Any:
+            asyncio.get_running_loop().call_soon(self.opened, self.url)
+            yield
+
+        at = f"/{self.token}"
+        routes = [
+            Route(f"{at}/", file),
+            WebSocketRoute(f"{at}/socket", self.socket),
+            Route(f"{at}/{{name}}", file),
+        ]
+        return Starlette(routes=routes, lifespan=life)
+
+    async def socket(self, page: Any) -> None:
+        """Answer the states of one page, one after the other, until it is closed."""
+        origin = page.headers.get("origin", "").removeprefix("http://")
+        if origin not in self.hosts or page.headers.get("host") not in self.hosts:
+            await page.close(1008)  # a page from elsewhere
+            return
+        await page.accept()
+        self.pages += 1
+        messages: asyncio.Queue[Any] = asyncio.Queue()
+        tasks = [
+            asyncio.create_task(task(page, messages)) for task in (self.messages, self.answers)
+        ]
+        ended, running = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in running:
+            task.cancel()  # nobody waits for its answer any more
+        self.pages -= 1
+        asyncio.get_running_loop().call_later(self.reloaded_within, self.end_without_pages)
+        for task in ended:
+            task.result()  # a bug stays loud
+
+    async def messages(self, page: Any, messages: asyncio.Queue[Any]) -> None:
+        """Collect the messages of a page, until it is closed."""
+        from starlette.websockets import WebSocketDisconnect
+
+        with suppress(WebSocketDisconnect, json.JSONDecodeError):
+            while True:
+                messages.put_nowait(json.loads(await page.receive_text()))
+
+    async def answers(self, page: Any, messages: asyncio.Queue[Any]) -> None:
+        """Send the description, then an answer to each message, and how far a long one is."""
+        loop = asyncio.get_running_loop()
+
+        def report(message: bytes) -> None:  # from another thread
+            if not loop.is_closed():
+                asyncio.run_coroutine_threadsafe(page.send_bytes(message), loop)
+
+        await page.send_bytes(await in_thread(self.session.description))
+        while True:
+            work = partial(self.session.answer, await messages.get(), report)
+            await page.send_bytes(await in_thread(work))
+
+    def end_without_pages(self) -> None:
+        """End the server if no page is open."""
+        if self.pages == 0:
+            self.end()

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from typing import Annotated, Any
 
 import numpy as np
@@ -29,7 +29,7 @@ from fascicle.core.parameters import (
     ParameterSpace,
     free,
 )
-from fascicle.core.progress import Progress, ProgressLines
+from fascicle.core.progress import ProgressLines
 from fascicle.core.quantities import SPEED, TORSO_QUANTITIES, parameter_name, quantity, torso_values
 from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP
 from fascicle.forward.example import example_parameters
@@ -40,21 +40,11 @@ from fascicle.forward.scenario_files import library, read_scenarios, scenario_te
 from fascicle.heart.conduction import Region
 from fascicle.networks.target_comparison import TargetComparison
 from fascicle.prediction.scenarios import INTRINSIC
-from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.reporting.names import scenario_name
 from fascicle.reporting.page.scene import body_axes, boundary
 from fascicle.study.fitted import FittedStudy
 from fascicle.torso.variation.conductor import TorsoState
 
-BLOCKED_WITHIN = 3.0  # mm of a place in a tree that is blocked there
-SCAR_WITHIN = 8.0  # mm of a place in the myocardium that is scar there
-# Quantities with a slider besides those that are learnt; a tissue is prepared in seconds
-MORE_SLIDERS = {
-    "growth and junctions": (
-        "branch_length", "branch_angle", "repulsion", "anterograde_delay", "retrograde_delay",
-    ),
-    "tissue": ("anisotropy_ratio", "endocardial_layer", "endocardial_speed"),
-}  # fmt: skip
 Coordinate = Annotated[float, Field(ge=-1e4, le=1e4, allow_inf_nan=False)]
 Place = tuple[Coordinate, Coordinate, Coordinate]
 
@@ -107,7 +97,7 @@ class PageState(BaseModel, extra="forbid"):
             primitives.append(His(time=np.inf))
         primitives += [Stimulus(time=0.0, position=place) for place in self.stimuli]
         primitives += [
-            SlowConduction(tree=tree, speed=0.0, centre=place, radius=BLOCKED_WITHIN)
+            SlowConduction(tree=tree, speed=0.0, centre=place, radius=3.0)  # mm
             for tree, place in self.blocks
         ]
         return Scenario(primitives) if primitives else None
@@ -115,8 +105,8 @@ class PageState(BaseModel, extra="forbid"):
     @property
     def regions(self) -> tuple[Region, ...]:
         """Scars of this state."""
-        return tuple(
-            Region(conductivity=0.0, centre=place, radius=SCAR_WITHIN) for place in self.scars
+        return tuple(  # spheres of 8 mm
+            Region(conductivity=0.0, centre=place, radius=8.0) for place in self.scars
         )
 
 
@@ -163,7 +153,11 @@ class Session:
     def description(self) -> bytes:
         """Everything that does not change: surface, sliders, scenarios, recording, networks."""
         triangles, shown, endocardial = self.surface
-        heart = self.model.heart
+        heart, networks = self.model.heart, []
+        if self.study is not None:
+            population, fixed = self.study.population, self.study.simulator.prior.fixed
+            values = (population.parameters(k) for k in range(len(population)))
+            networks = [_spoken({**fixed, **parameters}) for parameters in values]
         content: dict[str, Any] = {
             "heart": heart.name,
             **body_axes(heart),
@@ -177,7 +171,7 @@ class Session:
             "scenarios": {name: scenario_name(name) for name in (INTRINSIC, *library())},
             "start": _spoken(self.start),
             "verdict": None if self.study is None else self.study.verdict,
-            "networks": self._networks(),
+            "networks": networks,
         }
         arrays = {
             "vertices": heart.vertices[shown].astype("<f4"),
@@ -188,7 +182,12 @@ class Session:
     @property
     def groups(self) -> dict[str, list[Parameter]]:
         """Quantities with a slider, by groups: `space`, then those that are not learnt."""
-        more = dict(MORE_SLIDERS)
+        growth = ("branch_length", "branch_angle", "repulsion")
+        more = {
+            "growth and junctions": (*growth, "anterograde_delay", "retrograde_delay"),
+            # a tissue is prepared in seconds
+            "tissue": ("anisotropy_ratio", "endocardial_layer", "endocardial_speed"),
+        }
         if self.model.heart.has_torso:
             more["torso"] = TORSO_QUANTITIES
         groups = {"network": list(self.space.parameters)}
@@ -212,6 +211,11 @@ class Session:
 
         Messages for the page report the progress of long preparations.
         """
+
+        def note(line: str) -> None:
+            if report is not None:
+                report(packed({"progress": line}, {}))
+
         number = message.get("id") if isinstance(message, Mapping) else None
         try:
             if not isinstance(message, Mapping):
@@ -219,24 +223,22 @@ class Session:
             state = PageState.of(message.get("state"))
             if message.get("ask") == "files":
                 return packed({"id": number, "files": self.files(state)}, {})
-            lines = ProgressLines(partial(_report, report))
+            lines = ProgressLines(note)
             try:
-                model = self._prepared(state, lines)
+                torso, model = torso_values(state.values), self.model
+                if torso and state.scars:
+                    problem = "scar cannot be combined with a changed torso; undo one of them"
+                    raise InputError(problem)
+                if torso:
+                    model.torso([*torso], lines)
+                if state.scars:
+                    model = self._scarred(state.regions)
                 content, arrays = self._simulated(model, state, bool(message.get("moving")))
             finally:
                 lines.end()
             return packed({"id": number, **content}, arrays)
         except InputError as error:
             return packed({"id": number, "error": str(error)}, {})
-
-    def _prepared(self, state: PageState, progress: Progress) -> ForwardModel:
-        """Forward model of a state: with its scars, or prepared for other torsos."""
-        torso = torso_values(state.values)
-        if torso and state.scars:
-            raise InputError("scar cannot be combined with a changed torso; undo one of them")
-        if torso:
-            self.model.torso([*torso], progress)
-        return self._scarred(state.regions) if state.scars else self.model
 
     def files(self, state: PageState) -> dict[str, str]:
         """Files by name that `fascicle simulate` takes, to repeat a state."""
@@ -272,7 +274,12 @@ class Session:
             ]
         arrays = {"activation": (beat.activation[self.surface[1]] - begin).astype("<f4")}
         for tree, times in zip(beat.trees, beat.coupled.trees, strict=True):
-            arrays |= _tree(tree, times - begin)
+            ends = np.flatnonzero(tree.parents >= 0)
+            arrays |= {
+                f"{tree.side}_nodes": tree.nodes.astype("<f4"),  # mm
+                f"{tree.side}_segments": np.column_stack([tree.parents[ends], ends]).astype("<u4"),
+                f"{tree.side}_times": (times - begin).astype("<f4"),  # ms
+            }
         content["trees"] = [tree.side for tree in beat.trees]
         arrays["electrodes"] = _electrodes(model, state).astype("<f4")
         content["ecg_start"] = beat.onset - begin
@@ -320,24 +327,15 @@ class Session:
         if name in values and len(values[name]):
             drawn = np.histogram(values[name], bins=30, range=(low, high))[0].tolist()
         unit = "" if parameter.unit == "1" else parameter.unit
+        along, across = self.model.conduction.speeds
+        # where a state does not name the quantity; None for those that it must name
+        numbers = {**self.model.rules.numbers, **vars(self.model.conduction)}
+        value = numbers.get(name, quantity(name).default)
         return {
             "name": name, "label": parameter_name(name), "unit": unit, "low": low, "high": high,
-            "posterior": drawn, "value": self._own(name), "meaning": quantity(name).meaning,
+            "posterior": drawn, "value": along / across if name == "anisotropy_ratio" else value,
+            "meaning": quantity(name).meaning,
         }  # fmt: skip
-
-    def _own(self, name: str) -> float | None:
-        """Value of a quantity that a state does not name; None for those that it must name."""
-        if name == "anisotropy_ratio":
-            along, across = self.model.conduction.speeds
-            return along / across
-        numbers = {**self.model.rules.numbers, **vars(self.model.conduction)}
-        return numbers.get(name, quantity(name).default)
-
-    def _networks(self) -> list[dict[str, float | str]]:
-        if self.study is None:
-            return []
-        population, fixed = self.study.population, self.study.simulator.prior.fixed
-        return [_spoken({**fixed, **population.parameters(k)}) for k in range(len(population))]
 
 
 def _electrodes(model: ForwardModel, state: PageState) -> Floats:
@@ -348,21 +346,6 @@ def _electrodes(model: ForwardModel, state: PageState) -> Floats:
     # the response has them on vertices of the skin, some mm from there
     skin = model.torso([*torso]).response.electrodes
     return placed + skin(TorsoState.of(torso)) - skin(TorsoState.of({}))
-
-
-def _tree(tree: PurkinjeTree, times: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """Nodes (mm), segments and times (ms) of a tree, after its side."""
-    ends = np.flatnonzero(tree.parents >= 0)
-    return {
-        f"{tree.side}_nodes": tree.nodes.astype("<f4"),
-        f"{tree.side}_segments": np.column_stack([tree.parents[ends], ends]).astype("<u4"),
-        f"{tree.side}_times": times.astype("<f4"),
-    }
-
-
-def _report(report: Callable[[bytes], object] | None, line: str) -> None:
-    if report is not None:
-        report(packed({"progress": line}, {}))
 
 
 def _spoken(values: Mapping[str, float]) -> dict[str, float | str]:

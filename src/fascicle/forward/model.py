@@ -25,8 +25,7 @@ from fascicle.core.parameters import Infeasible, complete
 from fascicle.core.progress import Progress, check_progress
 from fascicle.core.quantities import Changes, checked, quantity, torso_values
 from fascicle.core.ranges import check_items, check_kind
-from fascicle.core.shared_files import SharedFile, read_shared, write_shared
-from fascicle.core.threads import made_once
+from fascicle.core.threads import SharedFile, made_once, read_shared, write_shared
 from fascicle.forward.activation_sequence import VentricularSurfaces
 from fascicle.forward.beat import Beat, Signals, check_activation
 from fascicle.forward.blocks import in_state

@@ -14,15 +14,20 @@ from fascicle.core.errors import OutputError
 from fascicle.core.files import as_path, check_writable, write_text
 from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.threads import cores
-from fascicle.patients.outcome import Outcome, Status
-from fascicle.patients.patient import PATIENTS, STUDIES, Patient, fit_patient, part_of, read_table
+from fascicle.patients.patient import (
+    CohortPart,
+    Outcome,
+    Patient,
+    Status,
+    fit_patient,
+    part_of,
+    read_table,
+)
 from fascicle.pools.pool import Threads, check_pool
 from fascicle.study.lock import HeldError
 
 if TYPE_CHECKING:
     from fascicle.pools.cluster import Cluster
-
-PAGE, RESULTS = "index.html", "results.csv"  # of a cohort
 
 
 def cohort(
@@ -88,10 +93,9 @@ def outcomes(
     table, folder = as_path(table, "table"), as_path(out, "folder").absolute()
     patients = read_table(table, folder)
     mine = part_of(patients, only)
-    check_writable(folder / PAGE)
-    written = (PATIENTS, STUDIES, PAGE, RESULTS)
-    foreign = [path.name for path in folder.iterdir() if path.name not in written]
-    if foreign and not (folder / PATIENTS).is_dir():
+    check_writable(folder / CohortPart.PAGE)
+    foreign = [path.name for path in folder.iterdir() if path.name not in {*CohortPart}]
+    if foreign and not (folder / CohortPart.PATIENTS).is_dir():
         raise OutputError(
             f"{folder}: holds '{foreign[0]}' and is not a cohort; give another folder (--out)"
         )
@@ -161,8 +165,8 @@ def write_overview(folder: Path, table: Path, patients: Sequence[Patient]) -> No
         writer = csv.DictWriter(text, [*columns], lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-        write_text(folder / RESULTS, text.getvalue())
-        write_text(folder / PAGE, _page(table, outcomes))
+        write_text(folder / CohortPart.RESULTS, text.getvalue())
+        write_text(folder / CohortPart.PAGE, _page(table, outcomes))
 
 
 def _page(table: Path, outcomes: Sequence[Outcome]) -> str:

@@ -1,17 +1,20 @@
-"""A patient of a cohort: from the table to a study with its report."""
+"""A patient of a cohort: from the table to a study with its report, and the outcome of that."""
 
 from __future__ import annotations
 
 import csv
+import json
 import re
 import time
 import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
-from pydantic import ValidationError
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from fascicle.core.errors import FileError, InputError, ValueRefusedError, given_in, one_line
 from fascicle.core.files import PACKAGED, as_path, check_file, write_text
@@ -20,25 +23,148 @@ from fascicle.core.ranges import shown
 from fascicle.heart.folder import HEART_FILES
 from fascicle.networks.prior import PARAMETERS, read_settings
 from fascicle.networks.settings import FitSettings, checked_settings
-from fascicle.patients.outcome import Outcome, Status
 from fascicle.pools.pool import Pool
 from fascicle.recording.pipeline import make_target
 from fascicle.recording.readers.read import existing_file, read_recording
 from fascicle.recording.target_files import read_target
 from fascicle.reporting.page.page import report
 from fascicle.study.fit import fit_inputs
+from fascicle.study.fitted import FittedStudy
 from fascicle.study.inputs import Inputs, read_inputs
 from fascicle.study.lock import HeldError, study_lock
+from fascicle.study.population import Posterior
 from fascicle.study.study import is_finished
 
-PATIENTS, STUDIES = "patients", "studies"  # folders of a cohort
-OUTCOME = "outcome.json"  # in a patient's folder
-NEEDED_COLUMNS = ("patient", "heart", "recording")  # columns
+
+class Status(StrEnum):
+    """Whether a patient has been fitted."""
+
+    FITTED = "fitted"
+    FAILED = "failed"
+    NOT_DONE = "not done"
+
+
+class Estimate(BaseModel):
+    """Median, 5th and 95th percentile of a parameter; whether the ECG constrains it."""
+
+    model_config = ConfigDict(frozen=True)
+
+    unit: str
+    median: float
+    lower: float
+    upper: float
+    determined: bool | None = None
+
+    def __str__(self) -> str:
+        return f"{self.median:.3g} ({self.lower:.3g} to {self.upper:.3g})"
+
+
+class Outcome(BaseModel):
+    """Outcome of a patient; docs/files.md describes the fields.
+
+    `converged` and `explained` are None without a posterior; `explained_power` is the share of the
+    recorded QRS that the mean of the networks explains, over all leads, and
+    `explained_by_the_best` the share that each of the best networks explains. `states` says how
+    probable each conduction state is, if one can be named; `parameters` is empty if the fit has not
+    converged; `error_file` is the file with the traceback of a bug.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    patient: str
+    status: Status
+    reason: str = ""
+    error_file: Path | None = None
+    seconds: float = 0.0
+    verdict: str = ""
+    converged: bool | None = None
+    explained: bool | None = None
+    explained_power: float | None = None
+    explained_by_the_best: float | None = None
+    best_loss_mV2: float | None = None  # noqa: N815 - as in the summary of a study
+    qrs_duration_ms: float | None = None
+    predicted_qrs_duration_ms: float | None = None
+    warnings: tuple[str, ...] = ()
+    states: Mapping[str, float] = {}
+    parameters: Mapping[str, Estimate] = {}
+
+    @property
+    def trustworthy(self) -> bool:
+        """Whether the patient has a posterior that converged and explains the recording."""
+        return bool(self.converged and self.explained)
+
+    @classmethod
+    def of(cls, patient: str, fitted: FittedStudy, seconds: float) -> Outcome:
+        """Summarise a study that has just been written."""
+        summary = json.loads((fitted.folder / "summary.json").read_text(encoding="utf-8"))
+        qrs = summary.get("qrs_duration_ms", {"recorded": None, "networks": {"median": None}})
+        noticed = fitted.recordings[0].target.provenance.get("warnings", "").splitlines()
+        return cls(
+            patient=patient,
+            status=Status.FITTED,
+            seconds=round(seconds, 1),
+            verdict=fitted.verdict,
+            converged=summary.get("converged"),
+            explained=fitted.statements.acceptable,
+            explained_power=summary["explained_power"]["all"],
+            explained_by_the_best=summary.get("explained_by_the_best"),
+            best_loss_mV2=fitted.population.best_loss,
+            qrs_duration_ms=qrs["recorded"],
+            predicted_qrs_duration_ms=qrs["networks"]["median"],
+            warnings=(*fitted.warnings, *noticed),
+            states=getattr(fitted.population, "states", {}) if fitted.statements.states else {},
+            parameters=_estimates(fitted),
+        )
+
+    def row(self) -> dict[str, Any]:
+        """Row of the results table: three columns for each parameter and one for each state."""
+        row = self.model_dump(exclude={"error_file", "parameters", "states", "warnings"})
+        row["warnings"] = "; ".join(self.warnings)
+        row |= {f"P({name})": probability for name, probability in self.states.items()}
+        for name, estimate in self.parameters.items():
+            row |= {
+                name: estimate.median,
+                f"{name}_5": estimate.lower,
+                f"{name}_95": estimate.upper,
+            }
+        return row
+
+
+def _estimates(fitted: FittedStudy) -> dict[str, Estimate]:
+    """Estimates of all parameters; empty if the runs of a posterior do not agree."""
+    population, space = fitted.population, fitted.simulator.prior.learnt
+    determined: dict[str, bool] = {}
+    if isinstance(population, Posterior):
+        if not population.converged:
+            return {}
+        determined = {
+            parameter.name: parameter.constrained for parameter in fitted.statements.parameters
+        }
+    estimates = {}
+    for parameter in space.parameters:
+        lower, median, upper = np.percentile(population.values[parameter.name], [5, 50, 95])
+        estimates[parameter.name] = Estimate(
+            unit=parameter.unit, median=median, lower=lower, upper=upper,
+            determined=determined.get(parameter.name),
+        )  # fmt: skip
+    return estimates
+
+
+class CohortPart(StrEnum):
+    """Files and folders in the folder of a cohort."""
+
+    PATIENTS = "patients"  # outcomes
+    STUDIES = "studies"
+    PAGE = "index.html"
+    RESULTS = "results.csv"
 
 
 @dataclass(frozen=True)
 class Patient:
     """A row of the table, and the folder of its cohort."""
+
+    needed_columns: ClassVar = ("patient", "heart", "recording")
+    outcome_file: ClassVar = "outcome.json"  # in the patient's folder
 
     name: str  # also of the study
     cohort: Path
@@ -51,7 +177,7 @@ class Patient:
     @property
     def study(self) -> Path:
         """Folder of the study."""
-        return self.cohort / STUDIES / self.name
+        return self.cohort / CohortPart.STUDIES / self.name
 
     @property
     def report(self) -> Path:
@@ -61,19 +187,20 @@ class Patient:
     @property
     def folder(self) -> Path:
         """Folder of the patient's outcome, which one process at a time writes."""
-        return self.cohort / PATIENTS / self.name
+        return self.cohort / CohortPart.PATIENTS / self.name
 
     @property
     def outcome(self) -> Outcome:
         """Stored outcome; `NOT_DONE` if there is none, or one of another version."""
         try:
-            return Outcome.model_validate_json((self.folder / OUTCOME).read_text(encoding="utf-8"))
+            stored = (self.folder / self.outcome_file).read_text(encoding="utf-8")
+            return Outcome.model_validate_json(stored)
         except (FileNotFoundError, ValidationError):
             return Outcome(patient=self.name, status=Status.NOT_DONE)
 
     def ended(self, outcome: Outcome) -> Outcome:
         """Store the patient's outcome."""
-        write_text((self.folder / OUTCOME), outcome.model_dump_json(indent=2) + "\n")
+        write_text(self.folder / self.outcome_file, outcome.model_dump_json(indent=2) + "\n")
         return outcome
 
     def failed(self, reason: str, error_file: Path | None = None) -> Outcome:
@@ -125,7 +252,7 @@ def fit_patient(patient: Patient, pool: Pool, progress: Progress | None = None) 
             inputs = _inputs(patient)
             if _is_done(patient, inputs):
                 return patient.outcome
-            for old in (OUTCOME, "error.txt"):
+            for old in (patient.outcome_file, "error.txt"):
                 (patient.folder / old).unlink(missing_ok=True)
             fitted = fit_inputs(inputs, patient.study, progress, pool)
             report(fitted, out=patient.report, progress=progress)
@@ -187,13 +314,14 @@ def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
         raise FileError(
             f"{path}: is not a table in text ({one_line(error)}); save it as CSV (UTF-8)"
         ) from None
-    allowed = (*NEEDED_COLUMNS, "scenario", "settings", *FitSettings.model_fields)
+    needed = Patient.needed_columns
+    allowed = (*needed, "scenario", "settings", *FitSettings.model_fields)
     wrong = [name for name in columns if name not in allowed or columns.count(name) > 1]
-    wrong += [name for name in NEEDED_COLUMNS if name not in columns]
+    wrong += [name for name in needed if name not in columns]
     if wrong:
         raise FileError(
             f"{path}, line 1: column {shown(wrong[0])} is unknown, missing or there twice; name "
-            f"each column there, such as {','.join(NEEDED_COLUMNS)}; known are {', '.join(allowed)}"
+            f"each column there, such as {','.join(needed)}; known are {', '.join(allowed)}"
         )
     for number, cells in lines:
         if None in cells or None in cells.values():  # one too many, or too few
@@ -206,7 +334,7 @@ def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
 
 
 def _patient(folder: Path, cells: Mapping[str, str], cohort: Path) -> Patient:
-    for name in NEEDED_COLUMNS:
+    for name in Patient.needed_columns:
         if name not in cells:
             raise FileError(f"no {name} is given; fill the cell")
     # valid as a folder name on every system, and unescaped in a link

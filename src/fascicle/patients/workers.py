@@ -22,8 +22,7 @@ from distributed.core import Status as WorkerStatus
 from fascicle.core.errors import InputError, OutputError
 from fascicle.core.files import is_outside_allowed, outside_allowed
 from fascicle.core.progress import Progress
-from fascicle.patients.outcome import Outcome, Status
-from fascicle.patients.patient import Patient, fit_patient
+from fascicle.patients.patient import Outcome, Patient, Status, fit_patient
 from fascicle.pools.cluster import Cluster
 from fascicle.pools.pool import Threads
 from fascicle.study.lock import HeldError

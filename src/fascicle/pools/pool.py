@@ -13,8 +13,7 @@ from types import NoneType
 from typing import Any, TypeVar
 
 from fascicle.core.ranges import check_count, check_kind
-from fascicle.core.shared_files import SharedFile, read_shared, write_shared
-from fascicle.core.threads import one_thread
+from fascicle.core.threads import SharedFile, one_thread, read_shared, write_shared
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

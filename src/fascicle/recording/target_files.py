@@ -13,8 +13,8 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path, write_bytes
+from fascicle.core.isolated import load_netcdf
 from fascicle.core.leads import LEADS
-from fascicle.core.netcdf import load_netcdf
 from fascicle.core.ranges import RANGES, shown
 from fascicle.recording.filters import SAMPLING_STEP, Filter, FilterKind, FilterOrigin
 from fascicle.recording.target import Target, residual_covariance

@@ -1,8 +1,9 @@
-"""Figures of the activation of the heart and of its Purkinje networks."""
+"""Figures of the activation of the heart and of its Purkinje networks, and of its origin."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,10 +14,12 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
+from fascicle.emulation.origin import Origin
 from fascicle.forward.beat import Beat
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
@@ -35,8 +38,6 @@ from fascicle.reporting.surfaces import (
 )
 
 TIME_COLOURS = "viridis_r"  # perceptually uniform; early is light, late is dark
-SINCE_FIRST = "time since the first activation (ms)"
-SPREAD = "standard deviation (ms)"
 
 
 @dataclass(frozen=True)
@@ -66,12 +67,14 @@ def total_time(value: float) -> str:
 
 
 @style.styled
-def activation_figure(heart: Heart, rows: Sequence[ActivationRow], what: str) -> Figure:
+def activation_figure(
+    heart: Heart, rows: Sequence[ActivationRow], label: str = "time since the first activation (ms)"
+) -> Figure:
     """Draw activations of one heart, or other times, as isochrone bands, one row each.
 
     In each row are the views of `heart_views`, then each side's Purkinje network on its
     endocardium, seen from that side through the near wall. All rows share the colours; all hearts
-    share one spatial scale, all Purkinje networks another. The colour bar, labelled `what`, spans
+    share one spatial scale, all Purkinje networks another. The colour bar, labelled `label`, spans
     the times of the hearts; other times of the Purkinje networks have the colours of its ends.
     """
     views = heart_views(heart)
@@ -114,8 +117,14 @@ def activation_figure(heart: Heart, rows: Sequence[ActivationRow], what: str) ->
         ScalarMappable(norm, TIME_COLOURS), ax=panels, fraction=0.02, pad=0.01, aspect=28,
         ticks=levels[:: 1 + len(levels) // 10],
     )  # fmt: skip
-    bar.set_label(what, wrap=True)
+    bar.set_label(label, wrap=True)
     return figure
+
+
+def spread_figure(heart: Heart, spreads: Mapping[str, Floats]) -> Figure:
+    """Draw standard deviations (n,) of activation (ms), a row each, in the same colours."""
+    rows = [ActivationRow(textwrap.fill(name, 22), spread) for name, spread in spreads.items()]
+    return activation_figure(heart, rows, "standard deviation (ms)")
 
 
 def draw_tree(axes: Any, tree: PurkinjeTree) -> None:
@@ -189,3 +198,43 @@ def _draw_tree(
         axes.add_collection(lines, autolim=False)
     root = view.project(tree.nodes[tree.root])[:2]
     axes.plot(*root, "o", color="black", markeredgecolor="white", markeredgewidth=0.6)
+
+
+@style.styled
+def origin_figure(origin: Origin) -> Figure:
+    """Draw the regions that hold the origin with 50, 90 and 99 %, on the heart and its cavities.
+
+    Above the heart from outside, below its far walls from within.
+    """
+    heart, levels = origin.heart, (0.5, 0.9, 0.99)
+    colours = ("#B2182B", "#EF8A62", "#FDDBC7", Colour.LIGHT_GREY)
+    of_vertices = np.ones(len(heart.vertices))  # level of the most probable tetrahedron around it
+    np.minimum.at(of_vertices, heart.tetrahedra.ravel(), np.repeat(origin.levels, 4))
+    place = np.digitize(of_vertices, levels)
+    views = heart_views(heart)
+    boxes = {name: view.box(heart.vertices) for name, view in views.items()}
+    size = largest([*boxes.values()])
+    figure = style.new_figure(2.0 * len(views), 4.0 * float(size[1] / size[0]) + 0.9)
+    panels = figure.subplots(2, len(views), squeeze=False)
+    triangles = heart.boundary[0]
+    look = {
+        "scalars": place, "clim": (-0.5, len(levels) + 0.5), "cmap": ListedColormap(colours),
+        "n_colors": len(colours),
+    }  # fmt: skip
+    # seen from the front, only the far walls of a surface turned inside out are visible
+    rows = {"outside": triangles, "far walls, from within": triangles[:, ::-1]}
+    for line, (label, faces) in zip(panels, rows.items(), strict=True):
+        for axes, (name, view) in zip(line, views.items(), strict=True):
+            surface = DrawnSurface(heart.vertices, faces, look)
+            draw_surfaces(axes, view, surface, box=boxes[name], size=size)
+        line[0].annotate(
+            label, (0, 0.5), (-6, 0), xycoords="axes fraction", textcoords="offset points",
+            rotation=90, ha="right", va="center",
+        )  # fmt: skip
+    for axes in panels[1]:
+        axes.set_title("")
+    scale_bar(panels[-1][0], 20)
+    names = [f"{level:.0%} region" for level in levels] + ["elsewhere"]
+    handles = [(Patch(color=colour), name) for colour, name in zip(colours, names, strict=True)]
+    style.legend(figure, handles, loc="outside lower center", ncols=len(handles))
+    return style.mark(figure, None if origin.caution is None else "no origin is named")

@@ -23,8 +23,7 @@ from fascicle.reporting.ecg import target_figure
 from fascicle.reporting.heart import draw_heart
 from fascicle.reporting.names import index_label, parameter_label
 from fascicle.reporting.parameters import prior_figure
-from fascicle.reporting.prediction import simulated_ecg_figure
-from fascicle.reporting.scenarios import prediction_ecg_figure
+from fascicle.reporting.prediction import prediction_ecg_figure, simulated_ecg_figure
 from fascicle.reporting.style import one_axes
 from fascicle.study.fitted import FittedStudy
 

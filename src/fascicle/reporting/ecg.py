@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,12 +21,13 @@ from fascicle.recording.target import Target
 from fascicle.reporting import style
 from fascicle.reporting.style import Colour
 
-ROWS = 3  # I II III | aVR aVL aVF | V1 V2 V3 | V4 V5 V6
 # Looks of a target's parts, in panels and legend
-BAND_STYLE: dict[str, Any] = {"color": Colour.BLUE, "alpha": 0.25, "linewidth": 0}
-WINDOW: dict[str, Any] = {"color": "#EFEFEF", "linewidth": 0}
-UNCERTAIN: dict[str, Any] = {"color": "#C9C9C9", "linewidth": 0}
-GLOBAL_END: dict[str, Any] = {"color": "black", "linewidth": 0.7, "linestyle": (0, (4, 3))}
+LOOKS: dict[str, dict[str, Any]] = {
+    "band": {"color": Colour.BLUE, "alpha": 0.25, "linewidth": 0},
+    "window": {"color": "#EFEFEF", "linewidth": 0},
+    "uncertain": {"color": "#C9C9C9", "linewidth": 0},
+    "global end": {"color": "black", "linewidth": 0.7, "linestyle": (0, (4, 3))},
+}
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,17 @@ def ecg_figure(
         for group in groups:
             group.draw(axes, lead)
         style.name_lead(axes, name, notes[lead] if notes else "")
-    _set_scales(panels, groups)
+    start = min(float(group.time.min()) for group in groups)
+    stop = max(float(group.time.max()) for group in groups)
+    low = min(float(np.nanmin(group.leads)) for group in groups)
+    high = max(float(np.nanmax(group.leads)) for group in groups)
+    box = 0.5 if high - low <= 8 else 1.0  # mV, of ECG paper; limits are whole boxes
+    bottom, top = box * np.floor(low / box - 0.1), box * np.ceil(high / box + 0.1)
+    for axes in panels:
+        axes.set(xlim=(start, stop), ylim=(bottom, top))
+        axes.yaxis.set_major_locator(MultipleLocator(2 * box))
+        axes.yaxis.set_minor_locator(MultipleLocator(box))
+        draw_time_grid(axes)
     style.legend(figure, [(group.handle, group.label) for group in groups])
     zero = f"; 0: {time_zero}" if time_zero else ""
     style.below_leads(figure, f"time (ms{zero})", caption)
@@ -102,7 +113,7 @@ def ecg_figure(
 def figure_size(leads: int) -> tuple[float, float]:
     """Width and height (inch) of a figure of so many leads: a column more for every three."""
     rows, columns = _grid(leads)
-    return min(10.0 + 2.0 * max(columns - 4, 0), 22.0), 6.2 + 1.0 * (rows - ROWS)
+    return min(10.0 + 2.0 * max(columns - 4, 0), 22.0), 6.2 + 1.0 * (rows - 3)
 
 
 def lead_panels(figure: Figure | SubFigure, leads: int) -> list[Axes]:
@@ -117,23 +128,9 @@ def lead_panels(figure: Figure | SubFigure, leads: int) -> list[Axes]:
 
 def _grid(leads: int) -> tuple[int, int]:
     """Rows and columns: three rows, more where a vest's leads would make too many columns."""
-    rows = ROWS if leads <= 24 else math.ceil(math.sqrt(leads / 1.6))
+    # I II III | aVR aVL aVF | V1 V2 V3 | V4 V5 V6
+    rows = 3 if leads <= 24 else math.ceil(math.sqrt(leads / 1.6))
     return rows, math.ceil(leads / rows)
-
-
-def _set_scales(panels: Iterable[Axes], groups: Sequence[EcgGroup]) -> None:
-    """Set a common scale for all leads, in whole boxes of ECG paper."""
-    start = min(float(group.time.min()) for group in groups)
-    stop = max(float(group.time.max()) for group in groups)
-    low = min(float(np.nanmin(group.leads)) for group in groups)
-    high = max(float(np.nanmax(group.leads)) for group in groups)
-    box = 0.5 if high - low <= 8 else 1.0  # mV
-    bottom, top = box * np.floor(low / box - 0.1), box * np.ceil(high / box + 0.1)
-    for axes in panels:
-        axes.set(xlim=(start, stop), ylim=(bottom, top))
-        axes.yaxis.set_major_locator(MultipleLocator(2 * box))
-        axes.yaxis.set_minor_locator(MultipleLocator(box))
-        draw_time_grid(axes)
 
 
 def draw_time_grid(axes: Axes) -> None:
@@ -169,10 +166,16 @@ def draw_target(figure: Figure | SubFigure, target: Target) -> None:
     drawn = np.unique(np.linspace(0, count - 1, min(count, 100)).round().astype(np.int64))
     panels = lead_panels(figure, len(target.leads))
     for lead, (axes, name) in enumerate(zip(panels, target.leads, strict=True)):
-        _draw_window(axes, target)
+        axes.axvspan(target.qrs_onset, target.qrs_offset, zorder=0.2, **LOOKS["window"])
+        for end, sd in ((target.qrs_onset, target.onset_sd), (target.qrs_offset, target.offset_sd)):
+            if sd > 0:
+                axes.axvspan(end - sd, end + sd, zorder=0.3, **LOOKS["uncertain"])
+            axes.axvline(end, color="black", linewidth=0.7, zorder=1.5)
+        for end in target.global_qrs:
+            axes.axvline(end, zorder=1.5, **LOOKS["global end"])
         if target.used[lead]:
             band = mean[lead] - spread[lead], mean[lead] + spread[lead]
-            axes.fill_between(target.time, *band, **BAND_STYLE)
+            axes.fill_between(target.time, *band, **LOOKS["band"])
             if count > 1:  # thinner lines for many beats
                 width, opacity = (0.45, 0.8) if len(drawn) <= 15 else (0.25, 0.5)
                 lines = [np.stack([target.time, beat], 1) for beat in target.beats[drawn, lead]]
@@ -192,7 +195,7 @@ def draw_target(figure: Figure | SubFigure, target: Target) -> None:
 
 def _handles(target: Target, drawn: int) -> list[tuple[Any, str]]:
     count = len(target.beats)
-    mean, band = Line2D([], [], color="black"), Patch(**BAND_STYLE)
+    mean, band = Line2D([], [], color="black"), Patch(**LOOKS["band"])
     handles: list[tuple[Any, str]] = [(mean, "mean"), (band, "± 1 SD from beat to beat")]
     if target.noise is not None:
         name = "the beat" if count == 1 else f"mean of {count} beats"
@@ -200,10 +203,10 @@ def _handles(target: Target, drawn: int) -> list[tuple[Any, str]]:
     if count > 1:
         beats = f"{drawn} of {count} beats" if drawn < count else f"{count} beats"
         handles.insert(0, (Line2D([], [], color=Colour.BLUE, linewidth=0.6), beats))
-    handles.append((Patch(**WINDOW), "QRS window"))
+    handles.append((Patch(**LOOKS["window"]), "QRS window"))
     if target.onset_sd > 0 or target.offset_sd > 0:
-        handles.append((Patch(**UNCERTAIN), "QRS onset and offset ± 1 SD"))
-    return [*handles, (Line2D([], [], **GLOBAL_END), "global QRS (outermost leads)")]
+        handles.append((Patch(**LOOKS["uncertain"]), "QRS onset and offset ± 1 SD"))
+    return [*handles, (Line2D([], [], **LOOKS["global end"]), "global QRS (outermost leads)")]
 
 
 def _limits(target: Target, mean: Floats) -> tuple[float, float]:
@@ -219,14 +222,3 @@ def _limits(target: Target, mean: Floats) -> tuple[float, float]:
     missing = max(0.2 - (high - low), 0.0) / 2  # of a range of 0.2 mV, at least
     margin = missing + 0.06 * (high - low + 2 * missing)
     return low - margin, high + margin
-
-
-def _draw_window(axes: Axes, target: Target) -> None:
-    axes.axvspan(target.qrs_onset, target.qrs_offset, zorder=0.2, **WINDOW)
-    ends = (target.qrs_onset, target.onset_sd), (target.qrs_offset, target.offset_sd)
-    for end, spread in ends:
-        if spread > 0:
-            axes.axvspan(end - spread, end + spread, zorder=0.3, **UNCERTAIN)
-        axes.axvline(end, color="black", linewidth=0.7, zorder=1.5)
-    for end in target.global_qrs:
-        axes.axvline(end, zorder=1.5, **GLOBAL_END)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,6 @@ LABELS = {
     Label.TRICUSPID: ("tricuspid valve", Colour.GREEN),
     Label.PULMONARY: ("pulmonary valve", Colour.SKY),
 }
-WALL_COLOURS = dict(zip(WALLS, (Colour.VERMILION, Colour.GREEN, Colour.BLUE), strict=True))
 
 
 @style.styled
@@ -137,8 +137,9 @@ def check_figure(heart: Heart, check: HeartCheck) -> Figure:
     seen = np.array([to_left, up, back]), np.array([back, up, -to_left])
     for axes, rows, side in zip((front, left), seen, ("front", "left"), strict=True):
         _draw_torso(axes, View(f"torso, from the {side}", rows, centre), heart)
-    _plot_helix(helix, check)
-    _plot_thickness(thickness, check)
+    colours = dict(zip(WALLS, (Colour.VERMILION, Colour.GREEN, Colour.BLUE), strict=True))
+    _plot_helix(helix, check, colours)
+    _plot_thickness(thickness, check, colours)
     return figure
 
 
@@ -225,7 +226,7 @@ def _draw_torso(axes: Axes, view: View, heart: Heart) -> None:
     scale_bar(axes, 100)
 
 
-def _plot_helix(axes: Axes, check: HeartCheck) -> None:
+def _plot_helix(axes: Axes, check: HeartCheck, colours: Mapping[str, Colour]) -> None:
     """Median and interquartile range of the angles in ten layers of each wall."""
     axes.axhline(0, color=Colour.GREY, linewidth=0.5)
     edges = np.linspace(0, 1, 11)
@@ -234,7 +235,7 @@ def _plot_helix(axes: Axes, check: HeartCheck) -> None:
         filled_layers = [k for k in range(10) if (layer == k).sum() > 5]
         if filled_layers:
             spread = np.array([_quartiles(helix.angle[layer == k]) for k in filled_layers]).T
-            middle, colour = (edges[:-1] + edges[1:])[filled_layers] / 2, WALL_COLOURS[name]
+            middle, colour = (edges[:-1] + edges[1:])[filled_layers] / 2, colours[name]
             axes.fill_between(middle, spread[0], spread[2], color=colour, alpha=0.15, lw=0)
             axes.plot(middle, spread[1], color=colour, label=name)
     axes.set(xlim=(0, 1), ylim=(-95, 95), yticks=range(-90, 91, 30))
@@ -250,7 +251,7 @@ def _quartiles(angle: Floats) -> Floats:
     return np.asarray(mean + np.percentile((angle - mean + 90) % 180 - 90, [25, 50, 75]))
 
 
-def _plot_thickness(axes: Axes, check: HeartCheck) -> None:
+def _plot_thickness(axes: Axes, check: HeartCheck, colours: Mapping[str, Colour]) -> None:
     """Histogram of each wall's thickness, in percent of its points."""
     walls = {name: wall for name, wall in zip(WALLS, check.walls, strict=True) if wall.size}
     most = max((np.percentile(wall, 99) for wall in walls.values()), default=1.0)
@@ -258,7 +259,7 @@ def _plot_thickness(axes: Axes, check: HeartCheck) -> None:
     for name, wall in walls.items():
         share = np.full(wall.size, 100 / wall.size)
         axes.hist(
-            wall, bins, weights=share, histtype="step", color=WALL_COLOURS[name],
+            wall, bins, weights=share, histtype="step", color=colours[name],
             label=f"{name}: {np.median(wall):.1f} mm",
         )  # fmt: skip
     axes.set(title="wall thickness", xlabel="wall thickness (mm)", ylabel="endocardial points (%)")

@@ -20,11 +20,6 @@ from fascicle.reporting import style
 from fascicle.reporting.names import parameter_label
 from fascicle.reporting.style import Colour
 
-# Points that are marked in every panel of a pair plot
-MARKS: dict[str, dict[str, Any]] = {
-    "best fit": {"color": Colour.VERMILION, "marker": "D", "markersize": 4.5},
-    "truth": {"color": "black", "marker": "X", "markersize": 5.5},
-}
 Marks = list[tuple[Mapping[str, float], dict[str, Any]]]  # parameters, and how they are drawn
 
 
@@ -46,9 +41,10 @@ def pair_figure(
     count = len(space)
     figure = style.new_figure(0.95 * count + 2.5, 0.95 * count + 2.0, title)
     grid = figure.add_gridspec(count, count)
-    marks: Marks = [(best, MARKS["best fit"])]
+    diamond = {"color": Colour.VERMILION, "marker": "D", "markersize": 4.5}
+    marks: Marks = [(best, diamond)]
     if truth is not None:
-        marks.append((truth, MARKS["truth"]))
+        marks.append((truth, {"color": "black", "marker": "X", "markersize": 5.5}))
     for row in range(count):
         for column in range(row + 1):
             axes = figure.add_subplot(grid[row, column])
@@ -64,7 +60,8 @@ def pair_figure(
         (Patch(color=Colour.BLUE, alpha=0.45), "density of networks"),
         (Line2D([], [], color=Colour.GREY, linestyle="--"), "prior density"),
     ]
-    handles += [(Line2D([], [], **m), name) for (_, m), name in zip(marks, MARKS, strict=False)]
+    names = ("best fit", "truth")
+    handles += [(Line2D([], [], **m), name) for (_, m), name in zip(marks, names, strict=False)]
     place = "upper right" if count >= 4 else "outside right upper"  # in the empty triangle
     style.legend(figure, handles, loc=place, ncols=1, fontsize=8 + 0.5 * min(count, 12))
     figure.align_ylabels()
@@ -149,7 +146,17 @@ def draw_convergence(axes: Axes, losses: Floats, stages: Sequence[str], null: fl
     axes.set(xlabel="evaluation number", ylabel="loss (mV²)", xlim=(0.5, len(losses) + 0.5))
     axes.set_ylim(float(positive.min()) / 1.5, float(positive.max()) * 1.5)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1, steps=[1, 2, 5, 10]))
-    _draw_stages(axes, stages)
+    first = 0.5
+    for index, (name, run) in enumerate(groupby(stages)):
+        last = first + len(list(run))
+        axes.axvspan(first, last, color=("#F3F3F3", "#FFFFFF")[index % 2], linewidth=0, zorder=0)
+        narrow = last - first < 0.15 * len(stages)  # then the name is slanted
+        axes.text(
+            (first + last) / 2, 1.02, name, transform=axes.get_xaxis_transform(), va="bottom",
+            ha="left" if narrow else "center", rotation=30 if narrow else 0,
+            rotation_mode="anchor",
+        )  # fmt: skip
+        first = last
     number, feasible = np.arange(1, len(losses) + 1), np.isfinite(losses)
     dots: dict[str, Any] = {"markersize": 3, "markeredgewidth": 0, "alpha": 0.6}
     dots |= {"color": Colour.BLUE, "label": "evaluation"}
@@ -164,17 +171,3 @@ def draw_convergence(axes: Axes, losses: Floats, stages: Sequence[str], null: fl
         )  # fmt: skip
     axes.axhline(null, label=f"flat line ({null:.3g} mV²)", color="black", lw=1, ls=(0, (4, 3)))
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=4)
-
-
-def _draw_stages(axes: Axes, stages: Sequence[str]) -> None:
-    first = 0.5
-    for index, (name, run) in enumerate(groupby(stages)):
-        last = first + len(list(run))
-        axes.axvspan(first, last, color=("#F3F3F3", "#FFFFFF")[index % 2], linewidth=0, zorder=0)
-        narrow = last - first < 0.15 * len(stages)  # then the name is slanted
-        axes.text(
-            (first + last) / 2, 1.02, name, transform=axes.get_xaxis_transform(), va="bottom",
-            ha="left" if narrow else "center", rotation=30 if narrow else 0,
-            rotation_mode="anchor",
-        )  # fmt: skip
-        first = last

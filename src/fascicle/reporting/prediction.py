@@ -1,4 +1,4 @@
-"""Predictions and simulations as files: a table of indices, ECGs, activation maps, figures."""
+"""Predictions and simulations: figures of indices, ECGs, activations and sweeps, and files."""
 
 from __future__ import annotations
 
@@ -10,26 +10,45 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_folder, write_bytes, write_text
+from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress, stage_progress
+from fascicle.core.ranges import check_text
 from fascicle.forward.beat import Beat
 from fascicle.heart.heart import Heart
 from fascicle.heart.sites import SEGMENTS
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.networks.activation_maps import since_first
+from fascicle.prediction.comparison import SIGNED
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import INTRINSIC, qrs_aligned
-from fascicle.prediction.sweeps import Swept
-from fascicle.reporting import scenarios
-from fascicle.reporting.activation import ActivationRow, activation_figure, total_time
+from fascicle.prediction.sweeps import SEGMENT, Swept
+from fascicle.reporting import style
+from fascicle.reporting.activation import (
+    ActivationRow,
+    activation_figure,
+    spread_figure,
+    total_time,
+)
 from fascicle.reporting.ecg import EcgGroup, ecg_figure
+from fascicle.reporting.names import index_label, index_name, scenario_name
 from fascicle.reporting.style import KINDS, Colour, mark, save
 from fascicle.study.fitted import FittedStudy
+
+# Indices in the figure and the table of a report
+SHOWN = (
+    "qrs_duration", "global_qrs_duration", "total_activation_time", "lv_dyssynchrony",
+    "lv_rv_delay", "qrs_area",
+)  # fmt: skip
 
 
 def write_prediction(
@@ -57,15 +76,15 @@ def write_prediction(
         reliability = {"verdict": fitted.verdict, "caution": caution}
         content = {name: _summary(p, predicted[INTRINSIC]) for name, p in predicted.items()}
         write_text(folder / "summary.json", json.dumps(reliability | content, indent=2) + "\n")
-        save(mark(scenarios.index_figure(predicted), caution), folder / f"indices.{kind}")
+        save(mark(index_figure(predicted), caution), folder / f"indices.{kind}")
         for number, (name, prediction) in enumerate(predicted.items()):
             report(number, len(predicted))
             _write_scenario(folder / name, prediction, heart)
-            both = {scenario: predicted[scenario] for scenario in dict.fromkeys((INTRINSIC, name))}
+            both = {key: predicted[key].maps["activation_sd"] for key in (INTRINSIC, name)}
             figures = (
-                scenarios.scenario_ecg_figure(predicted, name),
-                scenarios.scenario_activation_figure(heart, predicted, name),
-                scenarios.spread_figure(heart, both),  # on one scale
+                scenario_ecg_figure(predicted, name),
+                scenario_activation_figure(heart, predicted, name),
+                spread_figure(heart, both),  # on one scale
             )
             for stem, figure in zip(pictures, figures, strict=True):
                 save(mark(figure, caution), folder / name / f"{stem}.{kind}")
@@ -91,7 +110,7 @@ def write_sweep(fitted: FittedStudy, swept: Swept, name: str, index: str, out: P
     with atomic_folder(out) as folder:
         write_text(folder / "indices.csv", index_table(named))
         write_text(folder / "summary.json", json.dumps(content, indent=2) + "\n")
-        figure = mark(scenarios.sweep_figure(swept, index, name), content["caution"])
+        figure = mark(sweep_figure(swept, index, name), content["caution"])
         save(figure, folder / "sweep.png")
 
 
@@ -125,9 +144,9 @@ def index_table(predicted: Mapping[str, Predicted]) -> str:
     return str(table.to_csv(float_format="%.2f", lineterminator="\n"))
 
 
-def latest_segments(found: Predicted) -> dict[str, float]:
+def latest_segments(prediction: Predicted) -> dict[str, float]:
     """Share of the networks in which each segment is the latest, the most frequent first."""
-    numbers = found.indices["latest_segment"].astype(int)
+    numbers = prediction.indices["latest_segment"].astype(int)
     which, counts = np.unique(numbers, return_counts=True)
     order = np.argsort(-counts, kind="stable")
     return {SEGMENTS[which[k] - 1]: round(float(counts[k] / len(numbers)), 3) for k in order}
@@ -174,3 +193,140 @@ def _write_scenario(folder: Path, prediction: Predicted, heart: Heart) -> None:
     )  # fmt: skip
     array["time"].attrs.update(units="ms", long_name="time from QRS onset")
     write_bytes(folder / "ecgs.nc", array.to_dataset().to_netcdf(engine="h5netcdf"))
+
+
+@style.styled
+def index_figure(predicted: Mapping[str, Predicted]) -> Figure:
+    """Draw indices of scenarios, one row each; the first, the intrinsic beat, is grey.
+
+    Each index of `SHOWN` has a panel, with the median and the ranges of half and 90 % of networks.
+    """
+    figure = style.new_figure(8.7, 2 * (0.65 + 0.28 * len(predicted)))
+    panels = figure.subplots(2, len(SHOWN) // 2, sharey=True)
+    for panel, index in zip(panels.flat, SHOWN, strict=True):
+        for row, prediction in enumerate(predicted.values()):
+            values, colour = prediction.indices[index], Colour.VERMILION if row else Colour.GREY
+            for share, width in (((5, 95), 1.2), ((25, 75), 4.5)):
+                panel.plot(np.nanpercentile(values, share), [row, row], color=colour, lw=width)
+            panel.plot(np.nanmedian(values), row, "o", color="white", markeredgecolor=colour)
+        panel.grid(axis="x", color="#EAEAEA", linewidth=0.6)
+        panel.set_xlabel(index_label(index))
+    panel.set(yticks=range(len(predicted)), ylim=(len(predicted) - 0.5, -0.5))
+    panel.set_yticklabels([style.short(scenario_name(name), 30) for name in predicted])
+    return figure
+
+
+def scenario_ecg_figure(predicted: Mapping[str, Predicted], name: str) -> Figure:
+    """Draw the twelve leads of a scenario and the intrinsic beat: means, 90 % of the networks."""
+    intrinsic, prediction = _with_intrinsic(predicted, name)
+    return prediction_ecg_figure({INTRINSIC: intrinsic, name: prediction})
+
+
+def prediction_ecg_figure(shown: Mapping[str, Predicted]) -> Figure:
+    """Draw the twelve leads of predictions: means, 90 % of the networks."""
+    time, ecgs = qrs_aligned(*shown.values())
+    groups = [
+        EcgGroup(
+            style.short(name), "network", time, leads[:, : len(LEADS)],
+            Colour.GREY if name == INTRINSIC else Colour.VERMILION, 0.9,
+        )
+        for name, leads in zip(shown, ecgs, strict=True)
+    ]  # fmt: skip
+    return ecg_figure(groups, "Predicted ECG", time_zero="QRS onset")
+
+
+def scenario_activation_figure(
+    heart: Heart, predicted: Mapping[str, Predicted], name: str
+) -> Figure:
+    """Draw a scenario in the networks with the least, median and largest total activation time.
+
+    The intrinsic beat in its median network stands above, in the same colours.
+    """
+    intrinsic, prediction = _with_intrinsic(predicted, name)
+    rows = [_row(prediction, which, k) for which, k in prediction.extremes().items()]
+    if prediction is not intrinsic:
+        rows.insert(0, _row(intrinsic, f"{INTRINSIC}: median", intrinsic.extremes()["median"]))
+    return activation_figure(heart, rows)
+
+
+def _with_intrinsic(predicted: Mapping[str, Predicted], name: str) -> tuple[Predicted, Predicted]:
+    check_text(name, "name of a scenario")
+    if name not in predicted:
+        raise InputError(f"'{name}' was not predicted; there are {', '.join(predicted)}")
+    if INTRINSIC not in predicted:
+        raise InputError(f"'{INTRINSIC}' is not among the predictions; fascicle.predict makes it")
+    return predicted[INTRINSIC], predicted[name]
+
+
+def _row(prediction: Predicted, label: str, number: int) -> ActivationRow:
+    """Row of a network, with times from its first activation."""
+    beat, total = prediction.beats[number], prediction.indices["total_activation_time"][number]
+    return ActivationRow.of(f"{label}\n{total_time(total)}", beat).since_first()
+
+
+def sweep_figure(swept: Swept, index: str, name: str) -> Figure:
+    """Draw an index over the quantity that a sweep varies: a curve, or a bull's eye of segments."""
+    values = {key: prediction.indices[index] for key, prediction in swept.predicted.items()}
+    if swept.varied != SEGMENT:
+        return curve_figure(values, index, swept.varied, name)
+    title = f"median {index_name(index)}"
+    if index in SIGNED:  # absolute delay
+        values, title = {key: np.abs(v) for key, v in values.items()}, f"{title} (absolute)"
+    medians = np.full(len(SEGMENTS), np.nan)
+    for key, per_network in values.items():
+        medians[int(key) - 1] = np.nanmedian(per_network)
+    title = f"{style.short(name)}: {title} by stimulated segment"
+    return bulls_eye_figure(medians, title, INDICES[index])
+
+
+@style.styled
+def curve_figure(values: Mapping[float, Floats], index: str, varied: str, name: str) -> Figure:
+    """Draw an index (n,) over the varied quantity: median, range of half and 90 % of networks."""
+    title = f"{style.short(name)}: median, range of half and 90 % of the networks"
+    figure = style.new_figure(5.6, 3.6, title)
+    axes, samples = figure.subplots(), np.array(list(values.values()))
+    for share, opacity in (((5, 95), 0.2), ((25, 75), 0.35)):
+        low, high = np.nanpercentile(samples, share, axis=1)
+        axes.fill_between(list(values), low, high, color=Colour.VERMILION, alpha=opacity, lw=0)
+    axes.plot(list(values), np.nanmedian(samples, axis=1), "o-", color=Colour.VERMILION)
+    axes.set(xlabel=varied, ylabel=index_label(index))
+    return figure
+
+
+@style.styled
+def bulls_eye_figure(values: Floats, title: str, unit: str) -> Figure:
+    """Draw values (17,) of the segments of the left ventricle, seen from the apex; NaN is white."""
+    figure = style.new_figure(4.6, 4.2, title)
+    axes = figure.add_subplot(projection="polar")
+    # lower is lighter, and better; the order is visible with any colour vision
+    colours = ScalarMappable(Normalize(np.nanmin(values), np.nanmax(values)), "cividis_r")
+    number = iter(values)
+    for ring, count in enumerate((6, 6, 4, 1)):  # sectors from outside, the anterior one first
+        for sector in range(count):
+            angle = np.radians(90 + sector * 360 / count)
+            _draw_segment(axes, 4 - ring, angle, 2 * np.pi / count, next(number), colours)
+    axes.set_axis_off()
+    axes.set_ylim(0, 4)
+    walls = {"anterior": 90, "septal": 180, "inferior": 270, "lateral": 0}
+    for wall, degrees in walls.items():
+        turned = 0 if degrees in (90, 270) else 90
+        axes.text(np.radians(degrees), 4.25, wall, ha="center", va="center", rotation=turned)
+    figure.colorbar(colours, ax=axes, fraction=0.04, pad=0.08, label=unit)
+    return figure
+
+
+def _draw_segment(
+    axes: Axes, outer: int, angle: float, width: float, value: float, colours: ScalarMappable
+) -> None:
+    """Draw a segment with its value; `outer` 1 is the apex."""
+    if np.isfinite(value):
+        red, green, blue, _ = colours.to_rgba(np.array([value]))[0]
+        axes.bar(
+            angle, 1, width, bottom=outer - 1, color=(red, green, blue), edgecolor="white",
+            linewidth=0 if outer == 1 else 1,
+        )  # fmt: skip
+        dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
+        axes.text(
+            angle, 0 if outer == 1 else outer - 0.5, style.signed(value), ha="center",
+            va="center", color="white" if dark else "black",
+        )  # fmt: skip

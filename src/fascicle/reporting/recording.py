@@ -22,8 +22,6 @@ from fascicle.reporting.ecg import draw_target
 from fascicle.reporting.style import Colour
 
 SAMPLES = 1000.0 / SAMPLING_STEP  # per second
-# Colours of the classes that the target does not use; any further ones are grey
-CLASSES = (Colour.VERMILION, Colour.GREEN, Colour.PURPLE, Colour.ORANGE, Colour.SKY)
 
 
 @style.styled
@@ -62,19 +60,33 @@ def strip_span(analysis: Analysis) -> tuple[float, float]:
 
 def class_colours(analysis: Analysis) -> dict[str, str]:
     """Colour of each class: blue for the chosen one, grey once the other colours are used up."""
+    palette = (Colour.VERMILION, Colour.GREEN, Colour.PURPLE, Colour.ORANGE, Colour.SKY)
     unused = [c.label for c in analysis.classes if c.label != analysis.chosen]
     colours = dict.fromkeys([*unused, *(beat.label for beat in analysis.beats)], str(Colour.GREY))
-    return colours | dict(zip(unused, CLASSES, strict=False)) | {analysis.chosen: Colour.BLUE}
+    return colours | dict(zip(unused, palette, strict=False)) | {analysis.chosen: Colour.BLUE}
 
 
 def _lines(analysis: Analysis) -> list[str]:
     """Measurements, reading options, filters, warnings and unused beats."""
-    lines = [_measures(analysis)]
+    target = analysis.target
+    spread = math.hypot(target.onset_sd, target.offset_sd)
+    uncertainty = f" ± {spread:.{0 if spread >= 1 else 1}f}" if spread > 0 else ""
+    onset, offset = style.signed(target.qrs_onset), style.signed(target.qrs_offset)
+    heart_rate = target.heart_rate
+    rate = "heart rate unknown" if heart_rate is None else f"{heart_rate:.0f} beats/min"
+    used, count = sum(beat.used for beat in analysis.beats), len(target.beats)
+    beats = f"{used} of {len(analysis.beats)} beats used, class {analysis.chosen}"
+    if used != count:
+        beats += f", combined to {count}"
+    lines = [
+        f"{rate}   ·   QRS {target.qrs_duration:.0f}{uncertainty} ms, {onset} to {offset} ms about "
+        f"R (global {target.global_qrs_duration:.0f} ms)   ·   {beats}"
+    ]
     if analysis.read_with:
         lines.append(style.short(f"read with {'; '.join(analysis.read_with)}", 250))
-    if analysis.target.filters:
-        lines.append(f"filters: {'; '.join(map(str, analysis.target.filters))}")
-    messages = analysis.target.provenance.get("warnings", "").splitlines()
+    if target.filters:
+        lines.append(f"filters: {'; '.join(map(str, target.filters))}")
+    messages = target.provenance.get("warnings", "").splitlines()
     most = 5 if len(messages) <= 5 else 4
     lines += [style.short(f"! {message}", 250) for message in messages[:most]]
     if len(messages) > most:
@@ -87,23 +99,6 @@ def _lines(analysis: Analysis) -> list[str]:
     if unused:
         lines.append(style.short(f"not used: {'; '.join(unused)}", 250))
     return lines if messages else [*lines, "no warnings"]
-
-
-def _measures(analysis: Analysis) -> str:
-    target = analysis.target
-    spread = math.hypot(target.onset_sd, target.offset_sd)
-    uncertainty = f" ± {spread:.{0 if spread >= 1 else 1}f}" if spread > 0 else ""
-    onset, offset = style.signed(target.qrs_onset), style.signed(target.qrs_offset)
-    heart_rate = target.heart_rate
-    rate = "heart rate unknown" if heart_rate is None else f"{heart_rate:.0f} beats/min"
-    used, count = sum(beat.used for beat in analysis.beats), len(target.beats)
-    beats = f"{used} of {len(analysis.beats)} beats used, class {analysis.chosen}"
-    if used != count:
-        beats += f", combined to {count}"
-    return (
-        f"{rate}   ·   QRS {target.qrs_duration:.0f}{uncertainty} ms, {onset} to {offset} ms about "
-        f"R (global {target.global_qrs_duration:.0f} ms)   ·   {beats}"
-    )
 
 
 def _draw_strip(axes: Axes, analysis: Analysis, colours: Mapping[str, str]) -> None:
@@ -205,12 +200,13 @@ def _number_beats(axes: Axes, analysis: Analysis, colours: Mapping[str, str]) ->
 def _class_legend(figure: SubFigure, analysis: Analysis, colours: Mapping[str, str]) -> None:
     ranked = sorted(analysis.classes, key=lambda beat_class: beat_class.label != analysis.chosen)
     handles: list[tuple[Any, str]] = []
-    for beat_class in ranked[: 1 + len(CLASSES)]:
+    named = [c for c in ranked if colours[c.label] != Colour.GREY]
+    for beat_class in named:
         text = f"{beat_class.label} {beat_class.count} beat{'s' if beat_class.count != 1 else ''}"
         text = style.short(f"{text}: {beat_class.description}" if beat_class.description else text)
         handles.append((Line2D([], [], color=colours[beat_class.label], linewidth=2.2), text))
-    if rest := ranked[1 + len(CLASSES) :]:
-        text = f"{len(rest)} more classes, {sum(beat_class.count for beat_class in rest)} beats"
+    if more := ranked[len(named) :]:
+        text = f"{len(more)} more classes, {sum(beat_class.count for beat_class in more)} beats"
         handles.append((Line2D([], [], color=Colour.GREY, linewidth=2.2), text))
     box: dict[str, Any] = {"linestyle": "none", "marker": "s", "color": Colour.BLUE}
     handles.append((Line2D([], [], **box), "filled number: beat used"))

@@ -19,12 +19,12 @@ from fascicle.networks.target_comparison import Network
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import check_population
 from fascicle.recording.target import Target
-from fascicle.reporting.activation import SINCE_FIRST, SPREAD, ActivationRow, activation_figure
+from fascicle.reporting.activation import ActivationRow, activation_figure, spread_figure
 from fascicle.reporting.ecg import EcgGroup, ecg_figure, target_figure
 from fascicle.reporting.heart import check_figure
 from fascicle.reporting.names import MEASURES
 from fascicle.reporting.parameters import draw_convergence, pair_figure, prior_figure
-from fascicle.reporting.scenarios import index_figure
+from fascicle.reporting.prediction import index_figure
 from fascicle.reporting.style import Colour, mark, new_figure, one_axes, save
 from fascicle.study.fitted import FittedStudy
 
@@ -48,15 +48,11 @@ def drawings(
     intrinsic beat is the first of the predictions.
     """
     check_population(fitted)
-    model, space, population = (
-        fitted.simulator.model,
-        fitted.simulator.prior.learnt,
-        fitted.population,
-    )
-    heart = model.heart
+    model, population = fitted.simulator.model, fitted.population
+    space, heart = fitted.simulator.prior.learnt, model.heart
     best = ActivationRow.of("best network", fitted.best_network.beat).since_first()
     activations = np.array([network.beat.activation for network in networks])
-    spread = ActivationRow("all networks", activation_maps(activations)["activation_sd"])
+    spread = {"all networks": activation_maps(activations)["activation_sd"]}
     # recordings in the names of files and in captions
     counts = range(1, len(fitted.recordings) + 1)
     suffixes = ["", *(f"-{count}" for count in counts[1:])]
@@ -78,11 +74,11 @@ def drawings(
             "How probable each conduction state is: before the ECG is seen (grey) and given it.",
         )
     drawn["activation"] = Drawing(
-        activation_figure(heart, [best], SINCE_FIRST),
+        activation_figure(heart, [best]),
         "Activation of the best network, which has the lowest mismatch.",
     )
     drawn["activation-spread"] = Drawing(
-        activation_figure(heart, [spread], SPREAD),
+        spread_figure(heart, spread),
         f"Standard deviation of the activation over {len(networks)} networks.",
     )
     if predicted:
@@ -193,12 +189,7 @@ def _ecg(
     ]
     notes = [f"r {r:.2f}" if np.isfinite(r) else "" for r in qrs_agreement.correlation]
     title = f"Recorded QRS and {len(networks)} networks"
-    below = _caption(qrs_agreement) if caption else ""
-    return ecg_figure(groups, title, notes, "R peak", below, target.leads)
-
-
-def _caption(qrs_agreement: Agreement) -> str:
-    """Variance explained by the networks' mean; durations and axis, recorded and simulated."""
+    # variance explained by the networks' mean; durations and axis, recorded and simulated
     parts = [
         f"mean explains {qrs_agreement.explained_over_all:.0%} of the variance, "
         f"r {qrs_agreement.correlation_over_all:.2f}"
@@ -210,4 +201,5 @@ def _caption(qrs_agreement: Agreement) -> str:
                 f"{measure.name} {qrs_agreement.recorded[key]:.0f} {measure.unit}, "
                 f"simulated {middle:.0f} ({low:.0f} to {high:.0f})"
             )
-    return "; ".join(parts)
+    below = "; ".join(parts) if caption else ""
+    return ecg_figure(groups, title, notes, "R peak", below, target.leads)

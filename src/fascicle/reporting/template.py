@@ -28,20 +28,17 @@ def template_figure(progress: Progress | None = None) -> tuple[Figure, dict[str,
         report("template", done, len(CELLS), cell)
         templates[cell] = stored_template(cell)
     report("template", len(CELLS), len(CELLS), "")
-    table = {cell: measure(template) for cell, template in templates.items()}
-    return _drawn(templates, table), table
-
-
-def measure(template: CableTemplate) -> dict[str, float]:
-    """Row of the table of `template_figure`."""
-    times, potentials = template.times, template.potentials
-    return {
-        "resting_potential": float(potentials[0]),
-        "overshoot": float(potentials.max()),
-        "max_upstroke": max_upstroke(times, potentials)[0],
-        "apd90": duration(times, potentials),
-        "conduction_velocity": template.speed,
+    table = {
+        cell: {
+            "resting_potential": float(template.potentials[0]),
+            "overshoot": float(template.potentials.max()),
+            "max_upstroke": max_upstroke(template.times, template.potentials)[0],
+            "apd90": duration(template.times, template.potentials),
+            "conduction_velocity": template.speed,
+        }
+        for cell, template in templates.items()
     }
+    return _drawn(templates, table), table
 
 
 @style.styled

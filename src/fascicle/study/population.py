@@ -16,7 +16,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.conduction_states import CONDUCTION_STATES
 from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_path
-from fascicle.core.netcdf import load_netcdf
+from fascicle.core.isolated import load_netcdf
 from fascicle.core.parameters import MixedParameter, ParameterSpace
 from fascicle.core.ranges import short_repr
 from fascicle.emulation.predictive import Checks, Prediction

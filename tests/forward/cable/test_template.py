@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from fascicle.core.errors import InputError
-from fascicle.core.files import CACHE_VARIABLE
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.cable import template as module
 from fascicle.forward.cable.cable import max_upstroke, simulate_cable
@@ -32,7 +31,7 @@ def folder(tmp_path, monkeypatch, template):
         made.append(cell.name)
         return template
 
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setenv("FASCICLE_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(module, "simulate_cable", make)
     monkeypatch.setattr(module, "template_of", lambda run, cell: run)
     return tmp_path / "cache", made

@@ -19,7 +19,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError, one_line
-from fascicle.core.netcdf import DAMAGED
+from fascicle.core.isolated import DAMAGED
 from fascicle.mesh.formats.mesh_file import GROUP, LINE, TETRAHEDRON, TRIANGLE, MeshFile, damaged
 
 # Gmsh's number of an element type: its name, how many nodes it has, and VTK's number if it is used

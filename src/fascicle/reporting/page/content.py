@@ -24,31 +24,6 @@ from fascicle.study.fitted import FittedStudy
 from fascicle.study.statements import Caution
 from fascicle.study.study import HEART_FOLDER, StudyConfig
 
-CONDUCTIVITY_LABELS = {  # mS/cm; `fascicle.heart.conduction.Conduction` explains them
-    "intracellular_l": "intracellular conductivity along the fibre",
-    "intracellular_t": "intracellular conductivity across the fibre",
-    "extracellular_l": "extracellular conductivity along the fibre",
-    "extracellular_t": "extracellular conductivity across the fibre",
-    "torso": "conductivity of the unbounded conductor",
-    "body": "conductivity of the torso without lungs and blood",
-    "lung": "conductivity of the lungs",
-    "blood": "conductivity of the blood",
-}
-# Options of ``fascicle target``, by the name of the choice in the provenance
-CHOICES = {
-    "choice_sampling_rate_hz": "--sampling-rate",
-    "choice_unit": "--unit",
-    "choice_leads": "--leads",
-    "inverted": "--invert",
-    "swapped": "--swap",
-    "choice_class": "--class",
-    "choice_beats": "--beats",
-    "choice_exclude": "--exclude-beat",
-    "choice_noise_mV": "--noise",
-    "choice_lowpass_hz": "--lowpass",
-    "choice_notch_hz": "--notch",
-    "choice_recorder_lowpass_hz": "--recorder-lowpass",
-}
 Row = tuple[str, str, str]  # name for readers, name in files and options, value
 
 
@@ -121,6 +96,16 @@ def learnt(config: StudyConfig) -> list[Row]:
 
 def held(fitted: FittedStudy) -> list[Row]:
     """Quantities with a fixed value that affects the result."""
+    labels = {  # mS/cm; `fascicle.heart.conduction.Conduction` explains them
+        "intracellular_l": "intracellular conductivity along the fibre",
+        "intracellular_t": "intracellular conductivity across the fibre",
+        "extracellular_l": "extracellular conductivity along the fibre",
+        "extracellular_t": "extracellular conductivity across the fibre",
+        "torso": "conductivity of the unbounded conductor",
+        "body": "conductivity of the torso without lungs and blood",
+        "lung": "conductivity of the lungs",
+        "blood": "conductivity of the blood",
+    }
     config, model = fitted.study.config, fitted.simulator.model
     tissues = model.conduction.regions
     regions = {f"region_{region.label}_conductivity": region.conductivity for region in tissues}
@@ -133,8 +118,8 @@ def held(fitted: FittedStudy) -> list[Row]:
     for name, value in values.items():
         if value is None or name in without_effect or name.startswith("of "):
             continue
-        if name in CONDUCTIVITY_LABELS:
-            rows.append((CONDUCTIVITY_LABELS[name], "", f"{value:g} mS/cm"))
+        if name in labels:
+            rows.append((labels[name], "", f"{value:g} mS/cm"))
         else:
             fixed_quantity = quantity(name)
             text = fixed_quantity.choices[int(value)] if fixed_quantity.choices else f"{value:g}"
@@ -190,27 +175,36 @@ def commands(fitted: FittedStudy, predicted: Mapping[str, Predicted], against: s
         target = made if words else str(stored)
         targets.append(f"{target}:{scenario}" if scenario.exists() else target)
     lines += ["cat > settings.toml <<'END'", *settings_file(config), "END"]
-    fit = [
-        "fascicle",
-        "fit",
-        str(fitted.folder / HEART_FOLDER),
-        *targets,
-        "--out",
-        str(fitted.folder),
-    ]
+    heart, out = str(fitted.folder / HEART_FOLDER), str(fitted.folder)
+    fit = ["fascicle", "fit", heart, *targets, "--out", out]
     report = report_words(fitted, predicted, against)
     return [*lines, shlex.join([*fit, "--settings", "settings.toml"]), shlex.join(report)]
 
 
 def target_words(target: Target, out: str) -> list[str]:
     """Command that makes a target from its recording, as words; none without a source file."""
+    # by the name of the choice in the provenance
+    options = {
+        "choice_sampling_rate_hz": "--sampling-rate",
+        "choice_unit": "--unit",
+        "choice_leads": "--leads",
+        "inverted": "--invert",
+        "swapped": "--swap",
+        "choice_class": "--class",
+        "choice_beats": "--beats",
+        "choice_exclude": "--exclude-beat",
+        "choice_noise_mV": "--noise",
+        "choice_lowpass_hz": "--lowpass",
+        "choice_notch_hz": "--notch",
+        "choice_recorder_lowpass_hz": "--recorder-lowpass",
+    }
     notes = target.provenance
     if "source_sha256" not in notes:
         return []
     words = ["fascicle", "target", notes["source"], "--out", out]
     if "shared_gain" in notes:
         words += ["--shared-gain", "--digits-per-mv", notes["shared_gain"].split()[0]]
-    for name, option in CHOICES.items():
+    for name, option in options.items():
         if name in notes:  # one option per swapped pair, one list for any other choice
             values = notes[name].split(", ")
             for value in values if name == "swapped" else [",".join(values)]:

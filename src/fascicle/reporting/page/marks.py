@@ -47,7 +47,10 @@ def marks(
         ends = np.cumsum([len(tree.nodes) for tree in excitation.trees])
         parts = np.split(np.broadcast_to(excitation.speed, ends[-1]), ends[:-1])
         for tree, speed in zip(excitation.trees, parts, strict=True):
-            places += _where_blocked(tree, speed)
+            # where parts of a tree without conduction begin
+            dead = (speed == 0) & (tree.parents >= 0)
+            begins = dead & ~dead[tree.parents]
+            places += list(tree.nodes[np.unique(tree.parents[begins])])
         marked += [("blocked", text, place) for place in places]
     return [
         {"kind": kind, "text": capitals(text), "place": np.round(place, 1).tolist()}
@@ -67,10 +70,3 @@ def where(vertex: int, sites: Sites) -> str:
         np.linalg.norm(e.vertices - heart.vertices[vertex], axis=1).min() for e in heart.endocardia
     )
     return f"{name}, {'left' if left < right else 'right'} side of the septum"
-
-
-def _where_blocked(tree: PurkinjeTree, speed: Floats) -> list[Floats]:
-    """Points (mm) where parts of a tree without conduction begin; `speed` is 0 in those parts."""
-    blocked = (speed == 0) & (tree.parents >= 0)
-    begins = blocked & ~blocked[tree.parents]
-    return list(tree.nodes[np.unique(tree.parents[begins])])

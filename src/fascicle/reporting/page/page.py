@@ -34,8 +34,7 @@ from fascicle.prediction.scenarios import (
 from fascicle.reporting.names import MEASURES, index_label, scenario_name
 from fascicle.reporting.page import content as words
 from fascicle.reporting.page.scene import scene
-from fascicle.reporting.prediction import latest_segments
-from fascicle.reporting.scenarios import SHOWN
+from fascicle.reporting.prediction import SHOWN, latest_segments
 from fascicle.reporting.study import Drawing, drawings, write_figures
 from fascicle.reporting.style import check_kinds
 from fascicle.study.fitted import FittedStudy, StudyLike, as_study
@@ -176,7 +175,15 @@ def _content(
         ],
         "measures": [measure for measure in MEASURES.values() if measure.meaning],
         "columns": [index_label(index) for index in SHOWN],
-        "rows": [_row(name, prediction) for name, prediction in predicted.items()],
+        # percentiles of the indices, and the segment most often activated last
+        "rows": [
+            (
+                scenario_name(name),
+                [np.nanpercentile(prediction.indices[index], [5, 50, 95]) for index in SHOWN],
+                next(iter(latest_segments(prediction).items())),
+            )
+            for name, prediction in predicted.items()
+        ],
         "evaluations": len(fitted.study.records()),
         "population": population,
         "furthest": furthest,  # parameter by which the two runs differ most, and how many SD
@@ -191,12 +198,6 @@ def _content(
         ],
         "commands": words.commands(fitted, predicted, against),
     }
-
-
-def _row(name: str, prediction: Predicted) -> tuple[str, list[Any], tuple[str, float]]:
-    """Percentiles of the indices of the table, and the segment most often activated last."""
-    cells = [np.nanpercentile(prediction.indices[index], [5, 50, 95]) for index in SHOWN]
-    return scenario_name(name), cells, next(iter(latest_segments(prediction).items()))
 
 
 def _template() -> Any:

@@ -38,9 +38,6 @@ MAPS = (  # over all networks: name in `Predicted.maps`, label, unit, kind
     ("probability_latest_fifth", "P(among the latest-activated 20 %)", "1", "scalar"),
 )
 Thinned = tuple[Integers, Integers]  # nodes, and where their parents are: see `_thinned`
-MOST_NETWORKS = 40
-MOST_BYTES = 3_000_000  # of the networks together; compressed they are little more than half
-ECG_STEP = 2  # ms
 
 
 def scene(
@@ -88,7 +85,8 @@ def scene(
     last = max(float(np.nanmax(since_first(beat.activation))) for beat in all_beats)
     # whole boxes of ECG paper, up to where the QRS has ended
     start, end = 10 * np.floor((begin - 5) / 10), 10 * np.ceil((last + 30) / 10)
-    window = np.arange(start, end + 1, ECG_STEP)
+    step = 2  # ms, of the ECG
+    window = np.arange(start, end + 1, step)
     fields, scar = _fields(predicted, shown), _scar(heart, model)[shown]
     territories = Territories.of(heart, model.sites.places if model is not None else places(heart))
     return {
@@ -106,14 +104,18 @@ def scene(
         "box": {"low": low.tolist(), "high": high.tolist()},
         **body_axes(heart),
         "trees": [
-            _tree(tree, *thinned, low, high)
-            for tree, thinned in zip(trees, drawn.values(), strict=True)
+            {
+                "side": tree.side,
+                "nodes": _positions(tree.nodes[nodes], low, high),
+                "before": _encoded(before.astype("<i4")),
+            }
+            for tree, (nodes, before) in zip(trees, drawn.values(), strict=True)
         ],
         "networks": [int(k) + 1 for k in chosen],
         "median": [*chosen].index(first.extremes()["median"]),
         "orders": _orders(predicted, networks, chosen),
         "times": {"low": begin, "high": last, "top": fields[0][0]["high"]},
-        "ecg": {"start": float(start), "step": ECG_STEP, "count": len(window), "leads": LEADS},
+        "ecg": {"start": float(start), "step": step, "count": len(window), "leads": LEADS},
         "recorded": _recorded(recording, predicted, beats, torsos),
         "scenarios": [
             {
@@ -178,9 +180,9 @@ def _chosen(first: Predicted, vertices: int, scenarios: int) -> Integers:
     """Networks evenly spread over total activation time, as many as the page has room for."""
     order = np.argsort(first.indices["total_activation_time"], kind="stable")
     nodes = sum(len(tree.nodes) for tree in first.beats[order[0]].trees) // 2
-    ecg = 2 * len(LEADS) * 250 // ECG_STEP
+    ecg = 2 * len(LEADS) * 125  # of some 250 ms
     size = scenarios * (vertices + nodes + ecg) + 8 * nodes
-    count = int(np.clip(MOST_BYTES // size, 3, MOST_NETWORKS))
+    count = int(np.clip(3_000_000 // size, 3, 40))  # compressed they are little more than half
     ranks = {*evenly_spread(len(order), count - 1), (len(order) - 1) // 2}
     return np.asarray(order[sorted(ranks)])
 
@@ -290,16 +292,6 @@ def _thinned(tree: PurkinjeTree) -> Thinned:
     return nodes, number[nodes] - np.where(above >= 0, number[above], number)[nodes]
 
 
-def _tree(
-    tree: PurkinjeTree, nodes: Integers, before: Integers, low: Floats, high: Floats
-) -> dict[str, Any]:
-    return {
-        "side": tree.side,
-        "nodes": _positions(tree.nodes[nodes], low, high),
-        "before": _encoded(before.astype("<i4")),
-    }
-
-
 def _key(tree: PurkinjeTree) -> bytes:
     """Bytes that identify a tree: its nodes and their parents."""
     return tree.nodes.tobytes() + tree.parents.tobytes()
@@ -358,18 +350,15 @@ def _positions(points: Floats, low: Floats, high: Floats) -> str:
 
 def _bytes(values: Floats, low: float, high: float) -> str:
     """Values from `low` to `high` in 254 steps; 255 if not finite."""
-    return _encoded(_steps(values, low, high, 255).astype("<u1"))
+    return _quantised(values, low, high, 255)
 
 
-def _quantised(values: Floats, low: float, high: float) -> str:
-    """Values from `low` to `high` in steps; `NONE` if not finite."""
-    return _encoded(_steps(values, low, high, NONE).astype("<u2"))
-
-
-def _steps(values: Floats, low: float, high: float, none: int) -> Floats:
+def _quantised(values: Floats, low: float, high: float, none: int = NONE) -> str:
+    """Values from `low` to `high` in steps below `none`, which stands for what is not finite."""
     share = (np.where(np.isfinite(values), values, low) - low) / max(high - low, 1e-9)
     steps = np.round(np.clip(share, 0, 1) * (none - 1))
-    return np.where(np.isfinite(values), steps, none)
+    coded = np.where(np.isfinite(values), steps, none)
+    return _encoded(coded.astype("<u2" if none > 255 else "<u1"))
 
 
 def _encoded(array: NDArray[Any]) -> str:
