@@ -84,16 +84,17 @@ def _check_group(recording: Recording, rows: list[int], time: slice) -> list[Che
             message = f"the gains differ {ratio:.2f}-fold: {wrong_gains}"
         gain_results = [check.result(ratio, message, Severity.FATAL)]
     broken = np.flatnonzero(misfits > limit)
-    if broken.size:
-        severity, reason = Severity.FATAL, wrong_gains
-        if not wrong_gains:
-            severity, reason = _explain(recording, rows, leads, zeros)
-        for k in broken:
-            results[k] = replace(results[k], severity=severity)
-        first = int(broken[0])  # one fault breaks several identities, and is explained once
-        fault = f"{labels[first].split(' ', 1)[1]} is off by {misfits[first]:.2f} mV"
-        results[first] = replace(results[first], message=f"{fault}: {reason}")
-    return [*gain_results, *results]
+    if not broken.size:
+        return [*gain_results, *results]
+    severity, reason = Severity.FATAL, wrong_gains
+    if not wrong_gains:
+        severity, reason = _explain(recording, rows, leads, zeros)
+    for k in broken:
+        results[k] = replace(results[k], severity=severity)
+    first = int(broken[0])  # one fault breaks several identities, and is explained once
+    fault = f"{labels[first].split(' ', 1)[1]} is off by {misfits[first]:.2f} mV"
+    results[first] = replace(results[first], message=f"{fault}: {reason}")
+    return results
 
 
 def _detrended(leads: Floats, rate: float) -> Floats:
