@@ -117,7 +117,7 @@ def test_a_stated_lowpass_is_set_against_the_spectrum():
     smoothed = replace(whole, signal=sosfiltfilt(steep, np.nan_to_num(whole.signal)))
 
     def said(recording, **options):
-        return analyse(recording, TargetOptions(**options)).target.provenance["warnings"]
+        return "\n".join(analyse(recording, TargetOptions(**options)).target.warnings)
 
     assert "the spectrum shows a low-pass at 3" in said(smoothed, recorder_lowpass=60.0)
     assert "the spectrum shows" not in said(smoothed)

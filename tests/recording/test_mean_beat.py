@@ -70,7 +70,7 @@ def test_the_remedy_removes_the_warning_of_a_patient(data_folder: Path) -> None:
         ({"swap": ["V1-V2"]}, "--swap V1-V2"),
         ({"invert": ["V3"]}, "--invert V3"),
     ):
-        (warning,) = make_target(read_recording(file, **fault)).provenance["warnings"].splitlines()
+        (warning,) = make_target(read_recording(file, **fault)).warnings
         assert warning.endswith(f"to undo it: {remedy}")
         undone = read_recording(file, **{name: 2 * twice for name, twice in fault.items()})
         assert (undone.signal == recording.signal).all()

@@ -313,7 +313,7 @@ def test_no_reversal_is_advised_for_paced_beats_or_without_p_waves(good) -> None
 def test_paced_recordings_are_neither_reversed_nor_clipped(data_folder) -> None:
     for name in ("c05_spike_decay.hea", "c08_rv_slow_150.xml"):
         target = make_target(read_recording(data_folder / "cases" / name))
-        warnings = target.provenance.get("warnings", "")
+        warnings = "\n".join(target.warnings)
         assert "--swap" not in warnings
         assert "clipped" not in warnings
 

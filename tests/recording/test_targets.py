@@ -17,9 +17,10 @@ from fascicle.recording.target_files import read_target, write_target
 @pytest.fixture
 def target():
     rng = np.random.default_rng(4)
-    notes = {"source": "rec.hea", "warnings": "I + III differs; μV ≠ mV", "none": ""}
+    notes, warnings = {"source": "rec.hea", "none": ""}, ("I + III differs; μV ≠ mV", "noise")
     beats, time = rng.normal(size=(3, 12, 201)), np.arange(-80.0, 121.0)
-    return Target(beats, time, -41.5, 62.0, 71.25, notes, onset_sd=3.5, offset_sd=4.25)
+    ends = {"onset_sd": 3.5, "offset_sd": 4.25}
+    return Target(beats, time, -41.5, 62.0, 71.25, notes, **ends, warnings=warnings)
 
 
 def load(path):
@@ -33,7 +34,7 @@ def test_round_trip_is_exact(target, tmp_path):
         assert np.array_equal(getattr(again, name), getattr(target, name))
     for name in (
         "qrs_onset", "qrs_offset", "heart_rate", "onset_sd", "offset_sd", "noise", "provenance",
-        "earliest_onset", "global_qrs",
+        "earliest_onset", "global_qrs", "warnings",
     ):  # fmt: skip
         assert getattr(again, name) == getattr(target, name)
 

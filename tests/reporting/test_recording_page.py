@@ -46,7 +46,7 @@ def synthetic(
     ]
     target = Target(
         np.array(cut), np.arange(-BEFORE, AFTER + 1.0), -76.0, 86.0, 60 / interval,
-        {"warnings": "\n".join(warnings)} if warnings else {}, onset_sd=3.0, offset_sd=4.0,
+        onset_sd=3.0, offset_sd=4.0, warnings=tuple(warnings),
     )  # fmt: skip
     classes = tuple(
         BeatClass(label, named.count(label), "" if label == "A" else "early, wide")

@@ -210,7 +210,7 @@ def _result(analysis: Analysis) -> dict[str, object]:
             }
             for finding in analysis.findings
         },
-        "warnings": target.provenance.get("warnings", "").splitlines(),
+        "warnings": list(target.warnings),
     }
 
 
@@ -247,7 +247,7 @@ def _print_target(target: Target) -> None:
     else:
         spread = np.nanmean(target.standard_deviation[:, target.qrs_samples])
         print_row("beat to beat", f"{spread:.3f} mV (mean standard deviation in the QRS)")
-    for warning in target.provenance.get("warnings", "").splitlines():
+    for warning in target.warnings:
         print(f"warning: {warning}", file=sys.stderr)
 
 

@@ -98,7 +98,7 @@ class Outcome(BaseModel):
         """Summarise a study that has just been written."""
         summary = json.loads((fitted.folder / "summary.json").read_text(encoding="utf-8"))
         qrs = summary.get("qrs_duration_ms", {"recorded": None, "networks": {"median": None}})
-        noticed = fitted.recordings[0].target.provenance.get("warnings", "").splitlines()
+        noticed = fitted.recordings[0].target.warnings
         return cls(
             patient=patient,
             status=Status.FITTED,

@@ -36,7 +36,7 @@ from fascicle.recording.quality import (
     check_recording,
     listed,
 )
-from fascicle.recording.recording import MissingMetadataError, Recording, with_remarks
+from fascicle.recording.recording import MissingMetadataError, Recording
 from fascicle.recording.spikes import find_spikes, remove_spikes
 from fascicle.recording.target import Target
 from fascicle.recording.target_options import TargetOptions, check_window
@@ -133,7 +133,7 @@ def make_target(
     Returns
     -------
     Target
-        ``provenance["warnings"]`` exists where a finding is suspicious; `analyse` returns more.
+        Its `warnings` say what is suspicious; `analyse` returns more.
 
     Raises
     ------
@@ -202,8 +202,7 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
         chosen=label,
     )
     if warnings := _warnings(analysis, options):
-        notes = target.provenance | {"warnings": "\n".join(warnings)}
-        analysis = replace(analysis, target=replace(target, provenance=notes))
+        analysis = replace(analysis, target=replace(target, warnings=tuple(warnings)))
     return analysis
 
 
@@ -233,7 +232,7 @@ def _with_beats_checked(recording: Recording, groups: Sequence[LeadGroup]) -> Re
             f"{recording.source}: no heart beats stand out of the noise (ratio of energies "
             f"{clearest:.2f}); give a cleaner recording"
         )
-    return replace(recording, provenance=with_remarks(recording.provenance, remark))
+    return replace(recording, remarks=(*recording.remarks, *remark))
 
 
 def _check_amplitude(recording: Recording, height: float) -> list[str]:
@@ -249,15 +248,14 @@ def _check_amplitude(recording: Recording, height: float) -> list[str]:
     possible, likely, usual = (
         low <= height <= high for low, high in ((0.05, 20.0), likely_range, usual_range)
     )
-    notes = recording.provenance  # of a file, with what the user has said of its amplitude
     if not possible:
         raise InputError(
             f"{recording.source}: the largest lead spans {height:.3g} mV in one beat, expected "
             "0.05 to 20 mV; correct the unit or the gain of the file"
         )
-    if usual or "source_sha256" not in notes:
+    if usual or not recording.from_file:
         return []
-    if not likely and not {"choice_unit", "shared_gain"} & set(notes):
+    if not likely and not recording.amplitude_stated:
         gains, gain = recording.digits_per_millivolt, ""
         if gains is not None and np.isfinite(gains).any():
             gain = f" (--shared-gain --digits-per-mv, in place of {np.nanmedian(gains):g})"
@@ -407,10 +405,7 @@ def _warnings(analysis: Analysis, options: TargetOptions) -> list[str]:
             "leads were recorded one group after another: beats of different groups are put "
             f"together, aligned {how}"
         )
-    notes = recording.provenance
-    if notes.get("checksums", "agree") != "agree":
-        warnings.append(f"checksums of the file {notes['checksums']}: it may be damaged")
-    warnings += notes.get("remarks", "").splitlines()
+    warnings += recording.remarks
     rate = target.heart_rate
     if rate is not None and not 20.0 <= rate <= 300.0:
         warnings.append(f"{rate:.0f} beats per minute; is the sampling rate right?")

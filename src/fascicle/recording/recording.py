@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar
@@ -41,6 +41,10 @@ class Recording:
         Origin, usually the file name; error messages start with it.
     provenance : dict
         Text about the file: its format, its hash; ``checksums`` is ``agree`` where they are right.
+    remarks : tuple of str
+        Remarks of the reader and of the checks: faults of the file and how they were mended.
+    from_file, amplitude_stated : bool
+        Whether the signal is that of a file, and whether the user has stated its unit or gain.
     filters : Filters
         Filters that the recorder applied to the signal.
     digits_per_millivolt : (12,) array, optional
@@ -58,6 +62,9 @@ class Recording:
     sampling_rate: float
     source: str
     provenance: dict[str, str] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+    from_file: bool = False
+    amplitude_stated: bool = False
     filters: Filters = field(default_factory=Filters)
     digits_per_millivolt: Floats | None = None
     derived: tuple[str, ...] = ()
@@ -213,12 +220,6 @@ def leave_out_pulses(signal: Floats, rate: float) -> tuple[Floats, list[str]]:
     notes = [f"calibration pulse left out: {', '.join(pulses)}"] if pulses else []
     begin, end = (ends[0][1] if ends[0] in cut else 0), (ends[1][0] if ends[1] in cut else n)
     return signal[:, begin:end], notes
-
-
-def with_remarks(provenance: Mapping[str, str], remarks: Sequence[str]) -> dict[str, str]:
-    """Provenance with further lines that the user sees as warnings."""
-    lines = [*provenance.get("remarks", "").splitlines(), *remarks]
-    return dict(provenance) | ({"remarks": "\n".join(lines)} if lines else {})
 
 
 def lead_spans(signal: Floats) -> Integers:

@@ -48,6 +48,8 @@ class Target:
         End of the pacing spike (ms from the R peak), before which no QRS begins; None without one.
     leads : tuple of str
         Names of the leads.
+    warnings : tuple of str
+        Findings that a reader of results must know, in a line each.
     """
 
     beats: Floats
@@ -62,6 +64,7 @@ class Target:
     filters: tuple[Filter, ...] = ()
     earliest_onset: float | None = None
     leads: tuple[str, ...] = LEADS
+    warnings: tuple[str, ...] = ()
 
     __repr__ = short_repr
     _repr_html_ = html_card

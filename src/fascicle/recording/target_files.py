@@ -73,14 +73,17 @@ def read_target(path: str | Path) -> Target:
     numbers: dict[str, Any] = {"heart_rate": None} | {
         name: float(attributes[key]) for key, (name, _) in NUMBERS.items() if key in attributes
     }
+    provenance = {
+        key.removeprefix("provenance_"): str(value)
+        for key, value in attributes.items()
+        if key.startswith("provenance_")
+    }
+    warnings = tuple(provenance.pop("warnings", "").splitlines())
     return Target(
         beats=dataset["beats"].transpose("beat", "lead", "time").to_numpy().astype(np.float64),
         time=dataset["time"].to_numpy().astype(np.float64),
-        provenance={
-            key.removeprefix("provenance_"): str(value)
-            for key, value in attributes.items()
-            if key.startswith("provenance_")
-        },
+        provenance=provenance,
+        warnings=warnings,
         filters=_filters_from(attributes["filters"]),
         leads=tuple(str(lead) for lead in dataset["lead"].to_numpy()),
         **numbers,
@@ -145,7 +148,9 @@ def _to_dataset(target: Target) -> xr.Dataset:
 def _attributes(target: Target) -> dict[str, str | float | int]:
     numbers = {key: getattr(target, name) for key, (name, _) in NUMBERS.items()}
     # a path may hold bytes that are not text
-    texts = {key: str(text).encode("utf-8", "replace") for key, text in target.provenance.items()}
+    warnings = {"warnings": "\n".join(target.warnings)} if target.warnings else {}
+    notes = target.provenance | warnings
+    texts = {key: str(text).encode("utf-8", "replace") for key, text in notes.items()}
     filters = [
         {
             "kind": filter_.kind.value,

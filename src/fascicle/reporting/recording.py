@@ -86,7 +86,7 @@ def _lines(analysis: Analysis) -> list[str]:
         lines.append(style.short(f"read with {'; '.join(analysis.read_with)}", 250))
     if target.filters:
         lines.append(f"filters: {'; '.join(map(str, target.filters))}")
-    messages = target.provenance.get("warnings", "").splitlines()
+    messages = target.warnings
     most = 5 if len(messages) <= 5 else 4
     lines += [style.short(f"! {message}", 250) for message in messages[:most]]
     if len(messages) > most:

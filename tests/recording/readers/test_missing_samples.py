@@ -66,7 +66,7 @@ class TestFillValues:
     def test_that_the_signal_takes(self, tmp_path, digits, save):
         """A fill of 0 is signal where the signal passes 0, and a gap where it is away from it."""
         recording = read_as(save(tmp_path, digits, 0), 5e-3 * digits)
-        assert "remarks" not in recording.provenance
+        assert not recording.remarks
         lost = digits + 100 * (np.arange(8) == V2)[:, None]
         lost[V2, 1000:1100] = 0
         refused(save(tmp_path, lost, 0), "lead V2 lacks 100 samples (first: sample 1000")
@@ -103,7 +103,7 @@ class TestGaps:
             assert np.abs(error).max() < 20
             assert np.count_nonzero(np.abs(error) > 1e-9) == pytest.approx(2 * gap, abs=1)
             s = "s" * (gap > 1)
-            assert recording.provenance["remarks"] == (
+            assert "\n".join(recording.remarks) == (
                 f"missing samples were interpolated: {gap} sample{s} of lead I (at 0.060 s), {gap} "
                 f"sample{s} of lead V2 (at 1.480 s)"
             )
@@ -138,4 +138,4 @@ class TestGaps:
         lost = digits.copy()
         lost[V2, :100] = lost[0, 1950:] = -(2**15)
         recording = read_as(save_dicom(tmp_path, lost, -(2**15)), 5e-3 * digits[:, 100:1950])
-        assert "cut to 0.200 to 3.900 s" in recording.provenance["remarks"]
+        assert "cut to 0.200 to 3.900 s" in "\n".join(recording.remarks)

@@ -181,7 +181,7 @@ class TestChecks:
         self.found = {"silent": [2, 3]}
         recording = read_as(path, expected)
         assert recording.derived == ("III", "aVR")
-        assert recording.provenance["remarks"].endswith("empty from start to end: III, aVR")
+        assert "\n".join(recording.remarks).endswith("empty from start to end: III, aVR")
         self.found = {"silent": [8]}
         refused(path, "lead V3 missing", "constant or empty: V3", "leads=['I', 'II', 'III', 'aVR'")
         recording = read_recording(path, leads=[lead for lead in LEADS if lead != "V3"])

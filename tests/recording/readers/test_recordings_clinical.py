@@ -60,7 +60,7 @@ class TestPublishedAecg:
         assert recording.filters == Filters(highpass=0.05, lowpass=150)
         # a calibration pulse stood at the end
         assert recording.signal.shape == (12, 5264)
-        assert recording.provenance["remarks"] == "calibration pulse left out: 10.528 to 11.000 s"
+        assert "\n".join(recording.remarks) == "calibration pulse left out: 10.528 to 11.000 s"
         one, two, three, right, left, foot = recording.signal[:6]
         for error in (one + three - two, right + (one + two) / 2, left - (one - three) / 2):
             assert np.abs(error).max() <= 0.0101  # two digits
@@ -87,7 +87,7 @@ class TestSignal:
         assert recording.sampling_rate == 500
         assert recording.digits_per_millivolt[ROWS] == pytest.approx(np.full(8, 1 / scale))
         assert recording.filters == (filters or Filters())
-        assert "remarks" not in recording.provenance
+        assert not recording.remarks
         for share in (0.01, 0.1, 0.5, 0.99):
             path.write_bytes(content[: int(share * len(content))])
             refused(path)
@@ -125,7 +125,7 @@ class TestRate:
         """The library rounds it, this does not."""
         recording = read_recording(saved(tmp_path, write(digits, **options)))
         assert recording.sampling_rate == pytest.approx(rate, rel=1e-12)
-        assert "remarks" not in recording.provenance
+        assert not recording.remarks
 
     @pytest.mark.parametrize(
         ("write", "options"),
@@ -243,15 +243,15 @@ class TestDeviations:
             struct.pack_into("<II", ranges, 2 + 9 * k, 0, last)
         path = saved(tmp_path, files.scp_record(sections | {3: bytes(ranges)}))
         recording = read_as(path, digits[:, :last] * 4.88e-3)
-        assert "sample ranges count from 0" in recording.provenance["remarks"]
+        assert "sample ranges count from 0" in "\n".join(recording.remarks)
 
     def test_measurements_size_and_checksums_of_scp(self, tmp_path, digits):
         def read(content):
             recording = read_as(saved(tmp_path, content), digits * 4.88e-3)
-            return recording.provenance.get("remarks")
+            return "\n".join(recording.remarks)
 
         content = files.scp(digits)
-        assert read(files.scp_record(files.scp_sections(digits) | {7: b"\1\2"})) is None
+        assert read(files.scp_record(files.scp_sections(digits) | {7: b"\1\2"})) == ""
         larger = bytearray(content)
         larger[2:6] = struct.pack("<I", len(content) + 100)
         assert "size of the record" in read(bytes(larger))
@@ -290,7 +290,7 @@ class TestDeviations:
         path = tmp_path / "a.ecg"
         path.write_bytes(files.ishne(both))
         recording = read_recording(path)
-        assert "calibration pulse left out" in recording.provenance["remarks"]
+        assert "calibration pulse left out" in "\n".join(recording.remarks)
         assert recording.signal[ROWS] == pytest.approx(noisy * 5e-3, abs=1e-12)
 
 
@@ -304,7 +304,7 @@ class TestAveragedBeatOnly:
     def test_muse(self, tmp_path, data_folder):
         recording = read_recording(data_folder / "cases" / "c30_muse_median_only.xml")
         assert recording.signal.shape == (12, 600)
-        assert "averaged beat" in recording.provenance["remarks"]
+        assert "averaged beat" in "\n".join(recording.remarks)
         with pytest.raises(MissingMetadataError, match="noise="):
             make_target(recording)
         target = make_target(recording, noise=0.03)
@@ -318,7 +318,7 @@ class TestAveragedBeatOnly:
         for content, scale in ((text, 4.88e-3), (aecg, 2.5e-3)):
             recording = read_as(saved(tmp_path, content), beat * scale)
             assert recording.sampling_rate == 500
-            assert "averaged beat" in recording.provenance["remarks"]
+            assert "averaged beat" in "\n".join(recording.remarks)
 
     @pytest.mark.parametrize("rate", ["", 'samplespersec="1000"'])
     def test_philips(self, tmp_path, beat, rate):
@@ -327,7 +327,7 @@ class TestAveragedBeatOnly:
             text = replaced(text, 'duration="900"', 'duration="450"', 8)
         recording = read_as(saved(tmp_path, text), beat * 5e-3)
         assert recording.sampling_rate == (1000 if rate else 500)
-        assert "averaged beat" in recording.provenance["remarks"]
+        assert "averaged beat" in "\n".join(recording.remarks)
 
     def test_scp(self, tmp_path, beat):
         sections = files.scp_sections(beat)
@@ -335,7 +335,7 @@ class TestAveragedBeatOnly:
         sections[5] = sections.pop(6)
         recording = read_as(saved(tmp_path, files.scp_record(sections)), beat * 4.88e-3)
         assert recording.sampling_rate == 500
-        assert "averaged beat" in recording.provenance["remarks"]
+        assert "averaged beat" in "\n".join(recording.remarks)
 
 
 class TestHostileXml:

@@ -247,7 +247,7 @@ class TestCases:
         target = make_target(recording)
         assert target.qrs_onset == pytest.approx(-49, abs=4)
         assert target.qrs_offset == pytest.approx(50, abs=4)
-        assert "aligned by lead II" in target.provenance["warnings"]
+        assert "aligned by lead II" in "\n".join(target.warnings)
 
 
 @pytest.mark.parametrize(

@@ -169,7 +169,7 @@ def test_read(tmp_path, name, what):
     content, said = READ[name][what]
     recording = read_as(saved(tmp_path, name, content), MV)
     assert recording.sampling_rate == 500
-    remarks = recording.provenance.get("remarks", "")
+    remarks = "\n".join(recording.remarks)
     assert said in remarks
     assert bool(said) == bool(remarks), remarks
 

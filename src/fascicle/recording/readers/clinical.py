@@ -23,7 +23,7 @@ from fascicle.core.errors import InputError, one_line, printable
 from fascicle.recording.readers import writer_deviations as deviations
 from fascicle.recording.readers.names import lead_name
 from fascicle.recording.readers.read import Channel, RawRecording, narrowest_passband, sha256_of
-from fascicle.recording.recording import Filters, with_remarks
+from fascicle.recording.recording import Filters
 
 
 def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
@@ -56,9 +56,14 @@ def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
             raise InputError(f"{path}: {tag} differs between leads; export all over the same time")
     off = [lead.label for lead in leads if "LeadOff" in lead.annotations]
     remarks += [f"lead off: {', '.join(off)}"] if off else []
-    provenance = with_remarks({"parser": f"ecgdatakit {version('ecgdatakit')}"}, remarks)
-    channels, rate = _channels(record, path), _rate(record, leads, root)
-    return RawRecording(channels, rate, detected["name"], _filters(record, leads), provenance)
+    return RawRecording(
+        _channels(record, path),
+        _rate(record, leads, root),
+        detected["name"],
+        _filters(record, leads),
+        provenance={"parser": f"ecgdatakit {version('ecgdatakit')}"},
+        remarks=tuple(remarks),
+    )
 
 
 @contextlib.contextmanager
@@ -301,8 +306,10 @@ def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
     if raw["checksum_valid"] or differ:
         agreement = f"differ for {', '.join(differ)}" if differ else "agree"
         provenance = {"checksums": agreement} | provenance
+    if differ:
+        remarks.insert(0, f"checksums of the file {agreement}: it may be damaged")
     stated = rate if raw["sampling_frequency_stated"] else None
-    return RawRecording(channels, stated, provenance=with_remarks(provenance, remarks))
+    return RawRecording(channels, stated, provenance=provenance, remarks=tuple(remarks))
 
 
 def _segment_files(header: Path) -> list[Path]:

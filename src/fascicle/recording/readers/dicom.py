@@ -19,7 +19,6 @@ from fascicle.core.errors import InputError, printable
 from fascicle.core.leads import CHEST_LEADS, limb_leads_from
 from fascicle.recording.readers.names import lead_name, lead_of_code, millivolts
 from fascicle.recording.readers.read import Channel, RawRecording, narrowest_passband, without_fill
-from fascicle.recording.recording import with_remarks
 
 
 class _MultiplexGroup:
@@ -131,8 +130,13 @@ def read_dicom(path: Path, sampling_rate: float | None) -> RawRecording:
     # the low frequency is where the pass band begins: that of the high-pass filter
     keywords = ("FilterLowFrequency", "FilterHighFrequency", "NotchFilterFrequency")
     filters = narrowest_passband(*([_number(lead, word) for lead in leads] for word in keywords))
-    provenance = with_remarks(provenance, remarks)
-    return RawRecording(channels, chosen[0].rate or None, filters=filters, provenance=provenance)
+    return RawRecording(
+        channels,
+        chosen[0].rate or None,
+        filters=filters,
+        provenance=provenance,
+        remarks=tuple(remarks),
+    )
 
 
 def _mended(item: Any) -> list[str]:

@@ -40,7 +40,6 @@ from fascicle.recording.recording import (
     leave_out_pulses,
     missing_rate,
     missing_unit,
-    with_remarks,
 )
 
 
@@ -71,6 +70,7 @@ class RawRecording:
     format: str = ""  # by default the reader's
     filters: Filters = field(default_factory=Filters)  # of the recorder
     provenance: dict[str, str] = field(default_factory=dict)  # text about the file
+    remarks: tuple[str, ...] = ()  # faults of the file, and how they were mended
 
 
 def read_recording(
@@ -150,7 +150,11 @@ def read_recording(
         "choice_unit": unit,
     }
     choices = {name: text for name, text in notes.items() if text is not None}
-    recording = replace(recording, provenance=recording.provenance | choices)
+    recording = replace(
+        recording,
+        provenance=recording.provenance | choices,
+        amplitude_stated=unit is not None or shared_gain,
+    )
     if digits_per_mv is not None and not shared_gain:
         raise InputError("--digits-per-mv is the gain of --shared-gain; give both or neither")
     if shared_gain:
@@ -263,8 +267,9 @@ def _assemble(
         signal=signal,
         sampling_rate=rate,
         source=source,
-        provenance={"format": raw.format}
-        | with_remarks(raw.provenance, [*([lost] if silent else []), *pulses, *repairs]),
+        provenance={"format": raw.format} | raw.provenance,
+        remarks=(*raw.remarks, *([lost] if silent else []), *pulses, *repairs),
+        from_file=True,
         filters=raw.filters,
         digits_per_millivolt=gains,
         derived=derived,

@@ -31,7 +31,7 @@ from fascicle.recording.readers.names import (
     same_unit,
 )
 from fascicle.recording.readers.read import Channel, RawRecording, without_fill
-from fascicle.recording.recording import Recording, missing_rate, missing_time_unit, with_remarks
+from fascicle.recording.recording import Recording, missing_rate, missing_time_unit
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -155,7 +155,7 @@ def _with_rest_around(table: RawRecording) -> RawRecording:
     before = round(0.5 * rate)  # s
     channels = [c.placed(before, 2 * before + len(c.values), 0.0) for c in table.channels]
     remark = "holds one beat that begins and ends at 0 mV; isoelectric before and after it"
-    return replace(table, channels=channels, provenance=with_remarks(table.provenance, [remark]))
+    return replace(table, channels=channels, remarks=(*table.remarks, remark))
 
 
 def _parsed(path: Path) -> tuple[list[_Column], list[Entry]]:
