@@ -7,7 +7,8 @@ most that the project allows itself, and ends with status 1 if one is above. Wit
 where each vague name, docstring, repeated class and constant is.
 
 A vague name is a use of a local variable or argument of `VAGUE`. A docstring is vague if it begins
-with a word of `VAGUE_FIRST`: its subject should be the thing itself. A constant is a name in
+with a word of `VAGUE_FIRST`: its subject should be the thing itself. Levels of imports are those
+among the modules of one folder. A constant is a name in
 capitals that a module binds; two of one name with other values have several meanings.
 """
 
@@ -19,6 +20,7 @@ import re
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,6 +37,8 @@ VAGUE_FIRST = re.compile(
 LIMITS = {
     "lines of source": 46_950,  # 40,500
     "modules": 250,  # 210
+    "most modules in a folder": 20,
+    "most levels of imports in a folder": 8,
     "lines of tests": 38_600,  # 29,000
     "vague local names per 1000 lines": 8.0,
     "vague docstrings (%)": 1.0,
@@ -90,6 +94,26 @@ def constants(file: Path, module: ast.Module) -> Iterator[tuple[str, Place]]:
                 yield node.id, Place(file, statement.lineno, f"{node.id} = {bound}")
 
 
+def levels(folder: list[Path], modules: dict[Path, ast.Module]) -> int:
+    """Longest chain of imports among the modules of a folder."""
+    inside = {file.stem: file for file in folder}
+    package = folder[0].parent.name
+
+    @cache
+    def level(file: Path) -> int:
+        imported = {
+            node.module.rpartition(".")[2]
+            for node in ast.walk(modules[file])
+            if isinstance(node, ast.ImportFrom)
+            and node.module
+            and node.module.rpartition(".")[0].rpartition(".")[2] == package
+        }
+        below = [level(inside[name]) for name in imported & {*inside} if name != file.stem]
+        return 1 + max(below, default=0)
+
+    return max(map(level, folder))
+
+
 def counted(checkout: Path) -> tuple[dict[str, float], dict[str, list[Place]]]:
     """Figures of a checkout, and the places that count against it."""
     files = sorted((checkout / "src").rglob("*.py"))
@@ -100,8 +124,11 @@ def counted(checkout: Path) -> tuple[dict[str, float], dict[str, list[Place]]]:
     classes: dict[str, list[Place]] = defaultdict(list)
     functions: Counter[str] = Counter()
     described = 0
-    for file in files:
-        module = ast.parse(file.read_text("utf-8"))
+    modules = {file: ast.parse(file.read_text("utf-8")) for file in files}
+    folders: dict[Path, list[Path]] = defaultdict(list)
+    for file, module in modules.items():
+        if file.name != "__init__.py":
+            folders[file.parent].append(file)
         places["vague local names per 1000 lines"] += vague_names(file, module)
         for place in docstrings(file, module):
             described += 1
@@ -123,6 +150,8 @@ def counted(checkout: Path) -> tuple[dict[str, float], dict[str, list[Place]]]:
     figures = {
         "lines of source": lines,
         "modules": len(files),
+        "most modules in a folder": max(map(len, folders.values())),
+        "most levels of imports in a folder": max(levels(f, modules) for f in folders.values()),
         "lines of tests": line_count(checkout / "tests"),
         "function names per 1000 lines": 1000 * len(functions) / lines,
         "module constants": sum(map(len, bound.values())),
