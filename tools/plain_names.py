@@ -101,15 +101,15 @@ def levels(folder: list[Path], modules: dict[Path, ast.Module]) -> int:
 
     @cache
     def level(file: Path) -> int:
-        imported = {
-            node.module.rpartition(".")[2]
-            for node in ast.walk(modules[file])
-            if isinstance(node, ast.ImportFrom)
-            and node.module
-            and node.module.rpartition(".")[0].rpartition(".")[2] == package
-        }
-        below = [level(inside[name]) for name in imported & {*inside} if name != file.stem]
-        return 1 + max(below, default=0)
+        imported: set[str] = set()
+        for node in ast.walk(modules[file]):
+            if isinstance(node, ast.ImportFrom) and node.module is not None:
+                above, _, name = node.module.rpartition(".")
+                if above.endswith(package):
+                    imported.add(name)
+                elif name == package:  # from fascicle.study import paper
+                    imported |= {alias.name for alias in node.names}
+        return 1 + max((level(inside[name]) for name in imported & {*inside}), default=0)
 
     return max(map(level, folder))
 
