@@ -179,14 +179,6 @@ class RayTravelTimes(NamedTuple):
     target: NDArray[np.int32]
     time: NDArray[np.float64]
 
-    def joined_with(self, other: RayTravelTimes) -> RayTravelTimes:
-        """Join with the rays of other sites, which come last."""
-        return RayTravelTimes(
-            np.concatenate([self.start, self.start[-1] + other.start[1:]]),
-            np.concatenate([self.target, other.target]),
-            np.concatenate([self.time, other.time]),
-        )
-
 
 class JunctionSites(NamedTuple):
     """Sites where trees (and stimuli) meet the myocardium.

@@ -234,7 +234,7 @@ def attach(
         sources = len(stimuli) if sources is None else sources
         located_stimuli, from_stimuli = _locate_stimuli(myocardium, stimuli, sources)
         located = _joined(located, located_stimuli)
-        to_vertices = to_vertices.joined_with(from_stimuli)
+        to_vertices = _joined_rays(to_vertices, from_stimuli)
     nodes, junctions = (
         np.cumsum([0, *map(len, parts)])
         for parts in ([tree.nodes for tree in trees], [tree.junctions for tree in trees])
@@ -299,7 +299,7 @@ def _locate_stimuli(
         captured = LocatedPoints._make(values[sources:] for values in located)
         nowhere = np.full(len(captured.elements), -1)  # in no triangle: their rays are traced
         rays = rays_to_mesh(centres, None, myocardium)
-        rays = rays.joined_with(rays_to_mesh(captured, nowhere, myocardium))
+        rays = _joined_rays(rays, rays_to_mesh(captured, nowhere, myocardium))
         stimuli = located, rays
         myocardium.last_stimuli.clear()
         myocardium.last_stimuli[key] = stimuli
@@ -357,6 +357,15 @@ def _rays_between(
 
 def _joined(*located: LocatedPoints) -> LocatedPoints:
     return LocatedPoints._make(map(np.concatenate, zip(*located, strict=True)))
+
+
+def _joined_rays(first: RayTravelTimes, second: RayTravelTimes) -> RayTravelTimes:
+    """Rays of some sites, then of others."""
+    return RayTravelTimes(
+        np.concatenate([first.start, first.start[-1] + second.start[1:]]),
+        np.concatenate([first.target, second.target]),
+        np.concatenate([first.time, second.time]),
+    )
 
 
 def _room(sites: int, most: int) -> RayTravelTimes:
