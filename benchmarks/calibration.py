@@ -84,7 +84,7 @@ from fascicle.core.progress import Progress
 from fascicle.core.quantities import stand_ins, torso_values
 from fascicle.emulation.ecg_emulator import EcgEmulator
 from fascicle.emulation.heart_emulator import emulator_of, simulations_for, usual_prior
-from fascicle.emulation.likelihood import EmulatedLikelihood, checked
+from fascicle.emulation.likelihood import EmulatedLikelihood, checked, likelihood_of
 from fascicle.emulation.predictive import AXIS, DURATION, Checks, predict_recording
 from fascicle.emulation.refined_emulator import refined_emulators
 from fascicle.forward.beat import Beat
@@ -105,10 +105,10 @@ from fascicle.pools.pool import Threads
 from fascicle.recording.target import Target, smooth_noise
 from fascicle.recording.target_files import read_target
 from fascicle.reporting.style import new_figure, save
-from fascicle.study import paper, posterior
+from fascicle.study import paper
 from fascicle.study.evaluations import Database, Journal
-from fascicle.study.fit import REFINEMENT
 from fascicle.study.population import Population, Posterior
+from fascicle.study.posterior import PosteriorFit
 
 LEVELS = (0.5, 0.8, 0.9)
 TUNING, HELD_OUT = 2, 3  # seeds of truths: for choosing constants, and for the documentation
@@ -208,9 +208,9 @@ def another_torso(
     times = simulation.activation[:count]
     while True:
         torso = torso_values(space.from_unit(rng.random(len(space))))
-        leads = model.leads_in_torso(times, torso | sources)
-        if not isinstance(leads, Infeasible):
-            return replace(simulation, leads=leads, onset=first_sample(times))
+        ecg = model.electrocardiograph_in_torso(torso | sources)
+        if not isinstance(ecg, Infeasible):
+            return replace(simulation, leads=ecg.leads(times), onset=first_sample(times))
 
 
 def truth_of_prior(simulations: PriorSimulations, number: int, rng: np.random.Generator) -> Any:
@@ -329,7 +329,7 @@ def fitted(
         if emulator is None:
             return paper.PaperFit(settings, simulator.prior.learnt, journal).run()
         emulated = [EmulatedLikelihood(simulator, emulator, recording.likelihood)]
-        return posterior.PosteriorFit(settings, simulator.prior, journal, emulated).run()
+        return PosteriorFit(settings, simulator.prior, journal, emulated).run()
 
 
 def wrong_inputs(
@@ -430,12 +430,12 @@ def one_truth(heart: str, number: int, options: argparse.Namespace) -> dict[str,
             other = other_person(options.other_heart)
             alternatives["another heart"] = record(truth_of(*other, rng)[1])
         result["wrong"] = {}
-        most, posterior.MOST_BATCHES = posterior.MOST_BATCHES, 1
+        most, PosteriorFit.most_batches = PosteriorFit.most_batches, 1
         for name, wrong in wrong_inputs(target, rng, alternatives).items():
             comparison, trained = compared(wrong, simulator, emulator, gain_sd, number)
             wrong_checks = fit(simulator, comparison, settings, number, rng, trained)[2]
             result["wrong"][name] = judged(wrong_checks)
-        posterior.MOST_BATCHES = most
+        PosteriorFit.most_batches = most
     return result | {"seconds": seconds}
 
 
@@ -466,10 +466,13 @@ def compared(
     target: Target, simulator: PointSimulator, emulator: EcgEmulator, gain_sd: float, number: int
 ) -> tuple[TargetComparison, EcgEmulator]:
     """A recording and its likelihood, and the emulator that is refined for it."""
-    likelihoods = partial(
-        EmulatedLikelihood.each, simulator=simulator, targets=[target], gain_sd=gain_sd
-    )
-    rng, count = np.random.default_rng([number, REFINEMENT]), int(emulator.report["networks"])
+
+    def likelihoods(emulators: Sequence[EcgEmulator]) -> list[EmulatedLikelihood]:
+        (emulator,) = emulators
+        likelihood = likelihood_of(target, emulator, gain_sd)
+        return [EmulatedLikelihood(simulator, emulator, likelihood)]
+
+    rng, count = np.random.default_rng([number, 3]), int(emulator.report["networks"])
     with tempfile.TemporaryDirectory() as folder:
         emulators = refined_emulators([emulator], likelihoods, [None], count, Path(folder), rng)
     likelihood = likelihoods(emulators)[0].likelihood

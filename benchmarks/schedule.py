@@ -24,13 +24,14 @@ import numpy as np
 import fascicle
 from fascicle.emulation.heart_emulator import simulations_of, usual_prior
 from fascicle.forward.model import ForwardModel
-from fascicle.networks.prior_simulations import PART, PriorSimulations
+from fascicle.networks.prior_simulations import PriorSimulations
 from fascicle.networks.settings import FitSettings
 from fascicle.pools.pool import parts
 
 FIRST, NETWORKS = 50, 200  # that prepare every tissue; that are timed
 PRIOR = FitSettings().prior_simulations
 WORKERS = (1, 2, 16, 64, 256, 1024)
+PART = PriorSimulations.part_size
 THREADS_TIMED, CALL, ITEMS = 32, PART, 10_000  # threads of idle workers; items a call, and in all
 
 

@@ -271,12 +271,13 @@ def lowest_offers(vertices, corners, metric, time, halvings):
     return offers
 
 
-def recorded(simulation) -> Target:
+def recorded(simulation, seed=0) -> Target:
     """A recording of a simulated beat: ten beats with noise of 0.02 mV."""
     clean = np.pad(simulation.leads, ((0, 0), (80, 80)))
     time = np.arange(clean.shape[1]) - 80 + simulation.onset
-    beats = clean + smooth_noise(np.random.default_rng(0), (10, *clean.shape), 0.02)
-    first, last = simulation.first_activation, np.nanmax(simulation.activation)
+    beats = clean + smooth_noise(np.random.default_rng(seed), (10, *clean.shape), 0.02)
+    first = simulation.onset + simulation.first_activation
+    last = np.nanmax(simulation.activation)
     return Target(beats, time, float(first), float(last), 60.0, {"source": "made"}, 4.0, 5.0)
 
 

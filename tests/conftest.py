@@ -47,8 +47,8 @@ def small_posteriors() -> Iterator[None]:
         return [plain.scaled(np.full(size, gain)) for gain in rng.uniform(0.7, 1.4, count)]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fascicle.study.posterior.PARTICLES", 200)
-        patch.setattr("fascicle.study.posterior.MOST_BATCHES", 1)
+        patch.setattr("fascicle.study.posterior.PosteriorFit.least_particles", 200)
+        patch.setattr("fascicle.study.posterior.PosteriorFit.most_batches", 1)
         patch.setattr("fascicle.networks.prior_simulations.random_bodies", bodies)
         yield
 

@@ -7,14 +7,16 @@ from pathlib import Path
 import pytest
 
 import fascicle
-from fascicle.forward.likelihood import SHARES
+from fascicle.forward.likelihood import QrsLikelihood
 from fascicle.networks.prior import NOT_KNOWN
-from fascicle.networks.prior_simulations import BODIES
+from fascicle.networks.prior_simulations import PriorSimulations
 from fascicle.networks.settings import FitSettings
-from fascicle.study.posterior import MOST_BATCHES, PARTICLES
+from fascicle.study.posterior import PosteriorFit
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DOCS = REPOSITORY / "docs"
+# As they are before `small_posteriors` changes them
+PARTICLES, BATCHES = PosteriorFit.least_particles, PosteriorFit.most_batches
 
 
 def test_every_public_name_is_in_the_api():
@@ -61,12 +63,12 @@ def test_notebooks_without_output(site, name):
 
 def test_the_posterior_s_page_states_the_numbers_of_the_code():
     page = (DOCS / "posterior.md").read_text(encoding="utf-8")
-    least, most = 100 * SHARES[[0, -1]]
+    least, most = 100 * QrsLikelihood.shares[[0, -1]]
     assert f"{FitSettings().prior_simulations:,} networks" in page
     assert f"{PARTICLES} particles" in page
-    assert f"up to {MOST_BATCHES} batches" in page
+    assert f"up to {BATCHES} batches" in page
     assert f"log-uniform, {least:.0f} to {most:.0f} % of the recorded QRS" in page
-    assert f"{BODIES} torsos" in page
+    assert f"{PriorSimulations.torsos} torsos" in page
     table = (DOCS / "quantities.md").read_text(encoding="utf-8").partition("## What is averaged")[2]
     for parameter in NOT_KNOWN:
         how = f"{parameter.lower:g} to {parameter.upper:g}"

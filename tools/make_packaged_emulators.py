@@ -24,18 +24,17 @@ from fascicle.core.array_cache import ArrayCache
 from fascicle.core.files import DISPOSABLE, PACKAGED
 from fascicle.core.leads import INDEPENDENT_ROWS
 from fascicle.emulation import origin
-from fascicle.emulation.ecg_classifier import TRAINING_STEPS, Lessons, learn
-from fascicle.emulation.heart_emulator import EMULATOR, made_emulator, usual_prior
+from fascicle.emulation.ecg_classifier import RecordingSet, learn
+from fascicle.emulation.heart_emulator import made_emulator, usual_prior
 from fascicle.emulation.state_classifier import (
-    CLASSIFIER,
     StateSimulations,
     classifier_key,
-    lessons,
     simulations_of_states,
+    training_and_held_out,
 )
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.heart import Heart
-from fascicle.networks.prior_simulations import SEED
+from fascicle.networks.prior_simulations import PriorSimulations
 from fascicle.networks.settings import FitSettings
 from fascicle.pools.pool import Threads
 
@@ -63,26 +62,27 @@ def make_those_of(heart: Heart) -> dict[str, StateSimulations]:
     for name, of_state in states.items():
         count = MORE.get((heart.name, name), of_state.count)
         made_emulator(of_state.simulations, count, Threads(2))
-        take(heart.folder, EMULATOR, count, of_state.simulations.content)
+        take(heart.folder, "emulator", count, of_state.simulations.content)
     beats = origin.ectopic_beats(model, heart.folder)
     origin.classifier_of(beats, ROWS, COUNT, Threads(2))
-    take(heart.folder, origin.ORIGIN_CLASSIFIER, COUNT, origin.classifier_key(beats, ROWS))
+    take(heart.folder, "origin", COUNT, origin.classifier_key(beats, ROWS))
     return states
 
 
 def make_classifier(hearts: Sequence[dict[str, StateSimulations]]) -> None:
     """Make the classifier of conduction states, and keep it as that of each heart."""
-    rng = np.random.default_rng(SEED)
-    seen, held_out = zip(*(lessons(states, ROWS, rng) for states in hearts), strict=True)
-    steps = TRAINING_STEPS * len(hearts)
-    arrays = learn(joined(seen), joined(held_out), ROWS, rng, steps=steps).arrays()
+    rng = np.random.default_rng(PriorSimulations.seed)
+    sets = (training_and_held_out(states, ROWS, rng) for states in hearts)
+    training, held_out = zip(*sets, strict=True)
+    steps = 8000 * len(hearts)  # 8000: of one heart
+    arrays = learn(joined(training), joined(held_out), ROWS, rng, steps=steps).arrays()
     for states in hearts:
-        put(CLASSIFIER, classifier_key(states, ROWS), {**arrays, "networks": np.array(COUNT)})
+        put("classifier", classifier_key(states, ROWS), {**arrays, "networks": np.array(COUNT)})
 
 
-def joined(parts: Sequence[Lessons]) -> Lessons:
+def joined(parts: Sequence[RecordingSet]) -> RecordingSet:
     recordings, kinds = zip(*((part.recordings, part.kinds) for part in parts), strict=True)
-    return Lessons(np.concatenate(recordings), np.concatenate(kinds))
+    return RecordingSet(np.concatenate(recordings), np.concatenate(kinds))
 
 
 def take(heart: Path, kind: str, count: int, key: str) -> None:

@@ -98,11 +98,11 @@ def _parameters(path: Path) -> Any:
 
 
 def _settings(path: Path) -> Any:
-    from fascicle.networks.prior import PARAMETERS, read_settings, study_space
+    from fascicle.networks.prior import read_settings, study_space
     from fascicle.networks.settings import checked_settings
 
     content = read_settings(path)
-    parameters = content.pop(PARAMETERS, {})
+    parameters = content.pop("parameters", {})
     settings = checked_settings(content)
     return study_space(settings.method, parameters, small_model().heart)
 

@@ -48,7 +48,7 @@ from fascicle.reporting.prediction import (
 from fascicle.reporting.study import draw_losses, recorded_ecg_figure
 from fascicle.reporting.style import P, one_axes, user_first
 from fascicle.study.fitted import FittedStudy, StudyLike, as_study
-from fascicle.study.study import CONFIGURATION, HEART_FOLDER
+from fascicle.study.study import StudyFile
 
 
 def heart(heart: Heart | Path | str, view: str = "anterior", ax: Axes | None = None) -> list[Axes]:
@@ -178,7 +178,9 @@ def _heart(source: Heart | StudyLike, predicted: Mapping[str, Predicted]) -> Hea
         heart = source
     else:
         folder = as_path(source, "heart", "a heart, a fitted study, or the folder of either")
-        heart = load_heart(folder / HEART_FOLDER if (folder / CONFIGURATION).exists() else folder)
+        heart = load_heart(
+            folder / StudyFile.HEART if (folder / StudyFile.CONFIGURATION).exists() else folder
+        )
     for name, prediction in predicted.items():
         _check_vertices(heart, f"'{name}'", prediction.beats[0].activation)
     return heart

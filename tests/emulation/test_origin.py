@@ -1,6 +1,7 @@
 """Where a beat comes from."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from fascicle.emulation.heart_emulator import packaged
 from fascicle.emulation.origin import Origin, ectopic_beats, levels, of_tetrahedra
 from fascicle.heart.folder import write_heart
 from fascicle.heart.sites import Sites
-from fascicle.networks import prior_simulations
+from fascicle.networks.prior_simulations import PriorSimulations
 from fascicle.pools.pool import Threads
 from fascicle.recording.target import Target
 from fascicle.reporting.activation import origin_figure
@@ -25,11 +26,10 @@ from fascicle.reporting.activation import origin_figure
 def small():
     """So few beats, and so little training, that it takes seconds."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(prior_simulations, "PART", 150)
-        patch.setattr(origin_module, "PART", 150)
+        patch.setattr(PriorSimulations, "part_size", 150)
         patch.setattr(heart_emulator, "packaged", lambda *_: None)
-        patch.setattr(origin_module, "ORIGIN_STEPS", 600)
-        patch.setattr(origin_module, "ORIGIN_RECORDINGS", 6000)
+        learnt = partial(origin_module._learnt, made=6000, steps=600)
+        patch.setattr(origin_module, "_learnt", learnt)
         yield
 
 
@@ -147,6 +147,8 @@ def test_what_cannot_be_used_is_refused(default_heart, target):
         fascicle.locate(default_heart, target, prior_simulations=0)
     with pytest.raises(InputError, match="workers is 0"):
         fascicle.locate(default_heart, target, workers=0)
+    with pytest.raises(InputError, match="networks is 0"):
+        fascicle.simulate_prior("default", 0)
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fascicle.emulation.predictive import BEST, LEAST_PROBABLE, Checks, predict_recording
+from fascicle.emulation.predictive import Checks, predict_recording
 from fascicle.forward.beat import Beat
 from fascicle.forward.eikonal.activation import Activation
 from fascicle.forward.likelihood import (
@@ -74,24 +74,26 @@ def predict(recorded, networks=None):
     return predict_recording(recorded, [likelihood(recorded)] * len(networks), networks, rng)
 
 
-def test_noise_of_the_mean_beat(recorded):
-    found = beat_noise(recorded)
+def test_noise_of_the_mean_beat_and_of_a_single_one(recorded):
+    """Of 40 beats; of one, its stated noise."""
     inside = cosines(recorded.qrs.shape[1])[MARGIN:-MARGIN]
-    white = 0.02**2 / 40 * np.kron(np.eye(8), inside.T @ inside)
+    unit = np.kron(np.eye(8), inside.T @ inside)
+    found, white = beat_noise(recorded), 0.02**2 / 40 * unit
     assert np.trace(found) == pytest.approx(np.trace(white), rel=0.1)
     assert np.linalg.norm(found - white) < 0.3 * np.linalg.norm(white)
-
-
-def test_noise_of_a_single_beat_is_the_stated_one(recorded):
     single = replace(recorded, beats=recorded.beats[:1], noise=0.03)
-    inside = cosines(single.qrs.shape[1])[MARGIN:-MARGIN]
-    expected = 0.03**2 * np.kron(np.eye(8), inside.T @ inside)
-    assert beat_noise(single) == pytest.approx(expected, abs=1e-12)
+    assert beat_noise(single) == pytest.approx(0.03**2 * unit, abs=1e-12)
 
 
-def test_a_recording_of_the_model_agrees(recorded):
-    found = predict(recorded)
+@pytest.fixture(scope="module")
+def found(recorded):
+    """Prediction of the recording by the network that it is of."""
+    return predict(recorded)
+
+
+def test_a_recording_of_the_model_agrees(recorded, found):
     assert found.checks.disagreeing == []
+    assert found.checks.gain == pytest.approx([1, 0.25, 1.75], abs=0.05)
     assert found.gains.mean() == pytest.approx(1, abs=0.05)
     assert found.shifts.mean() == pytest.approx(0, abs=0.5)
     window = recorded.qrs_samples
@@ -101,7 +103,7 @@ def test_a_recording_of_the_model_agrees(recorded):
 def test_the_torso_that_was_drawn_is_kept(recorded):
     bodies = np.random.default_rng(2).normal(0, 1.0, (2, 12, 12))
     one = network()
-    drawn = replace(likelihood(recorded), bodies=bodies).predictive(
+    drawn = replace(likelihood(recorded), torso_modes=bodies).predictive(
         one.beat.signals, np.random.default_rng(3)
     )
     leads = drawn.gain * drawn.torso @ one.beat.leads
@@ -112,8 +114,7 @@ def test_the_torso_that_was_drawn_is_kept(recorded):
     assert np.abs(drawn.torso - np.eye(12)).max() > 0.01
 
 
-def test_noise_obeys_the_laws_of_the_limb_leads(recorded):
-    found = predict(recorded)
+def test_noise_obeys_the_laws_of_the_limb_leads(found):
     error = found.noisy - found.ecg
     assert np.abs(error[:, 0] + error[:, 2] - error[:, 1]).max() < 1e-9
     assert np.abs(error[:, 3:6].sum(axis=1)).max() < 1e-9
@@ -136,7 +137,7 @@ def test_the_best_networks_count(recorded):
     checks = predict(recorded, [network(), flat] * (NETWORKS // 2)).checks
     assert checks.explained > 0.95
     assert "all leads together" not in checks.disagreeing
-    best = round(0.5 * BEST * NETWORKS)
+    best = round(0.5 * Checks.best_share * NETWORKS)
     few = predict(recorded, [network()] * best + [flat] * (NETWORKS - best)).checks
     assert few.explained < 0.2
 
@@ -148,7 +149,7 @@ def test_another_duration_and_another_axis_are_named(recorded):
     recorded_ms, low, middle, high = checks.measured["QRS duration"]
     assert recorded_ms - middle == pytest.approx(37, abs=5)  # slow ends are hidden by noise
     assert low == middle == high
-    assert checks.probabilities["QRS duration"] < LEAST_PROBABLE
+    assert checks.probabilities["QRS duration"] < checks.least_probable
     assert checks.failures[0] == (
         f"QRS duration {recorded_ms:.0f} ms recorded, {middle:.0f} ({low:.0f}–{high:.0f}) simulated"
     )
@@ -165,7 +166,6 @@ def test_a_gain_of_three_is_named(recorded):
     checks = predict(replace(recorded, beats=3 * recorded.beats)).checks
     assert 2 < checks.gain[0] < 3  # less than 3, since its prior is about 1
     assert checks.failures == [f"ECG scaled by {checks.gain[0]:.2g}, 0.25 to 1.8 expected"]
-    assert predict(recorded).checks.gain == pytest.approx([1, 0.25, 1.75], abs=0.05)
 
 
 def test_several_recordings_share_the_level():

@@ -7,14 +7,12 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
-from fascicle.forward import likelihood as tested
 from fascicle.forward.beat import Signals
 from fascicle.forward.likelihood import (
     MARGIN,
-    SHARES,
-    SHIFT_STEP,
     QrsLikelihood,
     cosines,
+    lead_pattern,
     matern,
     separable,
 )
@@ -67,7 +65,7 @@ def example(gain_sd: float = 0.3, noise: float = 0.02) -> QrsLikelihood:
 
 def brute_force(likelihood: QrsLikelihood, simulated: np.ndarray, scale: float) -> float:
     """The same integral over the shift for one discrepancy, by plain sums and whole matrices."""
-    covariance = likelihood.known + scale**2 * likelihood.discrepancy
+    covariance = likelihood.covariance + scale**2 * likelihood.discrepancy
     data = (
         np.pad(likelihood.target.qrs[6:8], ((0, 0), (MARGIN, MARGIN))) @ likelihood.modes
     ).ravel()
@@ -75,7 +73,7 @@ def brute_force(likelihood: QrsLikelihood, simulated: np.ndarray, scale: float) 
     logs = []
     for offset in np.arange(-3 * sd, 3 * sd, 0.05):
         model = placed(simulated, ONSET - MARGIN + offset, likelihood.length) @ likelihood.modes
-        added = [likelihood.gain_sd * model, *(likelihood.bodies[:, 6:8, 6:8] @ model)]
+        added = [likelihood.gain_sd * model, *(likelihood.torso_modes[:, 6:8, 6:8] @ model)]
         columns = np.array([each.ravel() for each in added])
         each = multivariate_normal.logpdf(data, model.ravel(), cov=covariance + columns.T @ columns)
         logs.append(each + norm.logpdf(offset, 0, sd) + np.log(0.05))
@@ -85,24 +83,25 @@ def brute_force(likelihood: QrsLikelihood, simulated: np.ndarray, scale: float) 
 @pytest.mark.parametrize(("noise", "scale"), [(0.02, 0.1), (0.003, 0.15), (0.02, 0.3)])
 def test_against_brute_force(noise, scale, monkeypatch):
     likelihood = example(noise=noise)
-    monkeypatch.setattr(tested, "SHARES", scale * SHARES[:1] / likelihood.scales[0])
-    monkeypatch.setattr(tested, "SHIFT_STEP", 1)
+    coarse, shares = QrsLikelihood.shift_step, QrsLikelihood.shares[:1]
+    monkeypatch.setattr(QrsLikelihood, "shares", scale * shares / likelihood.scales[0])
+    monkeypatch.setattr(QrsLikelihood, "shift_step", 1)
     likelihood = example(noise=noise)
     assert likelihood.scales == pytest.approx([scale])
     expected = brute_force(likelihood, signal(), scale)
     assert likelihood.fit(ecg(signal())).log_likelihood == pytest.approx(expected, abs=0.02)
     # fewer shifts, which is faster, are as good with what an emulator leaves: 20 % of the QRS
-    left = 0.2 * np.linalg.norm(likelihood.target.qrs[6:8]) / np.sqrt(len(likelihood.known))
+    left = 0.2 * np.linalg.norm(likelihood.target.qrs[6:8]) / np.sqrt(len(likelihood.covariance))
     likelihood = example(noise=np.hypot(noise, left))
     expected = brute_force(likelihood, signal(), scale)
-    monkeypatch.setattr(tested, "SHIFT_STEP", SHIFT_STEP)
+    monkeypatch.setattr(QrsLikelihood, "shift_step", coarse)
     likelihood = example(noise=np.hypot(noise, left))
     assert likelihood.log_likelihood(ecg(signal())) == pytest.approx(expected, abs=0.1)
 
 
 def test_the_sizes_of_the_discrepancy_are_averaged(monkeypatch):
-    monkeypatch.setattr(tested, "SHARES", SHARES[[0, 2, 3]])
-    monkeypatch.setattr(tested, "SHIFT_STEP", 1)
+    monkeypatch.setattr(QrsLikelihood, "shares", QrsLikelihood.shares[[0, 2, 3]])
+    monkeypatch.setattr(QrsLikelihood, "shift_step", 1)
     likelihood = example()
     each = [brute_force(likelihood, signal(), scale) for scale in likelihood.scales]
     fit = likelihood.fit(ecg(signal()))
@@ -134,7 +133,7 @@ def test_gain_and_shift_are_found():
     fit = likelihood.fit(ecg(signal()))
     by_shift = fit.weights.sum(axis=0)
     assert by_shift @ fit.shifts == pytest.approx(ONSET - MARGIN + 1.6, abs=1.0)
-    alone = replace(likelihood, bodies=likelihood.bodies[:0])
+    alone = replace(likelihood, torso_modes=likelihood.torso_modes[:0])
     drawn = [alone.predictive(ecg(signal()), rng) for _ in range(100)]
     assert np.mean([each.gain for each in drawn]) == pytest.approx(1.2, abs=0.1)
 
@@ -142,12 +141,12 @@ def test_gain_and_shift_are_found():
 def test_a_body_of_the_prior_is_found():
     """What it adds to the leads is in the networks' recordings that are drawn."""
     likelihood, rng = example(gain_sd=0.1), np.random.default_rng(1)
-    recorded = placed(signal() + 2 * likelihood.bodies[1, 6:8, 6:8] @ signal(), ONSET, QRS)
+    recorded = placed(signal() + 2 * likelihood.torso_modes[1, 6:8, 6:8] @ signal(), ONSET, QRS)
     given = replace(likelihood, target=target(recorded))
     left = [
         np.mean([((each.predictive(ecg(signal()), rng).ecg[6:8] - recorded) ** 2).sum()
                  for _ in range(30)])
-        for each in (given, replace(given, bodies=given.bodies[:0]))
+        for each in (given, replace(given, torso_modes=given.torso_modes[:0]))
     ]  # fmt: skip
     assert left[0] < 0.5 * left[1]
 
@@ -179,6 +178,6 @@ def test_what_it_was_made_from_is_likeliest():
 def test_covariances_are_of_rank():
     modes = cosines(QRS)
     assert np.linalg.eigvalsh(matern(len(modes))).min() > 0
-    pattern = tested.lead_pattern([signal(), signal(5.0)])
+    pattern = lead_pattern([signal(), signal(5.0)])
     assert np.trace(pattern) == pytest.approx(2)
     assert np.linalg.eigvalsh(pattern).min() >= 0.5

@@ -12,7 +12,7 @@ from builders import case
 import fascicle.forward.model
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, Infeasible
-from fascicle.forward.model import REMEMBERED, ForwardModel
+from fascicle.forward.model import ForwardModel
 from fascicle.forward.primitives import SlowConduction, Stimulus
 from fascicle.heart.conduction import Conduction, Region
 
@@ -167,7 +167,7 @@ class TestRememberedTrees:
         assert isinstance(outcomes[0], Infeasible)
 
     def test_a_few_are_remembered(self, model, grown):
-        angles = 0.1 * np.arange(REMEMBERED + 1)
+        angles = 0.1 * np.arange(ForwardModel.networks_kept + 1)
         for angle in angles:
             model.grow(EXAMPLE_PARAMETERS | {"lv_fascicle_angle_1": angle})
         grown.clear()

@@ -81,7 +81,8 @@ class TestModel:
         bodies = [{"heart_up": 5.0}, {"v1_left": -20.0, "gain": 1.5}, {"chest_size": 1.1}]
         plain = torso_model.simulate(EXAMPLE_PARAMETERS)
         for body in bodies:
-            found = torso_model.leads_in_torso(plain.activation, body)
+            ecg = torso_model.electrocardiograph_in_torso(body)
+            found = body.get("gain", 1.0) * ecg.leads(plain.activation)
             np.testing.assert_allclose(
                 found, torso_model.simulate(with_torso(**body)).leads, atol=1e-9
             )

@@ -52,22 +52,19 @@ def test_of_each_lead_and_over_all(target, networks):
         assert found.correlation[row] == pytest.approx(np.corrcoef(r, p)[0, 1])
         every.append((r, p))
     # a share that is rounded to whole percent is the same from the summary
-    shares = found.content()["explained_power"]
+    content = found.content()
+    shares = content["explained_power"]
     assert shares["II"] == pytest.approx(found.explained[LEADS.index("II")], abs=1e-6)
+    assert shares["V6"] is None
+    assert set(content["correlation"]) == {*LEADS, "all"}
     r, p = np.hstack(every)
     assert found.explained_over_all == pytest.approx(1 - np.sum((r - p) ** 2) / np.sum(r**2))
     assert found.correlation_over_all == pytest.approx(np.corrcoef(r, p)[0, 1])
-
-
-def test_durations_and_axis(target, networks):
-    found = agreement(target, networks)
+    # durations
     assert found.recorded["qrs_duration_ms"] == target.qrs_duration
     assert found.percentiles("qrs_duration_ms")[1] == 82.0
     assert found.percentiles("global_qrs_duration_ms")[1] == 94.0
-    content = found.content()
     assert content["global_qrs_duration_ms"]["networks"]["median"] == 94.0
-    assert content["explained_power"]["V6"] is None
-    assert set(content["correlation"]) == {*LEADS, "all"}
 
 
 def test_axes_across_the_half_turn_are_near(target, networks):

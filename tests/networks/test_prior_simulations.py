@@ -1,6 +1,7 @@
 """Prior simulations: what is stored, how it goes on, for whom it serves, and the emulator of it."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE
 from fascicle.core.leads import INDEPENDENT_ROWS
 from fascicle.core.quantities import fascicles
-from fascicle.emulation import ecg_emulator, heart_emulator, refined_emulator
+from fascicle.emulation import heart_emulator
+from fascicle.emulation.ecg_emulator import learn
 from fascicle.emulation.heart_emulator import emulator_of, made_emulator, simulations_for
 from fascicle.emulation.likelihood import EmulatedLikelihood
 from fascicle.emulation.refined_emulator import refined_emulators
@@ -52,12 +54,11 @@ class Counting(Threads):
 def small():
     """Two parts of few networks, in three tissues and two bodies."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tested, "PART", PART)
-        patch.setattr(tested, "BODIES", 2)
-        patch.setattr(tested, "SEED", 1)  # bodies that are not at the far end of their prior
+        patch.setattr(PriorSimulations, "part_size", PART)
+        patch.setattr(PriorSimulations, "torsos", 2)
+        patch.setattr(PriorSimulations, "seed", 1)  # torsos not at the far end of their prior
         patch.setattr(tested, "random_bodies", random_bodies)
-        patch.setattr(ecg_emulator, "FEWEST_NETWORKS", 20)
-        patch.setattr(ecg_emulator, "EPOCHS", 1)
+        patch.setattr(heart_emulator, "learn", partial(learn, epochs=1, fewest=20))
         patch.setattr("fascicle.networks.prior.TISSUES", ({}, {"anisotropy_ratio": 2.0}))
         yield
 
@@ -109,11 +110,7 @@ def test_examples_are_simulations_of_their_points(prior, model):
     first = np.abs(examples.ecgs).max(axis=(0, 1)) > 1e-3
     assert BEFORE - 10 < np.flatnonzero(first)[0] <= BEFORE + 2
     assert prior.prior.from_unit(examples.points[0]) == parameters[0]
-
-
-def test_those_held_out_have_bodies(prior):
-    """Other ones than the plain one, with the same activation."""
-    examples = prior.examples(COUNT)
+    # held out ones are in other torsos than the plain one, too, with the same activation
     plain = examples.ecgs[examples.held_out[examples.feasible]]
     assert 0 < len(plain) == len(examples.in_torsos)
     assert examples.held_out.sum() == 2 * PART / tested.HELD_OUT
@@ -123,14 +120,12 @@ def test_those_held_out_have_bodies(prior):
         assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.3
 
 
-@pytest.mark.parametrize("count", [1, 2, 3])
-def test_all_have_as_many_fascicles_as_are_asked_for(model, tmp_path, count):
-    prior = prior_in(tmp_path, model, {"lv_fascicles": count})
-    assert {fascicles("lv", each) for each in prior.parameters(0)} == {count}
-    assert {fascicles("rv", each) for each in prior.parameters(1)} == {2}
-
-
-def test_what_makes_a_tissue_is_alike_in_a_part(model, tmp_path):
+def test_parameters_are_those_asked_for(model, tmp_path):
+    """As many fascicles; and one tissue in a part."""
+    for count in (1, 2, 3):
+        prior = prior_in(tmp_path, model, {"lv_fascicles": count})
+        assert {fascicles("lv", each) for each in prior.parameters(0)} == {count}
+        assert {fascicles("rv", each) for each in prior.parameters(1)} == {2}
     prior = prior_in(tmp_path, model, {"endocardial_speed": "free"})
     speeds = [{each["endocardial_speed"] for each in prior.parameters(n)} for n in range(3)]
     assert [len(each) for each in speeds] == [1, 1, 1]
@@ -313,7 +308,7 @@ def test_a_heart_in_a_folder_that_cannot_be_written_to(model, tmp_path, monkeypa
     with pytest.raises(InputError, match="heart: cannot be written to; copy the heart"):
         simulate_prior(folder, COUNT)
     target = fascicle.make_target(fascicle.read_recording(demo_recording()))
-    monkeypatch.setattr("fascicle.study.posterior.MOST_BATCHES", 1)
+    monkeypatch.setattr("fascicle.study.posterior.PosteriorFit.most_batches", 1)
     given = {"prior_simulations": 100, "effective": 20, "parameters": {"conduction": "normal"}}
     fitted = fascicle.fit(folder, target, out, **given)
     kept = {file.name.partition("-")[0] for file in (out / "heart" / DISPOSABLE).iterdir()}
@@ -323,18 +318,12 @@ def test_a_heart_in_a_folder_that_cannot_be_written_to(model, tmp_path, monkeypa
     assert found == pytest.approx(fitted.population.best_loss)
 
 
-def test_numbers_that_make_no_sense(tmp_path):
-    with pytest.raises(InputError, match="networks is 0"):
-        simulate_prior("default", 0)
-
-
-def test_an_emulator_is_refined_with_draws_of_the_posterior(prior, model, tmp_path, monkeypatch):
+def test_an_emulator_is_refined_with_draws_of_the_posterior(prior, model, tmp_path):
     """Of the study's own draws, which are kept with it, and again where the posterior has moved.
 
     Not where each has a tissue of its own.
     """
-    monkeypatch.setattr(refined_emulator, "SHARE", PART / COUNT)
-    monkeypatch.setattr(refined_emulator, "REFINING_PARTICLES", 60)
+    refine = partial(refined_emulators, share=PART / COUNT, particles=60)
     emulator, pool = made_emulator(prior, COUNT, Threads(1)), Counting()
     simulator = PointSimulator(model, prior.prior, pool)
     delay, seen = prior.prior.names.index("interventricular_delay"), []
@@ -356,24 +345,24 @@ def test_an_emulator_is_refined_with_draws_of_the_posterior(prior, model, tmp_pa
 
         return [emulator] * count, by, [None] * count, COUNT, tmp_path
 
-    first, again = refined_emulators(*given(), np.random.default_rng(0))
+    first, again = refine(*given(), np.random.default_rng(0))
     assert first is again
     assert pool.sent == PART
     drawn, usual = seen
     assert drawn[:, delay].std() < 0.04 < usual[:, delay].std()
     assert first.expected_error != emulator.expected_error
     assert len([*(tmp_path / DISPOSABLE).glob("posterior-*.npz")]) == 1
-    found = refined_emulators(*given(), np.random.default_rng(0))[0]
+    found = refine(*given(), np.random.default_rng(0))[0]
     assert pool.sent == PART  # found
     assert_array_equal(found.residual_factor, first.residual_factor)
     free = given(PointSimulator(model, study(model.heart, {"anisotropy_ratio": "free"}), pool), 1)
-    assert refined_emulators(*free, None) == [emulator]
+    assert refine(*free, None) == [emulator]
 
     class Moving(Emulated):
         first = 0.3
 
     seen.clear()
-    refined_emulators(*given(made=Moving), np.random.default_rng(0))
+    refine(*given(made=Moving), np.random.default_rng(0))
     assert pool.sent == 3 * PART  # the posterior moves once, and then stays
     drawn, again = seen[::2]
     assert drawn[:, delay].mean() == pytest.approx(0.3, abs=0.01)

@@ -12,20 +12,18 @@ from fascicle.forward.activation_sequence import ActivationSequence
 from fascicle.networks.prior import UNMAPPED, Prior, read_settings, study_space
 
 
-def test_the_paper_learns_twelve(default_heart):
-    space, fixed = study_space("paper", {}, default_heart)
-    assert space == NETWORK_SPACE
-    assert fixed == {}
-
-
-def test_a_posterior_is_of_human_anatomy(default_heart):
-    space, fixed = study_space("posterior", {}, default_heart)
-    assert space == HUMAN_SPACE
-    assert len(space) == 15
-    assert fixed == {}
+def test_default_priors(default_heart):
+    """The paper learns twelve; a posterior is of human anatomy."""
+    assert study_space("paper", {}, default_heart) == (NETWORK_SPACE, {})
+    assert study_space("posterior", {}, default_heart) == (HUMAN_SPACE, {})
+    assert len(HUMAN_SPACE) == 15
     for lv, rv in ((1, 2), (2, 3), (4, 1)):
         wanted = {"lv_fascicles": lv, "rv_fascicles": rv}
         assert study_space("posterior", wanted, default_heart) == (human_space(lv, rv), {})
+        space, fixed = study_space("paper", wanted, default_heart)
+        assert sum(name.startswith("lv_fascicle_length") for name in space.names) == lv
+        assert sum(name.startswith("rv_fascicle_angle") for name in space.names) == rv
+        assert fixed == {}
 
 
 def test_a_posterior_has_the_speed_of_fibres_too_unless_it_is_known(default_heart):
@@ -86,14 +84,6 @@ def test_what_is_said_of_a_quantity_counts(default_heart):
     assert (learnt["gain"].prior, learnt["gain"].median) == ("log-normal", 1.0)
     assert learnt["endocardial_speed"].prior == "uniform"
     assert len(learnt) == 13
-
-
-@pytest.mark.parametrize(("lv", "rv"), [(1, 2), (3, 4)])
-def test_number_of_fascicles(default_heart, lv, rv):
-    space, fixed = study_space("paper", {"lv_fascicles": lv, "rv_fascicles": rv}, default_heart)
-    assert sum(name.startswith("lv_fascicle_length") for name in space.names) == lv
-    assert sum(name.startswith("rv_fascicle_angle") for name in space.names) == rv
-    assert fixed == {}
 
 
 def test_a_region_must_be_there(default_heart):
@@ -158,10 +148,7 @@ def test_groups_are_written_out(default_heart):
     for group, count in (("electrodes", 13), ("conductivities", 4)):
         space, _ = study_space("paper", {group: "free"}, default_heart)
         assert len(space.names) == len(NETWORK_SPACE.names) + count
-
-
-def test_a_prior_of_ones_own_replaces_the_usual_one(default_heart):
-    wanted = {"heart_up": {"lower": -5.0, "upper": 5.0}}
+    wanted = {"heart_up": {"lower": -5.0, "upper": 5.0}}  # in place of the usual prior
     space, _ = study_space("paper", wanted, default_heart)
     assert space.parameters[-1].prior == "uniform"
 

@@ -77,10 +77,18 @@ def test_networks_that_were_evaluated_are_not_simulated_again(
     assert losses == [each.loss for each in done]
 
 
-def test_what_cannot_be_grown_is_a_typed_evaluation(default_model, target, points):
-    (outcome,) = evaluated(default_model, target, points[-1:])
+@pytest.mark.parametrize(
+    ("which", "fewest_junctions", "reason"),
+    [(-1, 0, "LV bundle leaves the endocardium after"), (0, 10_000, "LV tree has ")],
+)
+def test_what_is_no_network_is_a_typed_evaluation(
+    default_model, target, points, which, fewest_junctions, reason
+):
+    """It cannot be grown, or has fewer junctions than are asked for."""
+    given = {"fewest_junctions": fewest_junctions}
+    (outcome,) = evaluated(default_model, target, [points[which]], **given)
     assert not outcome.feasible
-    assert outcome.reason.startswith("LV bundle leaves the endocardium after")
+    assert outcome.reason.startswith(reason)
     assert np.isnan(outcome.loss)
     assert outcome.beat_errors.size == 0
 
@@ -97,17 +105,12 @@ def test_free_gain_forgives_the_amplitude_only(default_model, target, points):
     assert comparison.align(leads).gain == pytest.approx(0.5, abs=0.01)
 
 
-def test_prediction_lies_under_the_recorded_beat(default_model, target, points):
-    """Over the whole beat, not only in the QRS window; a shift by the window's start would show."""
-    comparison = TargetComparison(target)
-    leads = default_model.simulate(NETWORK_SPACE.from_unit(points[0])).leads
-    predicted = comparison.predicted(leads, comparison.align(leads))
-    assert predicted.shape == target.mean.shape
-    assert np.abs(predicted - target.mean).max() < 5 * NOISE
-
-
 def test_unused_leads_do_not_count(default_model, target, points):
-    """As if the lead were not there: no term of the loss, but a prediction in it, too."""
+    """As if the lead were not there: no term of the loss, but a prediction in it, too.
+
+    The prediction lies under the whole beat, not only in the QRS window; a shift by the window's
+    start would show.
+    """
     beats = target.beats.copy()
     beats[:, 7] = np.nan
     comparison = TargetComparison(replace(target, beats=beats))
@@ -115,8 +118,7 @@ def test_unused_leads_do_not_count(default_model, target, points):
     best = comparison(points[0], simulation.signals)
     assert best.loss == pytest.approx(11 * NOISE**2 / 5, rel=0.1)
     np.testing.assert_allclose(best.beat_errors, 11 * NOISE**2, rtol=0.15)
-    predicted = comparison.predicted(simulation.leads, comparison.align(simulation.leads))
-    assert np.abs(predicted[7] - target.mean[7]).max() < 5 * NOISE
+    assert np.abs(predicted(comparison, simulation.leads) - target.mean).max() < 5 * NOISE
 
 
 def test_additional_leads_count_like_the_twelve(
@@ -193,12 +195,6 @@ def test_a_network_lies_under_the_recorded_qrs(default_model, target, points):
     assert truth.under_qrs == pytest.approx(1.0, abs=1e-3)
     narrow = TargetComparison(replace(target, qrs_onset=0.0, qrs_offset=20.0))
     assert next(networks(simulator, narrow, parameters)).under_qrs < 0.9
-
-
-def test_trees_of_few_junctions_can_be_left_out(default_model, target, points):
-    (strict,) = evaluated(default_model, target, points[:1], fewest_junctions=10_000)
-    assert not strict.feasible
-    assert strict.reason.startswith("LV tree has ")
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from fascicle.patients import cohort as cohort_module
 from fascicle.patients import patient
 from fascicle.patients.cohort import answer, write_overview
 from fascicle.patients.patient import Outcome, Status, read_table
-from fascicle.study.lock import study_lock
+from fascicle.study.study import study_lock
 
 FORK = multiprocessing.get_context("fork")
 

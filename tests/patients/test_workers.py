@@ -24,10 +24,10 @@ LONGER = {"method": "posterior", "effective": "20", "prior_simulations": "100"}
 
 @pytest.fixture(autouse=True)
 def as_many_particles_as_on_workers(monkeypatch):
-    from fascicle.study import posterior
+    from fascicle.study.posterior import PosteriorFit
 
-    monkeypatch.setattr(posterior, "PARTICLES", 600)
-    monkeypatch.setattr(posterior, "MOST_BATCHES", 16)
+    monkeypatch.setattr(PosteriorFit, "least_particles", 600)
+    monkeypatch.setattr(PosteriorFit, "most_batches", 16)
 
 
 @pytest.fixture(scope="module")

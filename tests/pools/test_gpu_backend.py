@@ -9,13 +9,13 @@ from builders import case
 import fascicle
 from fascicle.cli import main
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, ParameterSpace, free
-from fascicle.forward.device import batch
 from fascicle.forward.device import card as card_module
 from fascicle.forward.device.backend import GpuBackend
+from fascicle.forward.device.batch import Simulator
 from fascicle.forward.primitives import His
 from fascicle.networks.prior import AveragedOver
 from fascicle.networks.target_comparison import evaluate, networks
-from fascicle.study.study import SAME_LOSS
+from fascicle.study.study import Study
 
 
 @pytest.fixture
@@ -27,8 +27,8 @@ def assert_alike(found, expected, simulated_here=()):
     """As close as a study must find them when it is opened; the same where simulated here."""
     for k, (one, other) in enumerate(zip(found, expected, strict=True)):
         assert one.reason == other.reason
-        np.testing.assert_allclose(one.loss, other.loss, rtol=0.1 * SAME_LOSS)
-        np.testing.assert_allclose(one.beat_errors, other.beat_errors, rtol=0.1 * SAME_LOSS)
+        np.testing.assert_allclose(one.loss, other.loss, rtol=0.1 * Study.tolerance)
+        np.testing.assert_allclose(one.beat_errors, other.beat_errors, rtol=0.1 * Study.tolerance)
         if other.feasible:
             assert (one.loss == other.loss) == (k in simulated_here)
 
@@ -37,17 +37,13 @@ def evaluated(simulator, recordings, points, backend):
     return list(evaluate(replace(simulator, backend=backend), recordings, points))
 
 
-def test_evaluations(backend, simulator, recordings, points, expected):
-    """In batches, in order, and of what does not fit the reason."""
-    assert_alike(evaluated(simulator, recordings, points, backend), expected)
-
-
-def test_what_is_too_large_is_simulated_here(
-    backend, simulator, recordings, points, expected, monkeypatch
+@pytest.mark.parametrize(("most_sites", "simulated_here"), [(2048, ()), (100, range(7))])
+def test_evaluations(
+    backend, simulator, recordings, points, expected, monkeypatch, most_sites, simulated_here
 ):
-    monkeypatch.setattr(batch, "MOST_SITES", 100)
-    found = evaluated(simulator, recordings, points, backend)
-    assert_alike(found, expected, simulated_here=range(7))
+    """In batches, in order, and of what does not fit the reason; what is too large, here."""
+    monkeypatch.setattr(Simulator, "most_sites", most_sites)
+    assert_alike(evaluated(simulator, recordings, points, backend), expected, simulated_here)
 
 
 def test_other_tissues_are_simulated_here(backend, simulator, recordings, points):
@@ -93,7 +89,7 @@ def test_further_recordings_are_simulated_here(backend, simulator, recordings, p
     both = (*recordings, replace(recordings[0], scenario=case(his=His(right=0.0))))
     alone = evaluated(simulator, both, points[:2], None)
     for one, other in zip(evaluated(simulator, both, points[:2], backend), alone, strict=True):
-        np.testing.assert_allclose(one.loss, other.loss, rtol=0.1 * SAME_LOSS)
+        np.testing.assert_allclose(one.loss, other.loss, rtol=0.1 * Study.tolerance)
         assert one.loss != other.loss
 
 

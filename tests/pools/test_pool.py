@@ -16,9 +16,11 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 
+import distributed
 import numpy as np
 import pytest
 from builders import case
+from distributed.core import Status
 
 import fascicle
 from fascicle.core.errors import FileError, InputError
@@ -27,7 +29,9 @@ from fascicle.core.threads import read_shared, write_shared
 from fascicle.forward import model as model_module
 from fascicle.forward.primitives import His
 from fascicle.networks.target_comparison import evaluate, networks
-from fascicle.pools.pool import ExecutorPool, Pool, Threads, parts
+from fascicle.pools import cluster as cluster_module
+from fascicle.pools.cluster import Cluster
+from fascicle.pools.pool import ExecutorPool, Threads, parts
 from tests.dask_processes import LOST, a_local_cluster, a_scheduler, a_worker_of
 
 KILLS = 4
@@ -42,16 +46,13 @@ def assert_same(found, expected):
         np.testing.assert_array_equal(one.beat_errors, other.beat_errors)
 
 
-def test_expected_differ(expected):
-    assert len({each.loss for each in expected if each.feasible}) == 7
-    assert not expected[-1].feasible
-
-
 def evaluated(simulator, recordings, points, pool):
     return list(evaluate(replace(simulator, pool=pool), recordings, points))
 
 
 def test_threads(simulator, recordings, points, expected):
+    assert len({each.loss for each in expected if each.feasible}) == 7
+    assert not expected[-1].feasible
     pool = Threads(2)
     for _ in range(2):
         assert_same(evaluated(simulator, recordings, points, pool), expected)
@@ -71,16 +72,6 @@ def test_processes(simulator, recordings, points, expected):
         shared = simulator.model, simulator.prior, recordings, simulator.memory
         sent = [id(content) for content, _ in pool._sent]
         assert sent == [*map(id, (*shared, recordings[0], paced))]
-
-
-class Counting(Pool):
-    """Runs everything here, as it would elsewhere, and counts it."""
-
-    sent = 0
-
-    def map(self, function, items, *shared):
-        self.sent += len(items)
-        return (function(item, *shared) for item in items)
 
 
 @pytest.mark.parametrize(
@@ -165,10 +156,7 @@ def cluster():
 @pytest.fixture
 def scheduler(monkeypatch):
     """Give the process of a scheduler without workers, and its address."""
-    pytest.importorskip("distributed")
-    from fascicle.pools import cluster
-
-    monkeypatch.setattr(cluster, "TIMEOUT", 5)
+    monkeypatch.setattr(cluster_module, "TIMEOUT", 5)
     with a_scheduler() as found:
         yield found
 
@@ -176,8 +164,6 @@ def scheduler(monkeypatch):
 @pytest.fixture
 def connected():
     """Give a function for a cluster at an address, whose client is closed in the end."""
-    from fascicle.pools.cluster import Cluster
-
     with ExitStack() as stack:
 
         def connect(*given):
@@ -190,8 +176,6 @@ def connected():
 
 class TestCluster:
     def test_the_same_as_here(self, cluster, simulator, recordings, points, expected):
-        from fascicle.pools.cluster import Cluster
-
         pool = Cluster(cluster.scheduler_address)
         assert pool.workers == 2
         assert_same(evaluated(simulator, recordings, points, pool), expected)
@@ -205,9 +189,6 @@ class TestCluster:
         self, cluster, simulator, recordings, points, expected
     ):
         """Nothing is lost, and nothing is counted twice."""
-        from distributed.core import Status
-
-        from fascicle.pools.cluster import Cluster
 
         def watch(*news):
             waits.append(news)
@@ -259,9 +240,7 @@ class TestCluster:
 
     def test_a_scheduler_that_is_silent_and_then_lost(self, scheduler, connected, monkeypatch):
         """While results are fetched: it is waited for as long as it is there."""
-        from fascicle.pools import cluster
-
-        monkeypatch.setattr(cluster, "ANSWERED", 0.2)
+        monkeypatch.setattr(Cluster, "answer_time", 0.2)
         process, address = scheduler
         seen = []
 
@@ -324,10 +303,6 @@ class TestCluster:
 
     def test_a_scheduler_without_workers(self, simulator, recordings, points, expected):
         """It is said once a second that nobody works, until somebody does."""
-        import distributed
-
-        from fascicle.pools.cluster import Cluster
-
         seen = []
         with distributed.LocalCluster(n_workers=0, processes=True, dashboard_address=None) as empty:
             address = empty.scheduler_address
@@ -343,21 +318,20 @@ class TestCluster:
         assert seen[0] == ("workers", 0, 1, f"{address} has no worker; waiting for one")
         assert {news[:3] for news in seen} <= {("workers", 0, 1), ("workers", 1, 1)}
 
-    @pytest.mark.parametrize("address", ["", "http://a:1", "tcp://a:b"])
-    def test_what_is_no_address(self, address):
-        from fascicle.pools.cluster import Cluster
-
-        with pytest.raises(InputError, match="is not an address of a Dask scheduler; it prints"):
+    @pytest.mark.parametrize(
+        ("address", "message"),
+        [
+            ("", "is not an address of a Dask scheduler; it prints"),
+            ("http://a:1", "is not an address of a Dask scheduler; it prints"),
+            ("tcp://a:b", "is not an address of a Dask scheduler; it prints"),
+            ("tcp://127.0.0.1:1", r"127.0.0.1:1: no Dask scheduler answers .*; start"),
+            ("tls://a:1", r"tls://a:1: no Dask scheduler answers .*TLS"),
+        ],
+    )
+    def test_where_no_scheduler_is(self, address, message, monkeypatch):
+        monkeypatch.setattr(cluster_module, "TIMEOUT", 1)
+        with pytest.raises(InputError, match=message):
             Cluster(address)
-
-    def test_where_no_scheduler_is(self, monkeypatch):
-        from fascicle.pools import cluster
-
-        monkeypatch.setattr(cluster, "TIMEOUT", 1)
-        with pytest.raises(InputError, match=r"127.0.0.1:1: no Dask scheduler answers .*; start"):
-            cluster.Cluster("tcp://127.0.0.1:1")
-        with pytest.raises(InputError, match=r"tls://a:1: no Dask scheduler answers .*TLS"):
-            cluster.Cluster("tls://a:1")
 
 
 @pytest.mark.slow

@@ -9,8 +9,8 @@ import pytest
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
 from fascicle.forward.model import ForwardModel
 from fascicle.networks.prior import Prior
+from fascicle.networks.simulator import PointSimulator
 from fascicle.networks.target_comparison import Network
-from fascicle.pools.pool import Threads
 from fascicle.prediction.comparison import compare
 from fascicle.prediction.scenarios import predict
 from fascicle.study.fitted import FittedStudy
@@ -34,12 +34,10 @@ class Study(FittedStudy):
 
 
 @pytest.fixture
-def study(default_model, tmp_path):
+def study(default_model, simulated_by, tmp_path):
     fixed = {n: v for n, v in EXAMPLE_PARAMETERS.items() if n != "root_time"}
-    simulator = SimpleNamespace(
-        model=default_model, pool=Threads(1), prior=Prior(NETWORK_SPACE, fixed)
-    )
-    recording = SimpleNamespace(target=SimpleNamespace(response=None), scenario=None)
+    simulator = PointSimulator(default_model, Prior(NETWORK_SPACE, fixed))
+    recording = simulated_by[1]
     best = {"root_time": -20.0}
     config = SimpleNamespace(model_dump_json=lambda: "{}")
     on_disk = SimpleNamespace(folder=tmp_path, config=config)
@@ -101,16 +99,11 @@ def test_what_is_missing_is_simulated_and_the_order_is_that_asked_for(study, act
 
 
 def test_those_of_another_population_are_not_taken_and_are_removed(study, activated):
-    before = predict(study, "his-pacing")
-    other = replace(
-        study, population=replace(study.population, values={"root_time": ROOT_TIMES - 5})
-    )
-    activated.clear()
-    after = predict(other, "his-pacing")
-    assert len(activated) == 2 + 2
-    assert not np.array_equal(
-        before["intrinsic"].beats[0].activation, after["intrinsic"].beats[0].activation
-    )
+    values = {"root_time": ROOT_TIMES - 5}
+    other = replace(study, population=replace(study.population, values=values))
+    before, after = (predict(s, "his-pacing")["intrinsic"].beats[0] for s in (study, other))
+    assert len(activated) == 2 * (2 + 2)
+    assert not np.array_equal(before.activation, after.activation)
     left = list((study.folder / "predictions").iterdir())
     assert len(left) == 2  # the intrinsic beat and the pacing
 

@@ -10,7 +10,7 @@ from builders import case
 from fascicle.core.errors import InputError
 from fascicle.forward.primitives import His, SlowConduction, Stimulus
 from fascicle.forward.scenario import Scenario
-from fascicle.prediction.comparison import FEWEST_INDEPENDENT, compare, missing_blocks
+from fascicle.prediction.comparison import Comparison, compare, missing_blocks
 from fascicle.prediction.predicted import Predicted
 from fascicle.recording.window import OFFSET_ERROR, ONSET_ERROR
 
@@ -95,7 +95,7 @@ def test_what_few_independent_networks_are_worth():
             "qrs_area",
         )  # fmt: skip
         assert found.standard_error() == pytest.approx(0.5 / np.sqrt(effective), rel=0.01)
-        if effective < FEWEST_INDEPENDENT:
+        if effective < Comparison.fewest:
             assert found.variance_explained_by({"x": gain}) == []
             assert found.value_of_measurement({"intrinsic": predicted(lv_rv_delay=gain)}) == []
         else:

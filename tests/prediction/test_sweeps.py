@@ -10,16 +10,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.primitives import His, Stimulus
 from fascicle.networks.target_comparison import Network
-from fascicle.pools.pool import Threads
-from fascicle.prediction.sweeps import (
-    RADIUS,
-    SEGMENT,
-    STIMULUS_DELAY,
-    delays,
-    radii,
-    segments,
-    simulate_sweep,
-)
+from fascicle.prediction.sweeps import Varied, delays, radii, segments, simulate_sweep
 
 HIS = His(time=np.inf)
 PAIR = case((Stimulus(5.0, site="rv apex"), Stimulus(10.0, (1.0, 2.0, 3.0))), his=HIS)
@@ -27,23 +18,23 @@ PAIR = case((Stimulus(5.0, site="rv apex"), Stimulus(10.0, (1.0, 2.0, 3.0))), hi
 
 def test_delays_move_the_last_stimulus():
     found = delays(PAIR, "-20:20:10")
-    assert found.varied == STIMULUS_DELAY
-    assert list(found.scenarios) == [-20, -10, 0, 10, 20]
-    for delay, scenario in found.scenarios.items():
-        assert scenario.of(Stimulus)[0] == PAIR.of(Stimulus)[0]
-        assert scenario.of(Stimulus)[1] == Stimulus(5.0 + delay, (1.0, 2.0, 3.0))
-        assert scenario.of(His) == [HIS]
+    assert found.varied == Varied.DELAY
+    first, _ = PAIR.of(Stimulus)
+    assert found.scenarios == {
+        delay: case((first, Stimulus(5.0 + delay, (1.0, 2.0, 3.0))), his=HIS)
+        for delay in (-20, -10, 0, 10, 20)
+    }
 
 
 def test_segments_move_the_last_stimulus_of_the_tissue():
     wide = case((*PAIR.of(Stimulus), Stimulus(0.0, site="left bundle", tree="lv")))
     found = segments(wide, "epicardium")
-    assert found.varied == SEGMENT
-    assert list(found.scenarios) == list(range(1, 18))
-    for number, scenario in found.scenarios.items():
-        assert scenario.of(Stimulus)[0] == wide.of(Stimulus)[0]
-        assert scenario.of(Stimulus)[1] == Stimulus(10.0, site=f"segment {number:g} epicardium")
-        assert scenario.of(Stimulus)[2] == wide.of(Stimulus)[2]
+    assert found.varied == Varied.SEGMENT
+    first, _, of_tree = wide.of(Stimulus)
+    assert found.scenarios == {
+        k: case((first, Stimulus(10.0, site=f"segment {k} epicardium"), of_tree))
+        for k in range(1, 18)
+    }
 
 
 @pytest.mark.parametrize(
@@ -68,7 +59,7 @@ def test_what_cannot_be_moved():
 def test_radii_are_of_all_stimuli_of_the_tissue():
     bundle = Stimulus(0.0, site="left bundle", tree="lv", radius=1.0)
     found = radii(case((bundle, *PAIR.of(Stimulus))), "0:6:3")
-    assert found.varied == RADIUS
+    assert found.varied == Varied.RADIUS
     assert list(found.scenarios) == [0, 3, 6]
     for radius, scenario in found.scenarios.items():
         assert scenario.of(Stimulus)[0] == bundle
@@ -79,12 +70,12 @@ def test_radii_are_of_all_stimuli_of_the_tissue():
 
 class TestSimulated:
     @pytest.fixture(scope="class")
-    def fitted(self, default_model):
+    def fitted(self, default_model, simulated_by):
+        simulator, recording = simulated_by
         own = default_model.simulate(EXAMPLE_PARAMETERS)
         every = [Network(EXAMPLE_PARAMETERS, own, own.leads, 1.0, gain) for gain in range(1, 8)]
-        recording = SimpleNamespace(target=SimpleNamespace(response=None), scenario=None)
         return SimpleNamespace(
-            simulator=SimpleNamespace(model=default_model, pool=Threads(2)),
+            simulator=simulator,
             recordings=(recording,),
             population=every,
             networks=lambda progress, chosen: [every[k] for k in chosen],

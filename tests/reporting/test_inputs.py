@@ -14,7 +14,7 @@ from benchmarks.fits import demo_recording
 from fascicle.core.quantities import QUANTITIES
 from fascicle.forward.scenario_files import read_scenarios
 from fascicle.networks.prior import growth_and_conduction, study_space
-from fascicle.networks.settings import OF_THE_PAPER, OF_THE_POSTERIOR, checked_settings
+from fascicle.networks.settings import SETTINGS_OF, checked_settings
 from fascicle.prediction.scenarios import with_intrinsic_beat
 from fascicle.purkinje.growth import GrowthRules
 from fascicle.recording.target_files import read_target
@@ -54,14 +54,11 @@ def made(default_heart, default_model, tmp_path_factory):
     return make
 
 
-@pytest.mark.parametrize(
-    ("method", "own", "foreign"),
-    [("posterior", OF_THE_POSTERIOR, OF_THE_PAPER), ("paper", OF_THE_PAPER, OF_THE_POSTERIOR)],
-)
-def test_only_the_method_s_settings_are_shown(made, method, own, foreign):
+@pytest.mark.parametrize(("method", "other"), [("posterior", "paper"), ("paper", "posterior")])
+def test_only_the_method_s_settings_are_shown(made, method, other):
     shown = settings(made({}, method=method).study.config)
-    assert shown.keys() >= {"method", "seed", *own}
-    assert not shown.keys() & {*foreign}
+    assert shown.keys() >= {"method", "seed", *SETTINGS_OF[method]}
+    assert not shown.keys() & {*SETTINGS_OF[other]}
 
 
 def test_what_is_learnt_is_not_fixed_as_well(made, default_heart):

@@ -9,7 +9,7 @@ from fascicle.forward.scenario import Scenario
 from fascicle.heart.sites import SEGMENTS
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import Predicted
-from fascicle.prediction.sweeps import SEGMENT, STIMULUS_DELAY, Swept
+from fascicle.prediction.sweeps import Swept, Varied
 from fascicle.reporting.names import index_label
 from fascicle.reporting.prediction import SHOWN, bulls_eye_figure, index_figure, sweep_figure
 
@@ -77,23 +77,23 @@ def test_bulls_eye_has_each_segment_in_its_place():
 
 def test_a_swept_delay_has_its_median():
     found = {float(d): with_indices([d, d + 1.0, d + 5.0]) for d in (-10, 0, 10)}
-    (axes,) = sweep_figure(Swept(STIMULUS_DELAY, found, {}), "total_activation_time", "pacing").axes
+    (axes,) = sweep_figure(Swept(Varied.DELAY, found, {}), "total_activation_time", "pacing").axes
     (line,) = axes.lines
     np.testing.assert_array_equal(line.get_xdata(), [-10, 0, 10])
     np.testing.assert_array_equal(line.get_ydata(), [-9, 1, 11])
     assert axes.get_ylabel() == "total activation time (ms)"
-    assert axes.get_xlabel() == STIMULUS_DELAY
+    assert axes.get_xlabel() == Varied.DELAY
 
 
 def test_a_swept_segment_has_the_size_of_its_delay():
     found = {float(k): with_indices([-k] * 3) for k in range(1, 18)}
-    figure = sweep_figure(Swept(SEGMENT, found, {}), "lv_rv_delay", "pacing")
+    figure = sweep_figure(Swept(Varied.SEGMENT, found, {}), "lv_rv_delay", "pacing")
     numbers = {text.get_text() for text in figure.axes[0].texts if text.get_text().isdigit()}
     assert numbers == {str(k) for k in range(1, 18)}
     assert figure.get_suptitle() == "pacing: median LV-RV delay (absolute) by stimulated segment"
 
 
-@pytest.mark.parametrize("varied", [STIMULUS_DELAY, SEGMENT])
+@pytest.mark.parametrize("varied", [Varied.DELAY, Varied.SEGMENT])
 def test_the_title_of_a_sweep_is_whole(varied):
     found = {float(k): with_indices([k] * 3) for k in range(1, 18)}
     figure = sweep_figure(Swept(varied, found, {}), "total_activation_time", LONG)

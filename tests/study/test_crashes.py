@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import resource
+import shutil
 import signal
 import sys
 import tempfile
@@ -15,8 +16,7 @@ import pytest
 from fascicle import cli
 from fascicle.core.errors import InputError
 from fascicle.study.evaluations import DamagedStoreError, Database, interrupted_afterwards
-from fascicle.study.lock import LOCK
-from fascicle.study.study import Study
+from fascicle.study.study import Study, StudyFile
 from tests.study.crashing import killed_at_random
 from tests.study.test_study_folder import make_config, objective, outcome, summary
 
@@ -48,7 +48,7 @@ def test_kill_at_20_random_moments(tmp_path, whole):
     assert len(finished) >= 1
     for folder in finished:
         assert everything(folder) == everything(whole)
-        assert {path.name for path in folder.iterdir()} == {"study.json", STORE, LOCK}
+        assert {path.name for path in folder.iterdir()} == {"study.json", STORE, StudyFile.LOCK}
 
 
 # --- Ctrl-C
@@ -84,7 +84,7 @@ def interrupt(times, then):
         then()
 
 
-def test_a_second_ctrl_c_does_not_wait():
+def test_a_second_ctrl_c_does_not_wait_and_errors_are_not_hidden():
     done = []
     with pytest.raises(KeyboardInterrupt):
         interrupt(1, lambda: done.append("after one"))
@@ -92,9 +92,6 @@ def test_a_second_ctrl_c_does_not_wait():
         interrupt(2, lambda: done.append("after two"))
     assert done == ["after one"]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-
-def test_an_error_is_not_hidden_by_ctrl_c():
     with pytest.raises(ZeroDivisionError):
         interrupt(1, lambda: 1 / 0)
 
@@ -175,26 +172,18 @@ def test_a_read_only_folder():
 @pytest.fixture
 def study(tmp_path, whole):
     """A copy of the study that nothing has happened to yet."""
-    folder = tmp_path / "s"
-    folder.mkdir()
-    for name in ("study.json", STORE):
-        (folder / name).write_bytes((whole / name).read_bytes())
-    return folder
+    return Path(shutil.copytree(whole, tmp_path / "s"))
 
 
-def no_database(content):
-    return b"not a database" * 100
-
-
-def cut_off(content):
-    return content[: len(content) // 2]
-
-
-def page_of_rubbish(content):
-    return content[:4096] + np.random.default_rng(0).bytes(4096) + content[8192:]
-
-
-@pytest.mark.parametrize("damage", [no_database, cut_off, page_of_rubbish])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda content: b"not a database" * 100,
+        lambda content: content[: len(content) // 2],
+        lambda content: content[:4096] + np.random.default_rng(0).bytes(4096) + content[8192:],
+    ],
+    ids=["no database", "cut off", "page of rubbish"],
+)
 def test_a_damaged_store_is_moved_aside_and_said(study, whole, damage):
     damaged = damage((study / STORE).read_bytes())
     (study / STORE).write_bytes(damaged)
@@ -236,4 +225,4 @@ def test_what_killed_runs_left_is_removed(study):
         (study / name).write_text("half")
     (study / ".networks.c").mkdir()
     Study.create_or_resume(study, CONFIG)
-    assert {path.name for path in study.iterdir()} == {"study.json", STORE, LOCK, ".mine"}
+    assert {path.name for path in study.iterdir()} == {"study.json", STORE, StudyFile.LOCK, ".mine"}

@@ -2,6 +2,8 @@
 
 import json
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import arviz as az
 import numpy as np
@@ -14,7 +16,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_LEADS, limb_leads_from
 from fascicle.core.parameters import HUMAN_SPACE, ParameterSpace, free
 from fascicle.core.quantities import fascicle_names
-from fascicle.emulation import ecg_classifier, state_classifier
+from fascicle.emulation import state_classifier
 from fascicle.emulation.heart_emulator import emulator_of, simulations_for, usual_prior
 from fascicle.emulation.state_classifier import (
     NoStateNamed,
@@ -24,16 +26,16 @@ from fascicle.emulation.state_classifier import (
     state_probabilities,
 )
 from fascicle.forward.beat import Beat
-from fascicle.networks import prior_simulations
 from fascicle.networks.conduction_states import asked_states, narrowed, states_of
 from fascicle.networks.prior import Prior, read_settings
+from fascicle.networks.prior_simulations import PriorSimulations
 from fascicle.networks.settings import checked_settings
 from fascicle.pools.pool import Threads
 from fascicle.prediction.scenarios import prior_networks
 from fascicle.recording.target import smooth_noise
 from fascicle.reporting.page.content import settings_file
 from fascicle.reporting.study import drawings
-from fascicle.study.diagnosis import Diagnosis, most_probable
+from fascicle.study.diagnosis import Diagnosis
 from fascicle.study.inputs import read_inputs
 from fascicle.study.statements import Statements
 
@@ -63,9 +65,7 @@ def test_a_block_is_recognised(fitted):
     assert fitted.population.states[BLOCK] > 0.9
     assert sum(fitted.population.states.values()) == pytest.approx(1)
     assert fitted.verdict.startswith(f"{BLOCK}: 1.00, others below 0.02; converged; fit acceptable")
-
-
-def test_each_network_has_its_state(fitted):
+    # each network has its state
     numbers = fitted.population.averaged["conduction"]
     assert len(numbers) == 20
     assert (numbers == CONDUCTION_STATES[BLOCK].number).mean() > 0.9
@@ -109,9 +109,8 @@ def test_predictions_keep_the_block(fitted):
 
 
 @pytest.mark.slow
-def test_networks_of_the_prior_are_of_all_states(fitted, monkeypatch):
-    monkeypatch.setattr("fascicle.prediction.scenarios.PRIOR_NETWORKS", 30)
-    networks = prior_networks(fitted)
+def test_networks_of_the_prior_are_of_all_states(fitted):
+    networks = prior_networks(fitted, count=30)
     blocked = [network.parameters.get("conduction", 0.0) == 1.0 for network in networks]
     assert 0.15 < np.mean(blocked) < 0.65  # 0.4, though few of the normal ones are kept
     low, high = TOGETHER
@@ -154,21 +153,14 @@ def test_a_settings_file_gives_the_same_study(target, tmp_path, parameters, mapp
     assert again.model_copy(update=unordered) == first.model_copy(update=unordered)
 
 
-def test_a_delay_without_effect_is_not_called_constrained(fitted):
-    """The prior of the states that are left, which is narrower than that of all."""
+def test_what_is_said(fitted):
+    """Of a delay without effect, by the prior of the states that are left; and of a poor fit."""
     said = {p.name: p for p in fitted.statements.parameters}
     assert said["interventricular_delay"].contraction < 0.5
     read = fascicle.load_study(fitted.folder, None).statements.parameters
     assert [str(p) for p in read] == [str(p) for p in fitted.statements.parameters]
-
-
-def test_nothing_is_said_of_a_poor_fit(fitted):
-    checks = replace(fitted.checks, explained=0.5)
-    verdict = Statements(replace(fitted, checks=checks)).verdict
+    verdict = Statements(replace(fitted, checks=replace(fitted.checks, explained=0.5))).verdict
     assert verdict.startswith("no conduction state is named (poor fit); converged; poor fit: 50%")
-
-
-def test_a_paced_beat_is_noticed(fitted):
     assert not [w for w in fitted.warnings if "paced" in str(w)]
     (one,) = fitted.recordings
     paced = replace(one, target=replace(one.target, earliest_onset=one.target.qrs_onset))
@@ -276,11 +268,17 @@ def test_no_such_state(asked, said):
         asked_states(asked)
 
 
-def test_the_method_of_the_paper_knows_no_states(target, tmp_path):
-    with pytest.raises(InputError, match="knows no conduction states; leave it out"):
-        fascicle.fit(
-            "default", target, tmp_path / "s", parameters={"conduction": "free"}, method="paper"
-        )
+@pytest.mark.parametrize(
+    ("count", "method", "words"),
+    [
+        (1, "paper", "knows no conduction states; leave it out"),
+        (2, "posterior", "learnt from one recording of an intrinsic beat; give"),
+    ],
+)
+def test_states_are_not_learnt(target, tmp_path, count, method, words):
+    free = {"conduction": "free"}
+    with pytest.raises(InputError, match=words):
+        fascicle.fit("default", [target] * count, tmp_path / "s", parameters=free, method=method)
 
 
 def test_six_states_are_told_apart_and_all_are_known():
@@ -357,28 +355,18 @@ def test_a_known_speed_excludes_slow_tissue(default_heart, target):
         read_inputs(heart, target, slow, checked_settings({}))
 
 
-class Classifier:
-    def probabilities(self, target):
-        return np.array([0.2, 0.5, 0.3])
-
-
 def test_probabilities_are_of_priors_and_the_classifier():
-    """States that are not asked for are left out."""
+    """States that are not asked for are left out; the most probable ones are fitted."""
+    classifier = SimpleNamespace(probabilities=lambda target: np.array([0.2, 0.5, 0.3]))
     known = ["normal", BLOCK, "left bundle branch delay"]
-    found = probabilities(Classifier(), known, {"normal": 3.0, BLOCK: 1.0}, None)
+    found = probabilities(classifier, known, {"normal": 3.0, BLOCK: 1.0}, None)
     assert found == pytest.approx({"normal": 6 / 11, BLOCK: 5 / 11})
-
-
-def test_the_most_probable_states_are_fitted():
     probable = {"normal": 0.3, BLOCK: 0.61, "left bundle branch delay": 0.09}
-    assert most_probable(probable) == pytest.approx({BLOCK: 61 / 91, "normal": 30 / 91})
-    assert most_probable({"normal": 0.05, BLOCK: 0.95}) == {BLOCK: 1.0}
-
-
-def test_one_intrinsic_beat_is_wanted(target, tmp_path):
-    both, free = [target, target], {"conduction": "free"}
-    with pytest.raises(InputError, match="learnt from one recording of an intrinsic beat; give"):
-        fascicle.fit("default", both, tmp_path / "s", parameters=free)
+    assert Diagnosis(probable, "", {}).shares == pytest.approx({BLOCK: 61 / 91, "normal": 30 / 91})
+    assert Diagnosis({"normal": 0.05, BLOCK: 0.95}, "", {}).shares == {BLOCK: 1.0}
+    assert Diagnosis({"a": 0.7, "b": 0.25, "c": 0.05}, "", {}).apportioned(10) == [7, 3]
+    even = Diagnosis({f"{k}": 1 / 7 for k in range(7)}, "", {})
+    assert sum(even.apportioned(150)) == 150
 
 
 def test_states_have_simulations_of_their_own(default_model, tmp_path):
@@ -459,10 +447,10 @@ def test_what_has_no_states_is_refused(target):
 @pytest.mark.slow
 def test_a_heart_without_a_classifier_gets_one(default_model, target, tmp_path, monkeypatch):
     """Of its own simulations, in the leads that were recorded; it is then kept."""
-    monkeypatch.setattr(state_classifier, "RECORDINGS", 2000)
-    monkeypatch.setattr(state_classifier, "FEWEST_OF_STATE", 10)
-    monkeypatch.setattr(ecg_classifier.learn.__wrapped__, "__defaults__", (None, 300))
-    monkeypatch.setattr(prior_simulations, "PART", 100)
+    for name, few in (("training_and_held_out", {"count": 2000}), ("learn", {"steps": 300})):
+        monkeypatch.setattr(state_classifier, name, partial(getattr(state_classifier, name), **few))
+    monkeypatch.setattr(state_classifier.StateSimulations, "fewest", 10)
+    monkeypatch.setattr(PriorSimulations, "part_size", 100)
     prior = usual_prior(default_model.heart)
     known = simulations_of_states(default_model, prior, tmp_path, 200)
     two = {name: known[name] for name in ("left bundle branch delay", "right bundle branch delay")}
@@ -473,9 +461,3 @@ def test_a_heart_without_a_classifier_gets_one(default_model, target, tmp_path, 
     assert late["left bundle branch delay"] > 0.6
     again = classifier_of(two, rows, tmp_path, 200, None)
     assert again.probabilities(target) == pytest.approx(made.probabilities(target))
-
-
-def test_draws_are_apportioned():
-    assert Diagnosis({"a": 0.7, "b": 0.25, "c": 0.05}, "", {}).apportioned(10) == [7, 3]
-    even = Diagnosis({f"{k}": 1 / 7 for k in range(7)}, "", {})
-    assert sum(even.apportioned(150)) == 150

@@ -10,10 +10,10 @@ import pytest
 
 import fascicle
 from fascicle.core.errors import InputError
-from fascicle.study.lock import HeldError, study_lock
+from fascicle.study.study import HeldError, study_lock
 
 HOLD = (
-    "import sys, time; from pathlib import Path; from fascicle.study.lock import study_lock\n"
+    "import sys, time; from pathlib import Path; from fascicle.study.study import study_lock\n"
     "with study_lock(Path(sys.argv[1])):\n    print('held', flush=True); time.sleep(60)\n"
 )
 

@@ -10,6 +10,7 @@ from benchmarks.fits import demo_recording
 from fascicle.core.errors import InputError
 from fascicle.core.quantities import QUANTITIES
 from fascicle.recording.target_files import write_target
+from fascicle.study.posterior import PosteriorFit
 from tests.test_extending import example
 
 
@@ -20,8 +21,8 @@ def target():
 
 def test_the_example_of_the_documentation(target, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("fascicle.study.posterior.PARTICLES", 60)  # each takes a millisecond
-    monkeypatch.setattr("fascicle.study.posterior.MOST_BATCHES", 1)
+    monkeypatch.setattr(PosteriorFit, "least_particles", 60)  # each takes a millisecond
+    monkeypatch.setattr(PosteriorFit, "most_batches", 1)
     write_target(target, tmp_path / "target.nc")
     names = example("Likelihood")
     fitted = names["fitted"]

@@ -75,7 +75,7 @@ def done(tmp_path_factory):
     seen = []
     folder = tmp_path_factory.mktemp("s") / "study"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fascicle.study.posterior.MOST_BATCHES", 4)
+        patch.setattr("fascicle.study.posterior.PosteriorFit.most_batches", 4)
         return *run(folder, lambda *news: seen.append(news)), seen
 
 
@@ -111,7 +111,7 @@ def test_interrupted_it_resumes_to_the_same_bits(done, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fascicle.study.posterior.MOST_BATCHES", 4)
+        patch.setattr("fascicle.study.posterior.PosteriorFit.most_batches", 4)
         with pytest.raises(KeyboardInterrupt):
             run(tmp_path / "s", before=interrupted)
         study, again = run(tmp_path / "s", before=lambda: asked.append(1))
@@ -128,7 +128,10 @@ def test_more_draws_go_on_from_what_is_there(tmp_path):
     study, posterior = run(tmp_path, effective=900)
     assert len(posterior) == 900
     assert before <= {record.evaluation.point.tobytes() for record in study.records()}
+    settings = SimpleNamespace(effective=900, prior_simulations=400)
+    assert how_to_go_on(replace(posterior, converged=True), settings) == ""
     posterior = replace(posterior, converged=False)
+    assert "--prior-simulations 800, in a new study" in how_to_go_on(posterior, settings)
     words = r"NOT CONVERGED \(\d+ effective draws\); fit acceptable: 99% of the QRS explained by .*"
     assert re.fullmatch(words, said_of(posterior, Checks(0.99, {})).verdict)
     apart = replace(posterior, log_evidences=np.array([-3.0, -5.0]), means_apart={"cv": 0.7})
@@ -163,13 +166,6 @@ def infeasible_corner(points):
 def test_draws_that_are_no_networks(tmp_path, likelihood, mapped, words):
     with pytest.raises(InputError, match=words):
         run(tmp_path, emulated=[likelihood], mapped=mapped)
-
-
-def test_how_to_go_on(done):
-    settings = SimpleNamespace(effective=60, prior_simulations=400)
-    assert how_to_go_on(done[1], settings) == ""
-    said = how_to_go_on(replace(done[1], converged=False), settings)
-    assert "--prior-simulations 800, in a new study" in said
 
 
 def said_of(posterior, checks=None):
@@ -211,6 +207,12 @@ def test_verdict_and_caution(done, checks, words, caution):
     apart = said_of(replace(done[1], converged=False), checks)
     assert apart.caution is Caution.NOT_CONVERGED  # the worse of the two
     assert apart.parameters == apart.correlated == ()
+    # a poor fit names what is at the end of its range
+    crowded = replace(done[1], values=done[1].values | {"root_time": np.full(60, -74.0)})
+    ends = said_of(crowded, checks).verdict.endswith(
+        "; at the end of its range: RV–LV activation delay"
+    )
+    assert ends == (caution is not None)
 
 
 # Activated first on the free wall of the right ventricle, 9 ms before the left one
@@ -258,6 +260,7 @@ def test_a_block_explains_a_sequence_that_no_mapped_heart_has(done):
 
 
 def test_no_state_is_named_of_a_recording_like_no_simulated_one(done):
+    """And the parameters are as they are."""
     why = "the recording is unlike all simulated ones of this heart"
     posterior = replace(done[1], states={"normal": 0.1, BLOCK: 0.9}, unnamed=why)
     said = said_of(posterior, Checks(0.9, {}))
@@ -267,13 +270,6 @@ def test_no_state_is_named_of_a_recording_like_no_simulated_one(done):
     poor = said_of(posterior, Checks(0.5, {}))
     assert poor.verdict.startswith("no conduction state is named (poor fit); ")
     assert said_of(replace(posterior, states={}), Checks(0.9, {})).verdict.startswith("converged")
-
-
-def test_a_poor_fit_names_what_is_at_the_end_of_its_range(done):
-    values = done[1].values | {"root_time": np.full(60, -74.0)}
-    said = said_of(replace(done[1], values=values), Checks(0.5, {}))
-    assert said.verdict.endswith("; at the end of its range: RV–LV activation delay")
-    assert "range" not in said_of(replace(done[1], values=values), Checks(0.9, {})).verdict
 
 
 def test_what_the_ecg_constrains(done):
@@ -287,6 +283,10 @@ def test_what_the_ecg_constrains(done):
         r"-3\d\.\d ms \(90 % CrI -4\d\.\d to -3\d\.\d\), constrained by the ECG", str(root_time)
     )
     assert said_of(done[1]).correlated == ()
+    alone = {"cv": np.linspace(1.0, 4.0, 100), "root_time": np.linspace(-60.0, 0.0, 100)}
+    cv, root_time = map(str, said_of(replace(done[1], first_alone=alone)).parameters)
+    assert "; first recording alone ±27 ms)" in root_time
+    assert "; first recording alone ±1.4 mm/ms)" in cv
     assert said_of(SimpleNamespace()).caution is None  # a population of the paper's method
 
 
@@ -303,16 +303,9 @@ def test_alpha_is_given_as_a_speed_too(done):
     assert ", 0.75 m/s (0.69–0.80) along the fibre, constrained by the ECG" in str(alpha)
 
 
-def test_what_the_first_recording_alone_constrains(done):
-    alone = {"cv": np.linspace(1.0, 4.0, 100), "root_time": np.linspace(-60.0, 0.0, 100)}
-    cv, root_time = map(str, said_of(replace(done[1], first_alone=alone)).parameters)
-    assert "; first recording alone ±27 ms)" in root_time
-    assert "; first recording alone ±1.4 mm/ms)" in cv
-
-
 def test_a_second_recording_narrows_what_the_first_leaves(tmp_path, monkeypatch):
     """The second knows the speed, which the first hardly does."""
-    monkeypatch.setattr("fascicle.study.posterior.MOST_BATCHES", 4)
+    monkeypatch.setattr("fascicle.study.posterior.PosteriorFit.most_batches", 4)
     others = {"other_targets": ("b",), "scenarios": ("", "")}
     _, both = run(tmp_path, emulated=(emulated, second), **others)
     assert both.converged
@@ -325,13 +318,10 @@ def test_a_second_recording_narrows_what_the_first_leaves(tmp_path, monkeypatch)
     assert middle == pytest.approx(0.6, abs=0.03)
 
 
-def test_what_the_ecg_constrains_of_a_prediction():
+def test_statements_of_predictions_and_of_correlated_parameters():
     prior = np.random.default_rng(0).normal(150, 20, 60)
     assert prediction_statement(0.3 * prior, prior).endswith(", constrained by the ECG")
     assert prediction_statement(prior, prior).endswith(", not identifiable from the ECG")
-
-
-def test_strongly_correlated_parameters():
     values = np.random.default_rng(0).random(100)
     pair = SimpleNamespace(values={"a": values, "b": -values, "c": np.roll(values, 50)})
     (found,) = correlated(pair)

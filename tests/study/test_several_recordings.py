@@ -5,7 +5,7 @@ from dataclasses import replace
 import arviz as az
 import numpy as np
 import pytest
-from builders import case
+from builders import case, recorded
 from numpy.testing import assert_allclose
 
 import fascicle
@@ -13,7 +13,6 @@ from fascicle.cli.options import with_scenario
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import NETWORK_SPACE
 from fascicle.forward.likelihood import QrsLikelihood, cosines, matern, separable
-from fascicle.forward.model import ForwardModel
 from fascicle.forward.primitives import SlowConduction, Stimulus
 from fascicle.forward.scenario_files import find_scenario, read_scenario, scenario_text
 from fascicle.networks.prior import Prior
@@ -25,7 +24,6 @@ from fascicle.networks.recordings import (
 )
 from fascicle.networks.simulator import PointSimulator
 from fascicle.networks.target_comparison import TargetComparison, evaluate
-from fascicle.recording.target import Target, smooth_noise
 from fascicle.reporting.study import drawings
 
 SMALL = {"prior_simulations": 100, "effective": 20, "workers": 2}
@@ -41,32 +39,18 @@ EVERYTHING = case(
 
 
 @pytest.fixture(scope="module")
-def model():
-    return ForwardModel(fascicle.load_heart("default"))
+def intrinsic(default_model):
+    return default_model.simulate(fascicle.EXAMPLE_PARAMETERS)
 
 
 @pytest.fixture(scope="module")
-def paced(model):
-    """The right endocardium is stimulated, and no root fires."""
-    fire = model.simulate(fascicle.EXAMPLE_PARAMETERS).trees[1].nodes[0]
-    nearest = model.heart.vertices[np.linalg.norm(model.heart.vertices - fire, axis=1).argmin()]
-    return case(stimuli=(Stimulus(0.0, tuple(map(float, nearest))),), inactive=("lv", "rv"))
-
-
-def recorded(model, scenario=None, seed=0):
-    """A recording of the example network, with ten beats."""
-    simulation = model.simulate(fascicle.EXAMPLE_PARAMETERS, scenario)
-    clean = np.pad(simulation.leads, ((0, 0), (80, 80)))
-    time = np.arange(clean.shape[1]) - 80 + simulation.onset
-    beats = clean + smooth_noise(np.random.default_rng(seed), (10, *clean.shape), 0.02)
-    first, last = simulation.first_activation, np.nanmax(simulation.activation)
-    onset = time[0] + 80 + first
-    return Target(beats, time, float(onset), float(last), 60.0, {"source": "made"}, 4.0, 5.0)
-
-
-@pytest.fixture(scope="module")
-def both(model, paced):
-    return [recorded(model), (recorded(model, paced, 1), paced)]
+def both(default_model, intrinsic):
+    """Recordings of an intrinsic beat, and of one in which the right endocardium is stimulated."""
+    vertices, fire = default_model.heart.vertices, intrinsic.trees[1].nodes[0]
+    nearest = vertices[np.linalg.norm(vertices - fire, axis=1).argmin()]
+    paced = case(stimuli=(Stimulus(0.0, tuple(map(float, nearest))),), inactive=("lv", "rv"))
+    beat = default_model.simulate(fascicle.EXAMPLE_PARAMETERS, paced)
+    return [recorded(intrinsic), (recorded(beat, 1), paced)]
 
 
 def test_scenarios_are_kept_as_text(tmp_path):
@@ -75,17 +59,23 @@ def test_scenarios_are_kept_as_text(tmp_path):
     assert read_scenario(path) == (EVERYTHING, ())
 
 
-def test_a_scenario_of_the_library_is_given_by_its_name(model):
-    (found,) = given_recordings((recorded(model), "rv-apical-pacing"))
+def test_a_scenario_of_the_library_is_given_by_its_name(both):
+    (found,) = given_recordings((both[0], "rv-apical-pacing"))
     assert found[1] == read_scenario(find_scenario("rv-apical-pacing"))[0]
-    with pytest.raises(InputError, match="did you mean 'rv-apical-pacing'"):
-        given_recordings((recorded(model), "rv-apicl-pacing"))
 
 
-def test_a_scenario_with_trees_of_its_own_is_refused(model):
-    tree = model.simulate(fascicle.EXAMPLE_PARAMETERS).trees[0]
+def test_recordings_that_are_refused(both, intrinsic, tmp_path):
+    path = tmp_path / "scar.toml"
+    path.write_text("[[region]]\nconductivity = 0.0\nlabel = 1\n")
+    for given, message in (
+        ([], "no target is given"),
+        ((both[0], "rv-apicl-pacing"), "did you mean 'rv-apical-pacing'"),
+        ([(both[0], path)], r"scar\.toml: has regions .* heart\.toml"),
+    ):
+        with pytest.raises(InputError, match=message):
+            given_recordings(given)
     with pytest.raises(InputError, match=r"rv\.toml: has trees of its own"):
-        scenario_text(case(trees=((tree, 0.0),), source="rv.toml"))
+        scenario_text(case(trees=((intrinsic.trees[0], 0.0),), source="rv.toml"))
 
 
 def test_recordings_are_kept(both, tmp_path):
@@ -100,44 +90,27 @@ def test_recordings_are_kept(both, tmp_path):
     assert len({digest for one in given for digest in digests(one)}) == 4
 
 
-def test_regions_are_the_hearts(both, tmp_path):
-    path = tmp_path / "scar.toml"
-    path.write_text("[[region]]\nconductivity = 0.0\nlabel = 1\n")
-    with pytest.raises(InputError, match=r"scar\.toml: has regions .* heart\.toml"):
-        given_recordings([(both[0], path)])
-
-
-def test_no_recording_is_refused():
-    with pytest.raises(InputError, match="no target is given"):
-        given_recordings([])
-
-
-def test_the_papers_method_knows_one_intrinsic_beat(both, tmp_path):
-    for given in (both, [both[1]]):
-        with pytest.raises(InputError, match="'paper' fits one recording of an intrinsic beat"):
-            fascicle.fit("default", given, tmp_path / "s", method="paper")
-    assert not (tmp_path / "s").exists()
-
-
-def test_a_site_outside_the_heart_is_refused_before_anything_is_written(both, tmp_path):
+def test_fits_that_are_refused_before_anything_is_written(both, tmp_path):
+    """By the paper's method, which knows one intrinsic beat; a site outside the heart."""
     far = case(stimuli=(Stimulus(0.0, (0.0, 0.0, 900.0)),))
-    with pytest.raises(InputError, match="from the"):
-        fascicle.fit("default", [both[0], (both[1][0], far)], tmp_path / "s")
+    of_the_paper = "'paper' fits one recording of an intrinsic beat"
+    for given, method, message in (
+        (both, "paper", of_the_paper),
+        ([both[1]], "paper", of_the_paper),
+        ([both[0], (both[1][0], far)], "posterior", "from the"),
+    ):
+        with pytest.raises(InputError, match=message):
+            fascicle.fit("default", given, tmp_path / "s", method=method)
     assert not (tmp_path / "s").exists()
 
 
 def test_arguments_of_the_command(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert with_scenario("a.nc").name == "a.nc"
-    target, scenario = with_scenario("rv-paced.nc:rv.toml")
-    assert (target.name, scenario.name) == ("rv-paced.nc", "rv.toml")
-    target, scenario = with_scenario("rv-paced.nc:rv-apical-pacing")
-    assert (target.name, scenario.name) == ("rv-paced.nc", "rv-apical-pacing")
-    assert [each.name for each in with_scenario("rec:rv.toml")] == ["rec", "rv.toml"]
-    assert with_scenario("odd:name.nc").name == "odd:name.nc"
-    assert with_scenario("rv-paced.nc:").name == "rv-paced.nc:"
     (tmp_path / "odd:name.toml").touch()
-    assert with_scenario("odd:name.toml").name == "odd:name.toml"
+    for text in ("a.nc", "odd:name.nc", "rv-paced.nc:", "odd:name.toml"):
+        assert with_scenario(text).name == text
+    for text in ("rv-paced.nc:rv.toml", "rv-paced.nc:rv-apical-pacing", "rec:rv.toml"):
+        assert [each.name for each in with_scenario(text)] == text.split(":")
 
 
 def likelihood(target):
@@ -146,12 +119,12 @@ def likelihood(target):
     return QrsLikelihood(target, 1e-4 * np.eye(len(unit)), unit, 0.3, np.zeros((0, 12, 12)))
 
 
-def test_likelihoods_and_losses_add_up(model, paced, both):
+def test_likelihoods_and_losses_add_up(default_model, both):
     first, second = (
         TargetComparison(target, scenario, likelihood(target), free_gain=True)
         for target, scenario in ((both[0], None), both[1])
     )
-    simulator = PointSimulator(model, Prior(NETWORK_SPACE))
+    simulator = PointSimulator(default_model, Prior(NETWORK_SPACE))
     point = NETWORK_SPACE.to_unit(fascicle.EXAMPLE_PARAMETERS)
     one, other, together, swapped = (
         next(evaluate(simulator, recordings, [point]))

@@ -13,8 +13,7 @@ from builders import recorded
 
 from fascicle.core.conduction_states import CONDUCTION_STATES
 from fascicle.emulation.heart_emulator import emulator_of, simulations_for, usual_prior
-from fascicle.emulation.likelihood import EmulatedLikelihood, likelihood_of
-from fascicle.emulation.sampling import sampled
+from fascicle.emulation.likelihood import EmulatedLikelihood, likelihood_of, sampled
 from fascicle.forward.beat import Beat
 from fascicle.forward.scenario_files import read_scenarios
 from fascicle.networks.settings import FitSettings

@@ -214,10 +214,10 @@ def fit(
     ```
     """
     from fascicle.cli.printing import print_fit
-    from fascicle.networks.prior import PARAMETERS, read_settings
+    from fascicle.networks.prior import read_settings
 
     fit_settings = read_settings(settings_file) if settings_file is not None else {}
-    learnt = fit_settings.pop(PARAMETERS, {}) | wanted_parameters(free, fix)
+    learnt = fit_settings.pop("parameters", {}) | wanted_parameters(free, fix)
     fit_settings |= explicit(context, settings)
     with resumable(out), TerminalProgress() as progress:
         recordings: list[Any] = [with_scenario(target) for target in targets]
@@ -304,12 +304,12 @@ def states(
     A heart of your own is simulated once, which takes minutes; a packaged one has been. Parameters
     of a settings file, such as priors of another species, are simulated once for each heart.
     """
-    from fascicle.networks.prior import PARAMETERS, read_settings
+    from fascicle.networks.prior import read_settings
 
     file_settings = read_settings(settings_file) if settings_file is not None else {}
     with TerminalProgress() as progress:
         probabilities = fascicle.state_probabilities(
-            heart, target, parameters=file_settings.get(PARAMETERS),
+            heart, target, parameters=file_settings.get("parameters"),
             prior_simulations=prior_simulations, workers=workers, progress=progress,
             pool=pool_at(scheduler, progress),
         )  # fmt: skip
@@ -422,7 +422,6 @@ def compare(
     indices are shown, since they may disagree.
     """
     from fascicle.cli.printing import comparison_result, print_comparison, print_verdict
-    from fascicle.prediction.comparison import PACED
     from fascicle.prediction.index_names import check_index
 
     check_index(index)
@@ -430,7 +429,9 @@ def compare(
     pair = fascicle.read_scenarios([first, second])
     with TerminalProgress() as progress:
         fitted = fascicle.load_study(study, progress, pool_at(scheduler, progress))
-        predicted = fascicle.predict(fitted, fascicle.read_scenarios([PACED]) | pair, progress)
+        predicted = fascicle.predict(
+            fitted, fascicle.read_scenarios(["rv-apical-pacing"]) | pair, progress
+        )
     print_verdict(fitted)
     comparison = comparison_result(
         list(pair), predicted, index, threshold, fitted.population.values

@@ -13,7 +13,7 @@ from fascicle.core.arrays import Floats
 from fascicle.heart.sites import SEGMENTS
 from fascicle.prediction.comparison import MEASURABLE, compare, missing_blocks
 from fascicle.prediction.index_names import COMPARED, INDICES
-from fascicle.prediction.sweeps import SEGMENT, Swept
+from fascicle.prediction.sweeps import Swept, Varied
 from fascicle.reporting.names import MEASURES, index_label, index_name
 from fascicle.study.population import Posterior
 from fascicle.study.statements import prediction_statement
@@ -245,9 +245,9 @@ def print_sweep(swept: Swept, index: str) -> None:
     values = np.array([prediction.indices[index] for prediction in predicted.values()])
     least = np.abs(values) == np.abs(values).min(axis=0)
     best = (least / least.sum(axis=0)).mean(axis=1)  # ties share a network
-    rows = [(varied, f"{index_label(index)}, 90 % of the networks", "how often best")]
+    rows = [(str(varied), f"{index_label(index)}, 90 % of the networks", "how often best")]
     for key, row, share in zip(predicted, values, best, strict=True):
-        name = SEGMENTS[int(key) - 1] if varied == SEGMENT else f"{key:g}"
+        name = SEGMENTS[int(key) - 1] if varied == Varied.SEGMENT else f"{key:g}"
         rows.append((name, interval(row), f"{share:.0%}"))
     print_table(rows)
     for key, why in swept.impossible.items():

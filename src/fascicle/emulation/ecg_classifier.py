@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from fascicle.core.threads import one_thread
 from fascicle.emulation.ecg_emulator import all_leads, torso_modes_of
 from fascicle.forward.likelihood import (
     HALF_PERIOD,
-    SHARES,
+    QrsLikelihood,
     discrepancy_in_time,
     lead_pattern,
     separable,
@@ -46,13 +46,6 @@ from fascicle.recording.target import Target
 
 LENGTH = 300  # samples (ms) of an ECG, of which `BEFORE` are before the first activation
 COSINES = round(LENGTH / HALF_PERIOD)  # cosines of each lead, as in the likelihood
-CHUNK = 4_000  # recordings that are made at once
-CLASSIFIER_COMPONENTS = 80  # principal components
-CLASSIFIERS, WIDTH, TRAINING_STEPS = 2, 128, 8000
-ONSET_SD = 6.0  # ms; SD of the first activation about the recorded QRS onset
-COEFFICIENT_NOISE = 0.01  # mV; SD of each coefficient
-FAMILIAR = 0.98  # share of held-out recordings that count as like the training set
-GAIN_SD = float(FitSettings.model_fields["gain_sd"].default)
 
 
 @dataclass(frozen=True)
@@ -73,6 +66,8 @@ class Recorder:
     torso_modes: Floats
     residuals: Floats
     discrepancy: Floats
+    chunk: ClassVar[int] = 4_000  # recordings that are made at once
+    gain_sd: ClassVar[float] = FitSettings.model_fields["gain_sd"].default
 
     @classmethod
     def of(cls, examples: Examples) -> Recorder:
@@ -84,7 +79,9 @@ class Recorder:
         torso_modes, factors = torso_modes_of(plain, in_torsos, examples.torsos)
         mixing = np.einsum("hk,kab->hab", factors[examples.torsos], torso_modes) + np.eye(count)
         residuals = (in_torsos - mixing @ plain) / _norms(plain)[:, None, None]
-        first_half, second_half = np.array_split(examples.ecgs[:CHUNK, :count].astype(float), 2)
+        first_half, second_half = np.array_split(
+            examples.ecgs[: cls.chunk, :count].astype(float), 2
+        )
         pattern = lead_pattern(first_half[: len(second_half)] - second_half)
         modes = idct(np.eye(LENGTH)[:, :COSINES], axis=0, norm="ortho")
         values, vectors = np.linalg.eigh(separable(pattern, discrepancy_in_time(LENGTH), modes))
@@ -99,7 +96,7 @@ class Recorder:
         """
         leads = in_leads(rows)
         chosen = np.resize(rng.permutation(len(ecgs)), count)
-        parts = np.array_split(chosen, -(-count // CHUNK))
+        parts = np.array_split(chosen, -(-count // self.chunk))
         return np.concatenate([leads @ self.recorded(ecgs[k], rng) for k in parts]), chosen
 
     def recorded(
@@ -116,13 +113,16 @@ class Recorder:
             recordings += (
                 norms[:, None, None] * self.residuals[rng.integers(len(self.residuals), size=count)]
             )
-        size = rng.choice(SHARES, count) * norms / np.sqrt(ecgs.shape[1] * _durations(ecgs))
+        # samples from the first to the last one above a hundredth of the largest
+        height = np.abs(ecgs).max(axis=1)
+        high = height > 0.01 * height.max(axis=1, keepdims=True)
+        durations = LENGTH - high[:, ::-1].argmax(axis=1) - high.argmax(axis=1)
+        size = rng.choice(QrsLikelihood.shares, count) * norms / np.sqrt(ecgs.shape[1] * durations)
         drawn = rng.standard_normal((count, len(self.discrepancy))) @ self.discrepancy.T
         recordings += size[:, None, None] * drawn.reshape(recordings.shape)
-        recordings *= rng.normal(1, GAIN_SD, count)[:, None, None]
-        return np.asarray(
-            recordings + COEFFICIENT_NOISE * rng.standard_normal(recordings.shape), dtype=np.float32
-        )
+        recordings *= rng.normal(1, self.gain_sd, count)[:, None, None]
+        noise = 0.01 * rng.standard_normal(recordings.shape)  # mV
+        return np.asarray(recordings + noise, dtype=np.float32)
 
 
 @dataclass(frozen=True)
@@ -211,27 +211,29 @@ def learn(
     rows: Integers,
     rng: np.random.Generator,
     progress: Progress | None = None,
-    steps: int = TRAINING_STEPS,
+    steps: int = 8000,
 ) -> EcgClassifier:
     """Train a classifier of recordings in the leads `rows` (`fascicle.core.leads.LEADS`)."""
     training = training_set.recordings.reshape(len(training_set.kinds), -1)
     mean = training.mean(axis=0, dtype=float)
     sample = training[rng.integers(len(training), size=6000)] - mean
-    components = np.linalg.svd(sample, full_matrices=False)[2][:CLASSIFIER_COMPONENTS]
+    components = np.linalg.svd(sample, full_matrices=False)[2][:80]
     # scaled by the root of the SD: small components matter, too, but are noisier
     sds = (sample @ components.T).std(axis=0)
     scale = np.sqrt(sds * sds.max())
     inputs = _inputs(training, mean, components, scale)
-    of_kinds = partial(train, inputs, training_set.kinds, width=WIDTH, steps=steps, link=softmax)
-    report = stage_progress(progress, "training")
-    total = CLASSIFIERS * steps
-    networks = train_together([of_kinds] * CLASSIFIERS, rng, lambda done: report(done, total))
+    of_kinds = partial(train, inputs, training_set.kinds, width=128, steps=steps, link=softmax)
+    report, trainings = stage_progress(progress, "training"), [of_kinds] * 2
+    total = len(trainings) * steps
+    networks = train_together(trainings, rng, lambda done: report(done, total))
     classifier = EcgClassifier(rows, mean, components, scale, tuple(networks), 0.0)
     guessed = classifier.of_cosines(held_out.recordings).argmax(axis=1)
+    # 98 % of held-out recordings count as like the training set
+    most_unexplained = np.quantile(classifier.unexplained(held_out.recordings), 0.98)
     classifier = replace(
         classifier,
         accuracy=float((guessed == held_out.kinds.argmax(axis=1)).mean()),
-        most_unexplained=float(np.quantile(classifier.unexplained(held_out.recordings), FAMILIAR)),
+        most_unexplained=float(most_unexplained),
     )
     if progress is not None:
         progress("classifier", 1, 1, f"{classifier.accuracy:.0%} of held-out recordings told right")
@@ -270,8 +272,8 @@ def _inputs(recordings: NDArray[Any], mean: Floats, components: Floats, scale: F
 
 
 def _shifted(ecgs: NDArray[Any], rng: np.random.Generator) -> NDArray[Any]:
-    """ECGs shifted by a random error of the QRS onset, zero before and after."""
-    shifts = np.clip(np.rint(rng.normal(0, ONSET_SD, len(ecgs))), -BEFORE, BEFORE).astype(int)
+    """ECGs shifted by a random error of the QRS onset (SD 6 ms), zero before and after."""
+    shifts = np.clip(np.rint(rng.normal(0, 6.0, len(ecgs))), -BEFORE, BEFORE).astype(int)
     padded = np.pad(ecgs, ((0, 0), (0, 0), (BEFORE, BEFORE)))
     place = np.arange(LENGTH) + BEFORE - shifts[:, None]
     return np.asarray(np.take_along_axis(padded, place[:, None], axis=2))
@@ -279,10 +281,3 @@ def _shifted(ecgs: NDArray[Any], rng: np.random.Generator) -> NDArray[Any]:
 
 def _norms(ecgs: NDArray[Any]) -> Floats:
     return np.asarray(np.sqrt((np.asarray(ecgs, float) ** 2).sum(axis=(1, 2))))
-
-
-def _durations(ecgs: NDArray[Any]) -> Integers:
-    """Samples (n,) from the first to the last one above a hundredth of the largest."""
-    high = np.abs(ecgs).max(axis=1)
-    high_enough = high > 0.01 * high.max(axis=1, keepdims=True)
-    return np.asarray(LENGTH - high_enough[:, ::-1].argmax(axis=1) - high_enough.argmax(axis=1))

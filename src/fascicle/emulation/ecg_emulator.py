@@ -19,7 +19,7 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,26 +43,11 @@ from fascicle.inference.emulator import (
     weight_arrays,
 )
 from fascicle.networks.prior import AveragedOver, Prior
-from fascicle.networks.prior_simulations import BEFORE, BODIES, PART, Examples
+from fascicle.networks.prior_simulations import BEFORE, Examples, PriorSimulations
 
-NETWORKS = 2  # neural networks, whose outputs are averaged
-COMPONENTS = 60  # principal components; they leave a thousandth of the variance unexplained
 HIGHEST = 0.04  # highest frequency (cycles per ms); the likelihood uses lower ones alone
 TORSO_MODES = 4  # torso modes
-FEWEST_NETWORKS = 50  # least number of Purkinje networks to learn from
-COPIES = 4  # copies of a simulation at other conduction velocities, in the training set
-EPOCHS = 12  # times that every example of the prior is seen
-EPOCHS_ON = 20  # times that every example of a posterior is seen
-FOLDS = 4  # of cross-validation on the examples of a posterior
 FASTER = ("alpha", "fibre_speed", "cv")  # multiplied by c in time scaling
-# Names in files of the attributes that are stored in single precision
-STORED = {
-    "mean": "mean",
-    "components": "components",
-    "torso_modes": "bodies",
-    "residual_factor": "left",
-    "torso_residual_factor": "left_by_bodies",
-}
 SOONER = (*DELAY, "anterograde_delay", "retrograde_delay", "his_time")  # divided by c
 
 
@@ -114,6 +99,14 @@ class EcgEmulator:
     residual_factor: Floats
     torso_residual_factor: Floats
     report: Mapping[str, float]
+    # names in files of the attributes that are stored in single precision
+    stored: ClassVar[Mapping[str, str]] = {
+        "mean": "mean",
+        "components": "components",
+        "torso_modes": "bodies",
+        "residual_factor": "left",
+        "torso_residual_factor": "left_by_bodies",
+    }
 
     @property
     def summary(self) -> str:
@@ -194,8 +187,8 @@ class EcgEmulator:
                 arrays |= weight_arrays(field.name, group)
             elif field.name == "report":
                 arrays |= {f"report {name}": number for name, number in value.items()}
-            elif field.name in STORED:
-                arrays[STORED[field.name]] = value.astype(np.float32)
+            elif field.name in self.stored:
+                arrays[self.stored[field.name]] = value.astype(np.float32)
             else:
                 arrays[field.name] = value
         return arrays
@@ -204,7 +197,7 @@ class EcgEmulator:
     def from_arrays(cls, arrays: Mapping[str, Any]) -> EcgEmulator:
         """Make an emulator from its `arrays`."""
         parts = {n: np.asarray(arrays[n]) for n in ("centre", "scale")}
-        parts |= {name: np.asarray(arrays[key], float) for name, key in STORED.items()}
+        parts |= {name: np.asarray(arrays[key], float) for name, key in cls.stored.items()}
         (validity,) = networks_from("validity", arrays)
         return cls(
             names=tuple(map(str, arrays["names"])),
@@ -264,6 +257,8 @@ def learn(
     *,
     time_scaling: bool = True,
     progress: Progress | None = None,
+    epochs: int = 12,
+    fewest: int = 50,
 ) -> EcgEmulator:
     """Train an emulator on the examples that are not held out.
 
@@ -273,19 +268,24 @@ def learn(
         Conduction velocity along over across the fibre in the plain tissue.
     time_scaling : bool
         Whether time scaling holds; it does not where a scenario has times.
+    epochs : int
+        Times that every example is seen in training.
+    fewest : int
+        Least number of Purkinje networks to learn from.
     """
     points, averaged = examples.points, prior.averaged
     values = {n: column for n, column in prior.columns(points).items() if n not in prior.fixed}
     values.pop("gain", None)  # a factor on the ECG
     tissues, names = tissue_inputs(averaged, plain_ratio)[prior.tissue(points)], tuple(values)
     raw = _raw(names, values, tissues)
-    _refuse(examples, names, raw)
+    _refuse(examples, names, raw, fewest)
     feasible, count = examples.feasible, max(2, round(2 * HIGHEST * examples.ecgs.shape[2]))
     trained = np.flatnonzero(~examples.held_out[feasible])
     cosines = cosines_of(examples.ecgs, count)
     mean = cosines[trained].mean(axis=0)
     deviations = (cosines[trained] - mean).reshape(len(trained), -1)
-    components = np.linalg.svd(deviations[:6000], full_matrices=False)[2][:COMPONENTS]
+    components = np.linalg.svd(deviations[:6000], full_matrices=False)[2]
+    components = components[:60]  # they leave a thousandth of the variance unexplained
     unit = float((deviations @ components.T).std())
     emulator = EcgEmulator(
         names, raw.mean(axis=0), raw.std(axis=0) + 1e-9, (), NeuralNetwork(()), mean,
@@ -303,7 +303,7 @@ def learn(
     }
     pairs = [example(plain_values, cosines[trained])]
     scalable = "cv" in names and {*DELAY} & {*names} and {*FASTER[:2]} & {*names}
-    for _ in range(COPIES if time_scaling and scalable else 0):
+    for _ in range(4 if time_scaling and scalable else 0):  # copies at other velocities
         scaled_values, scaled_ecgs = _scaled_in_time(
             plain_values, ends, examples.ecgs[trained], rng
         )
@@ -313,45 +313,34 @@ def learn(
     )
     all_inputs, free = emulator.inputs(values, tissues), ~examples.held_out
     validity_outputs = examples.kept[free][:, None].astype(np.float32)
-    *networks, validity = _trained(
-        inputs, outputs, all_inputs[free], validity_outputs, rng, progress
+    # two networks give the components, whose outputs are averaged; the last one is of feasibility
+    steps = max(200, epochs * len(inputs) // BATCH_EXAMPLES)
+    trainings = [partial(train, inputs, outputs, steps=steps)] * 2
+    trainings.append(
+        partial(train, all_inputs[free], validity_outputs, width=64, steps=steps, link=logistic)
+    )
+    report = stage_progress(progress, "training")
+    *networks, validity = train_together(
+        trainings, rng, lambda done: report(done, steps * len(trainings))
     )
     emulator = replace(emulator, networks=tuple(networks), validity=validity)
     return _with_residuals(emulator, examples.of_the_prior, count, all_inputs)
 
 
-def _refuse(examples: Examples, names: tuple[str, ...], raw: Floats) -> None:
+def _refuse(examples: Examples, names: tuple[str, ...], raw: Floats, fewest: int) -> None:
     """Refuse too few examples, and those in which a learnt quantity does not vary."""
     feasible, held_out = examples.feasible, examples.held_out[examples.feasible]
-    if (~held_out).sum() < FEWEST_NETWORKS or not held_out.any():
+    if (~held_out).sum() < fewest or not held_out.any():
         raise InputError(
             f"only {feasible.sum()} of {len(feasible)} networks of the prior fit this heart; check "
             "the heart, narrow the ranges of the lengths, or give more prior_simulations"
         )
     if constant := [name for name, column in zip(names, raw.T, strict=False) if not np.ptp(column)]:
+        part = PriorSimulations.part_size
         raise InputError(
-            f"'{constant[0]}' is learnt, and has one value in every {PART} prior simulations; give "
-            f"prior_simulations of {10 * PART} or more, or fix it"
+            f"'{constant[0]}' is learnt, and has one value in every {part} prior simulations; give "
+            f"prior_simulations of {10 * part} or more, or fix it"
         )
-
-
-def _trained(
-    inputs: Singles,
-    outputs: Singles,
-    all_inputs: Singles,
-    validity_outputs: Singles,
-    rng: np.random.Generator,
-    progress: Progress | None,
-) -> list[NeuralNetwork]:
-    """Train the neural networks of the components, and the last one, of feasibility."""
-    steps = max(200, EPOCHS * len(inputs) // BATCH_EXAMPLES)
-    of_components = partial(train, inputs, outputs, steps=steps)
-    of_validity = partial(train, all_inputs, validity_outputs, width=64, steps=steps, link=logistic)
-    trainings, report = (
-        [of_components] * NETWORKS + [of_validity],
-        stage_progress(progress, "training"),
-    )
-    return train_together(trainings, rng, lambda done: report(done, steps * len(trainings)))
 
 
 def cosines_of(ecgs: NDArray[Any], count: int) -> Floats:
@@ -429,6 +418,7 @@ def refined(
     usual: Singles,
     rng: np.random.Generator,
     latest: int,
+    folds: int = 4,
 ) -> EcgEmulator:
     """Train the networks on examples of a posterior, where the residuals are computed anew.
 
@@ -440,8 +430,10 @@ def refined(
         Standardised inputs all over the prior, where the outputs are to stay as they are.
     latest : int
         Number of the last networks, which are used in cross-validation: each is held out once.
+    folds : int
+        Folds of the cross-validation.
     """
-    if latest < FOLDS:
+    if latest < folds:
         return emulator
     true = cosines_of(ecgs, emulator.mean.shape[1])
     flat = emulator.components.reshape(len(emulator.components), -1)
@@ -450,16 +442,16 @@ def refined(
     def on(network: NeuralNetwork, chosen: Booleans, rng: np.random.Generator) -> NeuralNetwork:
         all_inputs = np.concatenate([inputs[chosen], usual])
         outputs = np.concatenate([scores[chosen].astype(np.float32), network(usual)])
-        steps = EPOCHS_ON * len(all_inputs) // BATCH_EXAMPLES
+        steps = 20 * len(all_inputs) // BATCH_EXAMPLES  # every example is seen 20 times
         return train(all_inputs, outputs, rng, steps=steps, begin=network, rate=RATE / 2)
 
-    fold = np.arange(len(inputs)) % FOLDS
-    fold[:-latest] = FOLDS  # never held out
-    trainings = [(network, fold != k) for k in range(FOLDS + 1) for network in emulator.networks]
+    fold = np.arange(len(inputs)) % folds
+    fold[:-latest] = folds  # never held out
+    trainings = [(network, fold != k) for k in range(folds + 1) for network in emulator.networks]
     with ThreadPoolExecutor(2) as pool:
         networks = list(pool.map(on, *zip(*trainings, strict=True), rng.spawn(len(trainings))))
     count, emulated = len(emulator.networks), np.empty_like(true)
-    for k in range(FOLDS):
+    for k in range(folds):
         without_fold = replace(emulator, networks=tuple(networks[k * count : (k + 1) * count]))
         emulated[fold == k] = without_fold.cosines(without_fold.scores(inputs[fold == k]))
     true, emulated = true[-latest:], emulated[-latest:]
@@ -498,17 +490,18 @@ def torso_modes_of(plain: Floats, in_torsos: Floats, numbers: Integers) -> tuple
     all_ecgs = plain.transpose(1, 0, 2).reshape(rows, -1)
     power = all_ecgs @ all_ecgs.T / all_ecgs.shape[1]
     power += 1e-3 * np.trace(power) / rows * np.eye(rows)
-    root, differences = np.linalg.cholesky(power), np.zeros((BODIES, rows, rows))
+    torsos, root = PriorSimulations.torsos, np.linalg.cholesky(power)
+    differences = np.zeros((torsos, rows, rows))
     for number in np.unique(numbers):
         plain_ecgs = plain[numbers == number].transpose(1, 0, 2).reshape(rows, -1)
         torso_ecgs = in_torsos[numbers == number].transpose(1, 0, 2).reshape(rows, -1)
         ridge = plain_ecgs @ plain_ecgs.T + 1e-3 * plain_ecgs.shape[1] * power
         differences[number] = np.linalg.solve(ridge, plain_ecgs @ (torso_ecgs - plain_ecgs).T).T
     # in uncorrelated leads of unit power, so that the largest modes add the most energy
-    flat = (differences @ root).reshape(BODIES, -1)
+    flat = (differences @ root).reshape(torsos, -1)
     factors, sizes, modes = np.linalg.svd(flat, full_matrices=False)
-    sds = sizes[:TORSO_MODES] / np.sqrt(BODIES)
+    sds = sizes[:TORSO_MODES] / np.sqrt(torsos)
     matrices = (
         sds[:, None, None] * modes[:TORSO_MODES].reshape(-1, rows, rows) @ np.linalg.inv(root)
     )
-    return matrices, factors[:, :TORSO_MODES] * np.sqrt(BODIES)
+    return matrices, factors[:, :TORSO_MODES] * np.sqrt(torsos)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -23,11 +23,12 @@ from fascicle.forward.scenario import Scenario
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
 from fascicle.networks.prior import Prior
-from fascicle.networks.prior_simulations import SEED, PriorSimulations
+from fascicle.networks.prior_simulations import PriorSimulations
 from fascicle.networks.settings import FitSettings
 from fascicle.pools.pool import Pool, Threads, check_pool
 
-EMULATOR = "emulator"  # kind of file
+# Kind of a file of what is learnt from simulations
+Kind = Literal["emulator", "classifier", "origin"]
 
 
 def simulations_for(
@@ -53,26 +54,20 @@ def emulator_of(
     simulations: PriorSimulations, count: int, pool: Pool, progress: Progress | None = None
 ) -> EcgEmulator:
     """Emulator of `count` prior simulations, from the package if it has learnt from as many."""
-    stored = packaged(EMULATOR, simulations.content)
+    stored = packaged("emulator", simulations.content)
     if stored is not None and float(stored["report networks"]) >= count:
         return EcgEmulator.from_arrays(stored)
     return made_emulator(simulations, count, pool, progress)
 
 
-def folder_of_simulations(heart: Heart, copy: Path) -> Path:
-    """Folder to keep simulations in: the heart's if it is writable, else its copy's in a study."""
-    writable = heart.folder is not None and os.access(heart.folder, os.W_OK)
-    return heart.folder if writable and heart.folder is not None else copy
-
-
-def packaged(kind: str, key: str) -> Mapping[str, Any] | None:
+def packaged(kind: Kind, key: str) -> Mapping[str, Any] | None:
     """Arrays of a kind of file that come with the package; None if there are none."""
     with resources.as_file(resources.files("fascicle") / "data" / "emulators") as folder:
         return ArrayCache(folder, kind).read(key)
 
 
 def learnt_or_made(
-    kind: str, key: str, count: int, folder: Path, make: Callable[[], Mapping[str, Any]]
+    kind: Kind, key: str, count: int, folder: Path, make: Callable[[], Mapping[str, Any]]
 ) -> Mapping[str, Any]:
     """Arrays learnt from `count` networks: from the package, from a heart's folder, or made.
 
@@ -93,14 +88,17 @@ def made_emulator(
 ) -> EcgEmulator:
     """Emulator learnt from `count` prior simulations; both are made if they are missing."""
     model, prior = simulations.model, simulations.prior
-    cache, key = ArrayCache(simulations.cache.folder, EMULATOR), f"{count} of {simulations.content}"
+    cache, key = (
+        ArrayCache(simulations.cache.folder, "emulator"),
+        f"{count} of {simulations.content}",
+    )
     arrays: Mapping[str, Any] | None = cache.read(key)
     if arrays is None:
         simulations.simulate(count, pool, progress)
         ratio = float(np.divide(*model.conduction.speeds))
         fixed_times = {*SOONER} & {*prior.fixed, *model.heart.values}  # which do not scale
         arrays = learn(
-            simulations.examples(count), prior, ratio, np.random.default_rng(SEED),
+            simulations.examples(count), prior, ratio, np.random.default_rng(simulations.seed),
             time_scaling=simulations.scenario is None and not fixed_times, progress=progress,
         ).arrays()  # fmt: skip
         cache.write(key, arrays, compress=True)

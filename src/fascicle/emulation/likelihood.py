@@ -1,19 +1,22 @@
-"""Likelihood of a study's target by an emulator of the heart, with the emulator's residuals."""
+"""Likelihood of a study's target by an emulator of the heart, and its posterior by sampling."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 
 from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_ROWS, LEADS, independent_rows
+from fascicle.core.progress import Progress
 from fascicle.core.ranges import short_repr
 from fascicle.emulation.ecg_emulator import EcgEmulator, cosines_of, tissue_inputs
-from fascicle.emulation.predictive import LEAST_EXPLAINED, LEAST_IN_TORSO, Checks
+from fascicle.emulation.predictive import Checks
 from fascicle.forward.beat import Signals
 from fascicle.forward.likelihood import (
     MARGIN,
@@ -27,10 +30,15 @@ from fascicle.forward.likelihood import (
 )
 from fascicle.forward.loss import placed
 from fascicle.inference.emulator import Singles
+from fascicle.inference.tempered_sampling import SamplingRun, State, temper
 from fascicle.networks.prior_simulations import BEFORE
 from fascicle.networks.simulator import PointSimulator
 from fascicle.networks.target_comparison import Network
 from fascicle.recording.target import Target
+
+RUNS = 2  # independent runs, whose difference shows whether they have converged
+
+Emulated = Callable[[Floats], Floats]  # log-likelihoods (n,) of a recording at points (n, d)
 
 
 def likelihood_of(target: Target, emulator: EcgEmulator, gain_sd: float) -> QrsLikelihood:
@@ -110,20 +118,6 @@ class EmulatedLikelihood:
             )
         return float(errors), float(energy)
 
-    @classmethod
-    def each(
-        cls,
-        emulators: Sequence[EcgEmulator],
-        simulator: PointSimulator,
-        targets: Sequence[Target],
-        gain_sd: float,
-    ) -> list[EmulatedLikelihood]:
-        """Make the likelihoods of several recordings, each with an emulator of its own."""
-        return [
-            cls(simulator, emulator, likelihood_of(target, emulator, gain_sd))
-            for emulator, target in zip(emulators, targets, strict=True)
-        ]
-
     def _one_by_one(self, scores: Floats, gains: Floats) -> Floats:
         """Log-likelihoods (n,) by a user's likelihood, which takes one ECG at a time."""
         emulator, junctions = self.emulator, 10_000  # so many that no likelihood finds them too few
@@ -161,9 +155,44 @@ def checked(
         of_state = likelihood.energies([n for n, candidate in pairs if candidate is likelihood])
         errors, energy = errors + of_state[0], energy + of_state[1]
         expected += likelihood.emulator.expected_error**2 * of_state[1]
-    in_torso = emulated[0].simulator.model.heart.lead_fields is not None
-    return replace(
-        checks,
-        emulator=[float(np.sqrt(errors / energy)), float(np.sqrt(expected / energy))],
-        least_explained=LEAST_IN_TORSO if in_torso else LEAST_EXPLAINED,
-    )
+    if emulated[0].simulator.model.heart.lead_fields is not None:
+        checks = replace(checks, least_explained=0.75)  # a torso is not quite the patient's
+    emulator = [float(np.sqrt(errors / energy)), float(np.sqrt(expected / energy))]
+    return replace(checks, emulator=emulator)
+
+
+def of_all(emulated: Sequence[Emulated], points: Floats) -> Floats:
+    """Log-likelihoods (n,) of all recordings together at points (n, d)."""
+    return np.asarray(np.sum([log_likelihoods(points) for log_likelihoods in emulated], axis=0))
+
+
+def sampled(
+    emulated: Sequence[Emulated],
+    dimension: int,
+    rngs: Sequence[np.random.Generator],
+    count: int,
+    message: str,
+    progress: Progress | None,
+) -> list[SamplingRun]:
+    """Sample the posterior of recordings by runs of `count` particles, one with each generator."""
+    states: dict[int, State] = {}
+
+    def run(number: int, rng: np.random.Generator) -> SamplingRun:
+        def report(state: State) -> None:
+            states[number] = state
+            if progress is None or len(states) < len(rngs):
+                return
+            evidences = " and ".join(f"{states[k].log_evidence:.1f}" for k in range(len(rngs)))
+            # the logarithm of the temperature rises about evenly in time
+            coldest = min(state.temperature for state in states.values())
+            done = round(100 * (1 + np.log10(max(coldest, 1e-3)) / 3))
+            progress("sampling", max(1, done), 100, f"{message}, log evidence {evidences}")
+
+        try:
+            made: SamplingRun = temper(partial(of_all, emulated), dimension, rng, count, report)
+        except ValueError as error:  # hardly any point has a likelihood, as by a user's own
+            raise InputError(f"{error}, and the likelihood") from None
+        return made
+
+    with ThreadPoolExecutor(len(rngs)) as pool:
+        return list(pool.map(run, range(len(rngs)), rngs))

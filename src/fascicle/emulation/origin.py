@@ -50,25 +50,13 @@ from fascicle.inference.emulator import Singles
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.networks.prior import AveragedOver, Prior
-from fascicle.networks.prior_simulations import HELD_OUT, PART, SEED, PriorSimulations
+from fascicle.networks.prior_simulations import HELD_OUT, PriorSimulations
 from fascicle.pools.pool import Pool
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import as_target
 
-ORIGIN_CLASSIFIER = "origin"  # kind of file
-# Place of origin of each of ten beats: some share one, since finding the rays from a place takes
-# long; the beat that is held out has a place of its own
-SAME_ORIGIN = [0, 0, 0, 1, 1, 1, 2, 2, 2, 3]
-PATCH = 600.0  # mm³ of tissue
-BLUR = 4.0  # mm; SD with which an origin is shared among patches
-ORIGIN_STEPS = 4000
-ORIGIN_RECORDINGS = 240_000  # in the training set
-TRIED = 300  # held-out beats that are located
-REFERENCE = 2000  # simulated beats with which a recording is compared
 REGION = 0.9  # probability of the credible region
-UNLIKE = 0.02  # share of simulated recordings that count as unlike simulated beats
 ORIGIN_PICTURE = "origin.png"  # picture that the command draws beside the files
-LEAST_NAMED_PART = 0.05  # least probability of a part that is named
 
 
 @dataclass(frozen=True)
@@ -81,12 +69,15 @@ class EctopicBeats(PriorSimulations):
         return f"from anywhere; {super().content}"
 
     def origins(self, number: int) -> Integers:
-        """Tetrahedra (`PART`,) in which the beats of a part begin."""
+        """Tetrahedra (`part_size`,) in which the beats of a part begin."""
         volumes = self.model.heart.volumes
-        rng = np.random.default_rng([SEED, number, 4])
-        size = PART // HELD_OUT, max(SAME_ORIGIN) + 1
+        rng = np.random.default_rng([self.seed, number, 4])
+        # the place of each of ten beats: some share one, since finding the rays from a place takes
+        # long; the beat that is held out has a place of its own
+        place = [0, 0, 0, 1, 1, 1, 2, 2, 2, 3]
+        size = self.part_size // HELD_OUT, max(place) + 1
         drawn = rng.choice(len(volumes), size, p=volumes / volumes.sum())
-        return np.asarray(drawn[:, SAME_ORIGIN].ravel())
+        return np.asarray(drawn[:, place].ravel())
 
     def scenarios(self, number: int) -> Sequence[Scenario | None]:
         """Scenario of each beat of a part: a stimulus at its origin, and no firing His bundle."""
@@ -315,7 +306,7 @@ class OriginClassifier:
 
     classifier: EcgClassifier
     patches: Floats  # (c, 3) middles (mm)
-    reference: Floats  # (REFERENCE, r, MODES) simulated beats
+    reference: Floats  # (n, r, COSINES) simulated beats, with which a recording is compared
     least_explained: float
     held_out: Mapping[str, float]
 
@@ -341,7 +332,7 @@ def classifier_of(
         return _learnt(beats, rows, count, progress)
 
     folder = beats.cache.folder.parent
-    stored = learnt_or_made(ORIGIN_CLASSIFIER, classifier_key(beats, rows), count, folder, make)
+    stored = learnt_or_made("origin", classifier_key(beats, rows), count, folder, make)
     return OriginClassifier(
         EcgClassifier.from_arrays(stored),
         stored["patches"],
@@ -357,39 +348,46 @@ def classifier_key(beats: EctopicBeats, rows: Integers) -> str:
 
 
 def _learnt(
-    beats: EctopicBeats, rows: Integers, count: int, progress: Progress | None
+    beats: EctopicBeats,
+    rows: Integers,
+    count: int,
+    progress: Progress | None,
+    made: int = 240_000,
+    steps: int = 4000,
 ) -> dict[str, Any]:
-    """Train a classifier, and return the arrays of an `OriginClassifier`."""
-    heart, rng = beats.model.heart, np.random.default_rng(SEED)
+    """Train a classifier on `made` recordings, and return the arrays of an `OriginClassifier`."""
+    heart, rng = beats.model.heart, np.random.default_rng(beats.seed)
     centres, volumes = _centres(heart), heart.volumes
     examples, leads = beats.examples(count, LENGTH), in_leads(rows)
-    origins = np.concatenate([beats.origins(number) for number in range(-(-count // PART))])
+    origins = np.concatenate(
+        [beats.origins(number) for number in range(-(-count // beats.part_size))]
+    )
     feasible, held_out = examples.feasible, examples.held_out
     training_origins, held_out_origins = origins[feasible & ~held_out], origins[feasible & held_out]
     drawn = centres[rng.choice(len(volumes), 10_000, p=volumes / volumes.sum())]
-    number = max(2, round(volumes.sum() / PATCH))
+    number = max(2, round(volumes.sum() / 600.0))  # of 600 mm³
     patches = kmeans2(drawn, number, minit="++", rng=rng)[0]
     recorder, independent = Recorder.of(examples), slice(len(INDEPENDENT_LEADS))
     ecgs = examples.ecgs[~held_out[feasible], independent]
-    recordings, chosen = recorder.recordings(ecgs, rows, ORIGIN_RECORDINGS, rng)
+    recordings, chosen = recorder.recordings(ecgs, rows, made, rng)
     in_torsos = examples.in_torsos[:, independent]
     held_out_recordings = leads @ recorder.recorded(in_torsos, rng, in_torsos=True)
     classifier = learn(
         RecordingSet(recordings, _near(patches, centres[training_origins])[chosen]),
         RecordingSet(held_out_recordings, _near(patches, centres[held_out_origins])),
-        rows, rng, progress, ORIGIN_STEPS,
+        rows, rng, progress, steps,
     )  # fmt: skip
-    reference = leads @ in_cosines(ecgs[rng.permutation(len(ecgs))[:REFERENCE]])
+    reference = leads @ in_cosines(ecgs[rng.permutation(len(ecgs))[:2000]])
     distance, region = _held_out(
-        heart, patches, classifier.of_cosines(held_out_recordings[:TRIED]), held_out_origins
+        heart, patches, classifier.of_cosines(held_out_recordings[:300]), held_out_origins
     )
+    # 98 % of simulated recordings are as much like a simulated beat
+    least_explained = np.quantile(most_alike(held_out_recordings, reference), 0.02)
     return {
         **classifier.arrays(),
         "patches": patches,
         "reference": reference.astype(np.float16),
-        "least_explained": np.array(
-            np.quantile(most_alike(held_out_recordings, reference), UNLIKE)
-        ),
+        "least_explained": np.array(least_explained),
         "distance": np.array(distance),
         "region": np.array(region),
     }
@@ -407,16 +405,14 @@ def _held_out(
 
 
 def _ranked(parts: Mapping[str, float]) -> str:
-    """Probable parts in words, the most probable first."""
+    """Parts of a probability of 0.05 or more in words, the most probable first."""
     ranked = sorted(parts, key=lambda name: -parts[name])
-    return ", ".join(
-        f"{name} {parts[name]:.2f}" for name in ranked if parts[name] >= LEAST_NAMED_PART
-    )
+    return ", ".join(f"{name} {parts[name]:.2f}" for name in ranked if parts[name] >= 0.05)
 
 
 def _near(patches: Floats, points: Floats) -> Singles:
-    """Weights (n, c) of patches (c, 3) at points (n, 3), which decrease with the distance."""
-    near = np.exp(-0.5 * (cdist(points, patches) / BLUR) ** 2)
+    """Weights (n, c) of patches (c, 3) at points (n, 3), normal in the distance (SD 4 mm)."""
+    near = np.exp(-0.5 * (cdist(points, patches) / 4.0) ** 2)
     return np.asarray(near / near.sum(axis=1, keepdims=True), dtype=np.float32)
 
 

@@ -12,6 +12,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -26,18 +27,7 @@ from fascicle.networks.target_comparison import Network
 from fascicle.recording.criteria import frontal_axis
 from fascicle.recording.target import Target
 
-# A fit is poor if the recording would be rare among those that the model predicts, or if not even
-# the best networks explain the QRS. The share that the other networks explain shows how wide the
-# posterior is, not how well the model fits.
-LEAST_PROBABLE = (
-    0.1  # nominal probability that a recording of the model is called rare; the true one is less
-)
-BEST = 0.05  # share of the networks that count as the best
-LEAST_EXPLAINED = 0.85  # share of the variance of the QRS that the best networks explain
-LEAST_IN_TORSO = 0.75  # share in a torso, which is never quite the patient's
-MOST_OFF = 1.5  # largest error of the emulator in the networks' ECGs, over that in held-out ECGs
-MOST_SCALED = 2.5  # largest distance of the median gain from 1, in SD of the gain's prior
-DURATION, AXIS, ALL_LEADS = "QRS duration", "frontal axis", "all leads together"
+DURATION, AXIS = "QRS duration", "frontal axis"
 # Name in `fascicle.networks.agreement.Agreement`, and unit
 MEASURED = {DURATION: ("global_qrs_duration_ms", " ms"), AXIS: ("axis_degrees", "°")}
 
@@ -45,6 +35,10 @@ MEASURED = {DURATION: ("global_qrs_duration_ms", " ms"), AXIS: ("axis_degrees", 
 @dataclass(frozen=True)
 class Checks:
     """Whether a recording looks like what networks predict.
+
+    A fit is poor if the recording would be rare among those that the model predicts, or if not even
+    the best networks explain the QRS. The share that the other networks explain shows how wide the
+    posterior is, not how well the model fits.
 
     Attributes
     ----------
@@ -75,28 +69,35 @@ class Checks:
     measured: Mapping[str, list[float]] = field(default_factory=dict)
     gain: list[float] = field(default_factory=lambda: [1.0, 1.0, 1.0])
     emulator: list[float] = field(default_factory=lambda: [0.0, 0.0])
-    least_explained: float = LEAST_EXPLAINED
+    least_explained: float = 0.85
     sequence: SequenceSummary | None = None
 
+    # nominal probability that a recording of the model is called rare; the true one is less
+    least_probable: ClassVar[float] = 0.1
+    best_share: ClassVar[float] = 0.05  # of the networks, those that count as the best
+    # error of the emulator in the networks' ECGs, over that in held-out ECGs
+    most_emulator_error: ClassVar[float] = 1.5
+    most_gain_sds: ClassVar[float] = 2.5  # of the median gain from 1, in SD of the gain's prior
+
     @classmethod
-    def joined(cls, each: Sequence[Checks]) -> Checks:
+    def joined(cls, parts: Sequence[Checks]) -> Checks:
         """Join the checks of several recordings, with the least explained and the worst gain."""
-        if len(each) == 1:
-            return each[0]
-        numbered = [(f" of recording {number}", checks) for number, checks in enumerate(each, 1)]
-        least = min(each, key=lambda checks: checks.explained - checks.least_explained)
+        if len(parts) == 1:
+            return parts[0]
+        numbered = [(f" of recording {number}", checks) for number, checks in enumerate(parts, 1)]
+        least = min(parts, key=lambda checks: checks.explained - checks.least_explained)
         return cls(
             least.explained,
             {
-                f"{name}{of}": min(1.0, p * len(each))
+                f"{name}{of}": min(1.0, p * len(parts))
                 for of, checks in numbered
                 for name, p in checks.probabilities.items()
             },
             {f"{name}{of}": m for of, checks in numbered for name, m in checks.measured.items()},
-            max((checks.gain for checks in each), key=lambda gain: abs(gain[0] - 1)),
-            max((checks.emulator for checks in each), key=lambda error: error[0]),
+            max((checks.gain for checks in parts), key=lambda gain: abs(gain[0] - 1)),
+            max((checks.emulator for checks in parts), key=lambda error: error[0]),
             least.least_explained,
-            next((checks.sequence for checks in each if checks.sequence is not None), None),
+            next((checks.sequence for checks in parts if checks.sequence is not None), None),
         )
 
     @classmethod
@@ -111,7 +112,7 @@ class Checks:
     @property
     def disagreeing(self) -> list[str]:
         """Leads and quantities in which the recording would be rare under the model."""
-        return [name for name, p in self.probabilities.items() if p < LEAST_PROBABLE]
+        return [name for name, p in self.probabilities.items() if p < self.least_probable]
 
     @property
     def acceptable(self) -> bool:
@@ -123,7 +124,7 @@ class Checks:
         """Share of the QRS that the best networks explain, in words."""
         # rounded down, so that a value below a limit is not shown as the limit
         share = math.floor(100 * self.explained + 1e-9)
-        return f"{share}% of the QRS explained by the best {BEST:.0%} of networks"
+        return f"{share}% of the QRS explained by the best {self.best_share:.0%} of networks"
 
     @property
     def unmapped(self) -> str:
@@ -138,17 +139,21 @@ class Checks:
     def emulator_off(self) -> str:
         """Statement that the emulator is not exact enough for these networks; else empty."""
         error, expected = self.emulator
-        if error <= MOST_OFF * expected:
+        if error <= self.most_emulator_error * expected:
             return ""
         return f"emulator {error:.0%} off these networks, {expected:.0%} expected"
 
     @property
     def failures(self) -> list[str]:
         """Failed checks in words, in the order in which a cardiologist looks at an ECG."""
-        rare = self.disagreeing
-        failures = [
-            f"{name} {_compared(name, m)}" for name, m in self.measured.items() if name in rare
-        ]
+        rare, failures = self.disagreeing, []
+        for name, (recorded, low, middle, high) in self.measured.items():
+            if name in rare:
+                unit = next(unit for of, (_, unit) in MEASURED.items() if name.startswith(of))
+                failures.append(
+                    f"{name} {recorded:.0f}{unit} recorded, {middle:.0f} ({low:.0f}–{high:.0f}) "
+                    "simulated"
+                )
         if leads := [name for name in rare if name not in self.measured]:
             failures.append(f"{', '.join(leads)} not reproduced")
         if self.explained < self.least_explained:
@@ -157,12 +162,6 @@ class Checks:
         if not low <= gain <= high:
             failures.append(f"ECG scaled by {gain:.2g}, {low:.2g} to {high:.2g} expected")
         return failures
-
-
-def _compared(name: str, measured: Sequence[float]) -> str:
-    recorded, low, middle, high = measured
-    unit = next(unit for of, (_, unit) in MEASURED.items() if name.startswith(of))
-    return f"{recorded:.0f}{unit} recorded, {middle:.0f} ({low:.0f}–{high:.0f}) simulated"
 
 
 @dataclass(frozen=True)
@@ -223,13 +222,13 @@ def _checks(
             (replicate.noisy - replicate.ecg)[rows, window],
         ]
         energies = [(difference**2).sum(axis=1) for difference in differences]
-        residual[k] = energies[0] if replicate.left is None else replicate.left
+        residual[k] = energies[0] if replicate.residual is None else replicate.residual
         error[k] = energies[1] if replicate.error is None else replicate.error
         unexplained[k] = (
             residual[k].sum() if replicate.unexplained is None else replicate.unexplained
         )
     leads = {target.leads[row]: _rarer(residual[:, k], error[:, k]) for k, row in enumerate(rows)}
-    leads[ALL_LEADS] = _rarer(residual.sum(axis=1), error.sum(axis=1))
+    leads["all leads together"] = _rarer(residual.sum(axis=1), error.sum(axis=1))
     spread = float(np.hypot(*target.global_qrs_sd))
     measured = {
         name: [compared.recorded[key], *compared.percentiles(key)]
@@ -243,13 +242,16 @@ def _checks(
     }
     if AXIS in measured:
         axes = np.array([frontal_axis(replicate.noisy[:, window]) for replicate in drawn])
-        quantities[AXIS] = _rare_axis(axes, measured[AXIS][0])
+        mean = float(np.degrees(np.angle(np.exp(1j * np.radians(axes)).mean())))
+        turns = (np.append(axes, measured[AXIS][0]) - mean + 180) % 360 - 180
+        quantities[AXIS] = _two_sided(turns[:-1], float(turns[-1]), 0.0)
     # Bonferroni: the leads together weigh as much as the duration or the axis
-    parts, off = len(quantities) + 1, MOST_SCALED * gain_sd + 1e-9
+    parts, off = len(quantities) + 1, Checks.most_gain_sds * gain_sd + 1e-9
     weighted = {n: p * parts for n, p in quantities.items()}
     weighted |= {name: p * parts * len(leads) for name, p in leads.items()}
     return Checks(
-        1 - float(np.quantile(unexplained, BEST)) / float((target.qrs[rows] ** 2).sum()),
+        1
+        - float(np.quantile(unexplained, Checks.best_share)) / float((target.qrs[rows] ** 2).sum()),
         {name: min(1.0, p) for name, p in weighted.items()},
         measured,
         [float(np.median([replicate.gain for replicate in drawn])), max(1 - off, 0.0), 1 + off],
@@ -263,13 +265,6 @@ def _rarer(residual: Floats, error: Floats) -> float:
     distribution.
     """
     return float(1 - np.searchsorted(np.sort(error), residual).mean() / len(error))
-
-
-def _rare_axis(axes: Floats, recorded: float) -> float:
-    """Two-sided probability of an axis (degrees) as far from those of the networks (n,)."""
-    mean = float(np.degrees(np.angle(np.exp(1j * np.radians(axes)).mean())))
-    turns = (np.append(axes, recorded) - mean + 180) % 360 - 180
-    return _two_sided(turns[:-1], float(turns[-1]), 0.0)
 
 
 def _two_sided(predicted: Floats, recorded: float, sd: float) -> float:

@@ -20,20 +20,14 @@ from fascicle.core.quantities import Changes, quantity
 from fascicle.core.threads import one_thread
 from fascicle.emulation.ecg_emulator import EcgEmulator
 from fascicle.emulation.ecg_emulator import refined as refined_by
-from fascicle.emulation.likelihood import EmulatedLikelihood
-from fascicle.emulation.sampling import RUNS, of_all, sampled
+from fascicle.emulation.likelihood import RUNS, EmulatedLikelihood, of_all, sampled
 from fascicle.forward.scenario import Scenario
 from fascicle.inference.emulator import Singles
 from fascicle.inference.tempered_sampling import effective_size
 from fascicle.networks.prior_simulations import PriorSimulations
 
-REFINING_NETWORKS, SHARE = (
-    500,
-    1 / 32,
-)  # networks simulated in a round: at most, and per prior simulation
-REFINING_PARTICLES = 300  # of each run of a round; some of them are simulated
+REFINING_NETWORKS = 500  # simulated in a round, at most
 MOST_ROUNDS = 3
-MOVED = 0.02  # effective share of a round's draws for the next posterior; if less, that has moved
 
 
 def refined_emulators(
@@ -44,6 +38,8 @@ def refined_emulators(
     folder: Path,
     rng: np.random.Generator,
     progress: Progress | None = None,
+    share: float = 1 / 32,
+    particles: int = 300,
 ) -> list[EcgEmulator]:
     """Train emulators further, on networks of the posterior that they give together.
 
@@ -62,6 +58,10 @@ def refined_emulators(
         Number of prior simulations that the emulators have learnt from.
     folder : Path
         Folder of the study, in which the simulations are kept.
+    share : float
+        Networks simulated in a round, over `count`; `REFINING_NETWORKS` at most.
+    particles : int
+        Particles of each run of a round; some of them are simulated.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def refined_emulators(
         Emulator of each recording; recordings of one scenario share an emulator.
     """
     now = emulated_by(emulators)
-    simulator, drawn = now[0].simulator, round(min(REFINING_NETWORKS, SHARE * count))
+    simulator, drawn = now[0].simulator, round(min(REFINING_NETWORKS, share * count))
     if any(quantity(name).changes is Changes.TISSUE for name in simulator.prior.names):
         return [*emulators]
     prior = simulator.prior
@@ -78,9 +78,9 @@ def refined_emulators(
     digests = ["" if scenario is None else scenario[1] for scenario in scenarios]
     seen: dict[str, list[tuple[Singles, Singles]]] = {digest: [] for digest in digests}
     for number in range(1, MOST_ROUNDS + 1):
-        message = f"{RUNS} runs of {REFINING_PARTICLES}, to refine the emulator"
+        message = f"{RUNS} runs of {particles}, to refine the emulator"
         message += f", round {number}" if number > 1 else ""
-        runs = sample(now, prior.dimension, rng.spawn(RUNS), REFINING_PARTICLES, message, progress)
+        runs = sample(now, prior.dimension, rng.spawn(RUNS), particles, message, progress)
         run_points = np.concatenate([run.points for run in runs])
         points = rng.permutation(run_points)[:drawn]
         usual, refined = prior.sample(rng, number * len(points)), {}
@@ -102,6 +102,7 @@ def refined_emulators(
             refined[digest] = refined_by(emulator, *examples, usual_inputs, rng, latest=len(inputs))
         before, now = now, emulated_by([refined[digest] for digest in digests])
         log_weights = of_all(now, run_points) - of_all(before, run_points)
-        if effective_size(log_weights - log_weights.max()) > MOVED * len(run_points):
+        # where fewer than 2 % of a round's draws are effective, the posterior has moved
+        if effective_size(log_weights - log_weights.max()) > 0.02 * len(run_points):
             break
     return [likelihood.emulator for likelihood in now]

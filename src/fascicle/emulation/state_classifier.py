@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,14 +45,10 @@ from fascicle.heart.heart import Heart
 from fascicle.inference.emulator import Singles
 from fascicle.networks.conduction_states import state_label
 from fascicle.networks.prior import Prior
-from fascicle.networks.prior_simulations import SEED, PriorSimulations
+from fascicle.networks.prior_simulations import PriorSimulations
 from fascicle.pools.pool import Pool
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import as_target
-
-CLASSIFIER = "classifier"  # kind of file
-RECORDINGS = 40_000  # recordings of each state in the training set
-FEWEST_OF_STATE = 100  # least number of simulations of a state to learn from
 
 
 @dataclass(frozen=True)
@@ -62,6 +58,7 @@ class StateSimulations:
     state: ConductionState
     simulations: PriorSimulations
     count: int  # half of a study's, or all for a mapped prior, to which many do not belong
+    fewest: ClassVar[int] = 100  # least number of simulations of a state to learn from
 
     @classmethod
     def of(
@@ -84,7 +81,7 @@ class StateSimulations:
         independent = slice(len(INDEPENDENT_LEADS))
         training_ecgs = examples.ecgs[~examples.held_out[examples.feasible], independent]
         held_out_ecgs = examples.in_torsos[:, independent]
-        if len(training_ecgs) < FEWEST_OF_STATE or not len(held_out_ecgs):
+        if len(training_ecgs) < self.fewest or not len(held_out_ecgs):
             raise InputError(
                 f"only {len(training_ecgs)} networks of the prior of '{self.state.name}' fit this "
                 "heart; give more prior_simulations, or a prior of the other states"
@@ -245,13 +242,13 @@ def classifier_of(
         for number, of_state in enumerate(states.values(), 1):
             message = f"{of_state.state.name} ({number} of {len(states)} states)"
             of_state.simulations.simulate(of_state.count, pool, progress, message)
-        rng = np.random.default_rng(SEED)
+        rng = np.random.default_rng(PriorSimulations.seed)
         arrays: Mapping[str, Any] = learn(
             *training_and_held_out(states, rows, rng), rows, rng, progress
         ).arrays()
         return arrays
 
-    stored = learnt_or_made(CLASSIFIER, classifier_key(states, rows), count, folder, make)
+    stored = learnt_or_made("classifier", classifier_key(states, rows), count, folder, make)
     return EcgClassifier.from_arrays(stored)
 
 
@@ -261,16 +258,19 @@ def classifier_key(states: Mapping[str, StateSimulations], rows: Integers) -> st
 
 
 def training_and_held_out(
-    states: Mapping[str, StateSimulations], rows: Integers, rng: np.random.Generator
+    states: Mapping[str, StateSimulations],
+    rows: Integers,
+    rng: np.random.Generator,
+    count: int = 40_000,
 ) -> tuple[RecordingSet, RecordingSet]:
-    """Training set of a heart's recordings, as many of each state, and a held-out set."""
+    """Training set of a heart's recordings, `count` of each state, and a held-out set."""
     first, *_ = states.values()
     recorder = Recorder.of(first.simulations.examples(first.count, LENGTH).of_the_prior)
     training: list[Singles] = []
     held_out: list[Singles] = []
     for state in states.values():
         ecgs, in_torsos = state.ecgs()
-        training.append(recorder.recordings(ecgs, rows, RECORDINGS, rng)[0])
+        training.append(recorder.recordings(ecgs, rows, count, rng)[0])
         held_out.append(in_leads(rows) @ recorder.recorded(in_torsos, rng, in_torsos=True))
     sets = []
     for recordings in (training, held_out):

@@ -35,7 +35,7 @@ from fascicle.networks.target_comparison import TargetComparison
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import read_target
 from fascicle.study.fitted import FittedStudy, load_study
-from fascicle.study.study import CONFIGURATION
+from fascicle.study.study import StudyFile
 
 
 def explore(
@@ -77,8 +77,9 @@ def session_of(
 ) -> Session:
     """Session of the arguments of `explore`."""
     check_kind(target, (Target, Path, str, NoneType), "target", "a fascicle target, or its file")
-    if isinstance(source, Path | str) and (as_path(source, "heart") / CONFIGURATION).is_file():
-        source = load_study(source)
+    if isinstance(source, Path | str):
+        configuration = as_path(source, "heart") / StudyFile.CONFIGURATION
+        source = load_study(source) if configuration.is_file() else source
     if isinstance(source, FittedStudy):
         if target is not None:
             raise InputError(

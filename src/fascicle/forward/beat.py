@@ -24,8 +24,6 @@ from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.recording.criteria import Criterion, conventional_criteria, frontal_axis
 from fascicle.recording.window import QrsWindows, qrs_windows
 
-LONGEST_ACTIVATION = 100_000.0  # ms that an activation may take; more is a mistake, and much memory
-
 
 @dataclass(frozen=True)
 class Beat:
@@ -66,7 +64,7 @@ class Beat:
 
     @property
     def signals(self) -> Signals:
-        """What a recording shows of the beat."""
+        """Signals of the beat in a recording."""
         junctions = tuple(len(tree.junctions) for tree in self.trees)
         return Signals(self.leads, self.first_activation, junctions)
 
@@ -170,7 +168,7 @@ class Beat:
 
 @dataclass(frozen=True)
 class Signals:
-    """What a recording shows of a beat: its ECG, and when it begins.
+    """Signals of a beat in a recording: its ECG, and when it begins.
 
     Attributes
     ----------
@@ -187,15 +185,18 @@ class Signals:
     junctions: tuple[int, ...]
 
 
-def check_activation(times: Floats) -> None:
-    """Refuse activation times (ms) that give no ECG: none is finite, or they lie too far apart."""
+def check_activation(times: Floats, longest: float = 100_000.0) -> None:
+    """Refuse activation times (ms) that give no ECG: none is finite, or they lie too far apart.
+
+    More than `longest` (ms) from first to last is a mistake, and takes much memory.
+    """
     reached = times[np.isfinite(times)]
     if not len(reached):
         raise InputError(
             "nothing activates the myocardium; let a root fire, unblock a bundle, or add a stimulus"
         )
-    if np.ptp(reached) > LONGEST_ACTIVATION:
+    if np.ptp(reached) > longest:
         raise InputError(
             f"activation takes {np.ptp(reached):.3g} ms from first to last, more than "
-            f"{LONGEST_ACTIVATION:g}; check speeds, delays and times of stimuli"
+            f"{longest:g}; check speeds, delays and times of stimuli"
         )

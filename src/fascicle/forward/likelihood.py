@@ -11,7 +11,7 @@ those of the mean recorded beat::
     C     covariance of the known errors: noise of the mean beat, residuals of an emulator
     D     covariance of the discrepancy, the error of the model itself, of unit size: half of it is
           smooth in time, half is rough, as a network's ECG is as a function of its parameters
-    σ     size of the discrepancy (mV), unknown: log-uniform over `SHARES` of the recorded QRS
+    σ     size of the discrepancy (mV), unknown: log-uniform over `shares` of the recorded QRS
     g     gain, unknown: normal about 1
     B_k   torso modes: changes of the leads in another torso, each with a standard normal factor z_k
     s     shift, unknown: the first activation is at the recorded QRS onset, within its uncertainty
@@ -29,7 +29,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, runtime_checkable
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -46,12 +46,7 @@ from fascicle.kernels.gaussian import integrated
 from fascicle.recording.target import Target, residual_covariance
 
 MARGIN = 40  # samples (ms) of silence on either side of the QRS
-SHIFT_STEP = 3  # ms between shifts
 HALF_PERIOD = 20.0  # ms; of the fastest cosine
-AFTER_ONSET = 3.0  # ms; SD of the first activation about the QRS onset, besides that of the onset
-CORRELATED = (12.0, 4.0)  # ms; correlation times of the discrepancy: its smooth and its rough half
-LEAD_SHARE = 0.5  # share of the discrepancy's variance that is independent between leads
-SHARES = np.geomspace(0.1, 0.4, 4)  # sizes of the discrepancy, of the recorded QRS (rms)
 
 
 @runtime_checkable
@@ -81,11 +76,11 @@ class Replicate:
         Time of the first activation from the recorded onset (ms).
     discrepancy : float
         Size of the discrepancy (mV).
-    left, error : (n_leads,) arrays, optional
+    residual, error : (n_leads,) arrays, optional
         Energy of the residual, recording minus `ecg`, and of a drawn error, of each independent
         lead, in the coefficients of the likelihood; by default over the QRS window.
     unexplained : float, optional
-        Energy of the whole residual; by default the sum of `left`.
+        Energy of the whole residual; by default the sum of `residual`.
     torso : (12 + k, 12 + k) array, optional
         Maps the leads in the unchanged torso to those in the drawn torso, without the gain.
     """
@@ -95,7 +90,7 @@ class Replicate:
     gain: float = 1.0
     shift: float = 0.0
     discrepancy: float = 0.0
-    left: Floats | None = None
+    residual: Floats | None = None
     error: Floats | None = None
     unexplained: float | None = None
     torso: Floats | None = None
@@ -112,7 +107,7 @@ class Fit:
     log_likelihood : float
         Logarithm of the density of V̂ (1/mV for each coefficient).
     shifts : (n_shifts,) array
-        Samples of the simulation at which the window of the cosines may begin, `SHIFT_STEP` apart:
+        Samples of the simulation at which the window of the cosines may begin, `shift_step` apart:
         the cosines are so slow that the sum over them is as good as the integral.
     weights : (n_scales, n_shifts) array
         Posterior probability of each pair of discrepancy and shift; they add up to 1.
@@ -131,21 +126,31 @@ class QrsLikelihood:
     ----------
     target : Target
         Target of the recording.
-    known : (n, n) array
+    covariance : (n, n) array
         C (mV²), with n = n_leads · n_modes: a block of cosines for each pair of leads.
     discrepancy : (n, n) array
         D, of unit mean over the samples of a lead.
     gain_sd : float
         Standard deviation of the gain about 1; 0 fixes it.
-    bodies : (k, 12 + a, 12 + a) array
+    torso_modes : (k, 12 + a, 12 + a) array
         Torso modes: matrices B_k of all leads, each with a standard normal factor.
     """
 
     target: Target
-    known: Floats
+    covariance: Floats
     discrepancy: Floats
     gain_sd: float
-    bodies: Floats
+    torso_modes: Floats
+
+    shift_step: ClassVar[int] = 3  # ms between shifts
+    # ms; SD of the first activation about the QRS onset, besides that of the onset
+    first_activation_sd: ClassVar[float] = 3.0
+    # sizes of the discrepancy, of the recorded QRS (rms)
+    shares: ClassVar[Floats] = np.geomspace(0.1, 0.4, 4)
+    # ms; correlation times of the discrepancy: of its smooth and its rough half
+    correlation_times: ClassVar[tuple[float, float]] = (12.0, 4.0)
+    # share of the discrepancy's variance that is independent between leads
+    lead_share: ClassVar[float] = 0.5
 
     __repr__ = short_repr
 
@@ -162,7 +167,7 @@ class QrsLikelihood:
         models = self.whitened(ecg.leads, ecg.first_activation)[:, :, at]
         factors = self._factors(models, int(scale), rng)
         gain = 1 + self.gain_sd * factors[0]
-        mixed = gain * np.eye(len(ecg.leads)) + np.tensordot(factors[1:], self.bodies, 1)
+        mixed = gain * np.eye(len(ecg.leads)) + np.tensordot(factors[1:], self.torso_modes, 1)
         leads = mixed @ ecg.leads
         begin = shift + MARGIN - target.qrs_samples.start
         clean = placed(leads, begin, len(target.time), target.response)
@@ -195,17 +200,17 @@ class QrsLikelihood:
         joint = self._joint(self.whitened(ecg.leads, ecg.first_activation)) + self._log_priors
         total = float(logsumexp(joint))
         shifts = ecg.first_activation - MARGIN + self._steps
-        return Fit(total - math.log(len(SHARES)), shifts, np.exp(joint - total))
+        return Fit(total - math.log(len(self.shares)), shifts, np.exp(joint - total))
 
     def of_sums(self, parts: Floats, scores: Floats) -> Floats:
         """Log-likelihoods (m,) of ECGs that are sums of parts, weighted by scores (q, m).
 
         Parts have shape (n_shifts, 1 + k, n, q), as `whitened` computes them.
         """
-        logs = np.empty((len(self._steps), len(SHARES), scores.shape[1]))
+        logs = np.empty((len(self._steps), len(self.shares), scores.shape[1]))
         for at, prior in enumerate(self._log_priors):
             logs[at] = self._joint(parts[at] @ scores) + prior
-        return np.asarray(logsumexp(logs, axis=(0, 1)) - math.log(len(SHARES)))
+        return np.asarray(logsumexp(logs, axis=(0, 1)) - math.log(len(self.shares)))
 
     def whitened(self, leads: Floats, first_activation: float) -> Floats:
         """Coefficients of all leads (12 + k, n), and of the changes by the torso modes.
@@ -214,9 +219,9 @@ class QrsLikelihood:
         """
         begin, end = first_activation - MARGIN + self._steps[[0, -1]]
         samples = placed(leads, begin, self.length + round(end - begin), self.target.response)
-        windows = sliding_window_view(samples, self.length, axis=1)[:, ::SHIFT_STEP]
+        windows = sliding_window_view(samples, self.length, axis=1)[:, :: self.shift_step]
         coefficients = np.ascontiguousarray(windows) @ self.modes  # (12 + k, n_shifts, n_modes)
-        mixed = [coefficients, *np.tensordot(self.bodies, coefficients, 1)]
+        mixed = [coefficients, *np.tensordot(self.torso_modes, coefficients, 1)]
         basis = self._diagonal[0]
         independent = [
             part[self._rows].transpose(0, 2, 1).reshape(len(basis), -1) for part in mixed
@@ -238,8 +243,8 @@ class QrsLikelihood:
     @cached_property
     def _steps(self) -> Floats:
         """Shifts (ms) about the first activation at the recorded onset."""
-        reach = math.ceil(3.0 * self._onset_sd / SHIFT_STEP) * SHIFT_STEP
-        return np.arange(-reach, reach + 1.0, SHIFT_STEP)
+        reach = math.ceil(3.0 * self._onset_sd / self.shift_step) * self.shift_step
+        return np.arange(-reach, reach + 1.0, self.shift_step)
 
     @cached_property
     def _log_priors(self) -> Floats:
@@ -249,13 +254,13 @@ class QrsLikelihood:
 
     @property
     def _onset_sd(self) -> float:
-        return float(np.hypot(self.target.onset_sd, AFTER_ONSET))
+        return float(np.hypot(self.target.onset_sd, self.first_activation_sd))
 
     def noise(self, rng: np.random.Generator, scale: int) -> Floats:
         """Draw ε for the discrepancy `scales[scale]`, in coefficients (n_leads, n_modes)."""
         basis, weights, _, _ = self._diagonal
         drawn = rng.standard_normal(len(basis)) / np.sqrt(weights[scale])
-        return np.asarray((self.known @ basis @ drawn).reshape(len(self._rows), -1))
+        return np.asarray((self.covariance @ basis @ drawn).reshape(len(self._rows), -1))
 
     @property
     def length(self) -> int:
@@ -265,7 +270,7 @@ class QrsLikelihood:
     @cached_property
     def scales(self) -> Floats:
         """Sizes of the discrepancy that are summed over (mV), shape (n_scales,)."""
-        return np.asarray(SHARES * np.sqrt((self.target.qrs[self._rows] ** 2).mean()))
+        return np.asarray(self.shares * np.sqrt((self.target.qrs[self._rows] ** 2).mean()))
 
     @cached_property
     def modes(self) -> Floats:
@@ -296,25 +301,25 @@ class QrsLikelihood:
     @cached_property
     def _diagonal(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Basis (n, n); in it weights (n_scales, n), log-determinants and the recording (n, 1)."""
-        values, basis = eigh(self.discrepancy, self.known)
+        values, basis = eigh(self.discrepancy, self.covariance)
         spread = 1 + self.scales[:, None] ** 2 * np.maximum(values, 0)
-        constant = np.linalg.slogdet(2 * np.pi * self.known)[1]
+        constant = np.linalg.slogdet(2 * np.pi * self.covariance)[1]
         data = basis.T @ (self._padded @ self.modes).reshape(-1, 1)
         return basis, 1 / spread, constant + np.log(spread).sum(axis=1), data
 
-
-def constants() -> dict[str, float | str]:
-    """Name and constants of the likelihood."""
-    return {
-        "name": QrsLikelihood.__name__,
-        "margin_ms": MARGIN,
-        "half_period_ms": HALF_PERIOD,
-        "shift_step_ms": SHIFT_STEP,
-        "first_activation_sd_ms": AFTER_ONSET,
-        "discrepancy_shares": " ".join(f"{share:.3g}" for share in SHARES),
-        "discrepancy_correlations_ms": " ".join(f"{time:g}" for time in CORRELATED),
-        "discrepancy_of_each_lead": LEAD_SHARE,
-    }
+    @classmethod
+    def constants(cls) -> dict[str, float | str]:
+        """Name and constants of the likelihood."""
+        return {
+            "name": cls.__name__,
+            "margin_ms": MARGIN,
+            "half_period_ms": HALF_PERIOD,
+            "shift_step_ms": cls.shift_step,
+            "first_activation_sd_ms": cls.first_activation_sd,
+            "discrepancy_shares": " ".join(f"{share:.3g}" for share in cls.shares),
+            "discrepancy_correlations_ms": " ".join(f"{time:g}" for time in cls.correlation_times),
+            "discrepancy_of_each_lead": cls.lead_share,
+        }
 
 
 def cosines(qrs: int) -> Floats:
@@ -347,7 +352,8 @@ def discrepancy_in_time(length: int) -> Floats:
     smooth half does over the first 10 ms (0.94 at 3 ms, 0.78 at 6 ms). Without the rough half, fast
     deflections would decide between networks.
     """
-    return np.asarray(np.mean([matern(length, correlation) for correlation in CORRELATED], axis=0))
+    times = QrsLikelihood.correlation_times
+    return np.asarray(np.mean([matern(length, time) for time in times], axis=0))
 
 
 def matern(length: int, correlation: float = 12.0) -> Floats:
@@ -362,14 +368,15 @@ def separable(leads: Floats, time: Floats, modes: Floats) -> Floats:
     return np.asarray(np.kron(leads, modes.T @ time @ modes))
 
 
-def lead_pattern(signals: Sequence[Floats], own: float = LEAD_SHARE) -> Floats:
+def lead_pattern(signals: Sequence[Floats]) -> Floats:
     """Correlation between leads of differences between simulations (n_leads, n), of unit mean.
 
-    `own` is the share of the variance that is independent between leads, such as from misplaced
-    electrodes. With a small share the likelihood would prefer twice the mismatch to a mismatch that
-    is unlike the differences between networks.
+    A share of the variance, `QrsLikelihood.lead_share`, is independent between leads, such as from
+    misplaced electrodes. With a small share the likelihood would prefer twice the mismatch to a
+    mismatch that is unlike the differences between networks.
     """
     products = [signal @ signal.T for signal in signals]
     total = np.asarray(np.sum(products, axis=0) / np.sum(np.trace(products, axis1=1, axis2=2)))
     total *= len(total)
-    return (1 - own) * total + own * np.eye(len(total))
+    share = QrsLikelihood.lead_share
+    return (1 - share) * total + share * np.eye(len(total))

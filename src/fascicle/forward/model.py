@@ -15,7 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Lock
 from types import NoneType
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -52,9 +52,6 @@ from fascicle.mesh.measures import barycentric_gradients
 from fascicle.purkinje.growth import GrowthRules, grow_from_parameters, with_angles
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.torso.variation.response import TorsoResponse
-
-REMEMBERED = 8  # grown networks that are kept, in case only speeds and times change next
-TISSUES_KEPT = 6  # tissues that are kept; each takes the memory of a heart, or half of it on disk
 
 SCENARIO = "a fascicle.Scenario; fascicle.read_scenarios reads them"  # what to give
 
@@ -124,6 +121,11 @@ class ForwardModel:
     >>> simulation.ecg.sel(lead="V1").max().item()  # doctest: +SKIP
     """
 
+    # grown networks that are kept, in case only speeds and times change next
+    networks_kept: ClassVar[int] = 8
+    # tissues that are kept; each takes the memory of a heart, or half of it on disk
+    tissues_kept: ClassVar[int] = 6
+
     def __init__(
         self,
         heart: Heart | Path | str,
@@ -149,9 +151,9 @@ class ForwardModel:
             prepared = prepare(heart, self.conduction, self.action_potential, progress)
         self.prepared = prepared
         self.myocardium = prepared.myocardium
-        self._grow = lru_cache(REMEMBERED)(partial(_grow_trees, prepared))
+        self._grow = lru_cache(self.networks_kept)(partial(_grow_trees, prepared))
         self._kept: set[Conduction] = set()
-        self._tissue = made_once(self._made_tissue, TISSUES_KEPT)
+        self._tissue = made_once(self._made_tissue, self.tissues_kept)
         self.sites = Sites(heart)
         self._progress = progress
         self._torso: TorsoModel | None = None
@@ -201,12 +203,12 @@ class ForwardModel:
             )
         return values
 
-    def torso(self, wanted: Sequence[str], progress: Progress | None = None) -> TorsoModel:
+    def torso(self, names: Sequence[str], progress: Progress | None = None) -> TorsoModel:
         """Lead fields as a function of the torso, built when first used: minutes, once per heart.
 
         Parameters
         ----------
-        wanted : sequence of str
+        names : sequence of str
             Quantities of the torso that need it; an error names the first.
         progress : Progress, optional
             Progress callback, instead of that of the model.
@@ -219,7 +221,7 @@ class ForwardModel:
         with self._torso_lock:
             if self._torso is None:
                 report = progress or self._progress
-                response = prepare_response(self.heart, self.conduction, wanted, report)
+                response = prepare_response(self.heart, self.conduction, names, report)
                 self.use_response(response)
             assert self._torso is not None
             return self._torso
@@ -348,35 +350,26 @@ class ForwardModel:
                 build,
                 lambda made: made.travel_times._asdict(),  # nine tenths of the work
                 lambda arrays: build(table=TravelTimeTable(**arrays)),
-                most=TISSUES_KEPT,
+                most=self.tissues_kept,
             )
         else:
             myocardium = build()
         return Tissue(
             myocardium,
             self.prepared.electrocardiograph.scaled(conduction.scale(self.heart)),
-            lru_cache(REMEMBERED)(partial(attach, myocardium)),
+            lru_cache(self.networks_kept)(partial(attach, myocardium)),
         )
 
     def _leads(self, times: Floats, tissue: Tissue, values: Mapping[str, float]) -> Floats:
         """All leads (mV), in the torso that the values describe."""
         torso = torso_values(values)
-        if not torso:
+        if torso:
+            ecg = self.electrocardiograph_in_torso(values)
+        else:
             ecg = self.with_sources(tissue.electrocardiograph, values)
-            return np.asarray(values.get("gain", 1.0) * ecg.leads(times))
-        leads = self.leads_in_torso(times, values)
-        if isinstance(leads, Infeasible):
-            raise InputError(f"{', '.join(torso)}: {leads.reason}; give smaller changes")
-        return leads
-
-    def leads_in_torso(
-        self, activation: Floats, values: Mapping[str, float]
-    ) -> Floats | Infeasible:
-        """All leads (mV) of an activation (ms), given checked quantities of the torso."""
-        ecg = self.electrocardiograph_in_torso(values)
         if isinstance(ecg, Infeasible):
-            return ecg
-        return np.asarray(values.get("gain", 1.0) * ecg.leads(activation))
+            raise InputError(f"{', '.join(torso)}: {ecg.reason}; give smaller changes")
+        return np.asarray(values.get("gain", 1.0) * ecg.leads(times))
 
     def electrocardiograph_in_torso(
         self, values: Mapping[str, float]

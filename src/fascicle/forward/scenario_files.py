@@ -49,22 +49,6 @@ def tables() -> dict[str, type[Table]]:
     return {**PRIMITIVES, "region": Region, "tree": TreeFile}
 
 
-# Abbreviations for scenarios of the library, as `plain_name` gives them
-SCENARIO_ALIASES = {
-    "lbbb": "left-bundle-branch-block", "rbbb": "right-bundle-branch-block",
-    "lafb": "left-anterior-fascicular-block", "lpfb": "left-posterior-fascicular-block",
-    "crt": "biventricular-pacing", "biv": "biventricular-pacing", "bivp": "biventricular-pacing",
-    "bivcrt": "biventricular-pacing", "hbp": "his-pacing", "hisbundlepacing": "his-pacing",
-    "nshbp": "his-pacing-nonselective", "lbbp": "left-bundle-branch-pacing",
-    "lbbap": "left-bundle-branch-pacing-nonselective",
-    "nslbbp": "left-bundle-branch-pacing-nonselective", "lvsp": "left-septal-pacing",
-    "hotcrt": "his-optimised-pacing", "lotcrt": "left-bundle-optimised-pacing",
-    "rvp": "rv-apical-pacing", "rvpacing": "rv-apical-pacing", "rvap": "rv-apical-pacing",
-    "rvsp": "rv-septal-pacing", "rvotpacing": "rv-outflow-pacing", "pvc": "pvc-rv-outflow",
-    "sinus": "intrinsic", "sinusrhythm": "intrinsic", "baseline": "intrinsic",
-}  # fmt: skip
-
-
 def library() -> dict[str, Path]:
     """The scenarios that come with the package, by name."""
     folder = Path(str(files("fascicle") / "data" / "scenarios"))
@@ -88,7 +72,22 @@ def find_scenario(name: str) -> Path:
     if name in packaged:
         return packaged[name]
     if not path.exists() and path.name == name and not path.suffix:
-        hint = did_you_mean(name, packaged, SCENARIO_ALIASES.items())
+        # as `plain_name` gives them
+        abbreviations = {
+            "lbbb": "left-bundle-branch-block", "rbbb": "right-bundle-branch-block",
+            "lafb": "left-anterior-fascicular-block", "lpfb": "left-posterior-fascicular-block",
+            "crt": "biventricular-pacing", "biv": "biventricular-pacing",
+            "bivp": "biventricular-pacing",
+            "bivcrt": "biventricular-pacing", "hbp": "his-pacing", "hisbundlepacing": "his-pacing",
+            "nshbp": "his-pacing-nonselective", "lbbp": "left-bundle-branch-pacing",
+            "lbbap": "left-bundle-branch-pacing-nonselective",
+            "nslbbp": "left-bundle-branch-pacing-nonselective", "lvsp": "left-septal-pacing",
+            "hotcrt": "his-optimised-pacing", "lotcrt": "left-bundle-optimised-pacing",
+            "rvp": "rv-apical-pacing", "rvpacing": "rv-apical-pacing", "rvap": "rv-apical-pacing",
+            "rvsp": "rv-septal-pacing", "rvotpacing": "rv-outflow-pacing", "pvc": "pvc-rv-outflow",
+            "sinus": "intrinsic", "sinusrhythm": "intrinsic", "baseline": "intrinsic",
+        }  # fmt: skip
+        hint = did_you_mean(name, packaged, abbreviations.items())
         raise InputError(
             f"there is no scenario '{name}'; {hint + ' ' if hint else ''}'fascicle scenarios' "
             "lists them; a file of your own ends in .toml"

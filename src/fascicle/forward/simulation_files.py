@@ -28,11 +28,6 @@ from fascicle.mesh.formats.vtk import pyvista_blocks, pyvista_grid, write_grid
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.purkinje.tree_files import read_tree, write_tree
 
-PICTURES = [  # of the results; callers may draw them into the folder
-    f"{picture}.{kind}" for picture in ("ecg", "activation") for kind in ("png", "svg", "pdf")
-]
-FURTHEST_JUNCTION = 5.0  # mm; a leaf further from the tissue is not a junction
-
 
 def simulate_inputs(
     make_model: Callable[[], ForwardModel],
@@ -104,10 +99,11 @@ def _check_trees(scenario: Scenario | None, model: ForwardModel) -> None:
 
 def _check_at_tissue(name: str, model: ForwardModel, tree: PurkinjeTree) -> None:
     distances = model.myocardium.on_surface(tree.nodes[tree.junctions]).distances
-    if distances.max() > FURTHEST_JUNCTION:
+    furthest = 5.0  # mm; a leaf further from the tissue is not a junction
+    if distances.max() > furthest:
         raise InputError(
-            f"{name}: {int((distances > FURTHEST_JUNCTION).sum())} of {len(distances)} leaves lie "
-            f"more than {FURTHEST_JUNCTION:g} mm from the tissue (up to {distances.max():.1f} mm); "
+            f"{name}: {int((distances > furthest).sum())} of {len(distances)} leaves lie "
+            f"more than {furthest:g} mm from the tissue (up to {distances.max():.1f} mm); "
             "give the tree in the heart's frame, in mm"
         )
 
@@ -174,7 +170,11 @@ def write_simulation(
 ) -> dict[str, Any]:
     """Write a simulation's folder, whole or not at all; returns its `summary`."""
     content = summary(heart, simulation, inputs)
-    with atomic_folder(folder, disposable=PICTURES) as temporary:
+    # callers may draw pictures of the results into the folder
+    pictures = [
+        f"{name}.{kind}" for name in ("ecg", "activation") for kind in ("png", "svg", "pdf")
+    ]
+    with atomic_folder(folder, disposable=pictures) as temporary:
         write_beat(temporary, heart, simulation)
         write_ecg(temporary / "ecg.csv", simulation.ecg)
         write_text(temporary / "summary.json", json.dumps(content, indent=2) + "\n")

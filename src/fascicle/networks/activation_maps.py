@@ -6,8 +6,6 @@ import numpy as np
 
 from fascicle.core.arrays import Floats, Singles
 
-LATE_SHARE = 0.2  # share of the vertices that count as late
-
 
 def since_first(activation: Floats | Singles) -> Floats:
     """Activation times (..., n) (ms) from the first of each row on; NaN where no front arrives."""
@@ -39,7 +37,7 @@ def activation_maps(activations: Floats | Singles) -> dict[str, Floats]:
     counts = np.where(reached > 0, reached, np.nan)
     mean = np.nansum(times, axis=0) / counts
     spread = np.sqrt(np.nansum((times - mean) ** 2, axis=0) / counts)
-    late = times >= np.nanquantile(times, 1 - LATE_SHARE, axis=1, keepdims=True)
+    late = times >= np.nanquantile(times, 0.8, axis=1, keepdims=True)
     return {
         "activation_mean": mean,
         "activation_sd": spread,

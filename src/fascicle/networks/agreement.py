@@ -102,8 +102,8 @@ def agreement(target: Target, networks: Sequence[Network]) -> Agreement:
     )
 
 
-def pearson(one: Floats, other: Floats) -> float:
+def pearson(x: Floats, y: Floats) -> float:
     """Pearson's correlation of values (n,); 0 if either is constant."""
-    one, other = one - one.mean(), other - other.mean()
-    size = float(np.sqrt((one**2).sum() * (other**2).sum()))
-    return float((one * other).sum() / size) if size else 0.0
+    x, y = x - x.mean(), y - y.mean()
+    size = float(np.sqrt((x**2).sum() * (y**2).sum()))
+    return float((x * y).sum() / size) if size else 0.0

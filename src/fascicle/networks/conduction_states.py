@@ -49,7 +49,7 @@ def states_of(priors: Mapping[str, float]) -> tuple[ConductionState, ...]:
     return tuple(replace(CONDUCTION_STATES[name], probability=p) for name, p in priors.items())
 
 
-def asked_states(asked: Any) -> tuple[ConductionState, ...]:
+def asked_states(conduction: Any) -> tuple[ConductionState, ...]:
     """Conduction states that the user chose: one, all, or a mapping of states to priors.
 
     Raises
@@ -58,8 +58,10 @@ def asked_states(asked: Any) -> tuple[ConductionState, ...]:
         If there is no such state, or a prior is not a positive number.
     """
     priors = {state.name: state.probability for state in told_apart()}
-    if isinstance(asked, Mapping):
-        chosen = {name: number(p, f"parameter 'conduction': '{name}'") for name, p in asked.items()}
+    if isinstance(conduction, Mapping):
+        chosen = {
+            name: number(p, f"parameter 'conduction': '{name}'") for name, p in conduction.items()
+        }
         wrong = [name for name, p in chosen.items() if not (name in priors and 0 < p < math.inf)]
         if wrong or not chosen:
             raise InputError(
@@ -67,9 +69,9 @@ def asked_states(asked: Any) -> tuple[ConductionState, ...]:
                 f"some of {', '.join(priors)}"
             )
         return states_of(chosen)
-    if isinstance(asked, str) and asked == FREE:
+    if isinstance(conduction, str) and conduction == FREE:
         return told_apart()
-    value = check(quantity("conduction"), asked)
+    value = check(quantity("conduction"), conduction)
     return states_of({[*CONDUCTION_STATES][int(value)]: 1.0})
 
 

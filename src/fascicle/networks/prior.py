@@ -44,33 +44,30 @@ from fascicle.networks.conduction_states import asked_states, narrowed, united
 from fascicle.networks.settings import FitSettings, Method
 from fascicle.purkinje.growth import GrowthRules
 
-PRIOR_KEYS = ("prior", "lower", "upper", "median", "sd")
-PARAMETERS = "parameters"  # table of a settings file
-
 
 def study_space(
-    method: Method, wanted: Mapping[str, Any], heart: Heart
+    method: Method, changes: Mapping[str, Any], heart: Heart
 ) -> tuple[ParameterSpace, dict[str, float]]:
     """Parameter space that a study learns, and fixed quantities that differ from their defaults.
 
     The method ``"paper"`` learns the paper's parameters of bundles and fascicles, root time and
     Purkinje conduction velocity; ``"posterior"`` has priors of human anatomy, the interventricular
     delay, and the conduction velocity of the myocardium along the fibre, where the heart does not
-    give it. A quantity that stands for another one (`stand_ins`) replaces it. `wanted` holds the
-    user's changes, as `parameters` of `fascicle.fit`; a group of `GROUPS` that is ``"free"`` frees
+    give it. A quantity that stands for another one (`stand_ins`) replaces it. `changes` holds the
+    user's, as `parameters` of `fascicle.fit`; a group of `GROUPS` that is ``"free"`` frees
     all of its quantities but those that are given separately.
     """
-    human, wanted = method == "posterior", without_groups(wanted)
+    human, changes = method == "posterior", without_groups(changes)
     default: dict[str, Parameter | float] = {
         f"{side}_fascicles": default_of(f"{side}_fascicles") for side in SIDES
     }
     numbers = default | ({"lv_fascicles": 3.0} if human else {})
-    numbers |= {name: _chosen(name, wanted[name], {}) for name in default if name in wanted}
+    numbers |= {name: _chosen(name, changes[name], {}) for name in default if name in changes}
     counts = {n[:2]: int(k) for n, k in numbers.items() if not isinstance(k, Parameter)}
     usual = list((human_space if human else network_space)(**counts).parameters)
     chosen = {
         name: _chosen(name, value, {p.name: p for p in usual})
-        for name, value in wanted.items()
+        for name, value in changes.items()
         if name not in default
     }
     check_not_twice(chosen)
@@ -318,10 +315,10 @@ class Prior:
         return ranges
 
 
-def without_groups(wanted: Mapping[str, Any]) -> dict[str, Any]:
+def without_groups(changes: Mapping[str, Any]) -> dict[str, Any]:
     """Replace each group of quantities that is free by its quantities."""
     quantities: dict[str, Any] = {}
-    for name, value in wanted.items():
+    for name, value in changes.items():
         if name in GROUPS:
             if not (isinstance(value, str) and value == FREE):
                 raise InputError(
@@ -329,7 +326,7 @@ def without_groups(wanted: Mapping[str, Any]) -> dict[str, Any]:
                     f"'free'; give its quantities one by one: {', '.join(GROUPS[name][:2])}, ..."
                 )
             quantities |= dict.fromkeys(GROUPS[name], FREE)
-    return quantities | {name: value for name, value in wanted.items() if name not in GROUPS}
+    return quantities | {name: value for name, value in changes.items() if name not in GROUPS}
 
 
 def _chosen(name: str, value: Any, usual: Mapping[str, Parameter]) -> Parameter | float:
@@ -338,10 +335,10 @@ def _chosen(name: str, value: Any, usual: Mapping[str, Parameter]) -> Parameter 
         return usual.get(name) or free(name)
     if not isinstance(value, Mapping):
         return checked({name: value})[name]
-    unknown = [key for key in value if key not in PRIOR_KEYS]
-    if unknown:
+    keys = ("prior", "lower", "upper", "median", "sd")
+    if unknown := [key for key in value if key not in keys]:
         raise InputError(
-            f"parameter '{name}': unknown key '{unknown[0]}'; known: {', '.join(PRIOR_KEYS)}"
+            f"parameter '{name}': unknown key '{unknown[0]}'; known: {', '.join(keys)}"
         )
     priors = get_args(Distribution)
     prior = value.get("prior", "uniform")
@@ -370,11 +367,11 @@ def read_settings(path: Path | str) -> dict[str, Any]:
     path = Path(path)
     check_file(path, (".toml",), "settings")
     values = read_toml(path, "write lines like 'steps = 100'")
-    parameters = values.get(PARAMETERS, {})
+    parameters = values.get("parameters", {})
     if not isinstance(parameters, dict):
         raise InputError(f"{path}: 'parameters' is not a table; write [parameters] above them")
     try:
-        FitSettings(**{name: value for name, value in values.items() if name != PARAMETERS})
+        FitSettings(**{name: value for name, value in values.items() if name != "parameters"})
         for name, value in without_groups(parameters).items():
             if name == "conduction":
                 asked_states(value)

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,10 +36,7 @@ from fascicle.forward.scenario import Scenario
 from fascicle.networks.prior import UNMAPPED, Prior, growth_and_conduction
 from fascicle.pools.pool import Pool
 
-PART = 500  # networks in a file
 HELD_OUT = 10  # the last of so many networks is held out
-BODIES = 24  # random torsos, drawn once for all networks
-SEED = 20240  # the networks of the prior are the same in every study
 BEFORE = 40  # samples (ms) of an ECG that are kept before the first activation
 Arrays = dict[str, NDArray[Any]]
 
@@ -97,6 +94,10 @@ class PriorSimulations:
     scenario: tuple[Scenario, str] | None = None  # with its digest
     drawn: Floats | None = None  # points drawn from a posterior, in place of the prior
 
+    part_size: ClassVar[int] = 500  # networks in a file
+    torsos: ClassVar[int] = 24  # random torsos, drawn once for all networks
+    seed: ClassVar[int] = 20240  # the networks of the prior are the same in every study
+
     @cached_property
     def content(self) -> str:
         """Text that identifies all that the simulations depend on."""
@@ -115,14 +116,14 @@ class PriorSimulations:
         return self.cache.file(f"{self.content} {number}")
 
     def points(self, number: int) -> Floats:
-        """Points (`PART`, d) of the unit cube for the networks of a part.
+        """Points (`part_size`, d) of the unit cube for the networks of a part.
 
         Quantities that change the conduction velocities of the tissue have one value in a part,
         since the preparation of a tissue takes seconds.
         """
         if self.drawn is not None:
-            return self.drawn[number * PART : (number + 1) * PART]
-        points = self.prior.sample(np.random.default_rng([SEED, number]), PART)
+            return self.drawn[number * self.part_size : (number + 1) * self.part_size]
+        points = self.prior.sample(np.random.default_rng([self.seed, number]), self.part_size)
         for k, name in enumerate(self.prior.names):
             if quantity(name).changes is Changes.TISSUE:
                 points[:, k] = points[0, k]
@@ -140,33 +141,37 @@ class PriorSimulations:
         return [None if self.scenario is None else self.scenario[0]] * len(self.points(number))
 
     def simulate(
-        self, count: int, pool: Pool, progress: Progress | None = None, said: str = ""
+        self, count: int, pool: Pool, progress: Progress | None = None, message: str = ""
     ) -> None:
         """Simulate at least `count` networks, as far as they are missing.
 
-        `said` describes them in the progress callback.
+        `message` describes them in the progress callback.
         """
-        end = -(-count // PART)
+        end = -(-count // self.part_size)
         missing = [number for number in range(end) if not self._file(number).is_file()]
         if not missing:
             return
         kind, total = (
-            ("prior", end * PART) if self.drawn is None else ("posterior", len(self.drawn))
+            ("prior", end * self.part_size)
+            if self.drawn is None
+            else ("posterior", len(self.drawn))
         )
-        report, torsos = stage_progress(progress, f"{kind} simulations", said), []
+        report, torsos = stage_progress(progress, f"{kind} simulations", message), []
         # no random torsos if quantities of the torso are learnt, or for draws from a posterior
         if self.drawn is None and not torso_values(dict.fromkeys(self.prior.names, np.nan)):
-            torsos = random_bodies(self.model, np.random.default_rng([SEED, 0, 2]), BODIES)
+            rng = np.random.default_rng([self.seed, 0, 2])
+            torsos = random_bodies(self.model, rng, self.torsos)
         rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(self.model.heart.leads))]
         for number in missing:
             items = [*zip(self.parameters(number), self.scenarios(number), strict=True)]
-            drawn = np.random.default_rng([SEED, number, 3]).integers(BODIES, size=len(items))
+            rng = np.random.default_rng([self.seed, number, 3])
+            drawn = rng.integers(self.torsos, size=len(items))
             ecgs: list[Floats] = []
             held_out_ecgs: list[Floats] = []
             feasible, kept = np.zeros((2, len(items)), bool)
             points = self.points(number)
             for k, outcome in enumerate(pool.map(_beat, items, self.model)):
-                report(number * PART + k + 1, total)
+                report(number * self.part_size + k + 1, total)
                 if outcome is None:
                     continue
                 feasible[k] = True
@@ -191,7 +196,7 @@ class PriorSimulations:
         ECGs have `length` samples, by default as many as the longest.
         """
         parts = []
-        for number in range(-(-count // PART)):
+        for number in range(-(-count // self.part_size)):
             part = self.cache.read(f"{self.content} {number}")
             if part is None:
                 raise InputError(

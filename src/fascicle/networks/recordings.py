@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -30,20 +32,18 @@ def digests(recorded: Recorded) -> tuple[str, str]:
     return target_digest(target), text
 
 
-def given_recordings(given: Given | list[Given]) -> list[Recorded]:
+def given_recordings(recordings: Given | list[Given]) -> list[Recorded]:
     """Read targets and scenarios that are files or names; a list holds several recordings."""
-    targets = list(given) if isinstance(given, list) else [given]
+    targets = list(recordings) if isinstance(recordings, list) else [recordings]
     if not targets:
         raise InputError("no target is given; make one with 'fascicle target'")
     return [_recording(target) for target in targets]
 
 
 def _recording(target_and_scenario: Given) -> Recorded:
-    pair = (
-        target_and_scenario
-        if isinstance(target_and_scenario, tuple)
-        else (target_and_scenario, None)
-    )
+    pair: Any = target_and_scenario
+    if not isinstance(pair, tuple):
+        pair = pair, None
     if len(pair) != 2:
         raise InputError(f"target is a tuple of {len(pair)}; give (target, scenario), or a list")
     target, scenario = as_target(pair[0]), pair[1]
@@ -63,21 +63,14 @@ def write_recordings(folder: Path, recordings: Sequence[Recorded]) -> None:
     """Write recordings to a study's folder, unless they are there already, undamaged."""
     for number, recorded in enumerate(recordings, 1):
         target, scenario = recording_paths(folder, number)
-        if _kept(target, scenario) == digests(recorded):
-            continue
+        with suppress(InputError):  # it is missing or damaged
+            if digests(_read(target, scenario)) == digests(recorded):
+                continue
         write_target(recorded[0], target)
         if recorded[1] is not None:
             write_text(scenario, scenario_text(recorded[1]))
         else:
             scenario.unlink(missing_ok=True)
-
-
-def _kept(target: Path, scenario: Path) -> tuple[str, str] | None:
-    """Digests of a recording in files; None if it cannot be read."""
-    try:
-        return digests(_read(target, scenario))
-    except InputError:
-        return None
 
 
 def _read(target: Path, scenario: Path) -> Recorded:

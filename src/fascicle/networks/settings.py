@@ -12,11 +12,13 @@ from fascicle.core.ranges import shown
 
 Method = Literal["posterior", "paper"]
 # Settings that only one of the methods has
-OF_THE_POSTERIOR = ("effective", "prior_simulations", "gain_sd")
-OF_THE_PAPER = (
-    "samples", "tolerance", "draws", "refit_after", "rounds", "initial", "steps", "refit_every",
-    "leads", "free_gain",
-)  # fmt: skip
+SETTINGS_OF: dict[Method, tuple[str, ...]] = {
+    "posterior": ("effective", "prior_simulations", "gain_sd"),
+    "paper": (
+        "samples", "tolerance", "draws", "refit_after", "rounds", "initial", "steps", "refit_every",
+        "leads", "free_gain",
+    ),
+}  # fmt: skip
 
 
 def _whole(default: int, least: int, most: int, description: str) -> Any:
@@ -97,9 +99,9 @@ class FitSettings(BaseModel):
         "compared.",
     )
 
-    def __init__(self, **given: Any) -> None:
+    def __init__(self, **settings: Any) -> None:
         try:
-            super().__init__(**given)
+            super().__init__(**settings)
         except ValidationError as error:
             name, value, message = first_problem(error)
             raise InputError(f"'{name}' is {shown(value)}: {message.lower()}") from None
@@ -115,14 +117,14 @@ FitSettings.__doc__ = "\n".join(
 )
 
 
-def checked_settings(given: Mapping[str, Any]) -> FitSettings:
+def checked_settings(values: Mapping[str, Any]) -> FitSettings:
     """Check settings; impossible, unknown and unused settings are refused in one line."""
-    settings = FitSettings(**given)
-    other = OF_THE_POSTERIOR if settings.method == "paper" else OF_THE_PAPER
-    foreign = [name for name in other if name in given]
+    settings = FitSettings(**values)
+    other = SETTINGS_OF["posterior" if settings.method == "paper" else "paper"]
+    foreign = [name for name in other if name in values]
     if foreign:
         raise InputError(
-            f"'{foreign[0]}' is {shown(given[foreign[0]])}: the method '{settings.method}' has no "
+            f"'{foreign[0]}' is {shown(values[foreign[0]])}: the method '{settings.method}' has no "
             "such setting; leave it out, or choose the other method"
         )
     return settings

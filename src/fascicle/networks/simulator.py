@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -65,11 +65,6 @@ class PointSimulator:
         """Prepare the tissues, which every command on a study needs, once for each heart."""
         tissues = self.prior.averaged.tissues
         self.model.keep_tissues({**self.prior.fixed, **tissue} for tissue in tissues)
-
-    @property
-    def forgetful(self) -> PointSimulator:
-        """Simulator that keeps no beats in memory."""
-        return replace(self, memory=BeatMemory())
 
     def simulate(
         self, points: Iterable[Floats], scenario: Scenario | None = None

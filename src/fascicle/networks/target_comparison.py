@@ -24,8 +24,6 @@ from fascicle.networks.prior import Prior
 from fascicle.networks.simulator import BeatMemory, PointSimulator
 from fascicle.recording.target import Target, repeated
 
-UNLIKE_MAPPED_HEARTS = "not activated in the sequence of mapped human hearts"
-
 
 @dataclass(frozen=True)
 class Network:
@@ -131,11 +129,6 @@ class TargetComparison:
         return np.asarray(target.qrs_beats[:, self.compared])
 
 
-def null_loss(recordings: Sequence[TargetComparison]) -> float:
-    """Loss of an ECG that is zero everywhere (mV²), of several recordings their sum."""
-    return sum(recording.null_loss for recording in recordings)
-
-
 def evaluate(
     simulator: PointSimulator, recordings: Sequence[TargetComparison], points: Sequence[Floats]
 ) -> Iterator[Evaluation]:
@@ -181,7 +174,7 @@ def _evaluate(
             if isinstance(beat, Infeasible):
                 signals = beat.reason
             elif recording.scenario is None and not prior.keeps(point, model.surfaces, beat):
-                signals = UNLIKE_MAPPED_HEARTS
+                signals = "not activated in the sequence of mapped human hearts"
             else:
                 signals = beat.signals
         simulated.append(signals)

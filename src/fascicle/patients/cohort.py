@@ -24,7 +24,7 @@ from fascicle.patients.patient import (
     read_table,
 )
 from fascicle.pools.pool import Threads, check_pool
-from fascicle.study.lock import HeldError
+from fascicle.study.study import HeldError
 
 if TYPE_CHECKING:
     from fascicle.pools.cluster import Cluster

@@ -21,7 +21,7 @@ from fascicle.core.files import PACKAGED, as_path, check_file, write_text
 from fascicle.core.progress import Progress
 from fascicle.core.ranges import shown
 from fascicle.heart.folder import HEART_FILES
-from fascicle.networks.prior import PARAMETERS, read_settings
+from fascicle.networks.prior import read_settings
 from fascicle.networks.settings import FitSettings, checked_settings
 from fascicle.pools.pool import Pool
 from fascicle.recording.pipeline import make_target
@@ -31,9 +31,8 @@ from fascicle.reporting.page.page import report
 from fascicle.study.fit import fit_inputs
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.inputs import Inputs, read_inputs
-from fascicle.study.lock import HeldError, study_lock
 from fascicle.study.population import Posterior
-from fascicle.study.study import is_finished
+from fascicle.study.study import HeldError, is_finished, study_lock
 
 
 class Status(StrEnum):
@@ -219,7 +218,7 @@ class Patient:
     def given(self) -> tuple[FitSettings, Mapping[str, Any]]:
         """Settings, and the parameters to learn; the row overrides its settings file."""
         settings = read_settings(self.settings_file) if self.settings_file is not None else {}
-        parameters = settings.pop(PARAMETERS, {})
+        parameters = settings.pop("parameters", {})
         return checked_settings(settings | {**self.settings}), parameters
 
     def check(self) -> Outcome | None:

@@ -25,7 +25,7 @@ from fascicle.core.progress import Progress
 from fascicle.patients.patient import Outcome, Patient, Status, fit_patient
 from fascicle.pools.cluster import Cluster
 from fascicle.pools.pool import Threads
-from fascicle.study.lock import HeldError
+from fascicle.study.study import HeldError
 
 
 def fit_on_workers(

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from contextlib import suppress
 from threading import Lock
-from typing import Any
+from typing import Any, ClassVar
 
 from distributed import Client, KilledWorker, Worker, WorkerPlugin, get_worker
 
@@ -22,13 +22,12 @@ from fascicle.core.threads import keep_one_thread
 from fascicle.pools.pool import Remote, run_part
 
 TIMEOUT = 30  # s, until a scheduler has answered
-ANSWERED = 5  # s that a scheduler has to say which workers it has
-RETRIES = 20  # of a job whose workers were lost, as happens to waiting jobs at a walltime
-_READING = Lock()
 
 
 class WorkerData(WorkerPlugin):
     """Data that every worker receives pickled when it joins, and unpacks at the first use."""
+
+    reading: ClassVar[Lock] = Lock()
 
     def __init__(self, name: str, content: bytes) -> None:
         self.name, self.content = name, content
@@ -40,7 +39,7 @@ class WorkerData(WorkerPlugin):
 
     def read(self) -> Any:
         """Unpack the content, once for all threads."""
-        with _READING:
+        with self.reading:
             if not self.unpacked:
                 content = pickle.loads(self.content)  # noqa: S301 - as Dask does with jobs
                 self.unpacked.append(content)
@@ -64,6 +63,10 @@ class Cluster(Remote):
     InputError
         If the address is malformed, or no scheduler answers there.
     """
+
+    answer_time: ClassVar[float] = 5  # s that a scheduler has to say which workers it has
+    # of a job whose workers were lost, as happens to waiting jobs at a walltime
+    retries: ClassVar[int] = 20
 
     def __init__(self, address: str, progress: Progress | Lines | None = "lines") -> None:
         if not isinstance(address, str) or not re.fullmatch(
@@ -115,7 +118,7 @@ class Cluster(Remote):
     def cancel(self, futures: Sequence[Any]) -> None:
         """Cancel jobs, unless losing the scheduler has done so."""
         with suppress(InputError):  # a silent scheduler is not waited for
-            wait([self._begin(self.client.cancel, list(futures))], ANSWERED)
+            wait([self._begin(self.client.cancel, list(futures))], self.answer_time)
 
     def _results(self, futures: Sequence[Any]) -> Sequence[Any]:
         """Fetch results together, since each would take some milliseconds by itself."""
@@ -127,7 +130,7 @@ class Cluster(Remote):
 
     def _result(self, future: Any) -> Any:
         """Wait for a job; if its workers were lost, other workers run it again."""
-        for _ in range(RETRIES):
+        for _ in range(self.retries):
             try:
                 return self._gather([future])[0]
             except KilledWorker:
@@ -143,7 +146,7 @@ class Cluster(Remote):
 
         A job's own error is raised as it is.
         """
-        for attempt in range(RETRIES + 1):
+        for attempt in range(self.retries + 1):
             try:
                 return self._wait_for(method, *arguments)
             except OSError as error:
@@ -151,7 +154,7 @@ class Cluster(Remote):
                     raise
                 self._check_there(error)
                 of_workers = error.errno is not None and not isinstance(error, ConnectionError)
-                if of_workers or attempt == RETRIES:
+                if of_workers or attempt == self.retries:
                     raise InputError(
                         f"{self.address}: its workers fail ({one_line(error)}); see what they say"
                     ) from error
@@ -190,7 +193,7 @@ class Cluster(Remote):
         """Reason, in words, why an answer does not come; empty if it just takes long."""
         threads = self._begin(self.client.nthreads)
         try:
-            wait([threads, answer], ANSWERED, FIRST_COMPLETED)
+            wait([threads, answer], self.answer_time, FIRST_COMPLETED)
             if answer.done() or threads.result(timeout=0):
                 return ""
             return "has no worker; waiting for one"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.stats import rankdata
@@ -18,14 +19,12 @@ from fascicle.prediction.scenarios import INTRINSIC
 from fascicle.recording.window import OFFSET_ERROR, ONSET_ERROR
 
 SIGNED = ("lv_rv_delay",)
-FEWEST_INDEPENDENT = 20  # independent networks below which no correlation is reported
 # Further measurements, with their standard deviations: an ECG during right ventricular pacing, with
 # the uncertainty of its QRS window; electrograms of the intrinsic beat, with some 5 ms for the
 # activation time within them.
-PACED = "rv-apical-pacing"
 MEASURABLE = {
-    (PACED, "qrs_duration"): float(np.hypot(ONSET_ERROR, OFFSET_ERROR)),
-    (PACED, "qrs_area"): 5.0,
+    ("rv-apical-pacing", "qrs_duration"): float(np.hypot(ONSET_ERROR, OFFSET_ERROR)),
+    ("rv-apical-pacing", "qrs_area"): 5.0,
     (INTRINSIC, "lv_rv_delay"): 5.0,
     (INTRINSIC, "lv_activation_time"): 5.0,
 }
@@ -64,6 +63,7 @@ class Comparison:
     unit: str
     reductions: Floats
     effective: float
+    fewest: ClassVar[int] = 20  # independent networks below which no correlation is reported
 
     __repr__ = short_repr
 
@@ -100,10 +100,10 @@ class Comparison:
         """Share of the reduction's variance, in ranks, that each parameter alone explains.
 
         Squared rank correlations, adjusted for the effective number of networks, the largest first;
-        empty below `FEWEST_INDEPENDENT`. Strongly correlated parameters each have the shared part;
+        empty below `fewest`. Strongly correlated parameters each have the shared part;
         joint effects of several are in none. `parameters` has the values (n,) in the networks.
         """
-        if self.effective < FEWEST_INDEPENDENT:
+        if self.effective < self.fewest:
             return []
         shares = {name: self._explained_by(values) for name, values in parameters.items()}
         return sorted(shares.items(), key=lambda item: -item[1])
@@ -119,7 +119,7 @@ class Comparison:
         """
         measurements = []
         for (scenario, index), error in MEASURABLE.items():
-            if scenario in predicted and self.effective >= FEWEST_INDEPENDENT:
+            if scenario in predicted and self.effective >= self.fewest:
                 values = predicted[scenario].indices[index]
                 seen = float(np.var(values) / (np.var(values) + error**2))
                 measurements.append((scenario, index, seen * self._explained_by(values)))

@@ -13,7 +13,7 @@ import pandas as pd
 
 from fascicle.core import above
 from fascicle.core.arrays import Booleans, Floats, Integers
-from fascicle.core.leads import LEADS
+from fascicle.core.leads import INDEPENDENT_ROWS, LEADS
 from fascicle.core.ranges import check_kind
 from fascicle.forward.beat import Beat
 from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP
@@ -22,19 +22,6 @@ from fascicle.heart.heart import Heart
 from fascicle.heart.sites import APEX, RIGHT, Places, places
 from fascicle.prediction.index_names import INDICES
 from fascicle.recording.window import qrs_window
-
-SMALLEST_R = 0.05  # mV; a lead whose largest potential is less has no R wave
-
-# J. A. Kors et al., Eur Heart J 11 (1990): X (to the left), Y (down) and Z (to the back) of a
-# vectorcardiogram by regression on I, II, V1 … V6
-KORS_LEADS = ("I", "II", "V1", "V2", "V3", "V4", "V5", "V6")
-KORS = np.array(
-    [
-        [0.38, -0.07, -0.13, 0.05, -0.01, 0.14, 0.06, 0.54],
-        [-0.07, 0.93, 0.06, -0.02, -0.05, 0.06, -0.17, 0.13],
-        [0.11, -0.23, -0.43, -0.06, -0.14, -0.20, -0.11, 0.31],
-    ]
-)
 
 
 @dataclass(frozen=True)
@@ -92,8 +79,18 @@ def index_table(simulation: Beat, heart: Heart, stimulus: float | None) -> pd.Da
 
 
 def vectorcardiogram(leads: Floats) -> Floats:
-    """Vectorcardiogram X, Y, Z (mV), shape (3, n), of twelve leads (12, n) by Kors' regression."""
-    return np.asarray(KORS @ leads[[LEADS.index(name) for name in KORS_LEADS]])
+    """Vectorcardiogram (mV), shape (3, n), of twelve leads (12, n), by regression.
+
+    X (to the left), Y (down) and Z (to the back) of J. A. Kors et al., Eur Heart J 11 (1990).
+    """
+    regression = np.array(
+        [  # on I, II, V1 … V6
+            [0.38, -0.07, -0.13, 0.05, -0.01, 0.14, 0.06, 0.54],
+            [-0.07, 0.93, 0.06, -0.02, -0.05, 0.06, -0.17, 0.13],
+            [0.11, -0.23, -0.43, -0.06, -0.14, -0.20, -0.11, 0.31],
+        ]
+    )
+    return np.asarray(regression @ leads[list(INDEPENDENT_ROWS)])
 
 
 def _of_activation(activation: Floats, territories: Territories) -> dict[str, float]:
@@ -143,4 +140,5 @@ def _of_ecg(simulation: Beat, stimulus: float | None) -> dict[str, float]:
 def _r_peak(potential: Floats) -> float:
     """Time of the largest potential of a lead (ms), from its first sample; NaN without R wave."""
     peak = int(np.argmax(potential))
-    return peak * SAMPLE_STEP if potential[peak] >= SMALLEST_R else np.nan
+    # a lead whose largest potential is less than 0.05 mV has no R wave
+    return peak * SAMPLE_STEP if potential[peak] >= 0.05 else np.nan

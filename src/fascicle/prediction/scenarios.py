@@ -21,17 +21,14 @@ from fascicle.forward.scenario_files import read_scenarios
 from fascicle.networks.conduction_states import states_of
 from fascicle.networks.simulator import PointSimulator
 from fascicle.networks.target_comparison import Network, TargetComparison
-from fascicle.prediction.cache import PredictionCache
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.indices import Territories, indices
-from fascicle.prediction.predicted import RINGING, Predicted
+from fascicle.prediction.predicted import RINGING, Predicted, PredictionCache
 from fascicle.recording.window import qrs_window
 from fascicle.study.fitted import FittedStudy, StudyLike, as_study
 
 INTRINSIC = "intrinsic"  # the scenario that others are compared with
-LEAD_IN, LEAD_OUT = 10, 20  # samples before the QRS onset (`RINGING` at most), after the last's end
-PRIOR_NETWORKS = 60
-MOST_TRIED = 30  # points drawn for each of them; the first that belongs to the prior is used
+LEAD_IN = 10  # samples of aligned ECGs before the QRS onset, `RINGING` at most
 
 
 def with_intrinsic_beat(scenarios: Mapping[str, Scenario]) -> dict[str, Scenario]:
@@ -102,15 +99,15 @@ def predict(
 
 
 def as_scenarios(
-    given: Mapping[str, Scenario] | Sequence[str | Path] | str | Path,
+    scenarios: Mapping[str, Scenario] | Sequence[str | Path] | str | Path,
 ) -> Mapping[str, Scenario]:
     """Scenarios by name, read if they are names or files."""
-    if not isinstance(given, Mapping):
-        return read_scenarios(given)
-    for name, scenario in given.items():
+    if not isinstance(scenarios, Mapping):
+        return read_scenarios(scenarios)
+    for name, scenario in scenarios.items():
         check_text(name, "name of a scenario")
         check_kind(scenario, Scenario, f"scenario '{name}'", "a fascicle.Scenario")
-    return given
+    return scenarios
 
 
 def check_population(fitted: FittedStudy) -> None:
@@ -172,16 +169,21 @@ def _simulate(
     return beat.in_single_precision(), indices(beat, territories, scenario.first_stimulus)
 
 
-def prior_networks(fitted: FittedStudy, progress: Progress | None = None) -> list[Network]:
-    """Networks drawn from the prior of a study, and of its conduction states."""
+def prior_networks(
+    fitted: FittedStudy, progress: Progress | None = None, count: int = 60
+) -> list[Network]:
+    """Networks drawn from the prior of a study, and of its conduction states.
+
+    Of 30 points drawn for each of `count` networks, the first that belongs to the prior is used.
+    """
     simulator, config, rng = fitted.simulator, fitted.study.config, np.random.default_rng(0)
     simulators = [
         replace(simulator, prior=config.prior.narrowed(state)) for state in states_of(config.states)
     ] or [simulator]
-    numbers = rng.choice(len(simulators), PRIOR_NETWORKS, p=[*config.states.values()] or None)
+    numbers = rng.choice(len(simulators), count, p=[*config.states.values()] or None)
     report, networks = stage_progress(progress, "networks of the prior"), []
     for done, number in enumerate(numbers, 1):
-        for point in simulator.prior.sample(rng, MOST_TRIED):
+        for point in simulator.prior.sample(rng, 30):
             (beat,), prior = simulators[number].simulate([point]), simulators[number].prior
             if isinstance(beat, Beat) and prior.keeps(point, simulator.model.surfaces, beat):
                 networks.append(Network(prior.from_unit(point), beat, beat.leads, 1.0, 1.0))
@@ -200,7 +202,7 @@ def qrs_aligned(*predicted: Predicted) -> tuple[Floats, list[Floats]]:
     longest = max(
         offset - onset for scenario_windows in windows for onset, offset in scenario_windows
     )
-    length = LEAD_IN + longest + LEAD_OUT
+    length = LEAD_IN + longest + 20  # silence after the longest
     rows = len(predicted[0].beats[0].leads)
     ecgs = [np.zeros((len(prediction.beats), rows, length)) for prediction in predicted]
     for of_scenario, prediction, scenario_windows in zip(ecgs, predicted, windows, strict=True):

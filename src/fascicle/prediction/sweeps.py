@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import Any, NamedTuple
 
 from fascicle.core.errors import InputError
@@ -17,16 +18,19 @@ from fascicle.prediction.scenarios import check_population, simulate_scenarios
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import evenly_spread
 
-MOST_SCENARIOS = 200  # scenarios in a sweep
-SEGMENT = "segment"
-STIMULUS_DELAY = "delay of the last stimulus after the first (ms)"
-RADIUS = "capture radius (mm)"
+
+class Varied(StrEnum):
+    """Quantity in which the scenarios of a sweep differ."""
+
+    SEGMENT = "segment"
+    DELAY = "delay of the last stimulus after the first (ms)"
+    RADIUS = "capture radius (mm)"
 
 
 class Sweep(NamedTuple):
-    """Scenarios that differ in what is `varied`: segment (1 to 17), delay (ms) or radius (mm)."""
+    """Scenarios by segment (1 to 17), delay (ms) or radius (mm)."""
 
-    varied: str
+    varied: Varied
     scenarios: dict[float, Scenario]
 
 
@@ -34,7 +38,7 @@ class Sweep(NamedTuple):
 class Swept:
     """A `Sweep` simulated in n networks, and why some scenarios are impossible."""
 
-    varied: str
+    varied: Varied
     predicted: dict[float, Predicted]
     impossible: dict[float, str]
 
@@ -70,10 +74,10 @@ def simulate_sweep(
     return swept
 
 
-def delays(scenario: Scenario, given: str) -> Sweep:
+def delays(scenario: Scenario, delays: str) -> Sweep:
     """Sweep of the delay (ms) of a scenario's last stimulus after its first.
 
-    `given` is ``"first:last:step"`` in ascending order, both ends included; a negative delay is
+    `delays` is ``"first:last:step"`` in ascending order, both ends included; a negative delay is
     before the first stimulus.
     """
     stimuli = scenario.of(Stimulus)
@@ -82,7 +86,7 @@ def delays(scenario: Scenario, given: str) -> Sweep:
     begin = min(stimulus.time for stimulus in stimuli[:-1])
     last = stimuli[-1:]
     return Sweep(
-        STIMULUS_DELAY, {d: _changed(scenario, last, time=begin + d) for d in _numbers(given)}
+        Varied.DELAY, {d: _changed(scenario, last, time=begin + d) for d in _numbers(delays)}
     )
 
 
@@ -93,14 +97,15 @@ def segments(scenario: Scenario, layer: str) -> Sweep:
     moved = _of_the_myocardium(scenario)[-1:]
     sites = {float(k): f"segment {k} {layer}" for k in range(1, len(SEGMENTS) + 1)}
     return Sweep(
-        SEGMENT, {k: _changed(scenario, moved, position=None, site=s) for k, s in sites.items()}
+        Varied.SEGMENT,
+        {k: _changed(scenario, moved, position=None, site=s) for k, s in sites.items()},
     )
 
 
-def radii(scenario: Scenario, given: str) -> Sweep:
+def radii(scenario: Scenario, radii: str) -> Sweep:
     """Sweep of the capture radius (mm) of a scenario's myocardial stimuli, as in `delays`."""
     changed = _of_the_myocardium(scenario)
-    return Sweep(RADIUS, {r: _changed(scenario, changed, radius=r) for r in _numbers(given)})
+    return Sweep(Varied.RADIUS, {r: _changed(scenario, changed, radius=r) for r in _numbers(radii)})
 
 
 def _of_the_myocardium(scenario: Scenario) -> list[Stimulus]:
@@ -129,8 +134,6 @@ def _numbers(text: str) -> list[float]:
         count = int((last - first) / step + 1e-9) + 1
     except (ValueError, ZeroDivisionError, OverflowError):
         raise InputError(f"'{text}' is no sweep; give first:last:step, as -60:60:10") from None
-    if step <= 0 or not 2 <= count <= MOST_SCENARIOS:
-        raise InputError(
-            f"'{text}' has {count} steps; give 2 to {MOST_SCENARIOS} that go up, as -60:60:10"
-        )
+    if step <= 0 or not 2 <= count <= 200:
+        raise InputError(f"'{text}' has {count} steps; give 2 to 200 that go up, as -60:60:10")
     return [first + k * step for k in range(count)]

@@ -31,7 +31,7 @@ from fascicle.prediction.comparison import SIGNED
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import INTRINSIC, qrs_aligned
-from fascicle.prediction.sweeps import SEGMENT, Swept
+from fascicle.prediction.sweeps import Swept, Varied
 from fascicle.reporting import style
 from fascicle.reporting.activation import (
     ActivationRow,
@@ -267,7 +267,7 @@ def _row(prediction: Predicted, label: str, number: int) -> ActivationRow:
 def sweep_figure(swept: Swept, index: str, name: str) -> Figure:
     """Draw an index over the quantity that a sweep varies: a curve, or a bull's eye of segments."""
     values = {key: prediction.indices[index] for key, prediction in swept.predicted.items()}
-    if swept.varied != SEGMENT:
+    if swept.varied != Varied.SEGMENT:
         return curve_figure(values, index, swept.varied, name)
     title = f"median {index_name(index)}"
     if index in SIGNED:  # absolute delay

@@ -16,7 +16,7 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.progress import Progress
 from fascicle.emulation.ecg_classifier import classified_rows
-from fascicle.emulation.sampling import RUNS
+from fascicle.emulation.likelihood import RUNS
 from fascicle.emulation.state_classifier import (
     StateSimulations,
     classifier_of,
@@ -27,8 +27,6 @@ from fascicle.emulation.state_classifier import (
 from fascicle.inference.tempered_sampling import RunAgreement
 from fascicle.study.inputs import InverseProblem
 from fascicle.study.population import Posterior, evenly_spread
-
-COVERED = 0.9  # least total probability of the states that are fitted
 
 
 @dataclass(frozen=True)
@@ -51,8 +49,13 @@ class Diagnosis:
 
     @cached_property
     def shares(self) -> dict[str, float]:
-        """Fewest states whose probabilities add up to `COVERED`, with their shares of the draws."""
-        return most_probable(self.probable)
+        """Fewest states whose probabilities add up to 0.9, with their shares of the draws."""
+        probable = self.probable
+        ranked = sorted(probable, key=lambda name: -probable[name])
+        before = np.cumsum([0.0, *(probable[name] for name in ranked)])
+        fitted = [name for name, covered in zip(ranked, before, strict=False) if covered < 0.9]
+        total = sum(probable[name] for name in fitted)
+        return {name: probable[name] / total for name in fitted}
 
     def apportioned(self, count: int) -> list[int]:
         """Counts in proportion to the shares, which add up to `count` (largest remainders)."""
@@ -71,15 +74,6 @@ def classified(problem: InverseProblem, place: Path, progress: Progress | None) 
     classifier = classifier_of(simulations, rows, place, count, simulator.pool, progress)
     probable = probabilities(classifier, simulations, problem.config.states, target)
     return Diagnosis(probable, unlike(classifier, target), simulations)
-
-
-def most_probable(probable: Mapping[str, float]) -> dict[str, float]:
-    """Fewest states whose probabilities add up to `COVERED`, with their shares of the draws."""
-    ranked = sorted(probable, key=lambda name: -probable[name])
-    before = np.cumsum([0.0, *(probable[name] for name in ranked)])
-    kept = [name for name, covered in zip(ranked, before, strict=False) if covered < COVERED]
-    total = sum(probable[name] for name in kept)
-    return {name: probable[name] / total for name in kept}
 
 
 def mixture(

@@ -182,11 +182,11 @@ class Journal:
     seed: int
     workers: int  # evaluations at a time
     # every stored evaluation, of this pass or an earlier one, by the bytes of its point
-    known: dict[bytes, Record] = field(init=False)
+    evaluated: dict[bytes, Record] = field(init=False)
     records: list[Record] = field(default_factory=list, init=False)  # those used so far, in order
 
     def __post_init__(self) -> None:
-        self.known = {_bytes(r.evaluation.point): r for r in self.database.records()}
+        self.evaluated = {_bytes(r.evaluation.point): r for r in self.database.records()}
 
     @property
     def evaluations(self) -> list[Evaluation]:
@@ -220,7 +220,7 @@ class Journal:
         of evaluated points after each batch, or once if no point was missing.
         """
         keys = [_bytes(point) for point in points]
-        missing = {k: p for k, p in zip(keys, points, strict=True) if k not in self.known}
+        missing = {k: p for k, p in zip(keys, points, strict=True) if k not in self.evaluated}
         points_left = list(missing.values())
         size = batch or self.workers
         # closed at once when interrupted, so that no worker begins another evaluation
@@ -234,7 +234,7 @@ class Journal:
         if not points_left:
             progress(len(points))
         # a point may have been evaluated in another stage of a run with fewer steps
-        records = [replace(self.known[key], stage=stage) for key in keys]
+        records = [replace(self.evaluated[key], stage=stage) for key in keys]
         self.records += records
         return [record.evaluation for record in records]
 
@@ -249,7 +249,7 @@ class Journal:
             _check(evaluation)
         new = [Record(stage, evaluation, seconds) for evaluation in evaluations]
         self.database.append(new)
-        self.known |= {_bytes(record.evaluation.point): record for record in new}
+        self.evaluated |= {_bytes(record.evaluation.point): record for record in new}
 
 
 def _check(evaluation: Evaluation) -> None:

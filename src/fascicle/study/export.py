@@ -33,9 +33,6 @@ if TYPE_CHECKING:
 
 Format = Literal["opencarp", "vtu", "csv"]
 STIMULUS_STEP = 0.5  # ms; vertices that are stimulated within one step share a stimulus of openCARP
-AFTER = 20.0  # ms that openCARP simulates after the last activation
-S_PER_M = 0.1  # in 1 mS/cm
-MM_PER_S = 1000.0  # in 1 mm/ms
 
 
 def write_networks(
@@ -90,14 +87,15 @@ def tissue_table(heart: Heart, tags: Integers, conduction: Conduction) -> DataFr
     scale = conduction.scale(heart)[first]
     squared = np.bincount(which, conduction.diffusion_scale(heart)) / np.bincount(which)
     along, across = conduction.speeds
+    unit = 0.1  # S/m in 1 mS/cm
     return pd.DataFrame(
         {
             "tag": tags[first],
             "region": "" if heart.regions is None else heart.regions[first],
-            "g_il_S_per_m": conduction.intracellular_l * scale * S_PER_M,
-            "g_it_S_per_m": conduction.intracellular_t * scale * S_PER_M,
-            "g_el_S_per_m": conduction.extracellular_l * scale * S_PER_M,
-            "g_et_S_per_m": conduction.extracellular_t * scale * S_PER_M,
+            "g_il_S_per_m": conduction.intracellular_l * scale * unit,
+            "g_it_S_per_m": conduction.intracellular_t * scale * unit,
+            "g_el_S_per_m": conduction.extracellular_l * scale * unit,
+            "g_et_S_per_m": conduction.extracellular_t * scale * unit,
             "speed_along_m_per_s": along * np.sqrt(squared),
             "speed_across_m_per_s": across * np.sqrt(squared),
         }
@@ -135,7 +133,8 @@ def _write_opencarp_network(
         write_opencarp_tree(stem, tree)
         moments = np.where(np.isfinite(moments), moments - start, -1)
         write_values(stem.with_name(f"{stem.name}_activation.dat"), moments)
-    end = float(np.ceil(activation[np.isfinite(activation)].max() + AFTER))
+    # 20 ms after the last activation
+    end = float(np.ceil(activation[np.isfinite(activation)].max() + 20.0))
     conducting = tissues[tissues["g_il_S_per_m"] > 0]
     for kind in ("eikonal", "monodomain"):
         values = _parameters(kind == "eikonal", conducting, stimuli, end)
@@ -184,7 +183,7 @@ def _parameters(
             yield f"{region}.g_{name}", f"{value:.6g}  # S/m"
         if eikonal:
             for name, way in (("l", "along"), ("t", "across"), ("n", "across")):
-                speed = MM_PER_S * row[f"speed_{way}_m_per_s"]
+                speed = 1000.0 * row[f"speed_{way}_m_per_s"]  # mm/s
                 yield f"{region}.dream.vel_{name}", f"{speed:.6g}  # mm/s"
     yield "num_stim", len(stimuli)
     for k, (file, time) in enumerate(stimuli.items()):

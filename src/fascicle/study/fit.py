@@ -7,6 +7,7 @@ with what these networks predict. The paper's method is `fascicle.study.paper`.
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -22,11 +23,10 @@ from fascicle.core.files import DISPOSABLE, as_path
 from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
 from fascicle.core.ranges import check_kind
 from fascicle.emulation.ecg_emulator import EcgEmulator
-from fascicle.emulation.heart_emulator import emulator_of, folder_of_simulations, simulations_for
-from fascicle.emulation.likelihood import EmulatedLikelihood, checked
+from fascicle.emulation.heart_emulator import emulator_of, simulations_for
+from fascicle.emulation.likelihood import RUNS, EmulatedLikelihood, checked
 from fascicle.emulation.predictive import Checks, Prediction, predict_recording
 from fascicle.emulation.refined_emulator import refined_emulators
-from fascicle.emulation.sampling import RUNS
 from fascicle.forward.activation_sequence import SequenceSummary
 from fascicle.forward.likelihood import Likelihood
 from fascicle.forward.model import Backend
@@ -36,20 +36,26 @@ from fascicle.heart.heart import Heart
 from fascicle.networks.agreement import Agreement, agreement
 from fascicle.networks.recordings import Given, write_recordings
 from fascicle.networks.settings import checked_settings
+from fascicle.networks.simulator import BeatMemory
 from fascicle.networks.target_comparison import Network
 from fascicle.pools.pool import Pool, check_pool
 from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.diagnosis import classified, mixture
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.inputs import Inputs, InverseProblem, checked_likelihoods, read_inputs
-from fascicle.study.lock import refuse_held, study_lock
 from fascicle.study.population import Posterior
 from fascicle.study.results import write_results
-from fascicle.study.study import HEART_FOLDER, MAY_CHANGE, STATES_FOLDER, Study, check_study_folder
+from fascicle.study.study import (
+    Study,
+    StudyConfig,
+    StudyFile,
+    check_study_folder,
+    refuse_held,
+    study_lock,
+)
 
 # Likelihood of each recording, by the number of the conduction state
 Emulated = Mapping[float, Sequence[EmulatedLikelihood]]
-PREDICTION, REFINEMENT = 2, 3  # numbers of the random generators
 
 
 def fit(
@@ -170,7 +176,7 @@ def fit_state(
             emulated = refine(problem, emulators, folder, progress)
             problem = problem.with_likelihoods(emulated)
         population = study.run(problem.evaluate, progress, emulated)  # samples, simulates draws
-        share_prepared(problem.inputs.heart, folder / HEART_FOLDER)
+        share_prepared(problem.inputs.heart, folder / StudyFile.HEART)
         fitted = FittedStudy(study, problem.simulator, problem.recordings, population)
         number = problem.simulator.prior.fixed.get("conduction", 0.0)
         return check_and_write(fitted, {number: emulated}, progress), emulated
@@ -198,7 +204,12 @@ def fit_states(problem: InverseProblem, folder: Path, progress: Progress | None)
             state_problem = problem.narrowed(
                 state, prior_simulations=count, share=share, effective=max(RUNS * draws, 20)
             )
-            state_folder = _state_folder(state_problem, folder, name)
+            state_folder = folder / StudyFile.STATES / name.replace(" ", "-")
+            # before the link to the heart, since a folder not empty and without study is refused
+            Study.create_or_resume(state_folder, state_problem.config)
+            if not (state_folder / StudyFile.HEART).exists():  # it shares the whole study's
+                heart = Path("..", "..", StudyFile.HEART)
+                (state_folder / StudyFile.HEART).symlink_to(heart, target_is_directory=True)
             fitted, emulated[state.number] = fit_state(state_problem, state_folder, progress)
             assert isinstance(fitted.population, Posterior)
             parts.append((fitted.population.in_state(state.number), draws))
@@ -212,8 +223,13 @@ def fit_states(problem: InverseProblem, folder: Path, progress: Progress | None)
 def begin(inputs: Inputs, folder: Path, progress: Progress | None) -> Study:
     """Create or resume a study in its folder, with copies of the heart and the recordings."""
     study = Study.create_or_resume(folder, inputs.config, progress)
-    if not _holds(folder / HEART_FOLDER, inputs.heart):
-        write_heart(inputs.heart, folder / HEART_FOLDER)
+    heart_folder = folder / StudyFile.HEART
+    try:
+        stored = load_heart(heart_folder).digest
+    except InputError:  # it is missing or damaged
+        stored = ""
+    if stored != inputs.heart.digest:
+        write_heart(inputs.heart, heart_folder)
     write_recordings(folder, inputs.recordings)
     return study
 
@@ -249,7 +265,7 @@ def refine(
     if problem.inputs.likelihoods is not None:
         return problem.likelihoods(emulators)
     config, cache = problem.config, ArrayCache(folder / DISPOSABLE, "refined")
-    same = config.model_dump_json(exclude={*MAY_CHANGE})
+    same = config.model_dump_json(exclude={*StudyConfig.may_change})
     keys = [f"{number} of {same}" for number in range(len(config.scenarios))]
     if any(cache.read(key) is None for key in keys):
         refined = refined_emulators(
@@ -258,7 +274,7 @@ def refine(
             problem.scenarios,
             config.prior_simulations,
             folder,
-            np.random.default_rng([config.seed, REFINEMENT]),
+            np.random.default_rng([config.seed, 3]),
             progress,
         )
         for key, emulator in zip(keys, refined, strict=True):
@@ -276,7 +292,7 @@ def check_and_write(
     networks = fitted.networks(progress)
     agreements: list[Agreement] = []
     predictions: list[Prediction] = []
-    rng = np.random.default_rng([fitted.study.config.seed, PREDICTION])
+    rng = np.random.default_rng([fitted.study.config.seed, 2])
     for number, recording in enumerate(fitted.recordings):
         recorded_networks = networks if number == 0 else fitted.networks(progress, number)
         if fitted.of_the_paper:
@@ -296,7 +312,7 @@ def check_and_write(
     (most_probable, _), *_ = states.most_common()
     reports = [dict(likelihood.emulator.report) for likelihood in emulated.get(most_probable, ())]
     write_results(fitted, networks, agreements, predictions, reports)
-    return replace(fitted, simulator=fitted.simulator.forgetful)
+    return replace(fitted, simulator=replace(fitted.simulator, memory=BeatMemory()))
 
 
 def _predict(
@@ -320,24 +336,7 @@ def _predict(
     return replace(prediction, checks=checks)
 
 
-def _holds(folder: Path, heart: Heart) -> bool:
-    """Whether a folder holds this heart, undamaged."""
-    try:
-        return load_heart(folder).digest == heart.digest
-    except InputError:
-        return False
-
-
 def _simulations_folder(problem: InverseProblem, folder: Path) -> Path:
-    return folder_of_simulations(problem.inputs.heart, folder / HEART_FOLDER)
-
-
-def _state_folder(problem: InverseProblem, folder: Path, name: str) -> Path:
-    """Folder of the study of a conduction state, which shares the heart of the whole study."""
-    state_folder = folder / STATES_FOLDER / name.replace(" ", "-")
-    # before the link to the heart, since a folder that is not empty and no study is refused
-    Study.create_or_resume(state_folder, problem.config)
-    if not (state_folder / HEART_FOLDER).exists():
-        heart = Path("..", "..", HEART_FOLDER)
-        (state_folder / HEART_FOLDER).symlink_to(heart, target_is_directory=True)
-    return state_folder
+    """Folder to keep simulations in: the heart's if it is writable, else its copy's in a study."""
+    kept = problem.inputs.heart.folder
+    return kept if kept is not None and os.access(kept, os.W_OK) else folder / StudyFile.HEART

@@ -28,13 +28,12 @@ from fascicle.networks.prior import growth_and_conduction
 from fascicle.networks.recordings import read_recordings
 from fascicle.networks.settings import FitSettings
 from fascicle.networks.simulator import PointSimulator
-from fascicle.networks.target_comparison import Network, TargetComparison, networks, null_loss
+from fascicle.networks.target_comparison import Network, TargetComparison, networks
 from fascicle.pools.pool import Pool, check_pool
 from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.evaluations import Stage
 from fascicle.study.export import Format, write_networks
 from fascicle.study.inputs import Inputs, InverseProblem, checked_rules, recording_digests
-from fascicle.study.lock import LOCK
 from fascicle.study.population import (
     RESULT,
     Population,
@@ -44,7 +43,7 @@ from fascicle.study.population import (
     read_population,
 )
 from fascicle.study.statements import Statements
-from fascicle.study.study import HEART_FOLDER, Study, check_same
+from fascicle.study.study import Study, StudyFile, check_same
 
 
 @dataclass(frozen=True)
@@ -94,7 +93,7 @@ class FittedStudy:
         if type(self.population) is Population:  # made by `with_draws`
             raise InputError(f"{self.folder} does not hold draws of your own; save these yourself")
         with atomic_folder(as_path(folder, "folder")) as temporary:
-            ignored = shutil.ignore_patterns(LOCK)
+            ignored = shutil.ignore_patterns(StudyFile.LOCK)
             shutil.copytree(self.folder, temporary, ignore=ignored, dirs_exist_ok=True)
 
     @property
@@ -154,8 +153,8 @@ class FittedStudy:
 
     @property
     def null_loss(self) -> float:
-        """Loss of an ECG that is zero everywhere (mV²)."""
-        return null_loss(self.recordings)
+        """Loss of an ECG that is zero everywhere (mV²), of several recordings their sum."""
+        return sum(recording.null_loss for recording in self.recordings)
 
     @cached_property
     def best_network(self) -> Network:
@@ -362,12 +361,12 @@ def load_study(
     rules, study = checked_rules(rules), Study.open(folder)
     result = folder / RESULT[study.config.method]
     population = read_population(result)
-    heart = load_heart(folder / HEART_FOLDER)
+    heart = load_heart(folder / StudyFile.HEART)
     recordings = read_recordings(folder, len(study.config.scenarios))
     digests = recording_digests(recordings)
     same = all(getattr(study.config, name) == value for name, value in digests.items())
     for name, unchanged in (
-        (HEART_FOLDER, heart.digest == study.config.heart),
+        (StudyFile.HEART, heart.digest == study.config.heart),
         ("target.nc", same),
     ):
         if not unchanged:

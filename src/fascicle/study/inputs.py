@@ -19,11 +19,11 @@ from fascicle.core.progress import Progress
 from fascicle.core.quantities import DELAY, torso_values
 from fascicle.core.ranges import check_kind
 from fascicle.emulation.ecg_emulator import TORSO_MODES, EcgEmulator
-from fascicle.emulation.likelihood import EmulatedLikelihood
+from fascicle.emulation.likelihood import EmulatedLikelihood, likelihood_of
 from fascicle.emulation.refined_emulator import MOST_ROUNDS, REFINING_NETWORKS
 from fascicle.forward.beat import Beat
 from fascicle.forward.compile_kernels import compile_kernels
-from fascicle.forward.likelihood import Likelihood, constants
+from fascicle.forward.likelihood import Likelihood, QrsLikelihood
 from fascicle.forward.model import Backend, ForwardModel, usable
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.folder import as_heart
@@ -144,13 +144,14 @@ class InverseProblem:
 
     def likelihoods(self, emulators: Sequence[EcgEmulator]) -> list[EmulatedLikelihood]:
         """Likelihoods of the recordings by their emulators: the user's, or the package's."""
-        if self.inputs.likelihoods is None:
-            targets = [recording.target for recording in self.recordings]
-            return EmulatedLikelihood.each(
-                emulators, self.simulator, targets, _gain_sd(self.config)
-            )
-        pairs = zip(emulators, self.inputs.likelihoods, strict=True)
-        return [EmulatedLikelihood(self.simulator, *pair) for pair in pairs]
+        likelihoods, gain_sd = self.inputs.likelihoods, _gain_sd(self.config)
+        if likelihoods is None:
+            pairs = zip(self.recordings, emulators, strict=True)
+            likelihoods = [likelihood_of(r.target, emulator, gain_sd) for r, emulator in pairs]
+        return [
+            EmulatedLikelihood(self.simulator, emulator, likelihood)
+            for emulator, likelihood in zip(emulators, likelihoods, strict=True)
+        ]
 
     def with_likelihoods(self, emulated: Sequence[EmulatedLikelihood]) -> InverseProblem:
         """Problem whose evaluations have log-likelihoods; its beats are kept in memory."""
@@ -207,7 +208,7 @@ def read_inputs(
             "refining_rounds": MOST_ROUNDS,
         }
         names = ", ".join(type(likelihood).__qualname__ for likelihood in likelihoods or ())
-        described = {"name": names} if names else constants() | constants_of_emulator
+        described = {"name": names} if names else QrsLikelihood.constants() | constants_of_emulator
     config = StudyConfig(
         heart=heart.digest,
         **recording_digests(recordings),

@@ -63,7 +63,7 @@ class PaperFit:
 
         def propose(rng: np.random.Generator, stored: str | None) -> tuple[str, Floats]:
             nonlocal surrogates
-            observations = self.known()
+            observations = Observations.of(self.journal.evaluations)
             if surrogates is None and stored is not None:  # resumed
                 surrogates = Surrogates.from_json(stored, observations)
             if surrogates is None:
@@ -93,10 +93,6 @@ class PaperFit:
             progress=self._report_round,
         )
 
-    def known(self) -> Observations:
-        """Observations from which the surrogates learn."""
-        return Observations.of(self.journal.evaluations)
-
     def report(self, stage: Stage, done: int, total: int) -> None:
         """Call the progress callback with the best loss so far."""
         if self.progress is None:
@@ -110,7 +106,7 @@ class PaperFit:
     ) -> tuple[str, Floats]:
         """Draw the candidates of a round, no more than it can use."""
         start = Hyperparameters.from_json(hyperparameters) if hyperparameters else None
-        loss = LossGP.fit(self.known(), start, iterations(start))
+        loss = LossGP.fit(Observations.of(self.journal.evaluations), start, iterations(start))
         points, _ = draw_candidates(
             rng,
             InformedPrior.at(loss, best.point),

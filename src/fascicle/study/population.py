@@ -88,7 +88,8 @@ class PaperPopulation(Population):
     def of(cls, space: ParameterSpace, accepted: Accepted) -> PaperPopulation:
         """Name the parameters of accepted evaluations."""
         best, losses = accepted.reference, np.array([e.loss for e in accepted.evaluations])
-        values = _named(space, accepted.evaluations)
+        points = np.array([draw.point[: len(space)] for draw in accepted.evaluations])
+        values = space.columns(points.reshape(-1, len(space)))
         return cls(values, losses, space.from_unit(best.point), best.loss, accepted.distances)
 
 
@@ -177,14 +178,9 @@ class Posterior(Population):
         )
 
 
-def evenly_spread(every: int, count: int) -> list[int]:
-    """Indices of `count` networks evenly spread over `every`; all indices if there are no more."""
-    return [round(k) for k in np.linspace(0, every - 1, min(count, every))]
-
-
-def _named(space: ParameterSpace, evaluations: Sequence[Evaluation]) -> dict[str, Floats]:
-    points = np.array([draw.point[: len(space)] for draw in evaluations]).reshape(-1, len(space))
-    return space.columns(points)
+def evenly_spread(total: int, count: int) -> list[int]:
+    """Indices of `count` networks evenly spread over `total`; all indices if there are no more."""
+    return [round(k) for k in np.linspace(0, total - 1, min(count, total))]
 
 
 def write_population(

@@ -8,22 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
 from fascicle.core.errors import InputError
 from fascicle.core.progress import Progress
 from fascicle.core.threads import one_thread
-from fascicle.emulation.sampling import RUNS, Emulated, sampled
+from fascicle.emulation.likelihood import RUNS, Emulated, sampled
 from fascicle.inference.evaluation import Evaluation, best_of
 from fascicle.inference.tempered_sampling import SamplingRun, agreement, pooled
 from fascicle.networks.prior import Prior
 from fascicle.networks.settings import FitSettings
 from fascicle.study.evaluations import Journal, Stage
 from fascicle.study.population import Posterior
-
-PARTICLES = 600  # least number of particles in a batch
-MOST_BATCHES = 16  # batches that are pooled to a run at most, where runs do not agree
 
 
 @dataclass(frozen=True)
@@ -40,6 +38,9 @@ class PosteriorFit:
     emulated: Sequence[Emulated]  # likelihood of each recording
     progress: Progress | None = None
     share: float = 1.0  # in a mixture; runs with a smaller share need not agree as closely
+
+    least_particles: ClassVar[int] = 600  # in a batch
+    most_batches: ClassVar[int] = 16  # batches that are pooled to a run where runs do not agree
 
     def run(self) -> Posterior:
         """Sample and simulate all that is not stored yet, and return the posterior."""
@@ -115,13 +116,13 @@ class PosteriorFit:
         while True:
             batches.append(sample(recordings, len(batches)))
             runs = [pooled(batches_of_run) for batches_of_run in zip(*batches, strict=True)]
-            if self._agree(runs, self.share) or len(batches) >= MOST_BATCHES:
+            if self._agree(runs, self.share) or len(batches) >= self.most_batches:
                 return runs
 
     def _batches(self, recordings: int, number: int) -> list[SamplingRun]:
         """A batch of each run."""
         # twice as many particles as are drawn from a run, since some are infeasible
-        count = max(PARTICLES, self.settings.effective)
+        count = max(self.least_particles, self.settings.effective)
         # the first numbers are those of the first batches, and of draws
         first = 0 if number == 0 else 4 * RUNS * number
         message = f"{RUNS} runs of {count * (number + 1)}"

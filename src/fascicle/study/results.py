@@ -23,8 +23,6 @@ from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import RESULT, Posterior, write_population
 from fascicle.study.statements import has_few_junctions
 
-TREES_WRITTEN = 30  # networks whose trees are written; the parameters of all are
-
 
 def write_results(
     fitted: FittedStudy,
@@ -44,7 +42,8 @@ def write_results(
     heart, space = fitted.simulator.model.heart, fitted.simulator.prior.learnt
     result = folder / RESULT[config.method]
     result.unlink(missing_ok=True)  # so that the study does not count as finished meanwhile
-    shown = range(0, len(networks), max(1, len(networks) // TREES_WRITTEN))[:TREES_WRITTEN]
+    # trees of 30 networks are written, and the parameters of all
+    shown = range(0, len(networks), max(1, len(networks) // 30))[:30]
     _write_networks(
         folder / "networks",
         {"best": fitted.best_network} | {f"{k:02d}": networks[k] for k in shown},
@@ -108,8 +107,8 @@ def _write_networks(folder: Path, networks: Mapping[str, Network]) -> None:
 def _summary(
     fitted: FittedStudy, networks: Sequence[Network], agreements: Sequence[Agreement]
 ) -> dict[str, object]:
-    records, population = fitted.study.records(), fitted.population
-    return {
+    records, population, checks = fitted.study.records(), fitted.population, fitted.checks
+    content: dict[str, object] = {
         "verdict": fitted.verdict,
         "converged": fitted.statements.converged,
         "networks_are": fitted.statements.networks_called,
@@ -128,27 +127,20 @@ def _summary(
         "energy_under_the_qrs": spread(np.array([n.under_qrs for n in networks])),
         "networks_with_few_junctions": sum(has_few_junctions(n) for n in networks),
         "parameters": {name: spread(v) for name, v in population.values.items() if len(v)},
-        **(
-            _posterior_summary(fitted, population)
-            if isinstance(population, Posterior)
-            else {
-                "networks_wanted": fitted.study.config.samples,
-                "candidates_evaluated": len(fitted.candidates),
-                "rounds": fitted.study.steps(Stage.REJECTION),
-                "best_initial_loss_mV2": fitted.best_initial_loss,
-            }
-        ),
     }
-
-
-def _posterior_summary(fitted: FittedStudy, posterior: Posterior) -> dict[str, object]:
-    """Entries of the summary for a posterior."""
-    return {
-        "conduction_states": dict(posterior.states),
+    if not isinstance(population, Posterior):
+        return content | {
+            "networks_wanted": fitted.study.config.samples,
+            "candidates_evaluated": len(fitted.candidates),
+            "rounds": fitted.study.steps(Stage.REJECTION),
+            "best_initial_loss_mV2": fitted.best_initial_loss,
+        }
+    return content | {
+        "conduction_states": dict(population.states),
         # with several conduction states, each state has log-evidences of its own
-        "log_evidences": None if posterior.states else posterior.log_evidences.tolist(),
-        "effective_sample_sizes": posterior.effective.tolist(),
-        "standard_deviations_between_runs": dict(posterior.means_apart),
-        "explained_by_the_best": fitted.checks.explained if fitted.checks else None,
-        "probabilities_under_the_model": dict(fitted.checks.probabilities) if fitted.checks else {},
+        "log_evidences": None if population.states else population.log_evidences.tolist(),
+        "effective_sample_sizes": population.effective.tolist(),
+        "standard_deviations_between_runs": dict(population.means_apart),
+        "explained_by_the_best": checks.explained if checks else None,
+        "probabilities_under_the_model": dict(checks.probabilities) if checks else {},
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from enum import Enum, StrEnum
 from functools import cached_property
 from itertools import combinations
@@ -28,7 +28,6 @@ from fascicle.purkinje.tree import FEW_JUNCTIONS
 from fascicle.study.population import Population, Posterior
 
 INTERVAL = (5, 95)  # percentiles of a 90 % credible interval
-LEAST_NAMED = 0.02  # least probability of a conduction state that is named
 
 
 class Result(Protocol):
@@ -202,9 +201,10 @@ class Statements:
         unnamed = getattr(self._result.population, "unnamed", "")
         if not states or self.caution is not None or unnamed:
             return ""
-        named = {name: p for name, p in states.items() if p >= LEAST_NAMED}
+        least = 0.02  # probability of a conduction state that is named
+        named = {name: p for name, p in states.items() if p >= least}
         ranked = sorted(named, key=lambda name: -named[name])
-        rest = [f"others below {LEAST_NAMED}"] if len(named) < len(states) else []
+        rest = [f"others below {least}"] if len(named) < len(states) else []
         alike = [
             f" (block and delay of the {side} bundle branch give much the same ECG)"
             for side in ("left", "right")
@@ -275,21 +275,25 @@ class Statements:
         posterior = self._result.population
         if not (isinstance(posterior, Posterior) and posterior.converged):
             return ()
-        alone = posterior.first_alone or {}
-        return tuple(
-            replace(
-                _statement(p, posterior.values[p.name], alone.get(p.name)),
-                along_fibre=self._along_fibre(posterior) if p.name == "alpha" else None,
-            )
-            for p in self._result.simulator.prior.learnt.parameters
-        )
+        parameters = self._result.simulator.prior.learnt.parameters
+        return tuple(self._statement(parameter, posterior) for parameter in parameters)
 
-    def _along_fibre(self, posterior: Posterior) -> tuple[float, float, float]:
-        """Conduction velocity along the fibre (m/s), which is proportional to α."""
-        conduction = self._result.simulator.model.conduction
-        speeds = posterior.values["alpha"] * conduction.speeds[0] / conduction.alpha
-        median, low, high = np.percentile(speeds, (50, *INTERVAL))
-        return float(median), float(low), float(high)
+    def _statement(self, parameter: Parameter, posterior: Posterior) -> ParameterStatement:
+        name, alone, along_fibre = parameter.name, posterior.first_alone or {}, None
+        values = posterior.values[name]
+        # in shares of the prior, which is uniform there, with variance 1/12
+        remaining = float(np.var(parameter.to_unit(values)) * 12)
+        if name == "alpha":  # the conduction velocity along the fibre is proportional to it
+            conduction = self._result.simulator.model.conduction
+            along_fibre = _median_and_interval(values * conduction.speeds[0] / conduction.alpha)
+        return ParameterStatement(
+            name,
+            parameter.unit,
+            *_median_and_interval(values),
+            1 - min(remaining, 1),
+            _half_width(alone[name]) if name in alone else None,
+            along_fibre,
+        )
 
     @cached_property
     def correlated(self) -> tuple[Correlated, ...]:
@@ -331,16 +335,9 @@ def _convergence(posterior: Posterior) -> str:
     return f"NOT CONVERGED ({', '.join(reasons)})"
 
 
-def _statement(
-    parameter: Parameter, values: Floats, first_alone: Floats | None
-) -> ParameterStatement:
-    # in shares of the prior, which is uniform there, with variance 1/12
-    remaining = float(np.var(parameter.to_unit(values)) * 12)
-    median, lower, upper = (float(np.percentile(values, share)) for share in (50, *INTERVAL))
-    before = None if first_alone is None else _half_width(first_alone)
-    return ParameterStatement(
-        parameter.name, parameter.unit, median, lower, upper, 1 - min(remaining, 1), before
-    )
+def _median_and_interval(values: Floats) -> tuple[float, float, float]:
+    median, lower, upper = np.percentile(values, (50, *INTERVAL))
+    return float(median), float(lower), float(upper)
 
 
 def _half_width(values: Floats) -> float:

@@ -7,7 +7,7 @@ is stored instead of computing it; it is therefore the same program as a study t
 interrupted, and gives the same bits. Step k of a stage draws from
 ``default_rng([seed, stage, k])`` alone.
 
-One process at a time works on a study (`fascicle.study.lock`). All stored evaluations must come
+One process at a time works on a study (`study_lock`). All stored evaluations must come
 from one forward model. To check this, a few of them are made again, and the losses compared.
 """
 
@@ -16,11 +16,14 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
-from typing import Final, Literal
+from typing import ClassVar, Final, Literal
 
 import numpy as np
+from filelock import FileLock, Timeout
 from pydantic import ConfigDict, Field, ValidationError
 
 from fascicle.core.arrays import Floats
@@ -33,23 +36,25 @@ from fascicle.networks.prior import AveragedOver, Prior
 from fascicle.networks.settings import FitSettings, first_problem
 from fascicle.purkinje.growth import REPULSION
 from fascicle.study.evaluations import Database, Journal, Record, Stage
-from fascicle.study.lock import LOCK, study_lock
 from fascicle.study.population import RESULT, Population
 
-CONFIGURATION = "study.json"
-DATABASE = "evaluations.sqlite"
-HEART_FOLDER = "heart"
-STATES_FOLDER = "states"  # folder of the studies of conduction states
 STUDY_FORMAT: Final = 8  # version of the folder's format
-MAY_CHANGE = ("workers", "steps", "samples", "effective", "share")  # when a study is resumed
-CHECKED = 4  # stored evaluations that are made again
-SAME_LOSS = 1e-6  # relative tolerance: above rounding on other machines, below changes of the model
+
+
+class StudyFile(StrEnum):
+    """File or folder in a study's folder."""
+
+    CONFIGURATION = "study.json"
+    DATABASE = "evaluations.sqlite"
+    HEART = "heart"
+    STATES = "states"  # studies of conduction states
+    LOCK = ".study.lock"  # released by the operating system when its process ends
 
 
 class StudyConfig(FitSettings):
     """Configuration of a study, which decides its outcome: equal ones give equal results.
 
-    A study can be resumed with an equal configuration, but for the fields of `MAY_CHANGE`. Heart,
+    A study can be resumed with an equal configuration, but for the fields of `may_change`. Heart,
     targets and scenarios are identified by digests.
     """
 
@@ -73,6 +78,8 @@ class StudyConfig(FitSettings):
     share: float = 1.0  # of this state's study in the draws of the whole study
     version: Literal[8] = STUDY_FORMAT  # of the folder's format
 
+    may_change: ClassVar = ("workers", "steps", "samples", "effective", "share")
+
     @property
     def prior(self) -> Prior:
         """Prior of the study, a mixture of its conduction states."""
@@ -83,10 +90,14 @@ class StudyConfig(FitSettings):
 class Study:
     """A study folder."""
 
+    checked: ClassVar[int] = 4  # stored evaluations that are made again
+    # relative, of losses: above rounding on other machines, below changes of the model
+    tolerance: ClassVar[float] = 1e-6
+
     def __init__(self, folder: Path, config: StudyConfig) -> None:
         self.folder = folder
         self.config = config
-        self._database = Database(folder / DATABASE)
+        self._database = Database(folder / StudyFile.DATABASE)
 
     @classmethod
     def create_or_resume(
@@ -98,15 +109,17 @@ class Study:
         """
         check_study_folder(folder)
         with study_lock(folder):
-            if (folder / CONFIGURATION).exists():
+            if (folder / StudyFile.CONFIGURATION).exists():
                 check_same(folder, _read(folder), config)
             else:
-                write_text(folder / CONFIGURATION, config.model_dump_json(indent=2) + "\n")
+                write_text(
+                    folder / StudyFile.CONFIGURATION, config.model_dump_json(indent=2) + "\n"
+                )
             _remove_leftovers(folder)
             study = cls(folder, config)
             aside = study._database.prepare()
         if aside is not None and progress is not None:
-            progress("repair", 1, 1, f"{DATABASE} was damaged, and is now {aside.name}")
+            progress("repair", 1, 1, f"{StudyFile.DATABASE} was damaged, and is now {aside.name}")
         return study
 
     @classmethod
@@ -114,11 +127,11 @@ class Study:
         """Open the study that is in `folder`, to look at it or to resume it as it is."""
         if not folder.is_dir():
             raise InputError(f"{folder}: no such folder; give that of a study")
-        if not (folder / CONFIGURATION).exists():
-            raise InputError(f"{folder}: not a study; it has no {CONFIGURATION}")
-        if not (folder / DATABASE).is_file():
+        if not (folder / StudyFile.CONFIGURATION).exists():
+            raise InputError(f"{folder}: not a study; it has no {StudyFile.CONFIGURATION}")
+        if not (folder / StudyFile.DATABASE).is_file():
             raise InputError(
-                f"{folder}: the study has no {DATABASE}; run 'fascicle fit' on it again"
+                f"{folder}: the study has no {StudyFile.DATABASE}; run 'fascicle fit' on it again"
             )
         return cls(folder, _read(folder))
 
@@ -127,7 +140,7 @@ class Study:
 
         Each conduction state has a unit cube of its own.
         """
-        databases = sorted(self.folder.glob(f"{STATES_FOLDER}/*/{DATABASE}"))
+        databases = sorted(self.folder.glob(f"{StudyFile.STATES}/*/{StudyFile.DATABASE}"))
         all_databases = (self._database, *(Database(path) for path in databases))
         return [record for database in all_databases for record in database.records()]
 
@@ -165,7 +178,7 @@ class Study:
     def check_objective(self, objective: Objective) -> None:
         """Refuse a forward model that differs from that of the stored evaluations."""
         stored = [record.evaluation for record in self._database.records()]
-        again = stored[:: max(1, len(stored) // CHECKED)][:CHECKED]
+        again = stored[:: max(1, len(stored) // self.checked)][: self.checked]
         if not again:
             return
         for then, now in zip(again, objective([e.point for e in again]), strict=True):
@@ -177,7 +190,7 @@ class Study:
                 )
 
     def _take_over(self) -> None:
-        """Store the settings of this run that may differ from those stored (`MAY_CHANGE`).
+        """Store the settings of this run that may differ (`StudyConfig.may_change`).
 
         The result is removed first, since its presence means that the study is finished. If the
         process is killed before the settings are written, the next run does this again.
@@ -189,7 +202,41 @@ class Study:
             (self.folder / RESULT[self.config.method]).unlink(missing_ok=True)
             # proposals of these stages do not depend on the numbers that may change
             self._database.forget_proposals((Stage.INITIAL, Stage.OPTIMISATION))
-        write_text(self.folder / CONFIGURATION, self.config.model_dump_json(indent=2) + "\n")
+        write_text(
+            self.folder / StudyFile.CONFIGURATION, self.config.model_dump_json(indent=2) + "\n"
+        )
+
+
+class HeldError(InputError):
+    """Raised if another process, or another thread, works on a study."""
+
+
+@contextmanager
+def study_lock(folder: Path) -> Iterator[None]:
+    """Hold the lock of a study's folder, made if it is missing; the lock may be nested."""
+    lock = FileLock(folder.resolve() / StudyFile.LOCK, blocking=False, is_singleton=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock.acquire()
+    except Timeout:
+        raise HeldError(
+            f"{folder}: another process is working on this study; wait for it or stop it"
+        ) from None
+    except OSError as error:
+        raise InputError(
+            f"{folder}: cannot be written ({error.strerror}); give another folder (out)"
+        ) from None
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def refuse_held(folder: Path) -> None:
+    """Refuse a study that another process works on, before a fit's inputs are read."""
+    if (folder / StudyFile.LOCK).exists():
+        with study_lock(folder):
+            pass
 
 
 def check_study_folder(folder: Path) -> None:
@@ -201,9 +248,9 @@ def check_study_folder(folder: Path) -> None:
         foreign = [path for path in folder.iterdir() if not path.name.startswith(".study.")]
     except OSError as error:
         raise InputError(f"{folder}: {error.strerror}; give another folder (out)") from error
-    if foreign and not (folder / CONFIGURATION).exists():
+    if foreign and not (folder / StudyFile.CONFIGURATION).exists():
         raise InputError(
-            f"{folder}: not a study (it has no {CONFIGURATION}) and not empty; "
+            f"{folder}: not a study (it has no {StudyFile.CONFIGURATION}) and not empty; "
             "give another folder (out)"
         )
 
@@ -211,7 +258,7 @@ def check_study_folder(folder: Path) -> None:
 def is_finished(folder: Path, config: StudyConfig) -> bool:
     """Whether a folder holds the finished study of a configuration."""
     check_study_folder(folder)
-    if not (folder / CONFIGURATION).exists():
+    if not (folder / StudyFile.CONFIGURATION).exists():
         return False
     stored = _read(folder)
     check_same(folder, stored, config)
@@ -224,7 +271,7 @@ def _remove_leftovers(folder: Path) -> None:
     ours = r"\.(study|evaluations|posterior|population|summary|activation|heart|networks|"
     ours += r"(target|scenario)(-\d+)?)\..*"
     for path in folder.glob(".*"):
-        if path.name == LOCK or not re.fullmatch(ours, path.name):
+        if path.name == StudyFile.LOCK or not re.fullmatch(ours, path.name):
             continue
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
@@ -236,7 +283,7 @@ def _same(then: Evaluation, now: Evaluation) -> bool:
     """Whether two evaluations of one point agree, as if made by one forward model."""
     if not (then.feasible and now.feasible):
         return then.feasible == now.feasible
-    if not np.isclose(now.loss, then.loss, rtol=SAME_LOSS, atol=0):
+    if not np.isclose(now.loss, then.loss, rtol=Study.tolerance, atol=0):
         return False
     now_log, then_log = now.log_likelihoods, then.log_likelihoods
     if len(now_log) != len(then_log):  # a study is opened without its likelihoods
@@ -252,7 +299,7 @@ def _outcome(evaluation: Evaluation) -> str:
 
 
 def _read(folder: Path) -> StudyConfig:
-    path, remedy = folder / CONFIGURATION, "give another folder (out)"
+    path, remedy = folder / StudyFile.CONFIGURATION, "give another folder (out)"
     try:
         text = path.read_text(encoding="utf-8")
         content = json.loads(text)
@@ -275,20 +322,20 @@ def _read(folder: Path) -> StudyConfig:
         ) from error
 
 
-def check_same(folder: Path, there: StudyConfig, now: StudyConfig) -> None:
-    """Refuse a configuration that differs from the stored one beyond `MAY_CHANGE`."""
-    if there.growth_term != now.growth_term:
+def check_same(folder: Path, stored: StudyConfig, now: StudyConfig) -> None:
+    """Refuse a configuration that differs from the stored one beyond `StudyConfig.may_change`."""
+    if stored.growth_term != now.growth_term:
         raise InputError(
-            f"{folder}: its networks grow by the term '{there.growth_term}', not by "
+            f"{folder}: its networks grow by the term '{stored.growth_term}', not by "
             f"'{now.growth_term}'; give fascicle.fit or fascicle.load_study the same rules="
         )
-    before, after = _identity(there), _identity(now)
+    before, after = _identity(stored), _identity(now)
     different = [
         f"{name}: there {before.get(name, 'none')}, now {after.get(name, 'none')}"
         for name in before | after
         if before.get(name) != after.get(name)
     ]
-    if not different and there.prior.names != now.prior.names:
+    if not different and stored.prior.names != now.prior.names:
         different = ["the order of the parameters"]
     if different:
         listed = "; ".join(different[:3])
@@ -314,7 +361,7 @@ def _identity(config: StudyConfig) -> dict[str, str]:
             identity[name.replace("_", " ")] = ", ".join(digest[:12] or "none" for digest in value)
         elif name in ("heart", "target"):
             identity[name] = value[:12]  # of a digest
-        elif name not in (*MAY_CHANGE, "growth_term"):
+        elif name not in (*StudyConfig.may_change, "growth_term"):
             identity[name] = f"{value}"
     return identity
 

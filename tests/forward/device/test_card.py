@@ -10,9 +10,9 @@ from emulated import drawn
 from test_networks import assert_same
 
 from fascicle.core.errors import InputError
-from fascicle.forward.device import batch
 from fascicle.forward.device import card as card_module
 from fascicle.forward.device.backend import GpuBackend
+from fascicle.forward.device.batch import Simulator
 from fascicle.forward.device.card import OPTIONS, THREADS, card_number
 from fascicle.forward.device.source import source
 from fascicle.forward.primitives import InactiveRoot
@@ -69,7 +69,7 @@ def test_fewer_cards_than_asked_for(cupy):
 
 def test_simulate_many(crtdemo_model, emulated, monkeypatch):
     """On the card, in order; what is too large for it here."""
-    monkeypatch.setattr(batch, "MOST_SITES", 250)
+    monkeypatch.setattr(Simulator, "most_sites", 250)
     networks = drawn(12)
     beats = crtdemo_model.simulate_many(networks, backend=GpuBackend.on(emulated, 5))
     for network, beat in zip(networks, beats, strict=True):

@@ -16,8 +16,8 @@ from emulated import Emulated, drawn
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, HUMAN_SPACE, Infeasible
 from fascicle.forward.beat import Beat
-from fascicle.forward.device import batch
 from fascicle.forward.device.backend import GpuBackend
+from fascicle.forward.device.batch import Simulator
 from fascicle.forward.eikonal.myocardium import attach
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.conduction import Conduction, Region
@@ -155,16 +155,16 @@ def test_signals_are_what_is_compared(crtdemo_model, emulated):
 
 
 @pytest.mark.parametrize(
-    ("room", "size"), [("MOST_GROWN", 900), ("MOST_GROWN", 60), ("MOST_SPROUTS", 40)]
+    ("room", "size"), [("most_grown", 900), ("most_grown", 60), ("most_sprouts", 40)]
 )
 def test_networks_that_are_too_large_are_left(crtdemo_model, emulated, monkeypatch, room, size):
     """As nodes of a tree, as nodes of its bundle, as branches of a generation."""
-    monkeypatch.setattr(batch, room, size)
+    monkeypatch.setattr(Simulator, room, size)
     assert list(on(emulated).beats(crtdemo_model, drawn(11)[8:])) == [None] * 3
 
 
 def test_too_many_junctions_are_left(crtdemo_model, emulated, monkeypatch):
-    monkeypatch.setattr(batch, "MOST_SITES", 250)
+    monkeypatch.setattr(Simulator, "most_sites", 250)
     networks = [n for n in drawn(12) if not isinstance(crtdemo_model.grow(n), Infeasible)]
     many = [sum(len(t.junctions) for t in crtdemo_model.grow(n)) > 250 for n in networks]
     assert 0 < sum(many) < len(networks)

@@ -14,7 +14,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.parameters import Infeasible, complete
 from fascicle.core.quantities import SIDES, Changes, fascicles, quantity
 from fascicle.forward.beat import Beat, Signals
-from fascicle.forward.device.batch import BATCH_SIZE, Device, Results, Simulator
+from fascicle.forward.device.batch import Device, Results, Simulator
 from fascicle.forward.device.card import Card
 from fascicle.forward.device.source import BEAT, PLAN
 from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP, leads_from_independent
@@ -25,8 +25,6 @@ from fascicle.kernels.growth import GROWN, repulsion
 from fascicle.purkinje.growth import tree_of_nodes, tree_outside
 
 Made = TypeVar("Made")
-# Changes of parameters that the card cannot simulate
-OF_THE_PROCESSOR = (Changes.TISSUE, Changes.BLOCKS, Changes.SOURCES, Changes.LEAD_FIELDS)
 
 
 class GpuBackend:
@@ -44,7 +42,7 @@ class GpuBackend:
     """
 
     def __init__(self, device: str = "cuda") -> None:
-        self._use(Card(device), BATCH_SIZE)
+        self._use(Card(device), 512)  # 3 MB each, and several for each of a card's processors
 
     @classmethod
     def on(cls, device: Device, networks: int) -> GpuBackend:
@@ -65,8 +63,9 @@ class GpuBackend:
             return "the card does not know the growth rule"
         if model.heart.additional_electrodes:
             return "the card computes the twelve leads, and the heart has additional electrodes"
+        of_the_processor = (Changes.TISSUE, Changes.BLOCKS, Changes.SOURCES, Changes.LEAD_FIELDS)
         for name in names:
-            if quantity(name).changes in OF_THE_PROCESSOR:
+            if quantity(name).changes in of_the_processor:
                 return f"parameter '{name}' changes {quantity(name).changes}"
         return ""
 

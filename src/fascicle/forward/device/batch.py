@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,32 +14,12 @@ from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.quantities import SIDES
 from fascicle.forward.device.packing import packed_heart
-from fascicle.forward.device.source import (
-    BATCH_FIELDS,
-    HEART_FIELDS,
-    MOVE_BYTES,
-    SITE,
-    SPROUT_BYTES,
-    Bytes,
-    structure,
-)
+from fascicle.forward.device.source import BATCH_FIELDS, HEART_FIELDS, SITE, SIZES, Bytes, structure
 from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP, Electrocardiograph
 from fascicle.forward.preparation import Prepared
 from fascicle.kernels.arrays import CORNERS
 from fascicle.kernels.growth import NODE
 from fascicle.kernels.jit import CHANNELS
-
-# Room for each tree, and each network. Larger ones, which hardly any heart has, are left to the
-# processor: the packaged heart's trees have at most 5000 nodes, its networks 800 junctions.
-MOST_GROWN = 16_384
-MOST_SPROUTS = 2048
-MOST_SITES = 2048
-MOST_TREE_NODES = 2 * MOST_SITES + 2  # sites, forks and two roots
-BATCH_SIZE = 512  # at a time: 3 MB each, and several for each of a card's processors
-# ms; activations that end later, or never begin, are left to the processor, which checks them
-LATEST_ACTIVATION = 2000.0
-BITS = 64  # a bit of a word says that a node waits
-SPARE_BINS = 8  # of a histogram, in addition to those between the first activation and the last
 
 
 class Device(Protocol):
@@ -109,19 +89,25 @@ class Simulator:
         Number of networks that it has room for.
     """
 
+    # Room for each tree, and each network. Larger ones, which hardly any heart has, are left to the
+    # processor: the packaged heart's trees have at most 5000 nodes, its networks 800 junctions.
+    most_grown: ClassVar[int] = 16_384
+    most_sprouts: ClassVar[int] = 2048
+    most_sites: ClassVar[int] = 2048
+
     def __init__(
         self,
         device: Device,
         prepared: Prepared,
         electrocardiograph: Electrocardiograph,
-        networks: int = BATCH_SIZE,
+        networks: int,
     ) -> None:
         self.device = device
         self._quiet = electrocardiograph.action_potential.span[1]
         heart = packed_heart(prepared, electrocardiograph)
         self._vertices: int = heart["vertices"]
         self._bin_width: float = heart["bin_width"]
-        if _waiting(self._vertices + MOST_TREE_NODES) > device.shared_bytes:
+        if _waiting(self._most_nodes) > device.shared_bytes:
             raise InputError(
                 f"a heart of {self._vertices} vertices is too large for the card; leave the device "
                 "out"
@@ -130,8 +116,36 @@ class Simulator:
         self._heart = device.upload(
             structure(HEART_FIELDS, heart | self._addresses(self._heart_buffers))
         )
-        sizes = _bytes(self._vertices + MOST_TREE_NODES)
-        self._buffers = {name: device.room(networks * size) for name, size in sizes.items()}
+        self._buffers = {name: device.room(networks * size) for name, size in self._sizes().items()}
+
+    @property
+    def _most_tree_nodes(self) -> int:
+        """Room for the nodes of both trees: sites, forks and two roots."""
+        return 2 * self.most_sites + 2
+
+    @property
+    def _most_nodes(self) -> int:
+        return self._vertices + self._most_tree_nodes
+
+    def _sizes(self) -> dict[str, int]:
+        """Bytes that each network takes in the buffers that kernels write to."""
+        node, number, integer = NODE.itemsize, 8, 4
+        return {
+            "nodes": 2 * self.most_grown * node,
+            "sprouts": 2 * self.most_sprouts * SIZES["Sprout"],
+            "moves": 2 * 2 * self.most_sprouts * SIZES["Move"],
+            **dict.fromkeys(("grown", "status", "junctions", "root"), 2 * integer),
+            "missing": 2 * number,
+            "ends": 2 * node,
+            **dict.fromkeys(("children", "place"), 2 * self.most_grown * integer),
+            "sites": self.most_sites * SITE.itemsize,
+            **dict.fromkeys(("site_count", "node_count"), integer),
+            **dict.fromkeys(("up", "first_child", "next_child"), self._most_tree_nodes * integer),
+            "up_length": self._most_tree_nodes * number,
+            "seen": CORNERS * self.most_sites * number,
+            "time": self._most_nodes * number,
+            **dict.fromkeys(("first", "last"), number),
+        }
 
     def run(self, plans: NDArray[np.void], beats: NDArray[np.void]) -> Results:
         """Simulate b networks, at most as many as there is room for.
@@ -148,7 +162,8 @@ class Simulator:
         shared = both <= self.device.shared_bytes  # activation times are shared if they fit
         self._launch("solve", count, both if shared else waiting, inputs, times_are_shared=shared)
         first, last = (self._array(name, np.float64, count) for name in ("first", "last"))
-        simulated &= (first < np.inf) & (last < LATEST_ACTIVATION)
+        # activations that end after 2000 ms, or never begin, are left to the processor
+        simulated &= (first < np.inf) & (last < 2000.0)
         return Results(
             simulated,
             self._array("status", np.int32, count, 2),
@@ -163,12 +178,11 @@ class Simulator:
 
     def activation(self, number: int) -> Floats:
         """Activation (ms) in one of the last networks, in the mesh's vertex order."""
-        first = number * (self._vertices + MOST_TREE_NODES)
-        return self._part("time", np.float64, first, self._vertices)
+        return self._part("time", np.float64, number * self._most_nodes, self._vertices)
 
     def nodes(self, number: int, side: int, size: int) -> NDArray[np.void]:
         """Nodes, an array of NODE, of a tree of the last networks; `Results.sizes` has its size."""
-        return self._part("nodes", NODE, (len(SIDES) * number + side) * MOST_GROWN, size)
+        return self._part("nodes", NODE, (len(SIDES) * number + side) * self.most_grown, size)
 
     def _channels(
         self, simulated: Booleans, last: Floats, inputs: Mapping[str, NDArray[Any]]
@@ -180,7 +194,7 @@ class Simulator:
         )
         most = int(samples.max(initial=1))
         latest = last.max(where=simulated, initial=0.0)
-        bins = int(latest / self._bin_width) + SPARE_BINS
+        bins = int(latest / self._bin_width) + 8  # and some to spare
         size = CHANNELS * bins * 8
         shared = size <= self.device.shared_bytes
         room = {
@@ -215,11 +229,11 @@ class Simulator:
         """Run a kernel on inputs, in the batch's buffers and `room`, buffers of its results."""
         uploaded = self._uploaded(inputs)
         members = dict.fromkeys(BATCH_FIELDS, 0) | {
-            "most_grown": MOST_GROWN,
-            "most_sprouts": MOST_SPROUTS,
-            "most_sites": MOST_SITES,
-            "most_tree_nodes": MOST_TREE_NODES,
-            "most_nodes": self._vertices + MOST_TREE_NODES,
+            "most_grown": self.most_grown,
+            "most_sprouts": self.most_sprouts,
+            "most_sites": self.most_sites,
+            "most_tree_nodes": self._most_tree_nodes,
+            "most_nodes": self._most_nodes,
         }
         members |= self._addresses({**self._buffers, **uploaded, **(room or {})}) | numbers
         batch = self.device.upload(structure(BATCH_FIELDS, members))
@@ -246,26 +260,5 @@ class Simulator:
 
 
 def _waiting(nodes: int) -> int:
-    """Bytes of the bits that say which nodes wait."""
-    return BITS // 8 * -(-nodes // BITS)
-
-
-def _bytes(most_nodes: int) -> dict[str, int]:
-    """Bytes that each network takes in the buffers that kernels write to."""
-    node, number, integer = NODE.itemsize, 8, 4
-    return {
-        "nodes": 2 * MOST_GROWN * node,
-        "sprouts": 2 * MOST_SPROUTS * SPROUT_BYTES,
-        "moves": 2 * 2 * MOST_SPROUTS * MOVE_BYTES,
-        **dict.fromkeys(("grown", "status", "junctions", "root"), 2 * integer),
-        "missing": 2 * number,
-        "ends": 2 * node,
-        **dict.fromkeys(("children", "place"), 2 * MOST_GROWN * integer),
-        "sites": MOST_SITES * SITE.itemsize,
-        **dict.fromkeys(("site_count", "node_count"), integer),
-        **dict.fromkeys(("up", "first_child", "next_child"), MOST_TREE_NODES * integer),
-        "up_length": MOST_TREE_NODES * number,
-        "seen": CORNERS * MOST_SITES * number,
-        "time": most_nodes * number,
-        **dict.fromkeys(("first", "last"), number),
-    }
+    """Bytes of the words of 64 bits that say which nodes wait."""
+    return 8 * -(-nodes // 64)

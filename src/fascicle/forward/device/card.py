@@ -16,7 +16,6 @@ from fascicle.forward.device.source import Bytes, source
 # last bit.
 OPTIONS = ("-std=c++17", "-fmad=false")
 THREADS = {"grow": 128, "attach": 256, "solve": 512, "electrocardiogram": 512}  # of a block
-NAME = r"cuda(?::(\d{1,3}))?"
 
 
 def card_number(name: str) -> int:
@@ -28,7 +27,7 @@ def card_number(name: str) -> int:
         If there is none of this name, or no CuPy.
     """
     check_text(name, "device")
-    match = re.fullmatch(NAME, name)
+    match = re.fullmatch(r"cuda(?::(\d{1,3}))?", name)
     if match is None:
         raise InputError(f"unknown device '{name}'; give cuda, or cuda:1 for the second card")
     if find_spec("cupy") is None:

@@ -14,13 +14,6 @@ from fascicle.kernels.arrays import CORNERS
 from fascicle.kernels.ray_travel_times import BASIS
 from fascicle.mesh.topology import TETRAHEDRON_EDGES
 
-# Waiting nodes are processed together if they are later than the earliest by up to so many times
-# the mean travel time of an edge: a wide band gives the threads more work, more of it in vain.
-FRONT_WIDTH = 2.0
-
-# Corners of a tetrahedron besides each corner
-OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-
 
 def packed_heart(prepared: Prepared, electrocardiograph: Electrocardiograph) -> dict[str, Any]:
     """Numbers and arrays of `fascicle.forward.device.source.HEART_FIELDS`.
@@ -40,7 +33,9 @@ def _mesh(myocardium: Myocardium) -> dict[str, Any]:
     star, link = mesh.star, mesh.link
     tetrahedron, place = np.divmod(star["item"], CORNERS)
     least = np.minimum.reduce([star["least_a"], star["least_b"], star["least_c"]])
-    other_corners = np.take_along_axis(mesh.corners[tetrahedron], OTHERS[place], axis=1)
+    # corners of a tetrahedron besides each corner
+    other_corners_of = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+    other_corners = np.take_along_axis(mesh.corners[tetrahedron], other_corners_of[place], axis=1)
     return {
         "vertices": len(mesh.vertices),
         "positions": _doubles(mesh.vertices),
@@ -54,7 +49,10 @@ def _mesh(myocardium: Myocardium) -> dict[str, Any]:
         "link": _ints(link["vertex"]),
         "link_time": _doubles(link["time"]),
         "slowness": mesh.slowness,
-        "band": FRONT_WIDTH * float(link["time"].mean()),
+        # waiting nodes are processed together if they are later than the earliest by up to twice
+        # the mean travel time of an edge: a wide band gives the threads more work, more of it in
+        # vain
+        "band": 2.0 * float(link["time"].mean()),
     }
 
 

@@ -14,9 +14,6 @@ from fascicle.kernels.growth import NODE
 
 Bytes = NDArray[np.uint8]
 
-# Files, each after those that it uses; `block.cuh`, which a test replaces, comes before all
-KERNEL_FILES = ("local_solver", "network", "rays", "growth", "attach", "solve", "ecg")
-
 # The members of the two structures that every kernel gets. Each takes eight bytes, so that the
 # layout is the same on both sides.
 HEART_FIELDS = {
@@ -99,9 +96,9 @@ BEAT = np.dtype(
         *((name, np.float64) for name in ("cv", "anterograde", "retrograde", "tissue_speed")),
     ]
 )
-SPROUT_BYTES, MOVE_BYTES = 32, 40
 SIZES = {"Node": NODE.itemsize, "Plan": PLAN.itemsize, "Site": SITE.itemsize}
-SIZES |= {"Beat": BEAT.itemsize, "Sprout": SPROUT_BYTES, "Move": MOVE_BYTES}
+SIZES |= {"Beat": BEAT.itemsize, "Sprout": 32, "Move": 40}
+"""Sizes of the structures (bytes)."""
 
 
 def source(block: str | None = None) -> str:
@@ -113,10 +110,12 @@ def source(block: str | None = None) -> str:
         Text in place of ``block.cuh``, which is for CUDA.
     """
     here = files(__package__)
+    # each after those that it uses; `block.cuh`, which a test replaces, comes before all
+    kernels = ("local_solver", "network", "rays", "growth", "attach", "solve", "ecg")
     parts = [block if block is not None else (here / "block.cuh").read_text(encoding="utf-8")]
     parts += [f"struct {name};" for name in SIZES]
     parts += [_declared("Heart", HEART_FIELDS), _declared("Batch", BATCH_FIELDS)]
-    parts += [(here / f"{name}.cuh").read_text(encoding="utf-8") for name in KERNEL_FILES]
+    parts += [(here / f"{name}.cuh").read_text(encoding="utf-8") for name in kernels]
     parts += [f'static_assert(sizeof({n}) == {size}, "{n}");' for n, size in SIZES.items()]
     return "\n".join(parts) + "\n"
 

@@ -13,7 +13,7 @@ from fascicle.core.parameters import Parameter
 from fascicle.core.quantities import SIDES, SPEED, fascicles, parameter_name, quantity
 from fascicle.forward.scenario_files import name_in_library
 from fascicle.networks.recordings import recording_paths
-from fascicle.networks.settings import OF_THE_PAPER, OF_THE_POSTERIOR
+from fascicle.networks.settings import SETTINGS_OF
 from fascicle.prediction.comparison import compare, missing_blocks
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import INTRINSIC
@@ -22,7 +22,7 @@ from fascicle.recording.target import Target
 from fascicle.reporting.names import index_name, scenario_name
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.statements import Caution
-from fascicle.study.study import HEART_FOLDER, StudyConfig
+from fascicle.study.study import StudyConfig, StudyFile
 
 Row = tuple[str, str, str]  # name for readers, name in files and options, value
 
@@ -129,8 +129,7 @@ def held(fitted: FittedStudy) -> list[Row]:
 
 def settings(config: StudyConfig) -> dict[str, Any]:
     """Settings that the method of the fit uses."""
-    of_the_method = OF_THE_PAPER if config.method == "paper" else OF_THE_POSTERIOR
-    names = ("method", *of_the_method, "fewest_junctions", "seed")
+    names = ("method", *SETTINGS_OF[config.method], "fewest_junctions", "seed")
     return {name: getattr(config, name) for name in names}
 
 
@@ -175,7 +174,7 @@ def commands(fitted: FittedStudy, predicted: Mapping[str, Predicted], against: s
         target = made if words else str(stored)
         targets.append(f"{target}:{scenario}" if scenario.exists() else target)
     lines += ["cat > settings.toml <<'END'", *settings_file(config), "END"]
-    heart, out = str(fitted.folder / HEART_FOLDER), str(fitted.folder)
+    heart, out = str(fitted.folder / StudyFile.HEART), str(fitted.folder)
     fit = ["fascicle", "fit", heart, *targets, "--out", out]
     report = report_words(fitted, predicted, against)
     return [*lines, shlex.join([*fit, "--settings", "settings.toml"]), shlex.join(report)]
