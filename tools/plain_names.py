@@ -35,17 +35,17 @@ VAGUE_FIRST = re.compile(
 )
 # The most there should be of each; what is above its aim may only fall (aim in brackets)
 LIMITS = {
-    "lines of source": 46_950,  # 40,500
-    "modules": 250,  # 210
+    "lines of source": 46_400,  # 40,500
+    "modules": 232,  # 210
     "most modules in a folder": 20,
     "most levels of imports in a folder": 8,
-    "lines of tests": 38_600,  # 29,000
+    "lines of tests": 37_500,  # 29,000
     "vague local names per 1000 lines": 8.0,
     "vague docstrings (%)": 1.0,
     "class names used twice": 0,
     "constant names with several meanings": 0,
-    "function names per 1000 lines": 43.0,  # 36
-    "module constants": 540,  # 250
+    "function names per 1000 lines": 41.6,  # 36
+    "module constants": 250,
 }
 
 
