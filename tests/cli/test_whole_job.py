@@ -182,6 +182,8 @@ def test_another_forward_model_is_refused(study, target, monkeypatch):
     before = [(study.folder / name).read_bytes() for name in names]
     with pytest.raises(fascicle.InputError, match="another forward model"):
         fascicle.fit("default", target, study.folder, **(BUDGET | {"effective": 22}))
+    assert load_study(study.folder).verdict == study.verdict  # this version's own is not evaluated
+    monkeypatch.setattr(fascicle, "__version__", "another")
     with pytest.raises(fascicle.InputError, match="another forward model"):
         load_study(study.folder)
     assert [(study.folder / name).read_bytes() for name in names] == before
