@@ -27,7 +27,8 @@ from typing import NamedTuple
 VAGUE = {
     *("found", "each", "given", "known", "one", "own", "there", "said", "what", "asked", "wanted"),
     *("told", "taken", "gone", "tried", "ones", "those", "others", "every", "everything"),
-    *("something", "anything"),
+    *("something", "anything", "whole", "rest", "now", "then", "here", "same", "seen", "made"),
+    *("again",),
 }
 VAGUE_FIRST = re.compile(
     r"(The same|Those|These|This|That|It|Its|They|What|How|Where|Which|Who|Whose|When|Such|Each|One"

@@ -1,1 +1,1 @@
-"""From an image, a surface or a mesh to a heart, and from a heart to other software."""
+"""Building of hearts from an image, a surface or a mesh, and export to other software."""

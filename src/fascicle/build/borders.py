@@ -83,8 +83,8 @@ class DualGraph:
         conductance = weights * self.lengths / np.maximum(between, 1e-3 * self.lengths.mean())
         count = len(self.triangles)
         half = coo_array((conductance, (pair[:, 0], pair[:, 1])), shape=(count, count)).tocsr()
-        whole = csr_array(half + half.T)
-        return csr_array(diags_array(np.asarray(whole.sum(axis=1)).ravel()) - whole)
+        adjacency = csr_array(half + half.T)
+        return csr_array(diags_array(np.asarray(adjacency.sum(axis=1)).ravel()) - adjacency)
 
     def components(self, chosen: Booleans) -> Integers:
         """Number the connected pieces of chosen triangles, the largest area first; -1 elsewhere."""
@@ -131,7 +131,7 @@ def openness(graph: DualGraph, progress: StageProgress = no_progress) -> Floats:
     angle = np.pi * (3 - np.sqrt(5)) * np.arange(rays)
     x, y, z = radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - radius**2)
     directions = np.stack([x, y, z], axis=1)
-    seen = np.empty(len(chosen))
+    unobstructed = np.empty(len(chosen))
     for start in range(0, len(chosen), chunk):
         some = chosen[start : start + chunk]
         normals = graph.normals[some]
@@ -140,13 +140,13 @@ def openness(graph: DualGraph, progress: StageProgress = no_progress) -> Floats:
         towards = np.ascontiguousarray(np.einsum("rk,skj->srj", directions, frames).reshape(-1, 3))
         origins = np.repeat(graph.centres[some] + 1e-3 * normals, rays, axis=0)
         met, _, _ = tree.intersect_ray_first(graph.vertices, graph.triangles, origins, towards)
-        seen[start : start + chunk] = (met.reshape(-1, rays) < 0).mean(axis=1)
+        unobstructed[start : start + chunk] = (met.reshape(-1, rays) < 0).mean(axis=1)
         progress(min(start + chunk, len(chosen)), len(chosen))
     # the mean of the four nearest samples that face the same way, not those across a thin wall: a
     # difference between unit normals counts as 10 mm
     place = np.hstack([graph.centres, 10.0 * graph.smooth_normals])
     _, nearest = cKDTree(place[chosen]).query(place, k=4)
-    return np.asarray(seen[nearest].mean(axis=1))
+    return np.asarray(unobstructed[nearest].mean(axis=1))
 
 
 class SurfacePart(IntEnum):
@@ -228,7 +228,7 @@ def cut_at_zero(
     (m,); and its side (m,): 1 where the function is positive, -1 where negative, 0 where all
     corners are on the line.
     """
-    near = 0.15  # of an edge; a line that passes a vertex this closely is moved onto it
+    near = 0.15  # share of an edge; a line that passes a vertex this closely is moved onto it
     values = values.copy()
     edges, _ = unique_edges(triangles)
     first, second = values[edges].T
@@ -244,8 +244,8 @@ def cut_at_zero(
     on_edge = {tuple(edge): len(vertices) + k for k, edge in enumerate(edges.tolist())}
     corner_signs = np.sign(values[triangles]).astype(np.int64)
     through = corner_signs.min(axis=1) * corner_signs.max(axis=1) < 0
-    whole = np.flatnonzero(~through)
-    parts, parent = [triangles[whole]], [whole]
+    uncut = np.flatnonzero(~through)
+    parts, parent = [triangles[uncut]], [uncut]
     for number in np.flatnonzero(through):
         pieces = _divided(triangles[number].tolist(), on_edge)
         parts.append(np.array(pieces))

@@ -1,4 +1,4 @@
-"""From an anatomy to a heart in a torso with electrodes and lead fields."""
+"""Build a heart from an anatomy: fibres, endocardia, torso, electrodes and lead fields."""
 
 from __future__ import annotations
 
@@ -54,10 +54,11 @@ class TorsoOptions:
 
     torso: str = "idealised"  # or "none" (unbounded conductor), or the file of a closed skin
     lungs: tuple[Path, ...] = ()  # files of closed surfaces, with a custom skin
-    # height (m), weight (kg) and chest girth (cm), as far as they are known, of the idealised torso
+    # "height" (m), "weight" (kg) and "chest" girth (cm) of the idealised torso; any may be missing
     measures: Mapping[str, float] = field(default_factory=dict)
     pose: Pose = "standard"
-    electrodes: Path | None = None  # that the idealised torso is fitted to; else its standard ones
+    # file of positions, to which the idealised torso is fitted; without it, its standard sites
+    electrodes: Path | None = None
 
     def __post_init__(self) -> None:
         if self.torso != "idealised":
@@ -75,7 +76,7 @@ class TorsoOptions:
         skin = () if self.torso in ("idealised", "none") else (Path(self.torso),)
         if self.lungs and not skin:
             raise InputError(f"--lung goes with a custom torso, not with '{self.torso}'")
-        # fails now rather than after minutes of work
+        # checked here, so that an error does not come only after minutes of work
         for path in (*skin, *self.lungs):
             if not path.is_file():
                 raise InputError(f"{path}: no such file (torso); check the path")
@@ -84,7 +85,7 @@ class TorsoOptions:
 
     @cached_property
     def positions(self) -> tuple[Floats, Electrodes] | None:
-        """Electrodes (mm), the nine (9, 3) and others, of the electrode file, if there is one."""
+        """The nine standard electrodes (9, 3), mm, and others, of the electrode file, if any."""
         return None if self.electrodes is None else read_electrodes(self.electrodes)
 
 
@@ -108,21 +109,23 @@ def build_heart(
 ) -> BuiltHeart:
     """Build a simulation-ready heart from an anatomy, meshed with a mean edge length (mm).
 
-    Fibres of the source take precedence over the angles of rule-based ones. Seeds (by side, root
-    and direction) are where each bundle starts and heads; by default the anatomy decides. An error
-    if the anatomy or the torso cannot be used.
+    Fibres of the source take precedence over rule-based ones of the given angles. Seeds are, by
+    side, the root of the bundle and a point that it heads for; by default they follow from the
+    anatomy. InputError if the anatomy or the torso cannot be used.
     """
     anatomy = read_anatomy(source, edge_length, progress)
     check_tetrahedra(anatomy.mesh.name, anatomy.mesh.vertices, anatomy.mesh.tetrahedra)
     heart = heart_of(anatomy, angles, seeds, name, progress)
-    heart, located = with_coordinates(heart, anatomy.mesh, stage_progress(progress, "coordinates"))
+    heart, coordinate_notes = with_coordinates(
+        heart, anatomy.mesh, stage_progress(progress, "coordinates")
+    )
     heart, notes = in_torso(heart, anatomy.mesh, torso or TorsoOptions(), progress)
     kept = []  # properties of the source that override options
     if anatomy.own_mesh:
         kept.append("mesh: as in the file, whose edge length was kept")
     if anatomy.fibres is not None:
         kept.append("fibres: those of the file; no rule was applied")
-    return BuiltHeart(heart, anatomy, (*anatomy.notes, *kept, *located, *notes))
+    return BuiltHeart(heart, anatomy, (*anatomy.notes, *kept, *coordinate_notes, *notes))
 
 
 def heart_of(
@@ -135,8 +138,8 @@ def heart_of(
     """Heart with fibres, endocardia and seeds of an anatomy; electrodes are not placed (NaN)."""
     mesh, fibres, sheets = anatomy.mesh, anatomy.fibres, anatomy.sheets
     if fibres is None:
-        ruled = rule_based_fibres(mesh, angles, stage_progress(progress, "fibres"))
-        fibres, sheets = ruled.fibre, ruled.sheet
+        rule_based = rule_based_fibres(mesh, angles, stage_progress(progress, "fibres"))
+        fibres, sheets = rule_based.fibre, rule_based.sheet
     surfaces = {
         side: (mesh.name, e.vertices, e.triangles, e.valve if e.valve.any() else None)
         for side, e in zip(("lv", "rv"), endocardia(mesh), strict=True)
@@ -153,7 +156,7 @@ def heart_of(
 def in_torso(
     heart: Heart, mesh: LabelledMesh, options: TorsoOptions, progress: Progress | None = None
 ) -> tuple[Heart, tuple[str, ...]]:
-    """Place a heart in a torso with electrodes and lead fields; its own electrodes are replaced.
+    """Place a heart in a torso with electrodes, which replace the heart's, and lead fields.
 
     The mesh is the heart's, with a labelled boundary. Notes describe how the torso was fitted.
     """
@@ -161,12 +164,12 @@ def in_torso(
     notes: tuple[str, ...] = ()
     surfaces: TorsoSurfaces | None = None
     if options.positions is not None:
-        positions, more = options.positions
+        positions, others = options.positions
     else:
         surfaces = idealised_torso(mesh, TrunkSize(**options.measures), options.pose)
         assert surfaces.electrodes is not None
-        positions, more = surfaces.electrodes, {}
-    heart = replace(heart, electrodes=positions, additional_electrodes=more)
+        positions, others = surfaces.electrodes, {}
+    heart = replace(heart, electrodes=positions, additional_electrodes=others)
     check_electrodes(source, heart)
     check_not_mirrored(source, heart)
     if surfaces is None and options.torso == "idealised":
@@ -187,13 +190,13 @@ def in_torso(
 def add_electrodes(
     heart: Heart | Path | str, leads: Sequence[str], progress: Progress | None = None
 ) -> Heart:
-    """Add to a heart, at their standard sites, the electrodes of leads besides the twelve.
+    """Add the electrodes of leads other than the standard twelve, at their standard sites.
 
-    The heart, its folder, or ``"default"``, is returned with lead fields for all electrodes. A
-    heart without its torso, such as the packaged one, is put into the idealised torso again. Its
-    old electrodes stay where they are. Leads are some of `fascicle.core.leads.ADDITIONAL_LEADS`:
-    ``X``, ``Y``, ``Z``, ``V7`` to ``V9``, ``V2R`` to ``V6R``. An error if a lead has no standard
-    place, or the heart lies in an unbounded conductor.
+    The heart, given as such, as its folder or as ``"default"``, is returned with lead fields for
+    all electrodes. A heart stored without its torso, such as the packaged one, is put into the
+    idealised torso again. Its other electrodes do not move. Leads are some of
+    `fascicle.core.leads.ADDITIONAL_LEADS`: ``X``, ``Y``, ``Z``, ``V7`` to ``V9``, ``V2R`` to
+    ``V6R``. InputError if a lead has no standard site, or the heart lies in an unbounded conductor.
     """
     heart = as_heart(heart)
     check_items(leads, str, "leads", f"some of {', '.join(ADDITIONAL_LEADS)}")
@@ -218,27 +221,28 @@ def add_electrodes(
     size = TrunkSize()
     axes = axes_of_electrodes(heart.electrodes, leaving(outside_trunk(size), size))
     electrodes = dict(heart.additional_electrodes) | additional_sites(heart, axes, skin, names)
-    more = replace(heart, torso=torso, additional_electrodes=electrodes, folder=None)
+    extended = replace(heart, torso=torso, additional_electrodes=electrodes, folder=None)
     conduction, report = Conduction.of(heart), stage_progress(progress, "lead fields")
-    fields = resolve_lead_fields(more, conduction, report)
+    fields = resolve_lead_fields(extended, conduction, report)
     if fields is not None and heart.lead_fields and is_up_to_date(heart, conduction):
-        # existing leads must stay the same, and a torso that was meshed again differs a little
+        # the lead fields of existing electrodes are kept, as remeshing changes the torso a little
         old_values = heart.lead_fields.values
         fields = replace(
             fields, values=np.concatenate([old_values, fields.values[len(old_values) :]])
         )
-    return replace(more, lead_fields=fields)
+    return replace(extended, lead_fields=fields)
 
 
 def _notes_on_fit(heart: Heart, fitted: FittedTrunk, pose: Pose) -> list[str]:
-    """Notes on how the trunk was fitted to the electrodes, in general and by electrode."""
+    """Notes on the fit of the trunk to the electrodes: size, pose, and distances by electrode."""
     size = fitted.size
     lv, rv = (Surface(e.vertices, e.triangles) for e in heart.endocardia)
-    left, back, up = -fitted.frame.rotation.T @ heart_axes(lv, rv)[:, 2]  # of the apex
+    # direction from base to apex in the torso frame
+    left, back, up = -fitted.frame.rotation.T @ heart_axes(lv, rv)[:, 2]
     azimuth, descent = np.degrees(np.arctan2(left, -back)), np.degrees(np.arcsin(-up))
     shape = ", ".join(f"{name} {getattr(size, name):.2f}" for name in TRUNK_SHAPE)
     axes = "from the electrodes" if pose == "standard" else f"{pose.upper()}, tilted to fit them"
-    off = fitted.electrodes - fitted.sites
+    displacements = fitted.electrodes - fitted.sites
     return [
         f"torso: fitted to the electrodes; height {size.height:.2f} m, chest {size.girth:.0f} cm; "
         f"times the standard adult's: {shape}",
@@ -248,6 +252,8 @@ def _notes_on_fit(heart: Heart, fitted: FittedTrunk, pose: Pose) -> list[str]:
         f"{'':<5}{'skin':>6}{'left':>7}{'back':>7}{'up':>7}",
         *(
             f"{electrode:<5}{moved:6.1f}" + "".join(f"{value:7.0f}" for value in np.round(vector))
-            for electrode, moved, vector in zip(ELECTRODES, fitted.moved, off, strict=True)
+            for electrode, moved, vector in zip(
+                ELECTRODES, fitted.moved, displacements, strict=True
+            )
         ),
     ]

@@ -57,9 +57,9 @@ class HeartCheck:
 
     mesh: LabelledMesh
     rows: tuple[tuple[str, str], ...]  # quantity, and its value with the unit
-    warnings: tuple[str, ...]  # one line each, with what to do
+    warnings: tuple[str, ...]  # one line each, with a remedy
     walls: Walls
-    helix: Mapping[str, HelixAngles]  # by wall
+    helix: Mapping[str, HelixAngles]  # helix angles by wall
 
 
 def check_heart(heart: Heart, charts: Mapping[str, Chart]) -> HeartCheck:
@@ -118,12 +118,12 @@ def helix_angles(mesh: LabelledMesh, heart: Heart) -> dict[str, HelixAngles]:
         across = distances[inner] + distances[outer]
         between = (furthest != inner) & (furthest != outer) & outward.any(axis=1)
         between &= np.isfinite(across)  # a missing surface is infinitely far
-        here = np.flatnonzero(between)  # where surfaces meet, no direction is transmural
-        depth = distances[inner, here] / across[here]
-        through = unit(outward[here])
+        rows = np.flatnonzero(between)  # where surfaces meet, no direction is transmural
+        depth = distances[inner, rows] / across[rows]
+        through = unit(outward[rows])
         along = unit(base - apex - (through @ (base - apex))[:, None] * through)
-        upwards = np.einsum("ij,ij->i", fibres[here], along)
-        around = np.einsum("ij,ij->i", fibres[here], np.cross(along, through))
+        upwards = np.einsum("ij,ij->i", fibres[rows], along)
+        around = np.einsum("ij,ij->i", fibres[rows], np.cross(along, through))
         helix[name] = HelixAngles(depth, 90 - (90 - np.degrees(np.arctan2(upwards, around))) % 180)
     return helix
 
@@ -218,8 +218,11 @@ def _warnings(
             "neither heart nor fibres are mirrored"
         )
     if heart.lead_fields is not None and not is_up_to_date(heart, Conduction()):
-        then = "they are solved again when needed"
+        consequence = "they are solved again when needed"
         if heart.torso is None:
-            then = "without a torso to compute new ones in, it cannot be simulated: build it again"
-        yield f"{heart.name}: its lead fields are not for these electrodes and fibres; {then}"
+            consequence = (
+                "without a torso to compute new ones in, it cannot be simulated: build it again"
+            )
+        unusable = "its lead fields are not for these electrodes and fibres"
+        yield f"{heart.name}: {unusable}; {consequence}"
     yield from electrode_warnings(heart)

@@ -55,7 +55,7 @@ def classify_surface(
 
 
 def _cavities(graph: DualGraph, deep: Booleans, name: str) -> Integers:
-    """Number of the cavity that each triangle lies deep in, -1 elsewhere; there must be two."""
+    """Cavity that each triangle lies deep in, or -1; InputError unless there are two cavities."""
     piece = graph.components(deep)
     area = np.bincount(piece[piece >= 0], graph.areas[piece >= 0], minlength=1)
     count = int((area > 0.02 * graph.areas.sum()).sum())  # smaller ones are dents
@@ -84,7 +84,8 @@ def _divided(graph: DualGraph, exposed: Floats, cavity: Integers) -> Integers:
     seeds = np.where(cavity >= 0, cavity, np.where(exterior, SurfacePart.OUTER, -1))
     upwards = _cosine_to_base(graph, graph.random_walker(seeds, 3))
     # the inner edge of a rounded rim faces neither up nor out; the random walker labels it
-    outer = graph.components(exterior & (upwards < 0.7)) == 0  # from 46 degrees
+    # facing away from the base by 46 degrees or more
+    outer = graph.components(exterior & (upwards < 0.7)) == 0
     seeds = np.where(cavity >= 0, cavity, -1)
     seeds[outer] = SurfacePart.OUTER
     seeds[(exposed > 0.6) & (upwards > 0.9)] = SurfacePart.BASAL  # within 26 degrees

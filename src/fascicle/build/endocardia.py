@@ -41,7 +41,7 @@ class EndocardialSurface(NamedTuple):
 
 
 def endocardia(mesh: LabelledMesh) -> tuple[EndocardialSurface, EndocardialSurface]:
-    """Take the left and the right endocardium, each a disk, from a mesh's boundary.
+    """Extract the left and the right endocardium, each a topological disk, from a mesh's boundary.
 
     Small components, spurs and non-manifold vertices of the labels are cleaned first. Where an
     endocardium has several openings, such as mitral and aortic with tissue between them, all
@@ -145,17 +145,17 @@ def _remove_small_components(
     labels: Integers, across: Integers, length: Floats, area: Floats
 ) -> None:
     """Give small components the label around them, in place."""
-    same = labels[across[:, 0]] == labels[across[:, 1]]
-    piece = components_of(across[same], len(labels))
+    same_label = labels[across[:, 0]] == labels[across[:, 1]]
+    piece = components_of(across[same_label], len(labels))
     count = piece.max() + 1
     of_piece = np.zeros(count, dtype=np.int64)
     of_piece[piece] = labels
     areas = np.bincount(piece, area, count)
-    whole = np.bincount(of_piece, areas)
+    label_areas = np.bincount(of_piece, areas)
     border = np.zeros((count, max(Label) + 1))
     for side, opposite in ((0, 1), (1, 0)):
-        rows = across[~same]
-        np.add.at(border, (piece[rows[:, side]], labels[rows[:, opposite]]), length[~same])
-    small = (areas < 0.05 * whole[of_piece]) & border.any(axis=1)
+        rows = across[~same_label]
+        np.add.at(border, (piece[rows[:, side]], labels[rows[:, opposite]]), length[~same_label])
+    small = (areas < 0.05 * label_areas[of_piece]) & border.any(axis=1)
     small &= ~np.isin(of_piece, BASAL) | ((border > 0).sum(axis=1) == 1)
     labels[:] = np.where(small, border.argmax(axis=1), of_piece)[piece]

@@ -45,7 +45,7 @@ class JoinedPart(NamedTuple):
 
 @dataclass(frozen=True)
 class Outline:
-    """Boundary loops that a base is spanned between, one after the other.
+    """Boundary loops, concatenated, between which a base is spanned.
 
     Vertices (k, 3) in mm, edges (k, 2), the names of the parts, and the index of the part that each
     vertex belongs to (k,).
@@ -99,12 +99,12 @@ def join_surfaces(parts: Mapping[str, JoinedPart]) -> LabelledSurface:
     triangles = [part.triangles + start for part, start in zip(clean, starts, strict=False)]
     triangles.append(np.concatenate(number)[between])
     vertices = np.vstack([*(part.vertices for part in clean), inner])
-    whole = np.vstack(triangles)
-    check_edges(name, vertices, whole, "give no base to have one made")
-    whole = turned_outwards(vertices, oriented_piece(name, vertices, whole))
+    joined = np.vstack(triangles)
+    check_edges(name, vertices, joined, "give no base to have one made")
+    joined = turned_outwards(vertices, oriented_piece(name, vertices, joined))
     labels = (Label.EPICARDIUM, Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.BASE)
     of_triangles = np.repeat(labels, list(map(len, triangles))).astype(np.int64)
-    return LabelledSurface(vertices, whole, of_triangles, name)
+    return LabelledSurface(vertices, joined, of_triangles, name)
 
 
 def _clean_part(part: JoinedPart, kind: str, needed: int) -> JoinedPart:
@@ -157,7 +157,7 @@ def _made_base(outline: Outline) -> Base:
 
 
 def _fitted_base(outline: Outline, base: JoinedPart) -> Base:
-    """Fit a given base to the boundary loops of the parts around it, which stay where they are.
+    """Fit a given base to the boundary loops of the parts around it, which do not move.
 
     Where all boundary vertices coincide, nothing changes. Otherwise the vertices within the base
     and those of the loops are triangulated again in the plane that fits the loops best, and within

@@ -55,7 +55,7 @@ class Anatomy:
     guessed: bool = False  # labels were derived from the shape; the user should check them
     own_mesh: bool = False  # the tetrahedra are those of the source
     values: Mapping[str, float] = field(default_factory=dict)  # patient's values of quantities
-    warnings: tuple[str, ...] = ()  # one line each, with what to do
+    warnings: tuple[str, ...] = ()  # one line each, with a remedy
 
 
 class LabelArray(NamedTuple):
@@ -128,8 +128,8 @@ def labelled_surface(
             )
         label_array = LabelArray(str(labels_file), values, len(values) == len(triangles), None)
     numbers = {} if names is None else labels_by_number(names)
-    whole = whole_numbers(label_array.source, label_array.values)
-    labels = labels_of(label_array.source, whole, numbers, label_array.groups or {})
+    label_numbers = whole_numbers(label_array.source, label_array.values)
+    labels = labels_of(label_array.source, label_numbers, numbers, label_array.groups or {})
     used, number = np.unique(merged_vertices(mesh.points), return_inverse=True)
     vertices, triangles = mesh.points[used], number[triangles]
     if not label_array.of_triangles:

@@ -86,8 +86,8 @@ def _end_of_slices(masks: Masks, faces: Faces, axis: Floats, index: int) -> Base
     side = np.rint(faces.voxels @ back[:3] + back[3]).astype(np.int64)
     size = np.linalg.norm(faces.areas - np.outer(faces.areas @ axis, axis), axis=1)
     count = masks.lv.shape[index]
-    whole, bare = (np.bincount(side, weights, count) for weights in (size, size * faces.free))
-    is_open = bare <= BasePlane.most_bare * whole
+    areas, bare_areas = (np.bincount(side, weights, count) for weights in (size, size * faces.free))
+    is_open = bare_areas <= BasePlane.most_bare * areas
     for blood in (masks.lv, masks.rv):
         area = np.moveaxis(blood, index, 0).sum(axis=(1, 2))
         is_open &= area >= BasePlane.least_open * area.max()
@@ -119,9 +119,9 @@ def _flat_opening(masks: Masks, faces: Faces, centre: Floats) -> BasePlane | Non
         normal /= length
         near = np.abs((points - a) @ normal) <= masks.thickness(normal) / 2
         # faces of a slanted staircase count by their area projected along the normal
-        seen = abs(float((areas[near] @ normal).sum()))
-        if seen > best:
-            best, inliers = seen, near
+        projected_area = abs(float((areas[near] @ normal).sum()))
+        if projected_area > best:
+            best, inliers = projected_area, near
     if best < 0.6 * float(np.linalg.norm(areas.sum(axis=0))):
         return None
     points, areas = points[inliers], areas[inliers]
@@ -143,11 +143,11 @@ def _level(masks: Masks, faces: Faces, centre: Floats, axis: Floats) -> tuple[fl
     step = BasePlane.resolution
     start = np.floor(along.min() / step)
     level = np.floor(along / step - start).astype(np.int64)
-    whole = np.bincount(level, weights=sideways)
+    lateral_area = np.bincount(level, weights=sideways)
     ring = np.bincount(level, weights=sideways * ~faces.free)
-    heights = (start + np.arange(len(whole)) + 0.5) * step
-    used = (whole > 0) & (heights > 0)
-    closed = ring[used] >= (1 - BasePlane.most_bare) * whole[used]
+    heights = (start + np.arange(len(lateral_area)) + 0.5) * step
+    used = (lateral_area > 0) & (heights > 0)
+    closed = ring[used] >= (1 - BasePlane.most_bare) * lateral_area[used]
     heights = heights[used]
     if not closed.all():
         first = int(np.argmin(closed))

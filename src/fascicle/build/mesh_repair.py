@@ -81,8 +81,8 @@ def _without_crumbs(mesh: MeshFile, notes: list[str]) -> MeshFile:
 
 def _neighbours(tetrahedra: Integers) -> Integers:
     """Pairs (k, 2) of tetrahedra that share a face."""
-    order, same = faces_in_order(tetrahedra)
-    return np.column_stack([order[:-1][same], order[1:][same]]) // 4
+    order, shared = faces_in_order(tetrahedra)
+    return np.column_stack([order[:-1][shared], order[1:][shared]]) // 4
 
 
 def _with_voids_filled(mesh: MeshFile, notes: list[str]) -> MeshFile:
@@ -113,7 +113,7 @@ def _with_voids_filled(mesh: MeshFile, notes: list[str]) -> MeshFile:
     if len(added) == 1:
         return mesh
     row, at = np.concatenate(rows), np.concatenate(point_rows)
-    whole = mesh.keeping(TETRAHEDRON, row)
+    extended = mesh.keeping(TETRAHEDRON, row)
     first = ", ".join(place(points[inside].mean(axis=(0, 1))) for inside in added[1:4])
     notes.append(
         f"mesh: voids of at most {LARGEST_CRUMB:g} mm in the tissue were filled: {len(added) - 1} "
@@ -121,9 +121,9 @@ def _with_voids_filled(mesh: MeshFile, notes: list[str]) -> MeshFile:
         "tetrahedra that have the fibres and regions of those next to them"
     )
     return replace(
-        whole,
+        extended,
         points=points,
-        cells={**whole.cells, TETRAHEDRON: np.concatenate(added)},
+        cells={**extended.cells, TETRAHEDRON: np.concatenate(added)},
         point_data={name: values[at] for name, values in mesh.point_data.items()},
     )
 
@@ -185,26 +185,30 @@ def repaired_edges(anatomy: Anatomy) -> Anatomy:
     parent, ends = np.arange(len(tetrahedra)), np.empty((0, 2), dtype=np.int64)
     for edge in bad:
         for fan in _fans(tetrahedra, edge):
-            new, whole = len(vertices), tetrahedra[fan]
+            new, unsplit = len(vertices), tetrahedra[fan]
             vertices = np.concatenate([vertices, vertices[edge].mean(axis=0)[None]])
             ends = np.concatenate([ends, edge[None]])
-            tetrahedra[fan], second_halves = (np.where(whole == end, new, whole) for end in edge)
+            tetrahedra[fan], second_halves = (
+                np.where(unsplit == end, new, unsplit) for end in edge
+            )
             tetrahedra = np.concatenate([tetrahedra, second_halves])
             parent = np.concatenate([parent, parent[fan]])
             _move_inwards(vertices, tetrahedra, new)
     triangles, _ = boundary_triangles(tetrahedra)
-    whole = triangles.copy()  # the triangles before halving
+    original = triangles.copy()  # the triangles before halving
     for k in range(len(ends) - 1, -1, -1):  # later edges may end in earlier midpoints
         for corner in range(3):
-            at_midpoint = whole[:, corner] == len(mesh.vertices) + k
-            at_first_end = (whole == ends[k, 0]).any(axis=1)
-            whole[at_midpoint, corner] = np.where(at_first_end, ends[k, 1], ends[k, 0])[at_midpoint]
+            at_midpoint = original[:, corner] == len(mesh.vertices) + k
+            at_first_end = (original == ends[k, 0]).any(axis=1)
+            original[at_midpoint, corner] = np.where(at_first_end, ends[k, 1], ends[k, 0])[
+                at_midpoint
+            ]
     note = (
         f"mesh: {len(bad)} of {len(edges)} edges of its boundary had more than two triangles "
         f"(first: {first_places(bad, mesh.vertices[bad])}): the tetrahedra that met in them alone "
         f"were separated ({len(tetrahedra) - len(mesh.tetrahedra)} tetrahedra halved, none removed)"
     )
-    labels = mesh.labels[places_in(whole, mesh.triangles)]
+    labels = mesh.labels[places_in(original, mesh.triangles)]
     regions = None if mesh.regions is None else mesh.regions[parent]
     return replace(
         anatomy,
@@ -242,11 +246,13 @@ def with_common_vertices(mesh: MeshFile) -> tuple[MeshFile, tuple[str, ...]]:
     """Merge coincident vertices if that joins all pieces of a file; with a note if so."""
     if (count := count_pieces(mesh)) == 1:
         return mesh, ()
-    same = merged_vertices(mesh.points)
-    merged = replace(mesh, cells={kind: same[cells] for kind, cells in mesh.cells.items()})
+    representative = merged_vertices(mesh.points)
+    merged = replace(
+        mesh, cells={kind: representative[cells] for kind, cells in mesh.cells.items()}
+    )
     if count_pieces(merged) > 1:
         return mesh, ()
-    doubled = int((same != np.arange(len(same))).sum())
+    doubled = int((representative != np.arange(len(representative))).sum())
     return merged, (f"mesh: {count} pieces were joined at {doubled} vertices in the same places",)
 
 
@@ -273,17 +279,17 @@ def joined_pieces(
         filled.append(sampled.values if closed is None else closed.values)
     both = sampled._replace(values=np.min(filled, axis=0))
     radii = largest_gap / 2 * np.array([1.0, 1.5, 2.0])
-    whole = _without_channels(both, radii) or both.closed(float(radii[0]))
-    numbered = label(whole.values < 0)[0]
-    volumes = np.asarray(np.bincount(numbered.ravel())[1:] * whole.edge**3 / 1e3)
+    joined = _without_channels(both, radii) or both.closed(float(radii[0]))
+    numbered = label(joined.values < 0)[0]
+    volumes = np.asarray(np.bincount(numbered.ravel())[1:] * joined.edge**3 / 1e3)
     if volumes.max() < 0.999 * volumes.sum():
-        places = np.diag([whole.edge] * 3 + [1.0])
-        places[:3, 3] = whole.origin
+        places = np.diag([joined.edge] * 3 + [1.0])
+        places[:3, 3] = joined.origin
         raise InputError(
             f"{mesh.name}: its pieces of tissue ({largest_pieces(numbered, volumes, places)}) are "
             f"more than {largest_gap:g} mm apart; keep one piece or join them"
         )
-    vertices, triangles = whole.surface()
+    vertices, triangles = joined.surface()
     before = signed_volumes(mesh.vertices, mesh.tetrahedra).sum() / 1e3
     after = abs(closed_volume(vertices, triangles)) / 1e3
     added = both.edge**3 / 1e3 * float(((both.values < 0) & (np.min(apart, axis=0) >= 0)).sum())
@@ -300,7 +306,7 @@ def joined_pieces(
 
 
 def _without_channels(tissue: SampledDistance, radii: Floats) -> SampledDistance | None:
-    """Tissue closed by the first ball (mm) that leaves a spherical topology; None if none does."""
+    """Tissue closed by the smallest ball (mm) that gives it spherical topology; None if none."""
     for radius in radii:
         closed = tissue.closed(float(radius)) if radius else tissue
         if igl.euler_characteristic(closed.surface()[1]) == 2:

@@ -222,7 +222,7 @@ def without_short_edges(surface: LabelledSurface, shortest: float) -> LabelledSu
 
 
 def _merge_targets(triangles: Integers, edges: Integers) -> Integers:
-    """Vertex that each vertex is merged into, for as many edges as do not touch one another."""
+    """Vertex that each vertex is merged into; the collapsed edges do not touch one another."""
     near: dict[int, set[int]] = {int(vertex): set() for vertex in np.unique(edges)}
     for corners in triangles[np.isin(triangles, edges).any(axis=1)].tolist():
         for vertex in corners:

@@ -66,9 +66,9 @@ class Source:
     label_array: str | None = None
     labels_file: Path | None = None  # text
     remesh: bool | None = None  # the inside of a tetrahedral mesh
-    regions: Regions | None = None  # of a whole heart, and the name of their array
+    regions: Regions | None = None  # region numbers of a whole heart; `region_array` is their array
     region_array: str | None = None
-    fibres: FibreChoice = None  # of a tetrahedral mesh
+    fibres: FibreChoice = None  # fibres of a tetrahedral mesh
 
     def __post_init__(self) -> None:
         if (self.file is None) == (not self.parts):
@@ -216,10 +216,10 @@ def _from_tetrahedra(
 ) -> Anatomy:
     source.check_unused("tetrahedra", "labels_file")
     names = labels_by_number(source.labels if source.labels is not None else {})
-    whole, cut, notes = mesh, None, list(mesh.notes)
+    original, cut, notes = mesh, None, list(mesh.notes)
     if source.regions is not None:
         mesh, cut = ventricles(mesh, source.regions, source.region_array)
-        share = len(mesh.cells[TETRAHEDRON]) / len(whole.cells[TETRAHEDRON])
+        share = len(mesh.cells[TETRAHEDRON]) / len(original.cells[TETRAHEDRON])
         notes.append(f"regions: the ventricles are {share:.0%} of the file's tetrahedra")
     mesh, repairs = repaired_mesh(mesh)
     mesh, merged = with_common_vertices(mesh)
@@ -227,14 +227,14 @@ def _from_tetrahedra(
     if count_pieces(mesh) > 1:
         read = _from_pieces(source, mesh, edge_length, progress)
         return replace(read, notes=(*notes, *repairs, *read.notes))
-    if cut is None and len(mesh.cells[TETRAHEDRON]) != len(whole.cells[TETRAHEDRON]):
+    if cut is None and len(mesh.cells[TETRAHEDRON]) != len(original.cells[TETRAHEDRON]):
         cut = np.empty((0, 3), dtype=np.int64)
     read = labelled_tetrahedra(mesh, source.label_array, names, cut=cut, fibres=source.fibres)
     read = replace(read, notes=(*notes, *repairs, *read.notes))
     read = repaired_edges(read)
     if not (read.mesh.labels > Label.BASE).any():
         source.check_unused(f"{mesh.path}, which has no labels (--label-array names one)", "labels")
-        read = _classified(read, source, whole, progress)
+        read = _classified(read, source, original, progress)
     read = separated_vertices(read)
     check_sides(read.mesh)
     return remeshed_anatomy(read) if source.remesh else read
@@ -252,13 +252,15 @@ def _from_pieces(
     unlabelled = np.zeros(len(triangles), dtype=np.int64)
     pieces = LabelledMesh(vertices, tetrahedra, triangles, unlabelled, name=str(mesh.path))
     read = with_arrays(Anatomy(pieces), mesh, source.fibres)
-    whole = _classified_surface(joined_pieces(pieces), edge_length, progress)
-    joined = carried_over(read, whole.mesh)
-    return replace(joined, notes=(*whole.notes, *read.notes), warnings=whole.warnings, guessed=True)
+    remeshed = _classified_surface(joined_pieces(pieces), edge_length, progress)
+    joined = carried_over(read, remeshed.mesh)
+    return replace(
+        joined, notes=(*remeshed.notes, *read.notes), warnings=remeshed.warnings, guessed=True
+    )
 
 
 def _classified(
-    read: Anatomy, source: Source, whole: MeshFile, progress: Progress | None
+    read: Anatomy, source: Source, original: MeshFile, progress: Progress | None
 ) -> Anatomy:
     """Find the labels of an anatomy from its regions, or else from its shape."""
     mesh = read.mesh
@@ -270,7 +272,7 @@ def _classified(
     try:
         classified = classify_surface(mesh.vertices, mesh.triangles, mesh.name, report)
     except InputError as error:
-        region_list = regions_in(whole)
+        region_list = regions_in(original)
         if source.regions is not None or not region_list:
             raise
         raise InputError(

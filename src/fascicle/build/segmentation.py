@@ -253,9 +253,9 @@ def _remove_small_components(
         if piece == largest:
             continue
         around = tuple(slice(max(interval.start - 1, 0), interval.stop + 1) for interval in box)
-        here = pieces[around] == piece + 1
-        border = binary_dilation(here, touching) & ~here
-        parts[around][here] = np.bincount(parts[around][border]).argmax()
+        component = pieces[around] == piece + 1
+        border = binary_dilation(component, touching) & ~component
+        parts[around][component] = np.bincount(parts[around][border]).argmax()
     notes.append(
         f"{segmentation.name}: {n - 1} small components of {part} ({ml.sum() - ml[largest]:.2g} ml "
         "in all) were given to what surrounds them"

@@ -114,7 +114,7 @@ def _nrrd_affine(path: Path, header: dict[str, Any]) -> tuple[Floats, str]:
         "lps": "LPS", "3d-right-handed": "",
     }  # fmt: skip
     space = str(header.get("space", "3D-right-handed")).lower()
-    if space not in spaces:  # in a left-handed one the heart would be mirrored
+    if space not in spaces:  # a left-handed space would mirror the heart
         raise InputError(
             f"{path}: space {shown(space)} is unknown or left-handed; export the map in "
             "left-posterior-superior or right-anterior-superior"

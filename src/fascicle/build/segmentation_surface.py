@@ -112,7 +112,7 @@ def _check_apex(masks: Masks, plane: BasePlane) -> None:
     faces = blood_faces(masks, masks.lv, masks.rv)
     up = faces.areas @ plane.normal
     apical = -float(up[faces.free & (up < 0)].sum())
-    if apical > 0.25 * float(np.abs(up).sum()) / 2:  # of the area seen along the axis
+    if apical > 0.25 * float(np.abs(up).sum()) / 2:  # share of the area projected along the axis
         raise InputError(
             f"{masks.name}: the LV blood ends at the apex in an opening of {apical / 100:.1f} cm² "
             "without tissue, so the map is truncated there; add the missing slices, or label "
@@ -145,8 +145,8 @@ def _with_rv_wall(
     faces = blood_faces(masks, masks.rv, masks.lv)
     deep = plane.height(faces.voxels) < -masks.thickness(plane.normal)
     size = np.linalg.norm(faces.areas, axis=1) * deep
-    bare, whole = float(size[faces.free].sum()), float(size.sum())
-    if whole == 0 or bare < 0.2 * whole:
+    bare_area, area = float(size[faces.free].sum()), float(size.sum())
+    if area == 0 or bare_area < 0.2 * area:
         return outer, 0.0
     # a little more than `check_edge_length` demands, within the range of RV walls, 3 to 5 mm (Ho
     # and Nihoyannopoulos, Heart 92 Suppl 1:i2–i13, 2006)
@@ -162,8 +162,8 @@ def _with_rv_wall(
     walled = np.minimum(outer, wall) - fillet
     added = float(((walled < 0) & (outer >= 0) & (rv >= 0)).sum()) * Grid.edge**3 / 1e3
     notes.append(
-        f"{masks.name}: {bare / whole:.0%} of the RV blood borders on no tissue, so an RV wall of "
-        f"{thickness:.2g} mm was added ({added:.1f} ml, which the input lacks)"
+        f"{masks.name}: {bare_area / area:.0%} of the RV blood borders on no tissue, so an RV wall "
+        f"of {thickness:.2g} mm was added ({added:.1f} ml, which the input lacks)"
     )
     return np.asarray(walled), added
 
@@ -181,7 +181,7 @@ def _base_layer(levels: _Levels, name: str) -> int:
     occupied = np.flatnonzero(areas[0] + areas[1])
     top = levels.outer.shape[2] - 1
     first = ""
-    for k in range(top, int(top - 0.5 * (top - occupied[0])), -1):  # in the upper half
+    for k in range(top, int(top - 0.5 * (top - occupied[0])), -1):  # sections of the upper half
         wrong = _wrong_with_section(levels, k, areas)
         if not wrong:
             return k + 1

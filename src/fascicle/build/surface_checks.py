@@ -35,15 +35,15 @@ def volumes(tissue: LabelledSurface | LabelledMesh) -> Volumes:
 def compared(built: Volumes, reference: Volumes, file: str) -> tuple[str, tuple[str, ...]]:
     """Line that compares the built volumes with the reference, and warnings where they differ."""
     rows, warnings, largest = [], [], 0.03  # change of a volume without a warning
-    for part, now, before in zip(
+    for part, volume, expected in zip(
         ("LV cavity", "RV cavity", "myocardium"), built, reference, strict=True
     ):
-        change = now / before - 1 if before > 0 else np.inf
-        rows.append(f"{part} {now:.1f} ml (input {before:.1f}, {change:+.1%})")
+        change = volume / expected - 1 if expected > 0 else np.inf
+        rows.append(f"{part} {volume:.1f} ml (input {expected:.1f}, {change:+.1%})")
         if abs(change) > largest:
             warnings.append(
-                f"{file}: {part} {now:.1f} ml, {before:.1f} ml in the file ({change:+.1%}, more "
-                f"than {largest:.0%}); give a shorter edge length, or correct the file "
+                f"{file}: {part} {volume:.1f} ml, {expected:.1f} ml in the file ({change:+.1%}, "
+                f"more than {largest:.0%}); give a shorter edge length, or correct the file "
                 "where it was cut or filled (see the lines above)"
             )
     return f"volumes: {'; '.join(rows)}", tuple(warnings)

@@ -69,8 +69,8 @@ def closed_surface(surface: LabelledSurface) -> LabelledSurface:
     """Merge repeated vertices, drop broken triangles, close small holes and face outwards."""
     check_units(surface.name, surface.vertices)
     merged = merged_vertices(surface.vertices)[surface.triangles]
-    whole = whole_triangles(merged)
-    merged_surface = replace(surface, triangles=merged[whole], labels=surface.labels[whole])
+    valid = whole_triangles(merged)
+    merged_surface = replace(surface, triangles=merged[valid], labels=surface.labels[valid])
     one_piece = _without_crumbs(_separated(compacted(merged_surface)))
     return oriented_outwards(_with_holes_filled(one_piece))
 
@@ -126,8 +126,8 @@ def _without_crumbs(surface: LabelledSurface) -> LabelledSurface:
         f"surface: pieces of at most {LARGEST_CRUMB:g} mm were left out: {len(small)} (first: "
         f"{first_places(small, np.array(middles))}), with {(~kept).sum()} of {len(kept)} triangles"
     )
-    rest = replace(surface, triangles=surface.triangles[kept], labels=surface.labels[kept])
-    return compacted(replace(rest, notes=(*surface.notes, note)))
+    remaining = replace(surface, triangles=surface.triangles[kept], labels=surface.labels[kept])
+    return compacted(replace(remaining, notes=(*surface.notes, note)))
 
 
 def compacted(surface: LabelledSurface) -> LabelledSurface:

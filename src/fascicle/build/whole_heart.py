@@ -20,7 +20,7 @@ Regions = Mapping[str, tuple[int, ...]]  # the numbers of "lv", "rv" and perhaps
 
 
 def region_arrays(mesh: MeshFile) -> dict[str, Integers]:
-    """Arrays of the tetrahedra that can be regions: whole numbers, more than one and not too many.
+    """Arrays of the tetrahedra that may be regions: integers, with 2 to 200 different values.
 
     Arrays with the usual names come first, then those with more distinct numbers.
     """
@@ -117,8 +117,11 @@ def labels_of_ventricles(mesh: LabelledMesh, is_left: Booleans) -> Integers | No
     endocardia, of which that of the left ventricle lies on more of its tetrahedra, as `is_left`
     (m,) says. Smaller pieces become part of the base.
     """
-    rest = np.flatnonzero(mesh.labels == 0)
-    triangles, owner = mesh.triangles[rest], boundary_triangles(mesh.tetrahedra)[1][rest]
+    unlabelled = np.flatnonzero(mesh.labels == 0)
+    triangles, owner = (
+        mesh.triangles[unlabelled],
+        boundary_triangles(mesh.tetrahedra)[1][unlabelled],
+    )
     piece = np.asarray(igl.facet_components(triangles)[1])
     area = np.bincount(piece, triangle_areas(mesh.vertices, triangles))
     if len(large := np.flatnonzero(area > 0.02 * area.sum())) != 3:
@@ -128,5 +131,5 @@ def labels_of_ventricles(mesh: LabelledMesh, is_left: Booleans) -> Integers | No
     rv, lv = sorted(large[large != outer], key=lambda k: float(is_left[owner[piece == k]].mean()))
     labels = np.where(mesh.labels == 0, int(Label.BASE), mesh.labels)
     for label, which in zip((*ENDOCARDIA, Label.EPICARDIUM), (lv, rv, outer), strict=True):
-        labels[rest[piece == which]] = label
+        labels[unlabelled[piece == which]] = label
     return labels

@@ -1,4 +1,4 @@
-"""The whole job on one subject's heart: its own beat, and a block whose truth is known."""
+"""Demonstration on one heart: a fit to its intrinsic beat, and a simulated block as the truth."""
 
 from __future__ import annotations
 

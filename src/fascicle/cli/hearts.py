@@ -430,7 +430,7 @@ def _write_and_check(
 def _check(
     heart: Heart, charts: Mapping[str, Chart], picture: Path | None, warnings: tuple[str, ...] = ()
 ) -> dict[str, Any]:
-    """Print and draw what a heart holds, with further warnings, those of its source, first."""
+    """Print and draw the contents of a heart; the warnings of its source come first."""
     from fascicle.build.check import check_heart
     from fascicle.reporting.heart import check_figure
     from fascicle.reporting.style import save

@@ -79,7 +79,7 @@ def ended_promptly() -> Iterator[Interruption]:
 
 @contextmanager
 def resumable(out: Path) -> Iterator[None]:
-    """On Ctrl-C, say that the evaluations are in `out`; exit with 130, as shells expect."""
+    """On Ctrl-C, report that the evaluations are in `out`; exit with status 130."""
     try:
         yield
     except KeyboardInterrupt:

@@ -99,7 +99,7 @@ def with_options(command: Command, options: Sequence[inspect.Parameter]) -> Comm
         if parameter.kind is not inspect.Parameter.VAR_KEYWORD
     ]
     parameters += options
-    command.__annotations__ = {p.name: p.annotation for p in parameters}  # what Typer looks at
+    command.__annotations__ = {p.name: p.annotation for p in parameters}  # Typer reads these
     command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return command
 
@@ -127,9 +127,9 @@ def fit_options(command: Command) -> Command:
 
 
 def explicit(context: typer.Context, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings that the user has typed; the others may come from a settings file."""
+    """Settings given on the command line; the others may come from a settings file."""
     sources = {name: context.get_parameter_source(name) for name in settings}
-    default = "DEFAULT"  # of a private Enum of Typer
+    default = "DEFAULT"  # member of a private Enum of Typer
     return {n: settings[n] for n, source in sources.items() if source and source.name != default}
 
 

@@ -25,7 +25,7 @@ from fascicle.core.progress import ProgressLines, duration, time_left, write_wit
 if TYPE_CHECKING:
     from rich.progress import Progress as Bars
 
-Result = Mapping[str, Any] | Sequence[Any]  # what a command returns, for --json
+Result = Mapping[str, Any] | Sequence[Any]  # result of a command, for --json
 
 
 class NotAllDoneError(Exception):
@@ -137,7 +137,7 @@ def _redirected(quiet: bool, as_json: bool, log: Path | None) -> Iterator[None]:
 
 
 class _Copied(io.TextIOBase):
-    """A stream whose lines also go to the log."""
+    """Stream whose lines are copied to the log."""
 
     def __init__(self, stream: TextIO | None, output: Output) -> None:
         self._stream, self._output, self._line = stream, output, ""
@@ -145,8 +145,8 @@ class _Copied(io.TextIOBase):
     def write(self, text: str) -> int:
         if self._stream is not None:
             self._stream.write(text)
-        *whole, self._line = (self._line + text).split("\n")
-        for line in whole:
+        *complete_lines, self._line = (self._line + text).split("\n")
+        for line in complete_lines:
             self._output.note(line)
         return len(text)
 

@@ -20,7 +20,7 @@ from fascicle.study.statements import prediction_statement
 
 
 def print_simulation(simulation: Beat, summary: Mapping[str, Any]) -> None:
-    """Print times, how junctions were activated, and what was never reached."""
+    """Print activation times, how junctions were activated, and what was not activated."""
     print_row("total activation time", f"{simulation.total_activation_time:.1f} ms")
     for name in ("qrs_duration", "global_qrs_duration"):
         measure, value = MEASURES[f"{name}_ms"], getattr(simulation, name)
@@ -172,7 +172,7 @@ def print_reductions(predicted: Mapping[str, Predicted], against: str) -> None:
 
 
 def print_comparison(predicted: Mapping[str, Predicted], result: Mapping[str, Any]) -> None:
-    """Print what `comparison_result` gives: how probably the first scenario is better."""
+    """Print a `comparison_result`: the probability that the first scenario is better."""
     names, index, threshold = result["scenarios"], result["index"], result["threshold"]
     _print_capture({name: predicted[name] for name in names})
     for warning in result["warnings"]:

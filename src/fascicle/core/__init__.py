@@ -1,4 +1,4 @@
-"""Leads, units, parameters, errors, files and progress: what every package uses."""
+"""Foundations of all packages: leads, units, parameters, errors, files and progress."""
 
 from collections.abc import Callable
 from typing import Any

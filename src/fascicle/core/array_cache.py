@@ -1,4 +1,4 @@
-"""Arrays that take long to compute, kept on disk under all that they depend on."""
+"""Disk cache of arrays that take long to compute; its keys are all that they depend on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Conduction states: what each of them blocks, its ranges of quantities, its prior probability.
+"""Conduction states: blocked parts, ranges of quantities and prior probability of each.
 
 Sources of the ranges and probabilities are in docs/diagnosis.md.
 """

@@ -130,7 +130,7 @@ class Table:
 
 
 def _annotations(hint: Any) -> Iterator[Any]:
-    """Annotations of a type and of the types that it is made of."""
+    """Annotations of a type and of the types that it is composed of."""
     parts = getattr(hint, "__metadata__", ())
     yield from parts
     for inner in [hint.__origin__] if parts else get_args(hint):

@@ -1,4 +1,4 @@
-"""Errors that users are meant to see, by family, and the quoting of file contents in them."""
+"""Errors for users, by family, and how messages quote the content of files."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class OutputError(InputError):
 
 
 class ValueRefusedError(InputError):
-    """A number, a name or an object is not possible where it was given."""
+    """A number, a name or an object given as an argument is invalid."""
 
 
 @contextmanager

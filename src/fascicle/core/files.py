@@ -1,4 +1,4 @@
-"""Files and folders that appear whole or not at all, and where the user's cache is."""
+"""Files and folders written atomically, and the folder of the user's cache."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from fascicle.core.errors import FileError, OutputError, printable
 from fascicle.core.ranges import shown
 
 PACKAGED = ("default", "camps-dti004")  # hearts: an idealised one, and one subject's
-DISPOSABLE = ".fascicle-cache"  # what is in a folder of this name can be computed again
+DISPOSABLE = ".fascicle-cache"  # folder of caches: its files can be recomputed
 _unfinished: set[Path] = set()  # temporary files and folders that are being written
 _outside_allowed = ContextVar("files may name files outside their folder", default=False)
 
@@ -38,7 +38,7 @@ class DiskFullError(OutputError):
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """Give a temporary path, with the same suffix, that takes the place of `path` on success.
+    """Yield a temporary path, with the same suffix, that is renamed to `path` on success.
 
     The temporary file lies in the same folder, so the rename is atomic; on any error, and on
     Ctrl-C, it is removed and an earlier file at `path` stays. Raises OutputError if nothing can be
@@ -52,12 +52,12 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file whole or not at all."""
+    """Write a text file atomically."""
     write_bytes(path, text.encode())
 
 
 def write_bytes(path: Path, content: bytes | memoryview) -> None:
-    """Write a file whole or not at all.
+    """Write a file atomically.
 
     For netCDF, too: on a full disk HDF5 crashes where it writes the file itself.
     """
@@ -67,7 +67,7 @@ def write_bytes(path: Path, content: bytes | memoryview) -> None:
 
 @contextmanager
 def atomic_folder(folder: Path, disposable: Collection[str] = ()) -> Iterator[Path]:
-    """Give a temporary folder that takes the place of `folder` on success.
+    """Yield a temporary folder that is renamed to `folder` on success.
 
     A folder that stands there already is replaced only once the new one is complete, and only if
     the new one has every file that the old one has, but those that are `disposable`, so that
@@ -122,7 +122,7 @@ def _remove(path: Path) -> None:
 
 
 def remove_unfinished() -> None:
-    """Remove what is being written, for a process that is about to end without unwinding."""
+    """Remove unfinished files, for a process that is about to end without unwinding."""
     for path in list(_unfinished):
         _remove(path)
 
@@ -234,7 +234,7 @@ def read_toml(path: Path, remedy: str) -> dict[str, Any]:
     """Read a TOML file; `remedy` ends the message if it is not valid."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))  # Notepad writes a BOM
-    except (ValueError, RecursionError) as error:  # of TOML, of UTF-8, of a number too long
+    except (ValueError, RecursionError) as error:  # invalid TOML or UTF-8, or a number too long
         raise FileError(f"{path}: not valid TOML ({error}); {remedy}") from None
 
 

@@ -1,4 +1,4 @@
-"""Files that others made, read in a child process with limits on its time and memory.
+"""Reading of foreign files in a child process with limits on its time and memory.
 
 The libraries for VTK, HDF5, MATLAB and other files trust the sizes that a file states: on a damaged
 or hostile one they crash, never end, or ask for any amount of memory. In a child process each of
@@ -43,7 +43,7 @@ DAMAGED: tuple[type[Exception], ...] = (
 
 
 def available_memory() -> float:
-    """Memory that programs may still take (bytes); infinite where the system does not say."""
+    """Memory (bytes) that is available to programs; infinite if the system does not state it."""
     meminfo = Path("/proc/meminfo")
     if meminfo.exists():  # Linux, which counts what its caches would give back
         for line in meminfo.read_text().splitlines():
@@ -58,7 +58,7 @@ def available_memory() -> float:
 class Limits:
     """Memory (bytes of address space) and computing time (s) that reading a file may take."""
 
-    least_seconds: ClassVar[float] = 3.0  # one microsecond more for each byte of the file
+    least_seconds: ClassVar[float] = 3.0  # plus one microsecond per byte of the file
     large: ClassVar[int] = 64 * 2**20  # bytes; such a file leaves a child that holds much memory
 
     memory: float
@@ -73,7 +73,7 @@ class Limits:
         return cls(memory, cls.least_seconds + 1e-6 * size, size)
 
     def too_much_memory(self, path: Path) -> InputError:
-        """Error of a file that takes more memory."""
+        """Error for a file that needs more memory than is allowed."""
         return InputError(
             f"{path}: takes more than {self.memory / 2**30:.1f} GB of memory, the limit for a file "
             f"of {self.size / 2**20:.3g} MB (1.5 GB and 64 times its size, or what is free); it is "
@@ -99,7 +99,7 @@ def read_isolated(
             value, error, exhausted = child.ask((reader, path, options, limits, os.getcwd()))
         except EOFError:
             raise _why_ended(child, path, limits, time.monotonic() - start > patience) from None
-        except BaseException:  # such as Ctrl-C: a late answer would be taken for the next one
+        except BaseException:  # such as Ctrl-C: a late answer would be read as the next one
             child.end()
             raise
         finally:
@@ -137,19 +137,22 @@ class _Child:
     def __init__(self) -> None:
         # -P: a module of the library's name in the working folder is not taken for it
         command = [sys.executable, "-P", "-c", f"from {__name__} import _serve; _serve()"]
-        here = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "OPENBLAS_NUM_THREADS": "1"}
+        settings = {
+            "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+            "OPENBLAS_NUM_THREADS": "1",
+        }
         self.printed = tempfile.TemporaryFile("a+b")  # noqa: SIM115 - `end` closes it
         self.process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self.printed,
-            env=os.environ | here,
+            env=os.environ | settings,
         )
 
     @classmethod
     def current(cls) -> _Child:
-        """Child that waits for a request, started if there is none."""
+        """Child process ready for a request; starts one if necessary."""
         if cls.kept is not None and cls.kept.process.poll() is not None:
             cls.kept.end()
         cls.kept = cls.kept or cls()
@@ -164,7 +167,7 @@ class _Child:
         try:
             # by pickle: the child has the rights of this process, so it could do harm without it
             return pickle.load(self.process.stdout)  # type: ignore[arg-type] # noqa: S301
-        except pickle.UnpicklingError:  # it ended in the middle
+        except pickle.UnpicklingError:  # the child ended within its answer
             raise EOFError from None
 
     def end(self, patience: float = 0.0) -> tuple[int, bytes]:
@@ -216,11 +219,11 @@ def _serve() -> None:
     """Answer the requests on standard input, until there are no more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which then ends this
     with os.fdopen(os.dup(1), "wb") as answers:
-        os.dup2(2, 1)  # what libraries print must not get into the answers
+        os.dup2(2, 1)  # text printed by libraries must not mix with answers
         with contextlib.suppress(EOFError):
             while True:
                 reader, path, options, limits, folder = pickle.load(sys.stdin.buffer)  # noqa: S301
-                os.chdir(folder)  # where a relative path of the parent's begins
+                os.chdir(folder)  # so that relative paths of the parent are valid
                 _limit_resources(limits)
                 pickle.dump(_answer(reader, path, options, limits), answers, protocol=5)
                 answers.flush()

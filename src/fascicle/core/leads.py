@@ -1,4 +1,4 @@
-"""The twelve standard leads, the nine electrodes they are made of, and additional ones."""
+"""The twelve standard leads, their nine electrodes, and additional leads and electrodes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ ADDITIONAL_LEADS: tuple[str, ...] = (
 
 
 def additional_leads(electrodes: Sequence[str]) -> dict[str, Mapping[str, float]]:
-    """Leads that electrodes make besides the twelve: for each, the weights of electrodes.
+    """Leads besides the twelve that electrodes allow: weights of the electrodes for each.
 
     Every electrode makes a unipolar lead of its name, against Wilson's central terminal; Frank's
     electrodes make his three leads, which come last.

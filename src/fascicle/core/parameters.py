@@ -32,7 +32,7 @@ Distribution = Literal["uniform", "normal", "log-uniform", "log-normal"]
 
 @dataclass(frozen=True)
 class Infeasible:
-    """Quantities that give no beat: an outcome of a search, not an error.
+    """Outcome for quantities that do not give a beat; a search meets it, so it is not an error.
 
     Attributes
     ----------

@@ -29,7 +29,7 @@ class Progress(Protocol):
     """
 
     def __call__(self, stage: str, done: int, total: int, message: str) -> None:
-        """`done` of `total` in `stage`; `message` says more, for people."""
+        """Report `done` of `total` steps of `stage`; `message` is a text for people."""
 
 
 def no_progress(done: int, total: int) -> None:
@@ -37,21 +37,21 @@ def no_progress(done: int, total: int) -> None:
 
 
 def stage_progress(progress: Progress | None, stage: str, message: str = "") -> StageProgress:
-    """Make the callback of one stage, which calls that of the whole run with this message."""
+    """Progress callback of one stage, which calls that of the run with `stage` and `message`."""
     if progress is None:
         return no_progress
     return lambda done, total: progress(stage, done, total, message)
 
 
 def check_progress(progress: object) -> None:
-    """Refuse what is neither None nor a progress callback."""
+    """Refuse an argument that is neither None nor a progress callback."""
     if progress is not None and not callable(progress):
         raise ValueRefusedError(f"progress is {shown(progress)}; give a function, 'lines' or None")
 
 
 @contextmanager
 def shown_progress(progress: Progress | Lines | None) -> Iterator[Progress | None]:
-    """Give the callback that a caller of the Python interface wants.
+    """Yield the callback for a `progress` argument of the Python interface.
 
     "lines" are written on standard error while the context lasts.
     """
@@ -143,11 +143,11 @@ class ProgressLines:
         """Report the stages that have not ended, now and then."""
         while not self._over.wait(self._first / 4):
             for stage, task in [*self._tasks.items()]:
-                now = time.monotonic()
+                time_now = time.monotonic()
                 wait = self._interval if stage in self._said else self._first
-                since = self._said.get(stage, now - (task.elapsed or 0.0))
-                if not task.finished and now - since >= wait:
-                    self._said[stage] = now
+                since = self._said.get(stage, time_now - (task.elapsed or 0.0))
+                if not task.finished and time_now - since >= wait:
+                    self._said[stage] = time_now
                     self._say(_line(task))
 
 
@@ -172,7 +172,7 @@ def time_left(task: Task) -> str:
 
 
 def duration(seconds: float | None) -> str:
-    """Minutes and seconds, as people say them; from 10 minutes on without the seconds."""
+    """Duration in minutes and seconds, in words; from 10 minutes on without the seconds."""
     minutes, left = divmod(round(seconds or 0.0), 60)
     if minutes >= 10:
         return f"{minutes} min"

@@ -148,7 +148,7 @@ def _of_conduction() -> Iterator[Quantity]:
         "from the His bundle to the root that fires first; counts where a scenario has the bundle",
         times, aliases=("hv", "hvinterval"),
     )  # fmt: skip
-    velocity = ("conductionvelocity", "velocity", "speed")  # of the network or of the myocardium
+    velocity = ("conductionvelocity", "velocity", "speed")  # ambiguous: of network or myocardium
     yield Quantity(
         "cv", "mm/ms", None, (0.1, 20.0), (2.0, 4.0), "Purkinje conduction velocity", times,
         aliases=("purkinjeconductionvelocity", "purkinjevelocity", "purkinjespeed", *velocity),
@@ -233,8 +233,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "electrodes": tuple(n for n in TORSO_QUANTITIES if n[0] == "v" or n == "chest_electrodes_up"),
     "conductivities": tuple(n for n in TORSO_QUANTITIES if n.endswith("_conductivity")),
 }
-SPEED = ("alpha", "fibre_speed")  # of the myocardium: two names for one thing
-DELAY = ("root_time", "interventricular_delay")  # of the right ventricle, likewise
+SPEED = ("alpha", "fibre_speed")  # two names of the myocardium's conduction velocity
+DELAY = ("root_time", "interventricular_delay")  # two names of the RV-LV delay
 
 
 def declare(declared: Quantity) -> None:
@@ -257,7 +257,7 @@ def declare(declared: Quantity) -> None:
 
 
 def declare_state(state: ConductionState) -> None:
-    """Add a conduction state to the model; studies tell it apart if it has a prior probability.
+    """Add a conduction state; studies infer its probability if it has a prior probability.
 
     Raises ValueRefusedError if there is such a state, or it names an unknown quantity or part.
     """
@@ -297,7 +297,7 @@ def quantity(name: str) -> Quantity:
 
 
 def stand_ins(name: str) -> set[str]:
-    """Other quantities that determine the same thing as the one of this name."""
+    """Other quantities that determine the same property as the named one."""
     angle = {name, name.replace("lv_fascicle_angle", "lv_fascicle_direction")}
     direction = {name, name.replace("lv_fascicle_direction", "lv_fascicle_angle")}
     pairs = ({*SPEED}, {*DELAY}, angle, direction)
@@ -324,7 +324,7 @@ def region_labels(values: Iterable[str]) -> dict[int, str]:
 
 
 def fascicle_names(side: str, count: int) -> list[str]:
-    """Names of the lengths, then of the angles, of so many fascicles of a side."""
+    """Names of the lengths, then of the angles, of a number of fascicles of a side."""
     return [
         f"{side}_fascicle_{kind}_{k}" for kind in ("length", "angle") for k in range(1, count + 1)
     ]

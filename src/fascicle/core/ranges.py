@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class Range:
-    """Possible values, in a unit or none, of one kind of number, and what these mean.
+    """Valid range of one kind of number, with its unit, if any, and its meaning.
 
     `also` is one more possible value: 0, which blocks, or infinity, which is never.
     """
@@ -47,7 +47,7 @@ class Range:
         return f" {self.unit}" if self.unit else ""
 
     def check(self, value: Any, label: str) -> float:
-        """Check a number and give it as a float; `label` names it in the message."""
+        """Check a number and return it as a float; `label` is its name in the message."""
         as_float = number(value, label)
         if as_float not in self:
             raise ValueRefusedError(f"{label} is {digits(as_float)}{self._suffix}; give {self}")
@@ -98,9 +98,9 @@ def within(name: str, value: Any, label: str) -> float:
 
 
 def check_count(value: Any, label: str, least: int = 1) -> None:
-    """Refuse a value that is not a whole number, or less than `least`."""
-    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
-    if not whole or value < least:
+    """Refuse a value that is not an integer, or is less than `least`."""
+    is_integer = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    if not is_integer or value < least:
         raise ValueRefusedError(f"{label} is {shown(value)}; give a whole number, {least} or more")
 
 
@@ -112,7 +112,7 @@ def plain_name(name: str) -> str:
 def did_you_mean(
     name: str, names: Iterable[str], aliases: Iterable[tuple[str, str]] = ()
 ) -> str | None:
-    """Question whether a known name was meant; None if none is similar.
+    """Question for a message whether a similar known name was meant; None without one.
 
     `aliases` are pairs of another name, as `plain_name` gives it, and the known one.
     """

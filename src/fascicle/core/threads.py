@@ -32,7 +32,7 @@ def keep_one_thread() -> None:
 
 
 def blas_threads() -> int:
-    """Count the threads that BLAS may use now, by default one a core."""
+    """Count the threads that BLAS may use, by default one per core."""
     return max((int(library["num_threads"]) for library in _BLAS.info()), default=1)
 
 
@@ -67,11 +67,11 @@ def made_once(make: Callable[[Any], Any], most: int) -> Callable[[Any], Any]:
 
     def get(argument: Any) -> Any:
         with one_at_a_time:  # two threads could otherwise get two places
-            lock, made = places(argument)
+            lock, results = places(argument)
         with lock:
-            if not made:
-                made.append(make(argument))
-            return made[0]
+            if not results:
+                results.append(make(argument))
+            return results[0]
 
     return get
 

@@ -1,6 +1,6 @@
-"""Begin to explore a heart or a study: in a notebook, or on a page of this machine.
+"""Interactive explorer of a heart or a study: a notebook widget, or a web page.
 
-The local page is served to this machine alone, until its last page is closed.
+The web page is served to this machine alone, until the last open page is closed.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ def explore(
     target: Target | Path | str | None = None,
     progress: Progress | Lines | None = "lines",
 ) -> Any:
-    """Show a heart, its networks and its ECG, which follow every parameter as it is moved.
+    """Show a heart, its Purkinje networks and its ECG, simulated again as parameters are moved.
 
-    In a notebook the result is a widget; anywhere else a page opens in the browser, and this
-    returns when it is closed.
+    In a notebook the result is a widget; anywhere else a page opens in the browser, and the call
+    returns when that is closed.
 
     Parameters
     ----------
@@ -55,12 +55,12 @@ def explore(
     target : Target or path, optional
         A recording, with which simulated ECGs are compared; a study has its own.
     progress : Progress, "lines" or None
-        Called while a large heart is prepared; by default lines on standard error say so.
+        Progress callback while a large heart is prepared; by default lines on standard error.
 
     Raises
     ------
     InputError
-        If neither a heart nor a study is there, or the target cannot be used.
+        If the source is neither a heart nor a study, or the target cannot be used.
     """
     with shown_progress(progress) as shown:
         session = session_of(source, target, shown)
@@ -75,7 +75,7 @@ def session_of(
     target: Target | Path | str | None,
     progress: Progress | None,
 ) -> Session:
-    """Session of the arguments of `explore`."""
+    """Session that shows the `source` and `target` of `explore`."""
     check_kind(target, (Target, Path, str, NoneType), "target", "a fascicle target, or its file")
     if isinstance(source, Path | str):
         configuration = as_path(source, "heart") / StudyFile.CONFIGURATION
@@ -89,8 +89,8 @@ def session_of(
     model = ForwardModel(as_heart(source), progress=progress)
     if target is None:
         return Session(model)
-    read = target if isinstance(target, Target) else read_target(target)
-    return Session(model, TargetComparison(read.in_leads(model.heart.leads)))
+    recording = target if isinstance(target, Target) else read_target(target)
+    return Session(model, TargetComparison(recording.in_leads(model.heart.leads)))
 
 
 def widget(session: Session) -> Any:
@@ -101,7 +101,7 @@ def widget(session: Session) -> Any:
 
     page = files("fascicle") / "reporting" / "page"
 
-    # the page calls the same `fascicleExplorer`, and has a socket
+    # the web page calls `fascicleExplorer` as well, with a socket in place of the widget's messages
     script = """
 export default {
   render({ model, el }) {
@@ -131,7 +131,7 @@ export default {
 
 
 def serve(session: Session, port: int = 0, opened: Callable[[str], object] | None = None) -> None:
-    """Show a session on a page of this machine; returns when its last page was closed, or Ctrl-C.
+    """Show a session on a local web page; returns when its last page is closed, or at Ctrl-C.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def serve(session: Session, port: int = 0, opened: Callable[[str], object] | Non
     app = Application(session, listening.getsockname()[1], opened or in_browser)
     config = uvicorn.Config(
         app.asgi(), log_level="error", ws="websockets-sansio", ws_max_size=2**20, lifespan="on",
-        ws_per_message_deflate=False,  # which takes longer than the simulation
+        ws_per_message_deflate=False,  # compression takes longer than the simulation
         timeout_graceful_shutdown=1,
     )  # fmt: skip
     server = uvicorn.Server(config)
@@ -179,7 +179,7 @@ def in_browser(url: str) -> None:
 
 
 async def in_thread(work: Callable[[], bytes]) -> bytes:
-    """Result of `work`, done in a thread for which the end of the program does not wait."""
+    """Result of `work`, run in a daemon thread: the program may end before it does."""
     loop, result = asyncio.get_running_loop(), Future[bytes]()
 
     def run() -> None:
@@ -195,9 +195,9 @@ async def in_thread(work: Callable[[], bytes]) -> bytes:
 class Application:
     """Web application: the page, and a socket for every page that is open."""
 
-    address = "127.0.0.1"  # of this machine alone
-    reloaded_within = 3.0  # s that a page may be away for before the server ends
-    # Nothing from elsewhere is loaded, and no other page may hold this one
+    address = "127.0.0.1"  # reachable from this machine only
+    reloaded_within = 3.0  # s that the server waits for a page to be reloaded before it ends
+    # Content security policy: nothing is loaded from other hosts, and no page may embed this one
     policy = (
         "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' "
         "data: blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors "
@@ -213,7 +213,7 @@ class Application:
         self.end: Callable[[], object] = lambda: None
 
     def asgi(self) -> Any:
-        """The ASGI application: every address begins with the token."""
+        """ASGI application; every path begins with the secret token."""
         from contextlib import asynccontextmanager
 
         from starlette.applications import Starlette
@@ -245,10 +245,10 @@ class Application:
         return Starlette(routes=routes, lifespan=life)
 
     async def socket(self, page: Any) -> None:
-        """Answer the states of one page, one after the other, until it is closed."""
+        """Serve the socket of one page until it is closed; messages are answered in order."""
         origin = page.headers.get("origin", "").removeprefix("http://")
         if origin not in self.hosts or page.headers.get("host") not in self.hosts:
-            await page.close(1008)  # a page from elsewhere
+            await page.close(1008)  # policy violation: a page of another host
             return
         await page.accept()
         self.pages += 1
@@ -258,11 +258,11 @@ class Application:
         ]
         ended, running = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         for task in running:
-            task.cancel()  # nobody waits for its answer any more
+            task.cancel()  # the page is closed
         self.pages -= 1
         asyncio.get_running_loop().call_later(self.reloaded_within, self.end_without_pages)
         for task in ended:
-            task.result()  # a bug stays loud
+            task.result()  # raises the exception of a failed task
 
     async def messages(self, page: Any, messages: asyncio.Queue[Any]) -> None:
         """Collect the messages of a page, until it is closed."""
@@ -273,10 +273,10 @@ class Application:
                 messages.put_nowait(json.loads(await page.receive_text()))
 
     async def answers(self, page: Any, messages: asyncio.Queue[Any]) -> None:
-        """Send the description, then an answer to each message, and how far a long one is."""
+        """Send the description, then the answer to each message, with progress of long ones."""
         loop = asyncio.get_running_loop()
 
-        def report(message: bytes) -> None:  # from another thread
+        def report(message: bytes) -> None:  # called in another thread
             if not loop.is_closed():
                 asyncio.run_coroutine_threadsafe(page.send_bytes(message), loop)
 

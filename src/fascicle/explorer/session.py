@@ -1,8 +1,9 @@
-"""Answers of the explorer: a state goes in; activation, trees and ECG come out.
+"""Answers of the explorer: activation, trees and ECG of the parameters that a page sends.
 
-A page sends its whole state with every change and keeps nothing here, so that undoing, comparing
-and two pages at once need no more than states. An answer is a length (4 bytes, little-endian), that
-many bytes of JSON, and the arrays that it names, each from a multiple of four bytes.
+A page sends its complete state with every change, and the session stores no state of a page. So
+undo, comparisons and several pages need nothing but states. An answer is a length (4 bytes,
+little-endian), that many bytes of JSON, and the arrays that it names, each from a multiple of four
+bytes.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ class PageState(BaseModel, extra="forbid"):
     blocks : list of (str, Place)
         Trees, and places of them (mm) that do not conduct.
     scars : list of Place
-        Places of the myocardium (mm) about which it is scar.
+        Places of the myocardium (mm) around which there is scar.
     network : int, optional
         The network of the study, from 0, with whose gain and torso the ECG is shown. Quantities of
         the torso change it from there.
@@ -78,7 +79,7 @@ class PageState(BaseModel, extra="forbid"):
 
     @classmethod
     def of(cls, message: Any) -> PageState:
-        """Check what a page sent."""
+        """Check the message of a page."""
         try:
             return cls.model_validate(message)
         except ValidationError as error:
@@ -87,7 +88,7 @@ class PageState(BaseModel, extra="forbid"):
             raise InputError(f"state: '{place}': {first['msg']}; reload the page") from None
 
     def beat(self) -> Scenario | None:
-        """The scenario of this state; None of an intrinsic beat without blocks."""
+        """Scenario of this state; None for an intrinsic beat without blocks."""
         name, primitives = self.scenario, list[Primitive]()
         if name != INTRINSIC:
             if name not in library():
@@ -151,7 +152,7 @@ class Session:
         return boundary(self.model.heart)
 
     def description(self) -> bytes:
-        """Everything that does not change: surface, sliders, scenarios, recording, networks."""
+        """Description of the session: surface, sliders, scenarios, recording, networks."""
         triangles, shown, endocardial = self.surface
         heart, networks = self.model.heart, []
         if self.study is not None:
@@ -207,7 +208,7 @@ class Session:
         return {**self.study.simulator.prior.fixed, **self.study.population.best}
 
     def answer(self, message: Any, report: Callable[[bytes], object] | None = None) -> bytes:
-        """Simulate a state that a page sent; where that cannot be done the answer says why.
+        """Simulate the state that a page sent; the answer states the reason if that is impossible.
 
         Messages for the page report the progress of long preparations.
         """
@@ -253,7 +254,7 @@ class Session:
     def _simulated(
         self, model: ForwardModel, state: PageState, moving: bool
     ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Numbers and arrays of a beat; while something moves without the conventional criteria.
+        """Numbers and arrays of a beat; without conventional criteria while a slider is dragged.
 
         These take as long as the simulation.
         """
@@ -307,7 +308,7 @@ class Session:
 
     @cached_property
     def _scarred(self) -> Callable[[tuple[Region, ...]], ForwardModel]:
-        """The model with scars, which takes seconds to prepare; the last ones are remembered."""
+        """Forward model with scars; it takes seconds to prepare, so the last ones are cached."""
         model = self.model
         heart = replace(model.heart, folder=None)  # not to fill its folder with trials
 

@@ -30,15 +30,15 @@ class MappedRange(NamedTuple):
         return self.lower <= time <= self.upper
 
 
-# Of QRS complexes below 120 ms: Durrer et al., Circulation 41 (1970) 899-912; Wyndham et al.,
-# Circulation 59 (1979) 161-168
+# Human hearts with a QRS below 120 ms: Durrer et al., Circulation 41 (1970) 899-912; Wyndham et
+# al., Circulation 59 (1979) 161-168
 MAPPED: Mapping[str, MappedRange] = {
     "lv_septum": MappedRange(0.0, 1.0, "left septum after the first activation"),
     "rv_delay": MappedRange(3.0, 12.0, "right endocardium after the left one"),
     "rv_breakthrough": MappedRange(7.0, 25.0, "right epicardial breakthrough"),
     "total": MappedRange(60.0, 100.0, "last activation"),
 }
-LATE_QRS = 120.0  # ms; from there on mapped hearts with a block are activated otherwise
+LATE_QRS = 120.0  # ms; from this duration on, with a block, the sequence of activation differs
 PARTS = {
     "lv_septum": "left septum",
     "lv_free_wall": "left free wall",
@@ -49,18 +49,18 @@ PARTS = {
 
 @dataclass(frozen=True)
 class ActivationSequence:
-    """First activation of the parts of the ventricles (ms after the first of all).
+    """First activation of parts of the ventricles, in ms after the earliest activation.
 
     Attributes
     ----------
     lv_septum, lv_free_wall, rv_septum, rv_free_wall : float
-        Left and right endocardium of the septum and of the free walls; inf where there is none.
+        Endocardium of the septum and of the free wall, left and right; inf if there is none.
     rv_breakthrough, lv_breakthrough : float
-        Right and left epicardium.
+        Epicardium of the right and of the left ventricle.
     total : float
-        Last activation of all.
+        Latest activation of the ventricles.
     last : str
-        Place of the last activation.
+        Place of the latest activation.
     """
 
     lv_septum: float
@@ -80,29 +80,29 @@ class ActivationSequence:
 
     @property
     def first(self) -> str:
-        """The part of the endocardium that is activated first."""
+        """Part of the endocardium that is activated first."""
         return PARTS[min(PARTS, key=lambda name: getattr(self, name))]
 
     @property
     def is_mapped(self) -> bool:
-        """Whether mapped human hearts are activated in this sequence."""
+        """Whether every time that `MAPPED` names is in its range of mapped human hearts."""
         return all(mapped.holds(getattr(self, name)) for name, mapped in MAPPED.items())
 
 
 @dataclass(frozen=True)
 class VentricularSurfaces:
-    """Parts of a heart's surface, and where in the ventricles each of its vertices lies.
+    """Parts of a heart's surface, and the place of each vertex in the ventricles.
 
-    An endocardium belongs to the septum where the other endocardium is nearer than the epicardium.
+    A vertex of an endocardium is septal if the other endocardium is nearer than the epicardium.
 
     Attributes
     ----------
     parts : mapping of str to (k,) array
         Vertices of each part that `ActivationSequence` names.
     places : (n,) array of str
-        Third of the left long axis, wall and ventricle of each vertex.
+        Third of the LV long axis, wall and ventricle of each vertex, in words.
     rv_wall : (m,) array
-        Which tetrahedra are of the right ventricle's free wall.
+        Mask of the tetrahedra of the free wall of the right ventricle.
     """
 
     parts: Mapping[str, Integers]
@@ -121,43 +121,47 @@ class VentricularSurfaces:
         }
         outside = np.unique(labelled_mesh(heart).having(Label.EPICARDIUM))
         epicardium = np.setdiff1d(outside, np.concatenate([*endocardium.values()]))
-        trees = {side: cKDTree(vertices[wall]) for side, wall in endocardium.items()}
-        beyond = cKDTree(vertices[epicardium]) if len(epicardium) else None
+        endocardial_trees = {side: cKDTree(vertices[wall]) for side, wall in endocardium.items()}
+        epicardial_tree = cKDTree(vertices[epicardium]) if len(epicardium) else None
         parts: dict[str, Integers] = {}
         for side, other in (("lv", "rv"), ("rv", "lv")):
             wall = endocardium[side]
             septal = np.ones(len(wall), bool)
-            if beyond is not None:
-                across = trees[other].query(vertices[wall])[0]
-                septal = across < beyond.query(vertices[wall])[0]
+            if epicardial_tree is not None:
+                to_other = endocardial_trees[other].query(vertices[wall])[0]
+                septal = to_other < epicardial_tree.query(vertices[wall])[0]
             parts |= {f"{side}_septum": wall[septal], f"{side}_free_wall": wall[~septal]}
-        right = trees["rv"].query(vertices)[0] < trees["lv"].query(vertices)[0]
+        right = (
+            endocardial_trees["rv"].query(vertices)[0] < endocardial_trees["lv"].query(vertices)[0]
+        )
         parts["rv_breakthrough"] = epicardium[right[epicardium]]
         parts["lv_breakthrough"] = epicardium[~right[epicardium]]
         middles = vertices[heart.tetrahedra].mean(axis=1)
-        away = {
+        distances = {
             name: cKDTree(vertices[wall]).query(middles)[0] if len(wall) else np.inf
             for name, wall in parts.items()
             if name in PARTS
         }
-        left = np.minimum(away["lv_septum"], away["lv_free_wall"])
-        rv_wall = away["rv_free_wall"] < np.minimum(left, away["rv_septum"])
+        to_left = np.minimum(distances["lv_septum"], distances["lv_free_wall"])
+        rv_wall = distances["rv_free_wall"] < np.minimum(to_left, distances["rv_septum"])
         return cls(parts, _places(heart, right), np.broadcast_to(rv_wall, len(middles)))
 
     def sequence(self, activation: Floats) -> ActivationSequence:
-        """The sequence of an activation (ms), one value a vertex."""
-        after = activation - activation.min()
-        firsts = {name: float(after[part].min(initial=np.inf)) for name, part in self.parts.items()}
-        reached = np.where(np.isfinite(after), after, -1.0)
+        """Activation sequence of activation times (n,) at the vertices (ms)."""
+        delays = activation - activation.min()
+        firsts = {
+            name: float(delays[part].min(initial=np.inf)) for name, part in self.parts.items()
+        }
+        reached = np.where(np.isfinite(delays), delays, -1.0)
         last = int(reached.argmax())
-        return ActivationSequence(**firsts, total=float(after[last]), last=str(self.places[last]))
+        return ActivationSequence(**firsts, total=float(delays[last]), last=str(self.places[last]))
 
 
 def _places(heart: Heart, right: Booleans) -> np.ndarray[tuple[int], np.dtype[np.str_]]:
-    """Place of each vertex; `right` (n,) says whether it is right of the middle of the septum."""
-    of_left = heart.lv.vertices, heart.lv.triangles
-    height, around, down = about_long_axis(*of_left, heart.vertices)
-    septal = unit(about_long_axis(*of_left, heart.rv.vertices)[1].mean(axis=0))
+    """Place of each vertex in words; `right` (n,) is the mask of those nearer to the RV cavity."""
+    left_endocardium = heart.lv.vertices, heart.lv.triangles
+    height, around, down = about_long_axis(*left_endocardium, heart.vertices)
+    septal = unit(about_long_axis(*left_endocardium, heart.rv.vertices)[1].mean(axis=0))
     angle = np.degrees(np.arctan2(around @ np.cross(septal, down), around @ septal))
     third = np.select([height < 1 / 3, height < 2 / 3], ["basal", "mid"], "apical")
     wall = np.select(
@@ -177,9 +181,9 @@ class SequenceSummary:
     times : mapping of str to (float, float, float)
         Median, 5th and 95th percentile (ms) of each time that `MAPPED` names.
     first, last : mapping of str to float
-        Shares of the networks in which a part is activated first, and last.
+        Share of the networks in which a part is activated first, and last.
     mapped : float
-        Share of the networks that are activated as mapped human hearts are.
+        Share of the networks whose sequence is that of mapped human hearts.
     """
 
     times: Mapping[str, tuple[float, float, float]]
@@ -205,7 +209,7 @@ class SequenceSummary:
 
     @property
     def departure(self) -> str:
-        """Difference between most of the networks and mapped hearts in words; empty if none."""
+        """Main difference of the networks from mapped hearts, in words; empty if most have none."""
         if self.mapped >= 0.5:
             return ""
         first = next(iter(self.first))
@@ -222,7 +226,7 @@ class SequenceSummary:
 
     @property
     def lines(self) -> list[str]:
-        """Lines of text: first and last activated parts, and times beside the mapped ranges."""
+        """Lines of text: first and last activated parts, and times with the mapped ranges."""
         ends = (
             f"{event}: " + ", ".join(f"{n} {p:.0%}" for n, p in [*shares.items()][:3] if p > 0.005)
             for event, shares in (("first activated", self.first), ("last activated", self.last))

@@ -19,7 +19,7 @@ from fascicle.heart.heart import Heart
 from fascicle.kernels.gaussian import integrated
 from fascicle.purkinje.growth import GrowthRules, grow_from_parameters
 
-_compiled = False  # in this process
+_compiled = False  # whether this process has compiled the kernels
 
 
 def compile_kernels(progress: Progress, silence: float = 1.0) -> None:
@@ -64,7 +64,7 @@ def _steps() -> Iterator[int]:
     activation = solve(attach(prepared.myocardium, [tree]), [0.0], 1.0)
     yield 3
     prepared.electrocardiograph.leads(activation.myocardium)
-    for kind in (np.float32, np.float64):  # of emulated ECGs, and of simulated ones
+    for kind in (np.float32, np.float64):  # types of emulated and of simulated ECGs
         models = np.zeros((1, 1, 1), kind)
         integrated(models, kind(0), models[0, 0], models[0], np.zeros(1), np.zeros((1, 1)))
     yield 4

@@ -47,7 +47,7 @@ def example_parameters(model: ForwardModel) -> dict[str, float]:
             if name.startswith(f"{side}_") and "length" in name:
                 parameters[name] *= factor
     best, most = dict(parameters), 0
-    shorter = 0.9  # of the length that fits
+    shorter = 0.9  # share of the length that fits
     for _ in range(40):
         grown = model.grow(parameters)
         if isinstance(grown, Infeasible):
@@ -59,7 +59,7 @@ def example_parameters(model: ForwardModel) -> dict[str, float]:
         sparse = [side for side, count in junctions.items() if count < few[side]]
         if not sparse:
             return parameters
-        for side in sparse:  # it ends close to the base, where there is no room for branches
+        for side in sparse:  # tree that ends close to the base, with no room for branches
             parameters[f"{side}_initial_length"] *= shorter
     if most:
         return best

@@ -1,10 +1,10 @@
 """The loss: mismatch between a simulated and a recorded QRS, at the best alignment.
 
-The paper's loss is y = (1/T) ∫ Σ_leads (V̂ − gV)² dt, T being the length of the QRS window. Here
-the integral is over all time, and the recording V̂ is silent outside its QRS window: the simulation
-holds the activation of the ventricles and nothing else, so it must lie in the window, too. (Were
-the integral over the window alone, every network could slide out of it, and be as good as a flat
-line.)
+The loss of Álvarez-Barrientos et al. is y = (1/T) ∫ Σ_leads (V̂ − gV)² dt, where T is the length of
+the QRS window. Here the integral is over all time, and the recording V̂ is 0 outside its QRS window:
+the simulation is of ventricular activation alone, so it must lie in the window, too. (If the
+integral were over the window alone, every network could be shifted out of it, and would be as good
+as a flat line.)
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Response = Callable[[Floats], Floats]
 
 @dataclass(frozen=True)
 class Alignment:
-    """The best fit of a simulated ECG to a recorded QRS.
+    """Best alignment of a simulated ECG with a recorded QRS.
 
     Attributes
     ----------
@@ -52,8 +52,8 @@ class Alignment:
     def under_qrs(self) -> float:
         """Share of the simulation's energy that lies under the recorded QRS, 0 to 1."""
         under = float(_mean_square(self.under))
-        whole = under + self.outside
-        return under / whole if whole > 0 else 0.0
+        total = under + self.outside
+        return under / total if total > 0 else 0.0
 
 
 def mismatch(recorded: Floats, alignment: Alignment) -> Floats:
@@ -71,8 +71,8 @@ def align(
     """Find the time shift, and on request one gain for all leads, with the least mismatch.
 
     With ‖V̂ − gV‖² = ‖V̂‖² − 2g⟨V̂, V⟩ + g²‖V‖² that shift is where ⟨V̂, V⟩, one cross-correlation by
-    FFT, is largest. Between samples the simulation is what its spectrum says; before its first and
-    after its last sample it is zero, as it is when no front is under way.
+    FFT, is largest. Between samples the simulation is interpolated by its spectrum; before its
+    first and after its last sample it is zero, as without a front.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def align(
         gain = max(overlap, 0.0) / max(float((shifted**2).sum()), np.finfo(float).tiny)
     under = gain * shifted[:, :length]
     outside = float(_mean_square(gain * shifted[:, length:])) * (size - length) / length
-    # from the difference itself, free of the cancellation in the expanded square
+    # computed from the difference, as the expanded square suffers from cancellation
     loss = float(_mean_square(recorded - under)) + outside
     return Alignment(loss, shift, gain, under, outside)
 
@@ -148,8 +148,8 @@ def _highest(product: Complexes) -> float:
     shift = int(np.argmax(fine)) / upsampling
     omega = 2 * np.pi * _frequencies(product)
     for _ in range(4):  # Newton steps; three reach rounding error
-        here = product * np.exp(1j * omega * shift)
-        slope, curvature = -(omega * here.imag).sum(), -(omega**2 * here.real).sum()
+        rotated = product * np.exp(1j * omega * shift)
+        slope, curvature = -(omega * rotated.imag).sum(), -(omega**2 * rotated.real).sum()
         if curvature >= 0:  # flat: no correlation at all
             break
         shift -= float(np.clip(slope / curvature, -1 / upsampling, 1 / upsampling))

@@ -1,4 +1,4 @@
-"""Preparation of a heart: computed once, cached in its folder under a key of its content."""
+"""Preparation of a heart: what does not depend on the network, computed once and cached."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from fascicle.torso.lead_fields import resolve_lead_fields
 
 ONCE = "once per heart"
 
-Made = TypeVar("Made")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Prepared:
     Attributes
     ----------
     charts, seeds : dict of side to Chart and to Seed
-        Maps of the endocardia, and where the bundles start.
+        Maps of the endocardia to the unit disk, and where each bundle starts and heads.
     myocardium : Myocardium
         The myocardium for the coupled eikonal problem.
     electrocardiograph : Electrocardiograph
@@ -64,10 +64,10 @@ def prepare(
     action_potential: ActionPotential,
     progress: Progress | None = None,
 ) -> Prepared:
-    """Prepare a heart, or read an earlier preparation.
+    """Compute the preparation of a heart, or read it from the heart's cache.
 
-    A heart that was read from a folder has its cache there, if the folder can be written to. The
-    key is the content of heart and conduction and the version of this package.
+    The cache is in the folder that the heart was read from, if that is writable. Its keys are the
+    content of heart and conduction and the version of this package.
     """
     return cached(
         heart,
@@ -76,7 +76,7 @@ def prepare(
         lambda: build(heart, conduction, action_potential, progress),
         as_arrays,
         lambda arrays: from_arrays(arrays, action_potential, heart)[1],
-        most=4,  # conductions in a heart's cache; the oldest go
+        most=4,  # entries, one per conduction; the oldest are deleted
     )
 
 
@@ -84,28 +84,32 @@ def cached(
     heart: Heart,
     conduction: Conduction,
     kind: str,
-    make: Callable[[], Made],
-    arrays_of: Callable[[Made], Mapping[str, Any]],
-    restored: Callable[[Mapping[str, Any]], Made],
+    make: Callable[[], Result],
+    arrays_of: Callable[[Result], Mapping[str, Any]],
+    restored: Callable[[Mapping[str, Any]], Result],
     most: int | None = None,
-) -> Made:
-    """Read a preparation of heart and conduction from the heart's cache, or make and keep it."""
+) -> Result:
+    """Read a result for heart and conduction from the heart's cache, or compute and store it.
+
+    A result is stored as the arrays that `arrays_of` gives, which `restored` turns back into it. Of
+    each `kind` the cache holds at most `most` entries.
+    """
     if heart.folder is None or not os.access(heart.folder, os.W_OK):
         return make()
     cache, key = ArrayCache(heart.folder / DISPOSABLE, kind), f"{heart.digest} {conduction}"
     arrays = cache.read(key)
     if arrays is not None:
-        with suppress(KeyError, TypeError, ValueError):  # of another layout
+        with suppress(KeyError, TypeError, ValueError):  # arrays of another layout: compute again
             return restored(arrays)
-    made = make()
-    cache.keep(key, arrays_of(made), most)
-    return made
+    prepared = make()
+    cache.keep(key, arrays_of(prepared), most)
+    return prepared
 
 
 def share_prepared(heart: Heart, copy: Path) -> None:
-    """Link the prepared files of a heart into a copy of its folder.
+    """Hard-link the cached files of a heart into a copy of its folder.
 
-    Where links cannot be made, as between two disks, the copy is prepared when it is first used.
+    Where that is impossible, as between two disks, the copy is prepared when it is first used.
     """
     if heart.folder is None or not (heart.folder / DISPOSABLE).is_dir():
         return
@@ -123,7 +127,7 @@ def build(
     action_potential: ActionPotential,
     progress: Progress | None = None,
 ) -> Prepared:
-    """Prepare a heart without the cache; parameters as for `prepare`."""
+    """Compute the preparation of a heart without its cache; parameters as for `prepare`."""
     charts = {e.side: build_chart(e) for e in heart.endocardia}
     barycentric = barycentric_gradients(heart.vertices, heart.tetrahedra)
     fields = resolve_lead_fields(heart, conduction, stage_progress(progress, "lead fields", ONCE))
@@ -148,7 +152,7 @@ def _seeds(heart: Heart, charts: dict[str, Chart]) -> dict[str, Seed]:
 
 
 def as_arrays(prepared: Prepared, heart: Heart | None = None) -> dict[str, Any]:
-    """Arrays of a preparation by name, with those of the heart if given."""
+    """Arrays of a preparation by name, and of its heart if that is given."""
     myocardium, ecg = prepared.myocardium, prepared.electrocardiograph
     parts = {
         "mesh": myocardium.mesh._asdict(),
@@ -179,7 +183,7 @@ def _attributes(part: object, *names: str) -> dict[str, Any]:
 def from_arrays(
     arrays: Mapping[str, Any], action_potential: ActionPotential, heart: Heart | None = None
 ) -> tuple[Heart, Prepared]:
-    """The inverse of `as_arrays`; the heart is read from the arrays unless it is given."""
+    """Heart and preparation from the arrays of `as_arrays`; the heart, too, unless it is given."""
     parts: defaultdict[str, dict[str, Any]] = defaultdict(dict)
     for key, array in arrays.items():
         part, name = key.split(".", 1)  # names of electrodes may hold points
@@ -187,8 +191,8 @@ def from_arrays(
         parts[part][name] = value if value.ndim else value.item()
     if heart is None:
         lv, rv = (Endocardium(side, **parts[f"{side} endocardium"]) for side in ("lv", "rv"))
-        more = parts["additional electrodes"]
-        heart = Heart(lv=lv, rv=rv, additional_electrodes=more, **parts["heart"])
+        additional = parts["additional electrodes"]
+        heart = Heart(lv=lv, rv=rv, additional_electrodes=additional, **parts["heart"])
     charts = {e.side: Chart(**parts[e.side]) for e in heart.endocardia}
     mesh, myocardium = EikonalMesh(**parts["mesh"]), parts["myocardium"]
     tree = search_tree(mesh.vertices, myocardium["surface"])

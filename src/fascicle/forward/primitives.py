@@ -1,7 +1,8 @@
-"""The primitives of scenarios: stimuli, slow conduction, inactive roots, delays, the His bundle.
+"""Primitives of scenarios: stimuli, slow conduction, inactive roots, delays, the His bundle.
 
-With a His bundle the roots are joined above the trees: pacing one of them climbs to the bundle and
-comes down the other branch, and a front that enters a tree from the tissue returns by the other.
+A His bundle joins the roots of the two trees by its branches. Pacing of one root then activates the
+bundle retrogradely and the other root anterogradely, and so does a front that enters a tree from
+the myocardium.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from fascicle.heart.sites import CoordinateSite
 
 
 def _site(value: Any) -> str | CoordinateSite:
-    """The name of a site, or its ventricular coordinates from a table."""
+    """Check a site: a name, or ventricular coordinates, which may be given as a mapping."""
     if isinstance(value, Mapping):
         return CoordinateSite.of(value)
     if not isinstance(value, CoordinateSite):
@@ -41,7 +42,7 @@ def _site(value: Any) -> str | CoordinateSite:
 
 
 Site = Annotated[str | CoordinateSite, BeforeValidator(_site)]
-FURTHEST_STIMULUS = 5.0  # mm from the tissue or the tree; a stimulus further out is a mistake
+FURTHEST_STIMULUS = 5.0  # mm from the tissue or the tree; beyond it a position is an error
 
 
 class Stimulus(Primitive, table="stimulus"):
@@ -69,7 +70,7 @@ class Stimulus(Primitive, table="stimulus"):
         return self.time
 
     def apply(self, excitation: Excitation) -> None:
-        """Fire the myocardium, or the nodes of a tree that it captures."""
+        """Stimulate the myocardium, or the captured nodes of the tree."""
         place = self.position
         if place is None:
             assert self.site is not None
@@ -112,14 +113,14 @@ class SlowConduction(Primitive, table="slow_conduction"):
     @property
     def blocked(self) -> set[str]:
         """Name of the blocked part."""
-        whole = "tree" if self.centre is None else f"tree at {self.centre}"
-        return {f"{self.tree.upper()} {self.part or whole}"} if self.speed == 0 else set()
+        tree_name = "tree" if self.centre is None else f"tree at {self.centre}"
+        return {f"{self.tree.upper()} {self.part or tree_name}"} if self.speed == 0 else set()
 
     def apply(self, excitation: Excitation) -> None:
-        """Multiply the speeds of its segments."""
+        """Multiply the conduction velocity of the segments by the factor."""
         number = excitation.tree(self.tree)
         tree = excitation.trees[number]
-        chosen = tree.parents >= 0  # no segment ends in the root
+        chosen = tree.parents >= 0  # a segment belongs to the node at its end, the root has none
         if self.part is not None:
             chosen &= excitation.part(number, self.part)
         if not chosen.any():
@@ -166,8 +167,9 @@ class JunctionDelays(Primitive, table="delay", once=True):
 class His(Primitive, table="his", once=True):
     """A His bundle, whose branches join the roots of the heart's two trees and conduct both ways.
 
-    The branch to the root that fires first takes the network's ``his_time``, the other one longer
-    by the root time; so the intrinsic beat is the same with it as without.
+    Conduction from the bundle to the root that fires first takes the network's ``his_time``; to the
+    other root it takes longer, by the delay between the roots. So a His bundle does not change the
+    intrinsic beat.
     """
 
     time: Annotated[
@@ -189,7 +191,7 @@ class His(Primitive, table="his", once=True):
         return {f"the {side} bundle branch" for side, factor in factors.items() if factor == 0}
 
     def apply(self, excitation: Excitation) -> None:
-        """Join the roots of the heart's own trees."""
+        """Join the roots of the heart's two trees by the bundle."""
         names = [tree.side for tree in excitation.trees]
         if tuple(names[:2]) != SIDES:
             raise InputError(
@@ -202,18 +204,18 @@ class His(Primitive, table="his", once=True):
         excitation.his = replace(his, branches=[*his.branches, *unjoined])
 
     def conducted(self, roots: Sequence[float], nearest: float) -> tuple[list[float], HisBundle]:
-        """Activation times of the left and the right root (ms), and the bundle that joins them.
+        """Activation times (ms) of the left and the right root, and the bundle that joins them.
 
-        `roots` are their firing times without the bundle (ms), `nearest` is the travel time from it
-        to the root that fires first (ms).
+        `roots` are the firing times (ms) of the roots without the bundle, `nearest` is the travel
+        time (ms) from the bundle to the root that fires first.
         """
         fires = min(roots) - nearest if self.time is None else self.time
-        down, branches = [], []
+        arrivals, branches = [], []
         for time, factor in zip(roots, (self.left, self.right), strict=True):
-            usual = nearest + time - min(roots)
-            takes = usual / factor if factor > 0 else np.inf
-            # fires + takes would differ from the root's time without the bundle in the last digit
-            activated = time + (takes - usual)
-            down.append(activated if self.time is None else self.time + takes)
-            branches.append(takes)
-        return down, HisBundle(fires, branches)
+            unslowed = nearest + time - min(roots)
+            travel_time = unslowed / factor if factor > 0 else np.inf
+            # equal to `time` if the branch is not slowed, which `fires` + travel time is not quite
+            activated = time + (travel_time - unslowed)
+            arrivals.append(activated if self.time is None else self.time + travel_time)
+            branches.append(travel_time)
+        return arrivals, HisBundle(fires, branches)

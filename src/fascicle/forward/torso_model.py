@@ -51,7 +51,7 @@ class TorsoModel:
     def lead_coefficients(self, values: Mapping[str, float]) -> Floats | Infeasible:
         """Coefficients (8 + a, k) of the modes for the independent leads, then additional ones.
 
-        Missing quantities of the torso are neutral. The factor on the myocardium's conductivity
+        Missing quantities leave the torso unchanged. The factor on the myocardium's conductivity
         divides the coefficients and multiplies the sources: only the ratio to the conductivities of
         other tissues counts.
         """
@@ -66,10 +66,10 @@ class TorsoModel:
     def electrocardiograph(
         self, standard: Electrocardiograph, coefficients: Floats
     ) -> Electrocardiograph:
-        """The ECG integral in another torso, by its `lead_coefficients` and the standard torso's.
+        """ECG integral in another torso, by its `lead_coefficients` and the standard torso's.
 
-        The part of the standard torso's lead fields that the modes do not span is scaled with the
-        rest, so a torso that hardly differs loses nothing.
+        The part of the standard torso's lead fields that the modes do not span is kept, scaled by
+        the same factor as the part that they span.
         """
         neutral = self.lead_coefficients({})
         if isinstance(neutral, Infeasible):
@@ -80,10 +80,10 @@ class TorsoModel:
         size, groups = size.astype(np.float32), []
         for k, old in enumerate((standard.weights, *standard.additional)):
             part = slice(k * CHANNELS, (k + 1) * CHANNELS)
-            here = old[:, :, : len(size[part])]  # the last group is padded
+            weights = old[:, :, : len(size[part])]  # the last group is padded
             new = np.zeros_like(old)
-            new[:, :, : here.shape[2]] = size[part] * here
-            new[:, :, : here.shape[2]] += (flat @ change[part].T).reshape(here.shape)
+            new[:, :, : weights.shape[2]] = size[part] * weights
+            new[:, :, : weights.shape[2]] += (flat @ change[part].T).reshape(weights.shape)
             groups.append(new)
         return replace(standard, weights=groups[0], additional=groups[1:])
 

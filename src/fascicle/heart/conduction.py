@@ -131,7 +131,7 @@ class Conduction:
 
     @classmethod
     def of(cls, heart: Heart, regions: Sequence[Region] = ()) -> Conduction:
-        """Conduction by a heart's own values and more regions, which count where they overlap."""
+        """Conduction of a heart's stored values and of `regions`, which take precedence."""
         conduction = cls().with_values(heart.values)
         return replace(conduction, regions=(*conduction.regions, *regions))
 

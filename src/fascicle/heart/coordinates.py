@@ -1,22 +1,22 @@
-"""Ventricular coordinates, which locate a point in terms that mean the same in every heart.
+"""Ventricular coordinates, by which points of different hearts correspond to each other.
 
 They are the consistent biventricular coordinates (Cobiveco) of Schuler, Pilia, Potyagaylo and Loewe
 2021, Med Image Anal 74:102247, which follow from the labels of base, epicardium and endocardia:
 
-- *ventricle* (``tv``): 0 in the left, 1 in the right one; each has its half of the septum.
+- *ventricle* (``tv``): 0 in the left, 1 in the right; each includes half of the septum.
 - *transmural* (``tm``): 0 on the epicardium and in the middle of the septum, 1 on the endocardia.
-- *rotational* (``rt``): in the free wall from 0 at the posterior to 2/3 at the anterior attachment
-  of the two ventricles, back through the septum to 1, which is 0 again.
-- *apicobasal* (``ab``): 0 at the apex, on the attachment of the two ventricles; 1 at the base.
+- *rotational* (``rt``): in the free walls from 0 at the posterior to 2/3 at the anterior junction
+  of the ventricles, and through the septum from there to 1 at the posterior junction.
+- *apicobasal* (``ab``): 0 at the apex, on the junction of the ventricles; 1 at the base.
 
-The last three are the share of a length: of the line of steepest descent of a harmonic potential,
-from where it is 0 to where it is 1. Departures from the paper, whose meshes are cut in two twice:
+The last three are relative distances along lines of steepest descent of a harmonic potential, from
+where it is 0 to where it is 1. Differences from the paper, which cuts the mesh in two twice:
 
-- The mesh stays as it is. The middle of the septum is where a potential that is 1 on the left
+- The mesh is not cut. The middle of the septum is where a potential that is 1 on the left
   endocardium, −1 on the right one and 0 on the epicardium vanishes; the potential of ``tm`` is then
-  its absolute value. The ridges between septum and free walls are the elements between vertices
-  whose lines end in the middle of the septum and those whose lines end on the epicardium; so ``rt``
-  is known to an element there.
+  its absolute value. The ridges between septum and free walls are the elements that join vertices
+  whose lines end in the middle of the septum to vertices whose lines end on the epicardium; so
+  ``rt`` is accurate to one element there.
 - The lines of ``rt`` descend the potential between the two ridges, and those of ``ab`` the
   potential between apex and base, in place of lines across the other two coordinates.
 - Anterior and posterior are told apart by the plane through the middle of the left endocardium
@@ -85,7 +85,7 @@ def with_coordinates(
 ) -> tuple[Heart, tuple[str, ...]]:
     """Return a heart with coordinates, its own or computed on its labelled mesh, and notes.
 
-    A heart without a whole septum, such as one with a hole in it, stays without coordinates.
+    A heart whose septum is incomplete, with a hole for example, stays without coordinates.
     """
     if heart.coordinates is not None:
         return heart, ("ventricular coordinates: those of the file; none were computed",)
@@ -126,25 +126,27 @@ def transfer_map(values: Floats, heart: Heart, other: Heart) -> Floats:
             f"values are {values.dtype} of shape {values.shape}; give one number for each of the "
             f"{len(heart.vertices)} vertices of '{heart.name}', in the last axis"
         )
-    of, to = ventricular_coordinates(heart), ventricular_coordinates(other)
-    transferred = np.empty((*values.shape[:-1], len(to.ventricle)))
+    source, destination = ventricular_coordinates(heart), ventricular_coordinates(other)
+    transferred = np.empty((*values.shape[:-1], len(destination.ventricle)))
     for side in (Wall.LV, Wall.RV):
-        in_source, in_target = of.ventricle == side, to.ventricle == side
+        in_source, in_destination = source.ventricle == side, destination.ventricle == side
         places, targets, samples = (
-            of.places[in_source],
-            to.places[in_target],
+            source.places[in_source],
+            destination.places[in_destination],
             values[..., in_source].astype(float),
         )
         nearest = samples[..., cKDTree(places).query(targets)[1]]
         # the base is extended outwards, as the hull of its vertices falls short between them
-        edge = of.apicobasal[in_source] > 0.99
+        edge = source.apicobasal[in_source] > 0.99
         places = np.concatenate([places, places[edge] * (1.1, 1.1, 1)])
         samples = np.moveaxis(np.concatenate([samples, samples[..., edge]], axis=-1), -1, 0)
         # locating a place that is exactly a vertex takes a thousand times as long
-        inwards = np.sign(of.wall / 2 - targets[:, 2])
+        inwards = np.sign(source.wall / 2 - targets[:, 2])
         targets = targets + 1e-6 * np.column_stack([np.ones((len(targets), 2)), inwards])
         interpolated = np.moveaxis(LinearNDInterpolator(places, samples)(targets), 0, -1)
-        transferred[..., in_target] = np.where(np.isfinite(interpolated), interpolated, nearest)
+        transferred[..., in_destination] = np.where(
+            np.isfinite(interpolated), interpolated, nearest
+        )
     return transferred
 
 
@@ -153,7 +155,7 @@ def computed_coordinates(
 ) -> VentricularCoordinates:
     """Ventricular coordinates of a mesh's vertices by its labelled surface.
 
-    An error if the surface lacks a label, or there is no septum, or no apex at its end.
+    InputError if the surface lacks a label, or no septum or apex can be found.
     """
     if missing := missing_parts(mesh.labels):
         raise InputError(f"{mesh.name}: no boundary triangle is {', '.join(missing)}; label it")
@@ -164,32 +166,34 @@ def computed_coordinates(
     base = space.on(mesh.having(*BASAL))
     ventricle = _potential(space, (0.0, left), (1.0, right)) > 0.5
     progress(1, 4)
-    inwards = _potential(space, (1.0, left), (-1.0, right), (0.0, outside))
-    transmural, septal = _transmural(mesh, ventricle, inwards)
+    across = _potential(space, (1.0, left), (-1.0, right), (0.0, outside))
+    transmural, septal = _transmural(mesh, ventricle, across)
     progress(2, 4)
     part = _parts(mesh, space, ventricle, septal)
-    anterior, below = _sides(mesh, part, inwards)
+    anterior, apical = _sides(mesh, part, across)
     corners = part[mesh.tetrahedra]
     ridge = mesh.tetrahedra[corners.min(axis=1) != corners.max(axis=1)]
     mixed = anterior[ridge].any(axis=1) & ~anterior[ridge].all(axis=1)
-    mixed &= below[ridge].all(axis=1)
+    mixed &= apical[ridge].all(axis=1)
     on_ridge, at_apex = (np.isin(np.arange(len(part)), cells) for cells in (ridge, ridge[mixed]))
     if not at_apex.any():
         raise InputError(f"{mesh.name}: no apex where the ventricles join; check the labels")
-    behind, before = (_nodes(space, on_ridge & (anterior == side)) for side in (False, True))
-    turned = line_shares(mesh, _potential(space, (0.0, behind), (1.0, before)))
+    posterior_nodes, anterior_nodes = (
+        _nodes(space, on_ridge & (anterior == side)) for side in (False, True)
+    )
+    rotation = line_shares(mesh, _potential(space, (0.0, posterior_nodes), (1.0, anterior_nodes)))
     progress(3, 4)
     apicobasal = line_shares(mesh, _potential(space, (0.0, _nodes(space, at_apex)), (1.0, base)))
     progress(4, 4)
-    rotational = np.where(part == Wall.SEPTUM, 1 - turned / 3, 2 / 3 * turned)
+    rotational = np.where(part == Wall.SEPTUM, 1 - rotation / 3, 2 / 3 * rotation)
     return VentricularCoordinates(ventricle.astype(float), transmural, rotational, apicobasal)
 
 
 def _potential(space: QuadraticSpace, *conditions: tuple[float, Integers]) -> Floats:
     """Harmonic function at the vertices (n,) with fixed values on sets of nodes.
 
-    Where sets overlap the first one counts. Quadratic functions overshoot a little, which is cut
-    off.
+    Where sets overlap the first one counts. Quadratic elements overshoot a little; values beyond
+    the fixed ones are clipped.
     """
     values = np.full(space.size, np.nan)
     for value, nodes in reversed(conditions):
@@ -200,29 +204,32 @@ def _potential(space: QuadraticSpace, *conditions: tuple[float, Integers]) -> Fl
     return np.asarray(np.clip(solved, values.min(), values.max())[: len(space.vertices)])
 
 
-def _transmural(
-    mesh: LabelledMesh, ventricle: Booleans, inwards: Floats
-) -> tuple[Floats, Booleans]:
-    """Transmural coordinate (n,), and whether the lines out of a cavity end in the septum (n,)."""
-    share, septal = np.zeros(len(ventricle)), np.zeros(len(ventricle), dtype=bool)
-    for side, potential in ((~ventricle, inwards), (ventricle, -inwards)):
-        out, beyond = _lengths(mesh, potential, 0.0)
-        back, _ = _lengths(mesh, -potential, -1.0)
-        # on the far side of the septum's middle they are negative
-        out, back = np.maximum(out, 0), np.maximum(back, 0)
-        shares = np.where(potential < 1, out / np.maximum(out + back, 1e-12), 1.0)
-        share[side], septal[side] = shares[side], beyond[side] > 0.5
-    return share, septal
+def _transmural(mesh: LabelledMesh, ventricle: Booleans, across: Floats) -> tuple[Floats, Booleans]:
+    """Transmural coordinate (n,), and mask (n,) of vertices whose line outward ends in the septum.
+
+    The potential `across` (n,) is 1 on the left endocardium, −1 on the right, 0 on the epicardium.
+    """
+    transmural, septal = np.zeros(len(ventricle)), np.zeros(len(ventricle), dtype=bool)
+    for side, potential in ((~ventricle, across), (ventricle, -across)):
+        outward, crossing = _lengths(mesh, potential, 0.0)
+        inward, _ = _lengths(mesh, -potential, -1.0)
+        # lengths are negative on the far side of the middle of the septum
+        outward, inward = np.maximum(outward, 0), np.maximum(inward, 0)
+        shares = np.where(potential < 1, outward / np.maximum(outward + inward, 1e-12), 1.0)
+        transmural[side], septal[side] = shares[side], crossing[side] > 0.5
+    return transmural, septal
 
 
 def line_shares(mesh: LabelledMesh, potential: Floats) -> Floats:
-    """Position (n,) of each vertex along its line of steepest descent of a potential (n,).
+    """Relative position (n,) of each vertex on its line of steepest descent of a potential (n,).
 
-    It is a share of the line's length: 0 where the potential is 0, 1 where it is 1.
+    It is the length from where the potential is 0, over the length from there to where it is 1.
     """
-    (back, _), (forth, _) = _lengths(mesh, potential, 0.0), _lengths(mesh, -potential, -1.0)
-    inside = (potential > 0) & (potential < 1) & (back + forth > 0)
-    return np.asarray(np.where(inside, back / np.where(inside, back + forth, 1), potential))
+    (from_zero, _), (to_one, _) = _lengths(mesh, potential, 0.0), _lengths(mesh, -potential, -1.0)
+    inside = (potential > 0) & (potential < 1) & (from_zero + to_one > 0)
+    return np.asarray(
+        np.where(inside, from_zero / np.where(inside, from_zero + to_one, 1), potential)
+    )
 
 
 def _lengths(mesh: LabelledMesh, potential: Floats, level: float) -> tuple[Floats, Floats]:
@@ -236,7 +243,8 @@ def _lengths(mesh: LabelledMesh, potential: Floats, level: float) -> tuple[Float
     vertices, tetrahedra = mesh.vertices, mesh.tetrahedra
     gradients = barycentric_gradients(vertices, tetrahedra)
     down = -unit(np.einsum("mi,mix->mx", potential[tetrahedra], gradients))
-    # of each corner: the corners opposite, and the weights of where the line leaves by their face
+    # for each corner: the opposite face, and barycentric weights of the point on it where the line
+    # leaves the tetrahedron
     faces = tetrahedra[:, TETRAHEDRON_FACES]
     weights = np.einsum("mix,mx->mi", gradients, down)[:, TETRAHEDRON_FACES].clip(0)
     total = weights.sum(axis=2)
@@ -269,9 +277,10 @@ def _lengths(mesh: LabelledMesh, potential: Floats, level: float) -> tuple[Float
 def _parts(
     mesh: LabelledMesh, space: QuadraticSpace, ventricle: Booleans, septal: Booleans
 ) -> Integers:
-    """Part of the tissue that each vertex belongs to (n,).
+    """`Wall` (n,) that each vertex belongs to: septum, or free wall of the LV or the RV.
 
-    Each part keeps its largest piece; its other pieces change sides.
+    Each wall keeps its largest connected piece. Other pieces of the septum become free wall, those
+    of the free walls septum.
     """
     part = np.where(septal, Wall.SEPTUM, np.where(ventricle, Wall.RV, Wall.LV))
     joined = space.edges[part[space.edges[:, 0]] == part[space.edges[:, 1]]]
@@ -285,8 +294,11 @@ def _parts(
     return np.where(septal, Wall.SEPTUM, np.where(ventricle, Wall.RV, Wall.LV))
 
 
-def _sides(mesh: LabelledMesh, part: Integers, inwards: Floats) -> tuple[Booleans, Booleans]:
-    """Whether vertices (n,) are anterior, and whether on the apex's side of the left cavity."""
+def _sides(mesh: LabelledMesh, part: Integers, across: Floats) -> tuple[Booleans, Booleans]:
+    """Masks (n,) of the anterior vertices, and of those apical to the middle of the LV endocardium.
+
+    The potential `across` (n,) is that of `_transmural`.
+    """
     vertices, endocardium = mesh.vertices, mesh.having(Label.LV_ENDOCARDIUM)
     normals = triangle_normals(vertices, endocardium)
     areas = np.linalg.norm(normals, axis=1)
@@ -295,12 +307,12 @@ def _sides(mesh: LabelledMesh, part: Integers, inwards: Floats) -> tuple[Boolean
     axis = np.linalg.eigh((normals / areas[:, None]).T @ normals)[1][:, 0]
     axis *= np.sign(axis @ (middle - vertices[mesh.having(*BASAL)].mean(axis=(0, 1))))
     septum = mesh.tetrahedra[(part[mesh.tetrahedra] == Wall.SEPTUM).all(axis=1)]
-    gradients = np.einsum("mi,mix->mx", inwards[septum], barycentric_gradients(vertices, septum))
-    to_the_right = -signed_volumes(vertices, septum) @ gradients
-    away = vertices - middle
-    return away @ np.cross(axis, to_the_right) < 0, away @ axis > 0
+    gradients = np.einsum("mi,mix->mx", across[septum], barycentric_gradients(vertices, septum))
+    rightward = -signed_volumes(vertices, septum) @ gradients
+    offset = vertices - middle
+    return offset @ np.cross(axis, rightward) < 0, offset @ axis > 0
 
 
 def _nodes(space: QuadraticSpace, vertices: Booleans) -> Integers:
-    """Nodes of some vertices (n,), and of the edges between them."""
+    """Nodes at the vertices of a mask (n,), and at the edges between them."""
     return np.flatnonzero(np.concatenate([vertices, vertices[space.edges].all(axis=1)]))

@@ -90,9 +90,9 @@ def septal_seeds(
     """Root near the base and direction towards the apex: vertices in the middle of the septum.
 
     The septum is where this endocardium is near the vertices `opposite` (k, 3) of the other one.
-    Its middle is in the plane through the long axis and the mean of those vertices; distance alone
-    would not do, as the septum is thinnest where it joins the free walls. The bundle branches
-    appear subendocardially in the upper septum; none starts on a valve.
+    Its middle is in the plane through the long axis and the mean of those vertices; the nearest
+    vertices would be wrong, as the septum is thinnest where it joins the free walls. The bundle
+    branches become subendocardial in the upper septum; roots are not on a valve.
     """
     depth, around, axis = about_long_axis(vertices, triangles, vertices)
     middle = about_long_axis(vertices, triangles, opposite)[1].mean(axis=0)

@@ -231,7 +231,7 @@ def lv_apex(mesh: LabelledMesh) -> Integers:
 def by_rule(
     potentials: Floats, gradients: Floats, baseward: Floats, outflow: Floats, angles: FibreAngles
 ) -> Fibres:
-    """Fibres and sheets, given `wall_potentials`, `apex_to_base` and the angles on the surfaces."""
+    """Fibres and sheets from `wall_potentials`, `apex_to_base` and the angles on the surfaces."""
     # the gradient of a ventricle's potential points into it, the epicardium's out of both
     across = unit(gradients * np.array([-1.0, -1.0, 1.0])[:, None, None])
     # row k: sign of each surface's angle in the frame of surface k, as the left and the right

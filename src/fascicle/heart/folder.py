@@ -112,7 +112,7 @@ def load_heart(path: Path | str) -> Heart:
     if (packaged := packaged_heart(path)) is not None:
         heart = load_heart(packaged)
         cache = user_cache() / "hearts" / str(path)  # a package may be read-only
-        with suppress(OSError):  # so may a home; then nothing is kept
+        with suppress(OSError):  # the user's cache may be read-only, too; then nothing is stored
             cache.mkdir(parents=True, exist_ok=True)
         return replace(heart, folder=cache)
     manifest, path = _read_manifest(folder), folder / HEART_FILES["manifest"]
@@ -209,7 +209,7 @@ def read_torso(path: Path, heart_vertices: Floats) -> Torso:
     tissues = mesh.cell_data[TETRAHEDRON].get("tissue", np.empty(0))
     labels = " or ".join(f"{tissue.value} ({tissue.name.lower()})" for tissue in TorsoTissue)
     count = len(heart_vertices)
-    again = "build the heart's torso again"
+    remedy = "build the heart's torso again"
     other = not np.array_equal(mesh.points[:count], heart_vertices)
     for bad, fault in (
         (tissues.shape != (len(tetrahedra),), "no cell array 'tissue' with a label each"),
@@ -217,10 +217,10 @@ def read_torso(path: Path, heart_vertices: Floats) -> Torso:
         (other, f"its first {count} points are not the heart's"),
     ):
         if bad:
-            raise InputError(f"{path}: {fault}; {again}")
+            raise InputError(f"{path}: {fault}; {remedy}")
     inverted = signed_volumes(mesh.points, tetrahedra) <= 0
     fault = "tetrahedra are flat or inverted"
-    refuse(str(path), inverted, fault, again, mesh.points, tetrahedra)
+    refuse(str(path), inverted, fault, remedy, mesh.points, tetrahedra)
     return Torso(mesh.points, tetrahedra, tissues.astype(np.int64))
 
 

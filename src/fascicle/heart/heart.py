@@ -1,4 +1,4 @@
-"""The heart as the forward model sees it, and the torso around it."""
+"""Heart as input of the forward model, and the torso around it."""
 
 from __future__ import annotations
 
@@ -123,8 +123,8 @@ class Heart:
     lead_fields : LeadFields, optional
         Lead fields of the electrodes in that torso, if they were computed before.
     values : mapping of name to float
-        Quantities of `fascicle.core.quantities` that are this patient's, such as ``alpha`` or
-        ``region_1_conductivity``; the models of the heart start from them.
+        Values of quantities (`fascicle.core.quantities`) of this patient, such as ``alpha`` or
+        ``region_1_conductivity``, in place of the defaults.
     action_potential : TabulatedPotential, optional
         Action potential of the ECG, in place of the built-in one.
     coordinates : VentricularCoordinates, optional
@@ -134,7 +134,7 @@ class Heart:
         Parameters of the example network, if the heart has its own; see
         `fascicle.example_parameters`.
     folder : Path, optional
-        Folder that keeps what is computed from the heart: mostly the one it was read from.
+        Folder of the cache of results for this heart, usually that which it was read from.
     """
 
     vertices: Floats

@@ -56,7 +56,7 @@ class QuadraticSpace:
         entries = np.empty((len(self.tetrahedra), len(upper[0])))
         weights = np.abs(signed_volumes(self.vertices, self.tetrahedra)) / len(HAMMER_STROUD_POINTS)
         shapes = [_basis_gradients(point) for point in HAMMER_STROUD_POINTS]
-        for first in range(0, len(entries), 100_000):  # which bounds the memory
+        for first in range(0, len(entries), 100_000):  # in chunks, to bound the memory
             chunk = slice(first, first + 100_000)
             full = np.zeros((len(entries[chunk]), 10, 10))
             for shape in shapes:

@@ -86,7 +86,7 @@ def places(heart: Heart) -> Places:
 
 
 class CoordinateSite(Table, table="stimulus.site", once=True):
-    """A site by ventricular coordinates, which mean the same in every heart: the nearest vertex."""
+    """Site by ventricular coordinates, valid in every heart: the vertex nearest to them."""
 
     ventricle: Annotated[Literal["lv", "rv"], '`"lv"` or `"rv"`; each has its half of the septum']
     apicobasal: Annotated[Fraction, "0 at the apex, 1 at the base"]
@@ -239,7 +239,7 @@ class Sites:
             return np.asarray(vertices[seeds[1]])
         if name == "rv free wall":
             score = cKDTree(left.vertices).query(vertices)[0]
-            first, last = 0.4, 0.6  # of the way from the opening to the apex
+            first, last = 0.4, 0.6  # range of the relative distance from the opening to the apex
         else:
             score = vertices @ self.anterior
             first, last = 0.05, 0.25

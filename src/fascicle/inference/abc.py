@@ -168,7 +168,7 @@ class ErrorDensity:
 
 
 def total_variation(a: ErrorDensity, b: ErrorDensity) -> float:
-    """Distance D = ½ ∫₀^∞ |q_a(e) − q_b(e)| de, from 0 (the same) to 1 (nothing in common).
+    """Distance D = ½ ∫₀^∞ |q_a(e) − q_b(e)| de, from 0 (equal) to 1 (disjoint).
 
     Trapezoidal rule on the union of two grids, each fine against its own bandwidth (eq. "TV" of
     the paper). What a kernel spreads below e = 0 is not counted.
@@ -231,7 +231,7 @@ def sample(
     distances: list[float] = []
     evaluated = 0
     for number in range(rounds):
-        rejected = 0  # in a row
+        rejected = 0  # successive rejections
         candidates = propose(number)
         for start in range(0, len(candidates), workers):
             for evaluation in objective(list(candidates[start : start + workers])):

@@ -165,7 +165,7 @@ def train(
         weights += (first.astype(np.float32), np.zeros(after, np.float32))
     warming = min(200, steps / 3)
     memory, memory_of_squares = 0.9, 0.99  # Adam's, of gradients and of their squares
-    decay = 0.01  # of weights, relative to the learning rate
+    decay = 0.01  # weight decay, relative to the learning rate
     means, squares = ([np.zeros_like(w) for w in weights] for _ in range(2))
     order = np.empty(0, int)
     for step in range(1, steps + 1):
@@ -176,14 +176,16 @@ def train(
         raw_outputs = kept[-1][0] @ weights[-2] + weights[-1]
         # slope of the link's loss in `raw_outputs`
         slope = (raw_outputs if link is None else link(raw_outputs)) - outputs[batch]
-        now = rate * min(1.0, step / warming) * 0.5 * (1 + np.cos(np.pi * step / steps))
+        learning_rate = rate * min(1.0, step / warming) * 0.5 * (1 + np.cos(np.pi * step / steps))
         gradients = _gradients(weights, kept, slope / np.float32(len(batch)))
         for weight, gradient, mean, square in zip(weights, gradients, means, squares, strict=True):
             mean += (1 - memory) * (gradient - mean)
             square += (1 - memory_of_squares) * (gradient**2 - square)
             size = np.sqrt(square / (1 - memory_of_squares**step)) + 1e-8
             change = mean / (1 - memory**step) / size
-            weight -= (now * (change + decay * (weight.ndim == 2) * weight)).astype(np.float32)
+            weight -= (learning_rate * (change + decay * (weight.ndim == 2) * weight)).astype(
+                np.float32
+            )
         if step % 50 == 0 or step == steps:
             progress(step)
     return NeuralNetwork(weights)

@@ -32,7 +32,7 @@ class Hyperparameters:
     noise: float
 
     def to_json(self) -> str:
-        """As text; every float comes back exactly."""
+        """Text from which every float is restored exactly."""
         return json.dumps([list(self.length_scales), self.variance, self.noise])
 
     @classmethod
@@ -262,7 +262,7 @@ class ExponentialGP:
             mean[part] = kernel @ self.alpha
             nearness[part] = kernel.max(1)
 
-        in_chunks(work, len(points), 200)  # so few stay in the cache
+        in_chunks(work, len(points), 200)  # chunks that fit the cache
         return self.hyperparameters.variance * mean, nearness
 
     def variance_limit(self, nearness: Floats) -> Floats:

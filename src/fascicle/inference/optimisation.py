@@ -204,7 +204,7 @@ def first_apart(candidates: Floats, observed: Floats) -> Floats:
 
 
 def _polished(acquisition: FeasibleLogImprovement, starts: Floats) -> Floats:
-    """Maxima (k, d) of searches from `starts` (k, d), run as one on the sum, at half the cost.
+    """Maxima (k, d) of searches from `starts` (k, d), joined in one on the sum at half the cost.
 
     Where it stops early, its points are judged by their values like the others.
     """

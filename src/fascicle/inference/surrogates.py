@@ -90,7 +90,7 @@ class LossGP:
 
 @dataclass(frozen=True)
 class FeasibilityGP:
-    """Gaussian process on the labels +1 (a tree) and −1 (none), read through the normal c.d.f.
+    """Gaussian process on labels +1 (a tree) and −1 (none), mapped by the normal c.d.f.
 
     The probability is Φ((b + m(x)) / √(v(x) + σₙ²)) with b the mean label: least-squares
     classification (Rasmussen & Williams 2006, section 6.5). It needs no approximate inference, so

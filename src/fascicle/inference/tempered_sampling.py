@@ -1,14 +1,15 @@
 """Tempered sequential Monte Carlo: equally weighted draws from the posterior, and the evidence.
 
-Particles drawn from the prior are taken to the posterior through likelihood^T, the temperature T
+Particles are drawn from the prior and moved to the posterior through prior · likelihood^T, with T
 rising from 0 to 1 (Del Moral et al.). A stage raises T as far as the weights leave half of the
-particles effective (Jasra et al.), resamples, and moves every particle by Metropolis steps until
-it has forgotten where it stood. The mean weights of the stages multiply to the evidence.
+particles effective (Jasra et al.), resamples, and moves every particle by Metropolis steps until it
+is hardly correlated with its start. The evidence is the product of the stages' mean weights.
 
-Particles live in normal scores: the prior is a standard normal. Crank and Nicolson's steps (Neal's,
-which Cotter et al. name) leave the prior as it is; those here leave Student's t distribution about
-the particles (Grumitt et al.), so that they take broad and narrow directions alike, and may be as
-long as an independent draw where the posterior is near it.
+Particles are in normal scores, in which the prior is a standard normal. Preconditioned
+Crank-Nicolson steps (of Neal, named by Cotter et al.) leave the prior invariant; those used here
+leave a Student's t distribution fitted to the particles invariant (Grumitt et al.). So they suit
+broad and narrow directions of the posterior, and may be as long as independent draws where the
+posterior is close to that distribution.
 
 References
 ----------
@@ -52,14 +53,14 @@ class State:
 
 @dataclass(frozen=True)
 class SamplingRun:
-    """The outcome of a run.
+    """Outcome of a run.
 
     Attributes
     ----------
     points : (n, d) array
-        In the unit cube, equally weighted.
+        Equally weighted points of the unit cube.
     log_likelihoods : (n,) array
-        Of the points.
+        Log-likelihoods of the points.
     log_evidence : float
         Log-evidence under the whole prior, the part without a likelihood included.
     evaluations : int
@@ -104,7 +105,7 @@ def temper(
     Raises
     ------
     ValueError
-        If hardly a point of the prior has a likelihood.
+        If too few draws from the prior have a likelihood.
     """
     evaluations = 0
 
@@ -113,22 +114,24 @@ def temper(
         evaluations += len(scores)
         return log_likelihoods(_points(scores))
 
-    now, log_evidence = _from_prior(of_scores, dimension, rng, particles)
+    population, log_evidence = _from_prior(of_scores, dimension, rng, particles)
     temperature, remembered, families = 0.0, 0.0, np.arange(particles)
     while temperature < 1:
-        rise = _rise(now.values, 1 - temperature)
+        rise = _rise(population.values, 1 - temperature)
         temperature = 1.0 if rise == 1 - temperature else temperature + rise
-        weights = rise * now.values
+        weights = rise * population.values
         log_evidence += float(logsumexp(weights) - np.log(particles))
         chosen = _resampled(np.exp(weights - weights.max()), rng)
-        now.scores, now.values = now.scores[chosen], now.values[chosen]
+        population.scores, population.values = population.scores[chosen], population.values[chosen]
         if remembered < FORGOTTEN:  # kin have become independent
             families = np.arange(particles)
         families = families[chosen]
-        remembered = _move(now, of_scores, temperature, rng)
+        remembered = _move(population, of_scores, temperature, rng)
         progress(State(temperature, log_evidence, evaluations))
-    points = _points(now.scores)
-    return SamplingRun(points, now.values, log_evidence, evaluations, _effective(points, families))
+    points = _points(population.scores)
+    return SamplingRun(
+        points, population.values, log_evidence, evaluations, _effective(points, families)
+    )
 
 
 def _points(scores: Floats) -> Floats:
@@ -172,7 +175,7 @@ def effective_size(log_weights: Floats) -> float:
 
 
 def _resampled(weights: Floats, rng: np.random.Generator) -> Integers:
-    """Numbers (n,) of particles, each as often as its weight says (systematic resampling)."""
+    """Indices (n,) of particles drawn in proportion to their weights (systematic resampling)."""
     ends = np.cumsum(weights)
     positions = (np.arange(len(weights)) + rng.random()) / len(weights) * ends[-1]
     return np.asarray(np.minimum(np.searchsorted(ends, positions), len(weights) - 1))
@@ -195,34 +198,40 @@ def _effective(points: Floats, families: Integers) -> float:
 
 
 def _move(
-    now: _Particles, of_scores: LogLikelihoods, temperature: float, rng: np.random.Generator
+    population: _Particles, of_scores: LogLikelihoods, temperature: float, rng: np.random.Generator
 ) -> float:
-    """Move the particles until they have forgotten where they stood, or a ceiling is met.
+    """Move the particles until they are hardly correlated with their start, or a ceiling is met.
 
-    Proposals are fitted to the other half of the particles: fitted to those they move, they draw
-    these together, and the evidence of 45 dimensions is too low by 0.3. Resampling keeps the
-    order, so that copies of a particle, and its kin, are in the same half.
+    Proposals for one half of the particles are fitted to the other half: fitted to the particles
+    that they move, they would contract these, and the log-evidence in 45 dimensions would be too
+    low by 0.3. Resampling keeps the order, so that copies of a particle, and its relatives, are in
+    the same half.
 
     Returns the largest correlation of any score between the beginning and the end.
     """
     forgotten, fewest, ceiling = (0.1, 20, 100) if temperature == 1 else (FORGOTTEN, 5, 25)
-    start = now.scores.copy()
+    start = population.scores.copy()
     middle = len(start) // 2
     halves = slice(middle), slice(middle, None)
     fits = [_Fit.to(start[other]) for other in reversed(halves)]
     remembered = 1.0
     for step in range(ceiling):
         pairs = zip(halves, fits, strict=True)
-        proposals = [fit.proposals(now.scores[half], now.length, rng) for half, fit in pairs]
+        proposals = [
+            fit.proposals(population.scores[half], population.length, rng) for half, fit in pairs
+        ]
         proposed, log_ratio = (np.concatenate(parts) for parts in zip(*proposals, strict=True))
         values = of_scores(proposed)
-        log_ratio += temperature * (values - now.values)
-        log_ratio += 0.5 * ((now.scores**2).sum(axis=1) - (proposed**2).sum(axis=1))
+        log_ratio += temperature * (values - population.values)
+        log_ratio += 0.5 * ((population.scores**2).sum(axis=1) - (proposed**2).sum(axis=1))
         accepted = np.log(rng.random(len(values))) < log_ratio
-        now.scores[accepted], now.values[accepted] = proposed[accepted], values[accepted]
+        population.scores[accepted], population.values[accepted] = (
+            proposed[accepted],
+            values[accepted],
+        )
         # the step length is adapted to a share of 0.3 of accepted proposals
-        now.length = float(min(1.0, now.length * np.exp(accepted.mean() - 0.3)))
-        a, b = ((x - x.mean(axis=0)) / x.std(axis=0) for x in (start, now.scores))
+        population.length = float(min(1.0, population.length * np.exp(accepted.mean() - 0.3)))
+        a, b = ((x - x.mean(axis=0)) / x.std(axis=0) for x in (start, population.scores))
         remembered = float(np.clip((a * b).mean(axis=0).max(), 0, 1))
         if step + 1 >= fewest and remembered < forgotten:
             break
@@ -268,9 +277,8 @@ class _Fit:
 def pooled(batches: Sequence[SamplingRun]) -> SamplingRun:
     """Pool independent runs, each with the weight of its evidence.
 
-    There are as many points as in one run, equally weighted, from all runs. With these weights
-    integrals of the posterior that is not normalised are unbiased, however few particles each run
-    has.
+    The result has as many equally weighted points as one run, drawn from all. With these weights
+    integrals over the unnormalised posterior are unbiased, however few particles each run has.
     """
     logs = np.array([run.log_evidence for run in batches])
     log_sum, count = float(logsumexp(logs)), len(batches[0].points)
@@ -294,7 +302,7 @@ MEANS_APART = 0.5  # standard deviations between the means of a parameter
 
 @dataclass(frozen=True)
 class RunAgreement:
-    """Differences of two runs; of the means (d,) in standard deviations of both together."""
+    """Differences of two runs; of the means (d,) in pooled standard deviations."""
 
     log_evidence: float
     means: Floats
@@ -312,7 +320,7 @@ def agreement(first: SamplingRun, second: SamplingRun) -> RunAgreement:
 
 
 def means_apart(first: Floats, second: Floats) -> Floats:
-    """Differences of the means of draws (n, ...), in standard deviations of both together."""
+    """Differences of the means of draws (n, ...), in pooled standard deviations."""
     apart = np.abs(first.mean(axis=0) - second.mean(axis=0))
     variance = np.mean([first.var(axis=0), second.var(axis=0)], axis=0)
     return np.asarray(apart / np.sqrt(variance + apart**2 / 4))

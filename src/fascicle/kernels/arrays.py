@@ -1,7 +1,8 @@
-"""The arrays that the sweep and its preparation work on, bundled by what they describe.
+"""Arrays of the coupled eikonal solver (`fascicle.kernels.coupled`), grouped by what they describe.
 
-Indices that only the sweep reads are unsigned: with a signed one Numba would test at every access
-whether it is negative and counts from the end.
+To *lower* a node is to replace its arrival time by an earlier one; the *sweep* is the solver's pass
+over the queue of lowered nodes. Indices that only the sweep reads are unsigned: with a signed index
+Numba would test at every access whether it is negative and counts from the end.
 """
 
 from __future__ import annotations
@@ -14,18 +15,18 @@ from numpy.typing import NDArray
 
 CACHE_LINE = 64  # bytes
 
-# The corners of a tetrahedron's faces, in ascending order: of the one opposite each corner
+# FACES[i]: corners of a tetrahedron's face opposite to corner i, in ascending order
 FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
-CORNERS = 4  # of a tetrahedron
+CORNERS = 4  # corners of a tetrahedron
 
-# Columns of `EikonalMesh.solver`: six products for the edges 01, 02, 03, 12, 13, 23, and from here
-# on six squares
+# Columns of `EikonalMesh.solver`: six products for the edges 01, 02, 03, 12, 13, 23, and, from
+# column SQUARES on, their six squared travel times
 SQUARES = 6
 
 
 class Column(IntEnum):
-    """Columns of `EikonalMesh.cells`: the first of four, one for each corner, and those of D⁻¹."""
+    """Columns of `EikonalMesh.cells`: the first of each four (one per corner), and those of D⁻¹."""
 
     GRADIENT_X = 0
     GRADIENT_Y = 4
@@ -40,31 +41,31 @@ class Column(IntEnum):
 
 
 def aligned(array: NDArray[Any]) -> NDArray[Any]:
-    """Copy an array to where a cache line begins, if it does not begin with one.
+    """Copy an array so that it begins at a cache line, unless it does already.
 
-    The system gives large arrays memory that begins 16 bytes after that, where many rows lie across
-    one line more than they need to.
+    The system allocates large arrays 16 bytes after the beginning of a line, where many rows span
+    one line more than necessary.
     """
     if array.ctypes.data % CACHE_LINE == 0:
         return array
-    room = np.empty(array.nbytes + CACHE_LINE, np.uint8)
-    first = -room.ctypes.data % CACHE_LINE
-    copy = room[first : first + array.nbytes].view(array.dtype).reshape(array.shape)
+    buffer = np.empty(array.nbytes + CACHE_LINE, np.uint8)
+    first = -buffer.ctypes.data % CACHE_LINE
+    copy = buffer[first : first + array.nbytes].view(array.dtype).reshape(array.shape)
     copy[...] = array
     return copy
 
 
-# An element around a vertex, its other corners a, b and c in ascending order of their place in it.
-# What the sweep reads of it lies together: fewer lines come from memory
+# An element around a vertex; a, b and c are its other corners, in ascending order of their place in
+# it. Fields that the sweep reads together lie together, so that it loads fewer cache lines
 STAR = np.dtype(
     [
-        # by how much (ms) each corner is at least later than the vertex if the front comes to it
-        # through the vertex and the rest of the opposite face; may be negative
+        # least delay (ms) of each corner after the vertex, if the front reaches the corner through
+        # the face that the vertex forms with the two others; may be negative
         ("least_a", np.float32),
         ("least_b", np.float32),
         ("least_c", np.float32),
         ("item", np.uint32),  # CORNERS * tetrahedron + the vertex's own place in it
-        # which of the vertices that share an edge with the vertex each corner is
+        # index of each corner among the neighbours of the vertex in `EikonalMesh.link`
         ("a", np.uint16),
         ("b", np.uint16),
         ("c", np.uint16),
@@ -76,7 +77,7 @@ LINK = np.dtype([("time", np.float64), ("vertex", np.uint32)])
 
 
 class EikonalMesh(NamedTuple):
-    """The conducting myocardium; elements that do not conduct are in no list.
+    """Mesh of the myocardium; its lists leave out elements that do not conduct.
 
     Attributes
     ----------
@@ -129,7 +130,7 @@ class TravelTimeTable(NamedTuple):
     square : (p, 6) array
         Squared travel times (ms²) to each, from `fascicle.kernels.ray_travel_times.POINTS`.
     reach, longest : float
-        How far (mm) and how long (ms) rays are.
+        Greatest length (mm) and travel time (ms) of a ray.
     """
 
     row: NDArray[np.int32]
@@ -144,7 +145,7 @@ class TravelTimeTable(NamedTuple):
 class Forest(NamedTuple):
     """All trees as one graph; a stimulus in the myocardium is a tree of one node.
 
-    The roots of the Purkinje trees hang on the last node, the His bundle.
+    The roots of the Purkinje trees are children of the last node, the His bundle.
 
     Attributes
     ----------
@@ -167,12 +168,13 @@ class Forest(NamedTuple):
 
 
 class RayTravelTimes(NamedTuple):
-    """Travel times along straight lines from each site to what is around it.
+    """Travel times along rays, straight lines from each site to vertices or sites around it.
 
     Attributes
     ----------
     start, target, time : (j + 1,), (p,) and (p,) arrays
-        Where each site's rays start in the lists, where they lead, and how long they take (ms).
+        Rows of each site's rays (`start[k]` to `start[k + 1]`), the vertex or site at the end of
+        each ray, and its travel time (ms).
     """
 
     start: NDArray[np.int64]
@@ -186,9 +188,9 @@ class JunctionSites(NamedTuple):
     Attributes
     ----------
     element, to_corner : (j,) and (j, 4) arrays
-        Tetrahedron of each, -1 where there is none, and squared travel times (ms²) to its corners.
+        Tetrahedron of each site, -1 without one, and squared travel times (ms²) to its corners.
     node : (j,) array
-        Tree node of each.
+        Tree node of each site.
     anterograde, retrograde : (j,) arrays
         Delays (ms) from tree to myocardium and back; inf where nothing passes.
     reader_start, reader : (n + 1,) and (4j,) arrays
@@ -211,61 +213,62 @@ class JunctionSites(NamedTuple):
 # State in the sweep of a node, of the mesh or of a tree
 STATE = np.dtype(
     [
-        ("time", np.float64),  # when the front arrives (ms)
-        ("bucket", np.int32),  # of the queue; a `Bucket` of `coupled` if it is in none
-        ("before", np.int32),  # the nodes on both sides of it in its bucket's list, -1 at the ends
+        ("time", np.float64),  # arrival time of the front (ms)
+        ("bucket", np.int32),  # bucket of the queue; a `Bucket` of `coupled` if not queued
+        ("before", np.int32),  # previous and next node in the bucket's linked list, -1 at its ends
         ("after", np.int32),
-        ("origin", np.int32),  # site that fired it, or by which the front entered its tree; else -1
+        # site that activated it, or by which the front entered its tree; else -1
+        ("origin", np.int32),
     ]
 )
 
 
 class Queue(NamedTuple):
-    """The nodes that wait to be taken, in buckets of time; see `fascicle.kernels.coupled.lower`.
+    """Queue of nodes, in buckets by arrival time; see `fascicle.kernels.coupled.lower`.
 
     Attributes
     ----------
     head : (r,) array
-        The first node in the list of each bucket, -1 where there is none; r is a power of 2.
+        First node in the linked list of each bucket, -1 if it is empty; r is a power of 2.
     now : (1,) array
-        A bucket before which all are empty.
+        Earliest bucket that may hold a node.
     """
 
     head: NDArray[np.int32]
     now: NDArray[np.int64]
 
 
-# An element in which a vertex may lower a corner
+# An element in which the front from a vertex may lower another corner
 CHOSEN = np.dtype(
     [
-        ("star", np.uint32),  # its place in `EikonalMesh.star`
-        ("slot", np.uint16),  # the vertex's place in the batch
-        ("corners", np.uint16),  # which of a, b and c may be lowered: the sum of 1, 2 and 4
+        ("star", np.uint32),  # index in `EikonalMesh.star`
+        ("slot", np.uint16),  # index of the vertex in the batch
+        ("corners", np.uint16),  # corners that may be lowered, as bits: 1 for a, 2 for b, 4 for c
     ]
 )
 
-# A vertex's neighbour when elements are chosen: how much later than the vertex it is (ms, rounded
-# up), and 1 if it lends its time to faces, as neighbours do that do not wait to be taken
+# A neighbour of a vertex, when elements are chosen: its delay after the vertex (ms, rounded up),
+# and 1 if faces may use its arrival time, which they may unless the neighbour is in the queue
 NEAR = np.dtype([("later", np.float32), ("lends", np.uint32)])
 
 
 class Surroundings(NamedTuple):
-    """Room for a batch of vertices and what is around them; see `fascicle.kernels.coupled`.
+    """Work arrays for a batch of vertices and their neighbours; see `fascicle.kernels.coupled`.
 
     Attributes
     ----------
     batch, now : (b,) arrays
-        The vertices, and their times (ms).
+        The vertices, and their arrival times (ms).
     time, near : (b·k,) array, and (b·k,) array of NEAR
-        Of up to k neighbours of each: their arrival times (ms) so far, and what elements are
+        Arrival times (ms) so far of up to k neighbours of each vertex, and what elements are
         chosen by.
     chosen : (e,) array of CHOSEN
         The elements in which a corner may be lowered.
     face : (f,) array
-        The faces by which a corner may be lowered: `CORNERS`·place of the element in `chosen` +
-        which of its corners the face is opposite to.
+        The faces through which a corner may be lowered: `CORNERS`·index of the element in `chosen`
+        + index of the corner (0 to 2: a to c) that is opposite to the face.
     faces : (b, 14·8) array
-        Blocks of eight faces side by side, each quantity of all of them in a row.
+        Blocks of eight faces, each as 14 rows (quantities) of eight values.
     """
 
     batch: NDArray[np.int64]
@@ -278,7 +281,7 @@ class Surroundings(NamedTuple):
 
 
 class Front(NamedTuple):
-    """State of the sweep: its results and its work arrays.
+    """State of the sweep: results and work arrays.
 
     Attributes
     ----------
@@ -287,7 +290,7 @@ class Front(NamedTuple):
     entered_by : (j,) array
         The site whose front entered a tree at each site, or -1.
     queue, around : Queue, Surroundings
-        The nodes that wait to be taken; work arrays with any content.
+        Queue of nodes; work arrays, whose initial content does not matter.
     """
 
     nodes: NDArray[np.void]

@@ -1,22 +1,22 @@
-"""Trees and myocardium in one label-correcting sweep.
+"""Coupled eikonal solver: arrival times of trees and myocardium by one label-correcting sweep.
 
-Nodes of both wait in a queue. One that is taken lowers its neighbours through segments, edges and
-elements; these enter the queue, or move in it.
+The queue holds nodes of both. A node that is taken from it lowers (makes earlier) the arrival times
+of its neighbours through segments, edges and elements; these enter the queue, or move in it. "The
+paper" is Álvarez-Barrientos et al., see the README.
 
-The local solver gives the earliest arrival from a face, edge or vertex. For a point and the others
-at relative positions eᵢ, with A_ij = eᵢᵀD⁻¹eⱼ (ms²), the arrival time is the minimum of
-Σλᵢτᵢ + √(λᵀAλ) over the simplex, τᵢ (ms) being their times. In its interior it is
+The local solver gives the earliest arrival at a point from a face, edge or vertex, whose corners
+are at eᵢ relative to the point. With A_ij = eᵢᵀD⁻¹eⱼ (ms²), the arrival time is the minimum of
+Σλᵢτᵢ + √(λᵀAλ) over the simplex, τᵢ (ms) being the corners' times. In its interior it is
 
     μ = (b + √(b² − a(c − 1))) / a,   a = 1ᵀQ1,  b = 1ᵀQτ,  c = τᵀQτ,  Q = A⁻¹,
 
 accepted when Q(μ1 − τ) ≥ 0; otherwise the minimum lies on an edge, by the same formula in two
 unknowns, or at a vertex.
 
-Most of the time is spent on the edges and elements around vertices, their stars, so the processor
-must not wait: neither for memory, which is asked for before its turn, nor to learn which way a
-branch goes. A batch of vertices is worked on at a time, in steps: elements that may lower a corner
-are picked out first, then those of their faces that may; the data of the faces are laid side by
-side in blocks of `LANES`, and each block is worked on at once.
+Most of the time is spent on the star of each vertex, the edges and elements around it. So memory is
+prefetched and branches that the processor cannot predict are avoided. Vertices are taken in
+batches: first the elements are chosen that may lower a corner, then those of their faces that may;
+the faces' data are arranged in blocks of `LANES`, each of which is solved by vector instructions.
 """
 
 import math
@@ -34,20 +34,20 @@ SETTLED = 1e-10
 # inside of which is then not used. Meshes with flat elements are refused when they are read.
 FLAT_ELEMENT = 1e-14
 
-# PAIRS[s]: where, among the six pairs of a tetrahedron's corners, stand those of corner s with the
-# others a, b, c, and the pairs ab, ac, bc
+# PAIRS[s]: indices, among the six pairs of a tetrahedron's corners, of the pairs sa, sb, sc, ab, ac
+# and bc, where a, b, c are the corners other than s
 PAIRS = np.array(
     [[0, 1, 2, 3, 4, 5], [0, 3, 4, 1, 2, 5], [1, 3, 5, 0, 2, 4], [2, 4, 5, 0, 1, 3]], np.uint32
 )
 
-# SOLVER_COLUMNS[s, k]: the columns of `EikonalMesh.solver` with what `from_new_corner` is given for
-# the face of corner s opposite to a, b or c: products, and all squares but the one of the far edge
-# (Numba caches no kernel with an array that is not contiguous)
+# SOLVER_COLUMNS[s, k]: columns of `EikonalMesh.solver` with the arguments of `from_new_corner` for
+# the face of corner s opposite to a, b or c: products, and all squares but that of the far edge
+# (contiguous, as Numba caches no kernel with another array)
 SOLVER_COLUMNS = np.ascontiguousarray(
     np.concatenate([PAIRS[:, PAIRS[1:]], PAIRS[:, PAIRS[1:, :5]] + np.uint32(SQUARES)], axis=2)
 )
 
-LAST = 2_000_000_000.0  # bucket of all later times, too; −LAST likewise of earlier ones
+LAST = 2_000_000_000.0  # last bucket, also of all later times; −LAST also of all earlier ones
 LANES = 8  # faces in a block: as many as the widest registers hold
 
 
@@ -63,7 +63,7 @@ class FaceRow(IntEnum):
 class Bucket(IntEnum):
     """Bucket of a node that is not in the queue."""
 
-    NOT_QUEUED = np.iinfo(np.int32).min  # nothing is to be done with it
+    NOT_QUEUED = np.iinfo(np.int32).min  # settled, or not reached yet
     IN_BATCH = np.iinfo(np.int32).min + 1  # its turn in a batch of nodes that were taken is to come
 
 
@@ -82,9 +82,9 @@ def _unlink(node, nodes, head):
 def lower(node, arrival, origin, nodes, queue, size):
     """Lower a node to an arrival (ms), and enter or move it in a queue of `size` nodes.
 
-    A node that is taken too early is taken again, so exact order is not needed; and a node is
-    entered, moved and taken at a cost that does not grow with the queue. Buckets form a ring: one
-    list holds the nodes of one bucket of every lap.
+    Nodes need not be taken in exact order, as a node that is taken too early is taken again. Its
+    cost per node does not grow with the queue. Buckets form a ring: one list holds the nodes of
+    buckets whose numbers differ by multiples of the ring's length.
 
     `nodes` is an array of STATE, and the `Queue` is one of `fascicle.kernels.arrays`. Returns the
     queue's size.
@@ -110,24 +110,24 @@ def lower(node, arrival, origin, nodes, queue, size):
 
 @kernel()
 def take(nodes, queue):
-    """Take a node of the earliest bucket out of a queue that holds one; returns the node."""
-    head, now, passed = queue.head, queue.now[0], 0
+    """Take a node of the earliest bucket out of a non-empty queue; returns the node."""
+    head, bucket, passed = queue.head, queue.now[0], 0
     while True:
-        node = head[now & (len(head) - 1)]
-        while node >= 0 and nodes[node].bucket != now:
+        node = head[bucket & (len(head) - 1)]
+        while node >= 0 and nodes[node].bucket != bucket:
             node = nodes[node].after
         if node >= 0:
             break
-        now, passed = now + 1, passed + 1
+        bucket, passed = bucket + 1, passed + 1
         if passed == len(head):  # the earliest bucket that holds a node is of a later lap
-            now, passed = int(LAST), 0
+            bucket, passed = int(LAST), 0
             for k in range(len(head)):
                 node = head[k]
                 while node >= 0:
-                    now = min(now, nodes[node].bucket)
+                    bucket = min(bucket, nodes[node].bucket)
                     node = nodes[node].after
     _unlink(node, nodes, head)
-    nodes[node].bucket, queue.now[0] = Bucket.NOT_QUEUED, now
+    nodes[node].bucket, queue.now[0] = Bucket.NOT_QUEUED, bucket
     return node
 
 
@@ -191,7 +191,7 @@ def from_inside_face(gram, times):
 
 @kernel()
 def from_face(gram, times):
-    """As `from_inside_face`, from the face's edges and corners, too; times may be inf."""
+    """Earliest arrival (ms) through a face, its edges or its corners; times may be inf."""
     a11, a12, a13, a22, a23, a33 = gram
     t1, t2, t3 = times
     best = min(t1 + math.sqrt(a11), t2 + math.sqrt(a22), t3 + math.sqrt(a33))
@@ -208,7 +208,7 @@ def from_face(gram, times):
 
 @kernel(inline="always", error_model="numpy")
 def _along_edge(ss, jj, sj, tj):
-    """Delay after s with which the inside of the edge from s to j fires a; inf where its ends do.
+    """Delay after s of the arrival at a through the inside of edge sj; inf if earliest at an end.
 
     As `from_edge` for times 0 and tj, with b² − a(c − det) = det·(sj − tj²).
     """
@@ -221,20 +221,19 @@ def _along_edge(ss, jj, sj, tj):
 
 @kernel(inline="always", error_model="numpy")
 def from_new_corner(products, squares, tj, tk, use_j, use_k):
-    """Delay after corner s (ms) with which its face s, j, k fires corner a through s; or inf.
+    """Delay (ms) after corner s of the arrival at corner a through the face s, j, k; or inf.
 
-    The edge opposite s and the path from s itself are left out. The objective is convex: where its
-    minimum in the face's plane lies outside the face, the minimum on the face lies on an edge that
-    faces it, one opposite a corner whose weight is negative. Without branches: several faces are
-    solved at a time.
+    The edge jk and the path from s itself are left out. The objective is convex: if its minimum in
+    the plane of the face is outside the face, the minimum on the face is on an edge opposite to a
+    corner whose weight is negative. The code has no branches, as several faces are solved at once.
 
     Parameters
     ----------
     products : tuple of 6 floats
         pᵢⱼ = ∇λᵢ·D∇λⱼ of the barycentric coordinates in the element a, s, j, k (1/ms²), for the
         pairs as, aj, ak, sj, sk, jk. The time in the element has the slope √(−Σ pᵢⱼ(τᵢ − τⱼ)²),
-        which is 1 in a front; the front comes through the face if it leaves each of its corners
-        behind: Σⱼ pᵢⱼ τⱼ ≤ 0.
+        which is 1 in a front; the front comes through the face if the weight of each of its
+        corners is positive: Σⱼ pᵢⱼ τⱼ ≤ 0.
     squares : tuple of 5 floats
         Squared travel times (ms²) from a to s, j and k, and from s to j and k.
     tj, tk, use_j, use_k : float, float, bool, bool
@@ -269,20 +268,20 @@ def _fetch_star(node, mesh):
 
 @kernel(inline="always")
 def _through_edges(node, at, mesh, front, size):
-    """Lower the neighbours through edges, note their times from `at` on; return the queue's size.
+    """Lower the neighbours through edges; write their times from index `at` on; return queue size.
 
-    Corners that wait in the queue lend their times to no face: the last corner of a face to be
-    taken passes on the front that comes through all of it.
+    Times of queued corners are not used for faces: the corner of a face that is taken last
+    propagates the front through the whole face.
     """
     nodes, around = front.nodes, front.around
-    now, first = nodes[node].time, mesh.link_start[node]
+    node_time, first = nodes[node].time, mesh.link_start[node]
     for k in range(mesh.link_start[node + 1] - first):
         other = np.int64(mesh.link[first + k].vertex)
-        arrival, time = now + mesh.link[first + k].time, nodes[other].time
+        arrival, time = node_time + mesh.link[first + k].time, nodes[other].time
         if arrival < time - SETTLED:
             time = arrival
             size = lower(other, arrival, nodes[node].origin, nodes, front.queue, size)
-        later = np.float32(time - now)
+        later = np.float32(time - node_time)
         around.time[at + k] = time
         # no less than before it was rounded to single precision
         around.near[at + k].later = later + abs(later) * np.float32(2.0**-22)
@@ -298,9 +297,9 @@ def _divided(number):
 
 @kernel(inline="always")
 def _choose(node, slot, at, count, mesh, front):
-    """List the elements in which a vertex may lower a corner, after `count` others; count all.
+    """Append the elements in which a vertex may lower a corner to `count` others; the new count.
 
-    `slot` is the vertex's place in the batch, and its neighbours stand from `at` on.
+    `slot` is the index of the vertex in the batch; its neighbours are listed from `at` on.
     """
     around, begin = front.around, count
     chosen, near = around.chosen, around.near[at:]
@@ -324,9 +323,9 @@ def _choose(node, slot, at, count, mesh, front):
 
 @kernel(inline="always")
 def _is_steep(p, s, da, db, dc):
-    """Whether times in an element rise more steeply than in a front.
+    """Whether arrival times in an element rise more steeply than a front allows: ∇τᵀD∇τ > 1.
 
-    `p` are its products, and the corners beside s are later than that by da, db and dc.
+    `p` are the products of the element; da, db and dc are the delays of the other corners after s.
     """
     square = -(
         p[PAIRS[s, 0]] * da * da + p[PAIRS[s, 1]] * db * db + p[PAIRS[s, 2]] * dc * dc
@@ -340,8 +339,8 @@ def _is_steep(p, s, da, db, dc):
 def _faces(count, room, mesh, front):
     """List the faces of chosen elements that may lower a corner; return their number.
 
-    There is room for `room` neighbours of each vertex. Where times rise no steeper than a front
-    does, nothing in the element can be earlier.
+    `room` is the number of rows for the neighbours of each vertex. In an element where times rise
+    no more steeply than a front allows, no corner can be lowered.
     """
     around, n = front.around, np.uint64(0)
     for i in range(np.uint32(count)):
@@ -349,9 +348,9 @@ def _faces(count, room, mesh, front):
         row, slot = mesh.star[element.star], element.slot
         at = slot * room
         t, s = _divided(row.item)
-        now = around.now[slot]
-        da, db = around.time[at + row.a] - now, around.time[at + row.b] - now
-        steep = _is_steep(mesh.solver[t], s, da, db, around.time[at + row.c] - now)
+        node_time = around.now[slot]
+        da, db = around.time[at + row.a] - node_time, around.time[at + row.b] - node_time
+        steep = _is_steep(mesh.solver[t], s, da, db, around.time[at + row.c] - node_time)
         to_lower = np.uint32(element.corners) * np.uint32(steep)
         for k in range(CORNERS - 1):
             around.face[n] = i * np.uint32(CORNERS) + np.uint32(k)
@@ -361,7 +360,7 @@ def _faces(count, room, mesh, front):
 
 @kernel(inline="always")
 def _lay_out_faces(n, room, mesh, around):
-    """Lay the inputs of the delays through the faces side by side."""
+    """Arrange the inputs of `_delays`, for n faces, in blocks of `LANES`."""
     for i in range(n):
         place, k = _divided(around.face[i])
         element = around.chosen[place]
@@ -371,14 +370,14 @@ def _lay_out_faces(n, room, mesh, around):
         block, lane = around.faces[i // LANES], i % LANES
         for m in range(SOLVER_COLUMNS.shape[2]):
             block[m * LANES + lane] = mesh.solver[t, SOLVER_COLUMNS[s, k, m]]
-        now = around.now[slot]
+        node_time = around.now[slot]
         at_j = at + (row.b if k == 0 else row.a)
         at_k = at + (row.b if k == 2 else row.c)
         block[FaceRow.TJ * LANES + lane] = (
-            around.time[at_j] - now if around.near[at_j].lends else np.inf
+            around.time[at_j] - node_time if around.near[at_j].lends else np.inf
         )
         block[FaceRow.TK * LANES + lane] = (
-            around.time[at_k] - now if around.near[at_k].lends else np.inf
+            around.time[at_k] - node_time if around.near[at_k].lends else np.inf
         )
 
 
@@ -437,7 +436,7 @@ def _through_stars(count, mesh, front, size):
     for slot in range(np.uint64(count)):
         node = around.batch[slot]
         if nodes[node].bucket != Bucket.IN_BATCH:
-            continue  # lowered by another of the batch, it is to be taken again
+            continue  # lowered by another vertex of the batch, so in the queue again
         nodes[node].bucket = Bucket.NOT_QUEUED
         at = slot * room
         around.now[slot] = nodes[node].time
@@ -454,8 +453,8 @@ def _through_stars(count, mesh, front, size):
 def solve_trees(time, forest):
     """Lower the times of tree nodes, in place, to their arrivals through the trees alone.
 
-    c|∇τ·t| = 1 along each segment (the paper's equation `eikotree`): up the tree, then down.
-    As in the sweep, what is earlier by rounding alone is left.
+    c|∇τ·t| = 1 along each segment (the paper's equation `eikotree`), first towards the root, then
+    away from it. As in the sweep, changes by rounding alone are ignored.
     """
     for node in forest.order[::-1]:
         parent = forest.parent[node]
@@ -483,20 +482,20 @@ def _to_tree_node(other, arrival, by, vertices, forest, front, size):
 
 
 @kernel(inline="always")
-def _fire(site, now, sites, front, size):
-    """Propagate from a site along its rays; returns the queue's size.
+def _fire(site, start, sites, front, size):
+    """Propagate from a site that fires at `start` (ms) along its rays; returns the queue's size.
 
     The paper's coupling, τ(xⱼ) = √(D⁻¹(xⱼ − p)·(xⱼ − p)) + τ(p), for all xⱼ that rays reach, not
     only for the corners of the element around p.
     """
     nodes = front.nodes
     for k in range(sites.to_vertices.start[site], sites.to_vertices.start[site + 1]):
-        vertex, arrival = sites.to_vertices.target[k], now + sites.to_vertices.time[k]
+        vertex, arrival = sites.to_vertices.target[k], start + sites.to_vertices.time[k]
         if arrival < nodes[vertex].time - SETTLED:
             size = lower(vertex, arrival, site, nodes, front.queue, size)
     for k in range(sites.to_sites.start[site], sites.to_sites.start[site + 1]):
         entered = sites.to_sites.target[k]
-        arrival = now + sites.to_sites.time[k] + sites.retrograde[entered]
+        arrival = start + sites.to_sites.time[k] + sites.retrograde[entered]
         other = sites.node[entered]
         if arrival < nodes[other].time - SETTLED:
             front.entered_by[entered] = site
@@ -544,34 +543,34 @@ def _into_trees(node, sites, mesh, front, size):
 @kernel(inline="always")
 def _from_tree_node(node, vertices, forest, sites, front, size):
     """Propagate from a tree node along its segments and, if a site, its rays; returns the size."""
-    now, by, node = front.nodes[node].time, front.nodes[node].origin, node - vertices
+    node_time, by, node = front.nodes[node].time, front.nodes[node].origin, node - vertices
     parent, site = forest.parent[node], forest.site[node]
     if parent >= 0:
-        arrival = now + forest.time[node]
+        arrival = node_time + forest.time[node]
         size = _to_tree_node(parent, arrival, by, vertices, forest, front, size)
     for k in range(forest.child_start[node], forest.child_start[node + 1]):
         child = forest.child[k]
-        arrival = now + forest.time[child]
+        arrival = node_time + forest.time[child]
         size = _to_tree_node(child, arrival, by, vertices, forest, front, size)
     if site >= 0 and sites.anterograde[site] < np.inf:
-        size = _fire(site, now + sites.anterograde[site], sites, front, size)
+        size = _fire(site, node_time + sites.anterograde[site], sites, front, size)
     return size
 
 
 @kernel()
 def sweep(front, sources, mesh, forest, sites):
-    """Solve the coupled problem in place: the paper's equations `eikotree` and `eikomyo` at once.
+    """Solve the paper's equations `eikotree` and `eikomyo` together, in place.
 
     Nodes are numbered mesh vertices first, tree nodes after them. A node is taken when it is among
     the earliest, and again if its time is lowered later; nothing is skipped for being early, since
     with anisotropy and obtuse elements times need not settle in order.
 
     Linear interpolation is late where fronts are curved, most of all near a point source. So a
-    site that fires, from its tree, as a stimulus or because the front comes by, offers what is
-    around it the ray travel time, too. An offer depends on the times at which it starts alone, and
-    does not become later when those become earlier: the result is the same in whatever order nodes
-    are taken. Where fronts collide, linear interpolation between them is early, by a part of an
-    edge's time.
+    site that fires, from its tree, as a stimulus or as the front passes it, also activates the
+    vertices and sites around it along rays, after the ray travel time. Such an arrival depends on
+    the starting times alone and does not become later if those become earlier, so the result does
+    not depend on the order in which nodes are taken. Where fronts collide, linear interpolation
+    between them is early, by a part of an edge's time.
 
     Parameters
     ----------

@@ -2,9 +2,9 @@
 
 With τ linear in a tetrahedron, the volume that the front passes per unit of time is the quadratic
 B-spline b whose knots are the four nodal times (Hermite–Genocchi). Its third derivative is four
-jumps, b‴ = −6 Σₖ δ(t − tₖ)/Πⱼ(tₖ − tⱼ), whatever the front's duration. So the elements add up their
-jumps at the vertices, each vertex is smeared once over a few bins, and three running sums over the
-bins give the histogram back.
+jumps, b‴ = −6 Σₖ δ(t − tₖ)/Πⱼ(tₖ − tⱼ), whatever the front's duration. So the jumps of all elements
+are summed at the vertices, the sum at each vertex is spread over a few bins, and three cumulative
+sums over the bins give the histogram.
 """
 
 import numpy as np
@@ -98,7 +98,7 @@ def deposit(time, corners, weights, origin, width, bins):
     at_vertex = np.zeros((len(time), CHANNELS))
     histogram = np.zeros((bins, CHANNELS))
     for e in range(len(corners)):
-        if e + 6 < len(corners):  # what an element adds to is fetched six before its turn
+        if e + 6 < len(corners):  # prefetch the rows that the sixth element from here adds to
             for n in range(4):
                 prefetch(at_vertex, np.int64(corners[e + 6, n]) * CHANNELS * 8)
         i, j, k, l = corners[e]  # noqa: E741
@@ -148,10 +148,10 @@ def respond(histogram, kernel, stride, samples):
 
 @kernel()
 def reweight(weights, factors, axial, along, back, out):
-    """Weights (m, 3, 8) of the ECG integral with other sources, written to `out`.
+    """Weights (m, 3, 8) of the ECG integral with other sources, written into `out`.
 
-    Those of an element become f·(w + axial·b(aᵀw)) with its f of `factors` (m,), and a of `back`
-    and b of `along`, (m, 3) each: `axial` changes the component along the fibre.
+    Weights w of an element become f·(w + axial·b(aᵀw)): f is its row of `factors` (m,), a of `back`
+    (m, 3) and b of `along` (m, 3). `axial` changes the component along the fibre.
     """
     for e in range(len(weights)):
         for c in range(weights.shape[2]):

@@ -14,7 +14,7 @@ fused_kernel = partial(allocating_kernel, fastmath={"contract"}, error_model="nu
 
 @fused_kernel()
 def integrated(models, first_sd, data, weights, constants, logs):
-    """Log densities of a recording given many models of it, factors of their parts integrated.
+    """Log densities of a recording given many models, integrated over factors of their parts.
 
     The recording is m₀ + Σ zᵢcᵢ + ε with zᵢ ~ N(0, 1), where c₀ = `first_sd` m₀ and cᵢ = mᵢ are the
     columns of X, and ε has a diagonal covariance W⁻¹, one of several. The factors add X Xᵀ to it.

@@ -1,7 +1,8 @@
-"""Growth of a Purkinje tree in the disk: straight walks, nearest nodes, branching.
+"""Growth of a Purkinje tree in the unit disk that an endocardium is mapped to.
 
-Positions are disk coordinates plus the triangle they lie in, (u, v, triangle), directions vectors
-(a, b) of the disk; lengths are physical (mm). Charts and seeds are those of `fascicle.purkinje`.
+A point is its disk coordinates and the triangle that it lies in, (u, v, triangle); a direction is a
+vector (a, b) of the disk; lengths are those on the endocardium (mm). Charts and seeds are those of
+`fascicle.purkinje`. "The paper" is Álvarez-Barrientos et al., see the README.
 """
 
 from __future__ import annotations
@@ -17,39 +18,40 @@ from numpy.typing import NDArray
 
 from fascicle.kernels.jit import allocating_kernel, kernel
 
-GROWN, TOO_LARGE = -1, -2  # status of a complete tree, and of one larger than that of any heart
+GROWN, TOO_LARGE = -1, -2  # status of a complete tree, and of one larger than any heart's
 
-# What the search for the nearest node reads of a node lies together: one cache line, not five
+# Fields of a node lie together, as the search for the nearest node then loads one cache line, not
+# five
 NODE = np.dtype(
     [
         ("u", np.float64),
         ("v", np.float64),
         ("branch", np.int32),  # number of the branch it belongs to
-        ("following", np.int32),  # next node in the same cell of the hash, or -1
+        ("following", np.int32),  # next node in the same cell of the spatial hash, or -1
         ("parent", np.int32),  # node before it, -1 at the root
         ("triangle", np.int32),
-        ("length", np.float64),  # of the segment to its parent (mm)
+        ("length", np.float64),  # length of the segment to its parent (mm)
     ]
 )
 
 
 class Rules(NamedTuple):
-    """Numbers of `fascicle.purkinje.growth.GrowthRules`, with `step` = l_b/N_s (mm)."""
+    """Numbers of `fascicle.purkinje.growth.GrowthRules`; `step` is the length of a segment (mm)."""
 
     step: float
     segments: int
     generations: int
     branch_angle: float
     clearance: float
-    most_nodes: int = 200_000  # of a tree: a hundred times those of a heart; more take minutes
-    most_ends: int = 20_000  # of a generation; each end becomes a junction, with rays to the tissue
+    most_nodes: int = 200_000  # in a tree: a hundred times a heart's; more would take minutes
+    most_ends: int = 20_000  # in a generation; each becomes a junction, with rays to tissue
 
 
 class Tree(NamedTuple):
-    """A tree that grows: nodes and room for more, how many there are, and the (64, 64) hash.
+    """Growing tree: array of nodes with spare rows, number of nodes, and (64, 64) spatial hash.
 
-    The hash finds nearest nodes: in each cell stands a node from which `following` leads to the
-    others, or -1.
+    A cell of the hash, by which nearest nodes are found, holds the node added last, or -1; from it
+    `following` leads to the other nodes of the cell.
     """
 
     nodes: NDArray[np.void]
@@ -64,19 +66,18 @@ def repulsion(tip, nearest, metric, values):
     Parameters
     ----------
     tip : (u, v, a, b)
-        The end of a branch in the disk, and its heading, of unit length in the metric.
+        End of a branch in the disk, and its heading, of unit length in the metric.
     nearest : (u, v, distance)
-        The nearest node that does not belong to the branch itself, and how far it is (mm); inf if
-        there is none.
+        Nearest node that does not belong to the branch, and its distance (mm), inf without one.
     metric : (G₁₁, G₁₂, G₂₂)
-        In mm², where the tip is: (a, b) has the length √(G₁₁a² + 2G₁₂ab + G₂₂b²) mm.
+        Metric at the tip (mm²): (a, b) has the length √(G₁₁a² + 2G₁₂ab + G₂₂b²) mm.
     values : (1,) array
         Values of the term's parameters: here the weight w.
 
     Returns
     -------
     a, b : float
-        What is added to the heading.
+        Change of the heading, which is normalised afterwards.
     """
     u, v, distance = nearest
     return values[0] * (tip[0] - u) / distance, values[0] * (tip[1] - v) / distance
@@ -91,10 +92,10 @@ def _square(metric, triangle, a, b):
 
 @kernel()
 def walk(u, v, triangle, a, b, length, chart):
-    """Walk `length` mm along a direction (a, b), of any length, exactly, triangle by triangle.
+    """Follow a straight line in the disk for `length` mm of the endocardium, triangle by triangle.
 
-    Returns where the walk ends, u, v and triangle, and the length (mm) that was left over: positive
-    only where it met the base.
+    Its direction (a, b) may have any magnitude. Returns the end, u, v and triangle, and the length
+    (mm) that remains, positive only if the line met the base.
     """
     points, _, triangles, neighbours, metric = chart
     while True:
@@ -140,21 +141,23 @@ def path_lengths(parents, lengths):
 
 @kernel(inline="always")
 def _cell(x, head):
+    """Row or column of the spatial hash for a disk coordinate."""
     return min(max(int((x + 1.0) * 0.5 * len(head)), 0), len(head) - 1)
 
 
 @kernel()
 def _nearest(point, kin, nearest, nodes, head, metric):
-    """Nearest foreign node of a point and its squared distance in its triangle's metric (mm²).
+    """Nearest node to a point outside its kin; squared distance in the point's metric (mm²).
 
-    Foreign are all but `kin`: the node that the branch starts from, the nodes of the branch itself,
-    and of its sister's those numbered `unseen` and above. Only a nearer node replaces `nearest`.
+    `kin` is (start, branch, sister, unseen): the node that the branch starts from, the branch, and
+    its sister, of which only nodes numbered `unseen` and above are kin. `nearest` is a node, or -1,
+    and a squared distance, which are returned unless a node is nearer.
     """
     u, v, triangle = point
     start, branch, sister, unseen = kin
     best, best_square = nearest
     g11, g12, g22 = metric[triangle, 0], metric[triangle, 1], metric[triangle, 2]
-    # the box around the ellipse of that distance, which the disk bounds
+    # half-widths of the box around the ellipse of that distance, at most those of the disk
     reach = best_square / (g11 * g22 - g12 * g12)
     du, dv = min(math.sqrt(reach * g22), 2.0), min(math.sqrt(reach * g11), 2.0)
     for i in range(_cell(u - du, head), _cell(u + du, head) + 1):
@@ -174,7 +177,7 @@ def _nearest(point, kin, nearest, nodes, head, metric):
 
 @allocating_kernel(inline="always")
 def _append(tree, point, parent, length, branch):
-    """Write the next node and enter it into the hash; returns the tree."""
+    """Append a node to the tree and its spatial hash; returns the tree."""
     nodes, n, head = tree
     u, v, triangle = point
     node = nodes[n]
@@ -188,7 +191,7 @@ def _append(tree, point, parent, length, branch):
 
 @allocating_kernel()
 def _with_room(tree, more):
-    """The tree, in a longer array where `more` nodes would not fit."""
+    """Tree with room for `more` nodes, in a longer array if necessary."""
     nodes, n, head = tree
     if n + more <= len(nodes):
         return tree
@@ -199,22 +202,23 @@ def _with_room(tree, more):
 
 @allocating_kernel()
 def _lay(start, heading, length, step, branch, tree, chart):
-    """Lay a straight stretch of `length` mm from node `start`, the last segment shorter.
+    """Append a straight path of `length` mm from node `start`, in segments of `step` mm.
 
-    Returns the tree, the last node (on the base, if it meets that) and what was not laid (mm).
+    The last segment may be shorter. Returns the tree, the last node, on the base if the path meets
+    it, and the length (mm) that is missing then.
     """
     tree = _with_room(tree, int(length / step) + 2)
     a, b = heading
-    last, left = start, length
-    while left > 0.0:
-        mm = min(step, left)
+    last, remaining = start, length
+    while remaining > 0.0:
+        segment = min(step, remaining)
         end = tree.nodes[last]
-        u, v, triangle, missing = walk(end.u, end.v, end.triangle, a, b, mm, chart)
-        tree = _append(tree, (u, v, triangle), last, mm - missing, branch)
+        u, v, triangle, missing = walk(end.u, end.v, end.triangle, a, b, segment, chart)
+        tree = _append(tree, (u, v, triangle), last, segment - missing, branch)
         last = tree.size - 1
-        left -= mm
+        remaining -= segment
         if missing > 0.0:
-            return tree, last, left + missing
+            return tree, last, remaining + missing
     return tree, last, 0.0
 
 
@@ -226,19 +230,19 @@ def _turned(heading, angle):
 
 
 @kernel()
-def _nearest_to_branch(point, kin, beside, nodes, head, metric):
-    """The node to which d_CP in equation 1 of the paper is measured; its squared distance (mm²).
+def _nearest_to_branch(point, kin, sister_end, nodes, head, metric):
+    """Node to which d_CP in equation 1 of the paper is measured, and squared distance (mm²).
 
-    The nearest of all but the branch, its start, and what the sister that ends in `beside` laid in
-    this round: the sister that moves second must not see more of the first than the first sees of
-    it, or left and right would differ.
+    It is the nearest node but for the branch, its start, and nodes that the sister, whose end is
+    `sister_end`, got in this round: otherwise the sister that grows second would be repelled by
+    one node more than the first, and left and right would differ.
     """
     start, _, _, unseen = kin
-    if beside >= unseen:
-        beside = nodes[beside].parent
-    # the sister is mostly the nearest, and if not, bounds the search; where it laid nothing, the
-    # parent does, and nothing when the tree starts here
-    guess = beside if beside != start else nodes[start].parent
+    if sister_end >= unseen:
+        sister_end = nodes[sister_end].parent
+    # The sister's end is usually the nearest node, and bounds the search if it is not. If the
+    # sister has no node yet, the parent of the start bounds it; if the start is the root, nothing
+    guess = sister_end if sister_end != start else nodes[start].parent
     u, v, triangle = point
     bound = np.inf
     if guess >= 0:
@@ -248,10 +252,10 @@ def _nearest_to_branch(point, kin, beside, nodes, head, metric):
 
 @allocating_kernel()
 def _trunk(seed, bundle_length, fascicle_lengths, fascicle_angles, step, chart):
-    """Lay the bundle and the fascicles.
+    """Tree of the bundle and the fascicles, which are straight paths in the disk.
 
-    Returns status and missing length as `make_grow` says, the tree, and the last node and the
-    heading of each fascicle.
+    Returns status and missing length (see `make_grow`), the tree, and the last node and the heading
+    of each fascicle.
     """
     fascicles = len(fascicle_lengths)
     tips, heading = np.empty(fascicles, np.int64), np.empty((fascicles, 2))
@@ -272,9 +276,9 @@ def _trunk(seed, bundle_length, fascicle_lengths, fascicle_angles, step, chart):
 
 @register_jitable
 def _grow_generation(term, tips, heading, label, rules, values, tree, chart):
-    """Grow two branches from every tip, numbered from `label` on, a segment at a time in step.
+    """Grow two branches from every tip, numbered from `label` on, all by one segment at a time.
 
-    Returns the tree, and the tips and headings of the branches that lived.
+    Returns the tree, and the tips and headings of the branches that were not stopped.
     """
     metric, step = chart.metric, rules.step
     end, toward = np.repeat(tips, 2), np.empty((2 * len(tips), 2))
@@ -289,7 +293,7 @@ def _grow_generation(term, tips, heading, label, rules, values, tree, chart):
         for k in range(len(end)):
             if not alive[k]:
                 continue
-            # sisters are 0 and 1, 2 and 3, ...: their numbers differ in the last bit
+            # sisters are branches 0 and 1, 2 and 3, ...: their numbers differ in the last bit
             start, branch, sister = tips[k // 2], label + k, label + (k ^ 1)
             u, v, t = nodes[end[k]].u, nodes[end[k]].v, nodes[end[k]].triangle
             a, b = toward[k, 0], toward[k, 1]
@@ -301,14 +305,14 @@ def _grow_generation(term, tips, heading, label, rules, values, tree, chart):
                 near = 0.0, 0.0, np.inf
                 if best >= 0 and square > 0.0:
                     near = nodes[best].u, nodes[best].v, math.sqrt(square)
-                here = metric[t, 0], metric[t, 1], metric[t, 2]
-                da, db = term((u, v, a, b), near, here, values)
+                local_metric = metric[t, 0], metric[t, 1], metric[t, 2]
+                da, db = term((u, v, a, b), near, local_metric, values)
                 a, b = a + da, b + db
             u, v, t, missing = walk(u, v, t, a, b, step, chart)
             if missing > 0.0:
                 alive[k] = False
                 continue
-            # no node of the sister stops a branch: they begin nearer to each other than that
+            # a branch is not stopped by its sister, as both begin closer together than `clearance`
             kin = start, branch, sister, 0
             _, square = _nearest((u, v, t), kin, (-1, too_near), nodes, head, metric)
             if square < too_near:
@@ -321,15 +325,15 @@ def _grow_generation(term, tips, heading, label, rules, values, tree, chart):
 
 
 def make_grow(term: Callable[..., tuple[float, float]], cache: bool) -> Any:
-    """Compile growth with a term, called as `repulsion` is, in the direction of every segment.
+    """Compile the growth of a tree; `term`, called as `repulsion` is, bends every segment.
 
-    `cache` says whether it is kept on disk, where Numba would not see that a term has changed. The
-    function returned is called as ``grow(seed, bundle_length, fascicle_lengths, fascicle_angles,
-    rules, values, chart)``, with (f,) arrays of the fascicles' lengths (mm) and angles to the
-    bundle (rad), and the (k,) values of the term's parameters. It gives a status: GROWN, TOO_LARGE,
-    or which stretch left the endocardium, 0 the bundle, k fascicle k; how much of that could not be
-    laid (mm); and the nodes, an array of NODE in which parents come before their children, the last
-    being where a stretch that left the endocardium met the base.
+    `cache` says whether the compiled code is kept on disk, where Numba would not notice that a term
+    has changed. The function returned is called as ``grow(seed, bundle_length, fascicle_lengths,
+    fascicle_angles, rules, values, chart)``, with (f,) arrays of the fascicles' lengths (mm) and
+    angles to the bundle (rad), and the (k,) values of the term's parameters. It returns a status:
+    GROWN, TOO_LARGE, or what left the endocardium (0: the bundle, k: fascicle k); the length (mm)
+    of that which is missing; and the nodes, an array of NODE in which parents come before their
+    children. If a path left the endocardium, the last node is where it met the base.
     """
 
     @njit(cache=cache, nogil=True)
@@ -337,7 +341,7 @@ def make_grow(term: Callable[..., tuple[float, float]], cache: bool) -> Any:
         status, missing, tree, tips, heading = _trunk(
             seed, bundle_length, fascicle_lengths, fascicle_angles, rules.step, chart
         )
-        label = len(tips) + 1  # of the first branch of a generation
+        label = len(tips) + 1  # number of the first branch of a generation
         for _ in range(rules.generations if status == GROWN else 0):
             count = 2 * len(tips)
             if tree.size > rules.most_nodes or count > rules.most_ends:

@@ -1,4 +1,4 @@
-"""Compilation of the hot kernels, and operations that they take from LLVM directly."""
+"""Compilation of kernels by Numba, and operations that they use from LLVM directly."""
 
 from functools import partial
 
@@ -18,7 +18,7 @@ allocating_kernel = partial(njit, cache=True, nogil=True)
 # allocation in such a kernel: the work arrays come from outside.
 kernel = partial(allocating_kernel, _nrt=False)
 
-CHANNELS = 8  # of the ECG integral; contiguous in every array
+CHANNELS = 8  # channels of the ECG integral; contiguous in every array
 
 
 @intrinsic

@@ -1,4 +1,4 @@
-"""The point of a surface that is nearest to a point, among the triangles that can have it."""
+"""Search for nearest points of a surface, among candidate triangles."""
 
 import math
 
@@ -44,7 +44,7 @@ def _dot(p, q):
 
 @kernel()
 def nearest_of(points, rows, candidates, vertices, surface, positions, triangles, squares):
-    """Find the nearest points of a surface, where it is known which triangles can have them.
+    """Find nearest points of a surface, given the triangles that may hold them.
 
     Returns False, with invalid output, if a point lies outside its row's ball.
 

@@ -87,11 +87,11 @@ def ray_time(start, t, goal, limit, cells, neighbours, slowness):
     total, done = 0.0, 0.0
     for _ in range(2000):  # elements, then the path is given up
         leave, face = _exit(t, (x, y, z), (dx, dy, dz), cells)
-        whole = travel(cells, t, dx, dy, dz)  # if all of the line had this element's D
+        full_time = travel(cells, t, dx, dy, dz)  # if all of the line had this element's D
         if leave >= ARRIVED:
-            return total + (1.0 - done) * whole
+            return total + (1.0 - done) * full_time
         leave = max(leave, done)
-        total += (leave - done) * whole
+        total += (leave - done) * full_time
         done = leave
         if neighbours[t, face] < 0:
             x, y, z = x + done * dx, y + done * dy, z + done * dz
@@ -104,7 +104,7 @@ def ray_time(start, t, goal, limit, cells, neighbours, slowness):
 
 @kernel(error_model="numpy")
 def _slide(point, t, goal, total, limit, cells, neighbours, slowness):
-    """Go on from a point of the boundary, in tetrahedron t, after `total` ms; see `ray_time`."""
+    """Continue from a point of the boundary, in tetrahedron t, after `total` ms; see `ray_time`."""
     x, y, z = point
     gx, gy, gz = goal
     for _ in range(100):  # elements along the boundary
@@ -162,7 +162,7 @@ def trace_rays(points, elements, start, vertex, longest, mesh, square):
             for i in range(points.shape[1]):
                 time = ray_time(_row(points[r], i), elements[r], goal, longest, *medium)
                 square[k, i] = time * time if time <= longest else np.inf
-                if square[k, i] == np.inf:  # of no use without all of them
+                if square[k, i] == np.inf:  # a row is used only if all its times are finite
                     break
 
 
@@ -237,7 +237,7 @@ def rays_to_vertices(sites, rows, opposite, mesh, table, reach, longest, rays):
     reach, longest : float
         How far (mm) and how long (ms) traced rays are.
     rays : RayTravelTimes
-        Overwritten, as far as there is need.
+        Overwritten; arrays may have more rows than are used.
     """
     barycentric, cells = sites.barycentric, mesh.cells
     rays.start[0] = used = 0

@@ -89,10 +89,10 @@ def _sigmoid(x):
 @kernel()
 def _buffered(free, added, total, half):
     """Free calcium (mM) after `added` came in, in equilibrium with a buffer of `total` mM."""
-    whole = free + total * free / (free + half) + added
-    b = total + half - whole
-    root = math.sqrt(b * b + 4.0 * half * whole)
-    return 2.0 * half * whole / (root + b) if b > 0.0 else (root - b) / 2.0
+    total_calcium = free + total * free / (free + half) + added
+    b = total + half - total_calcium
+    root = math.sqrt(b * b + 4.0 * half * total_calcium)
+    return 2.0 * half * total_calcium / (root + b) if b > 0.0 else (root - b) / 2.0
 
 
 @kernel()

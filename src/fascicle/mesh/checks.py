@@ -1,4 +1,4 @@
-"""Checks of meshes: units, tetrahedra, directions, edges, pieces; messages give first places."""
+"""Checks of meshes: units, tetrahedra, directions, edges, pieces; messages give positions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fascicle.mesh.topology import (
 
 
 def place(point: Floats) -> str:
-    """A position (mm) as messages give it."""
+    """Position (mm) in words, for messages."""
     return "({:.1f}, {:.1f}, {:.1f}) mm".format(*point)
 
 
@@ -98,9 +98,9 @@ def check_volumes(name: str, vertices: Floats, tetrahedra: Integers) -> None:
     """Refuse flat, inverted or overlapping tetrahedra."""
     volumes = signed_volumes(vertices, tetrahedra)
     # the third tetrahedron on one face, or a further one, counts tissue twice
-    order, same = faces_in_order(tetrahedra)
+    order, shared = faces_in_order(tetrahedra)
     overlapping = np.zeros(len(tetrahedra), dtype=bool)
-    overlapping[order[2:][same[1:] & same[:-1]] // 4] = True
+    overlapping[order[2:][shared[1:] & shared[:-1]] // 4] = True
     flat = 1e-9 * float(np.abs(volumes).mean())
     inverted = volumes < -flat
     mend = "swap two vertices of every one" if inverted.all() else "remove them or remesh"
@@ -137,11 +137,11 @@ def check_endocardium_in_place(
 
     Its vertices (k, 3) are in mm, its triangles face the cavity.
     """
-    extent, whole = (float(np.ptp(points, axis=0).max()) for points in (surface, vertices))
-    if extent < 0.2 * whole:
+    extent, tissue_extent = (float(np.ptp(points, axis=0).max()) for points in (surface, vertices))
+    if extent < 0.2 * tissue_extent:
         raise InputError(
-            f"{name}: its largest extent is {extent:.3g} mm, that of the tissue {whole:.3g} mm; "
-            "give both in mm, and the whole endocardium"
+            f"{name}: its largest extent is {extent:.3g} mm, that of the tissue "
+            f"{tissue_extent:.3g} mm; give both in mm, and the whole endocardium"
         )
     if (distance := float(np.median(cKDTree(vertices).query(surface)[0]))) > 5:  # mm
         raise InputError(
@@ -173,7 +173,7 @@ def check_edges(name: str, vertices: Floats, triangles: Integers, closed: str = 
 def oriented_piece(
     name: str, vertices: Floats, triangles: Integers, which: str = "one"
 ) -> Integers:
-    """Triangles (m, 3) all turned the same way; several pieces or one side alone are refused.
+    """Triangles (m, 3) consistently oriented; refuse several pieces or a non-orientable surface.
 
     No edge has more than two triangles. `which` says in the message which piece to keep.
     """

@@ -18,7 +18,7 @@ HAMMER_STROUD_POINTS = (5 - np.sqrt(5)) / 20 + np.sqrt(5) / 5 * np.eye(4)
 
 
 def unit(vectors: Floats) -> Floats:
-    """Vectors (..., d) at length 1; zero ones stay zero."""
+    """Vectors (..., d) scaled to length 1; zero vectors stay zero."""
     length = np.linalg.norm(vectors, axis=-1 if np.ndim(vectors) > 1 else None, keepdims=True)
     return np.asarray(vectors / np.where(length > 0, length, 1))
 
@@ -63,9 +63,9 @@ def solid_centroid(vertices: Floats, tetrahedra: Integers) -> Floats:
 
 
 def principal_axes(vectors: Floats) -> Floats:
-    """Unit axes (m, 3) nearest to vectors (m, k, 3), weighted by length, regardless of sign.
+    """Principal axes (m, 3) of Σ v⊗v over vectors v (m, k, 3): their mean axes, regardless of sign.
 
-    The principal axis of Σ v⊗v; its own sign is arbitrary.
+    Long vectors count more. The axes are unit vectors of arbitrary sign.
     """
     _, axes = np.linalg.eigh(np.einsum("mki,mkj->mij", vectors, vectors))
     return np.asarray(axes[:, :, -1])
@@ -80,10 +80,10 @@ def closed_volume(vertices: Floats, triangles: Integers) -> float:
 def closed_by_fan(vertices: Floats, triangles: Integers) -> tuple[float, float]:
     """Signed volume (mm³) of an open surface closed by a fan over each opening; the fans' area.
 
-    The volume is negative where the normals point into the cavity, as an `Endocardium`'s do.
+    The volume is negative if the normals point into the cavity, as those of an `Endocardium` do.
     """
     rim = np.asarray(igl.boundary_facets(triangles)[0], dtype=np.int64)
-    centred = vertices - vertices[np.unique(rim)].mean(axis=0)  # the fan adds no volume there
+    centred = vertices - vertices[np.unique(rim)].mean(axis=0)  # fans about 0 add no volume
     area = np.linalg.norm(np.cross(centred[rim[:, 0]], centred[rim[:, 1]]), axis=1).sum() / 2
     return closed_volume(centred, triangles), float(area)
 
@@ -91,7 +91,7 @@ def closed_by_fan(vertices: Floats, triangles: Integers) -> tuple[float, float]:
 def winding_number(vertices: Floats, triangles: Integers, points: Floats) -> Floats:
     """Absolute winding number about points (k, 3) of a surface closed by fans over its openings.
 
-    About 1 within and 0 outside, whichever way the triangles are turned.
+    It is about 1 within and 0 outside, whatever the orientation of the triangles.
     """
     loops = boundary_loops(triangles)
     closed = np.vstack([vertices, *(vertices[loop].mean(axis=0) for loop in loops)])
@@ -126,9 +126,17 @@ def best_plane(points: Floats, weights: Floats) -> tuple[Floats, Floats]:
 class Quality(NamedTuple):
     """Shape and size of the tetrahedra of a mesh.
 
-    Number of vertices; of each tetrahedron (m,) the volume (mm³), the smallest dihedral angle
-    (degrees; 70.5 if regular), and three times the radius of the inscribed sphere over that of the
-    circumscribed one (1 if regular, 0 if flat); the lengths of the edges (e,) (mm).
+    Attributes
+    ----------
+    vertices : int
+        Number of vertices.
+    volumes, angles : (m,) arrays
+        Volume (mm³) and smallest dihedral angle (degrees; 70.5 if regular) of each tetrahedron.
+    radius_ratios : (m,) array
+        Three times the radius of the inscribed sphere over that of the circumscribed sphere (1 if
+        regular, 0 if flat).
+    edges : (e,) array
+        Lengths of the edges (mm).
     """
 
     vertices: int
@@ -171,7 +179,7 @@ def quality(vertices: Floats, tetrahedra: Integers) -> Quality:
 def self_intersections(vertices: Floats, triangles: Integers) -> Integers:
     """Pairs (k, 2) of triangles that intersect or overlap, by exact predicates.
 
-    Sharing a vertex or an edge does not count.
+    Triangles that only share a vertex or an edge do not intersect.
     """
     _, pairs, _ = igl.predicates.find_self_intersections(
         np.ascontiguousarray(vertices, dtype=float), np.ascontiguousarray(triangles, np.int64)

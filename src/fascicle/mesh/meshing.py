@@ -57,7 +57,8 @@ def tetrahedralise(
         index = mesh.Add(netgen.FaceDescriptor(bc=face, domin=inner, domout=outer, surfnr=face))
         mesh.AddElements(dim=2, index=index, data=as_int32(triangles + count), base=0)
         count += len(vertices)
-    with signals_restored(), _kept_quiet() as printed:  # it prints every crossing that it finds
+    # Netgen prints every intersection that it finds
+    with signals_restored(), _kept_quiet() as printed:
         try:
             mesh.GenerateVolumeMesh(netgen.MeshingParameters(**parameters))
         except netgen.NgException as error:
@@ -84,7 +85,7 @@ def tetrahedralise(
 
 @contextmanager
 def signals_restored() -> Iterator[None]:
-    """Listen to Ctrl-C again after Mmg, which takes Python's handlers away.
+    """Restore Python's signal handlers after Mmg, which removes them, so that Ctrl-C works.
 
     While it runs, a signal ends the process at once.
     """
@@ -160,7 +161,7 @@ def remeshed_tetrahedra(
 
 
 def constrained_delaunay(places: Floats, loops: Sequence[Integers]) -> tuple[Integers, Integers]:
-    """Triangulate what lies between closed lines in a plane, whose sides are kept, by VTK.
+    """Triangulate the region between closed lines in a plane by VTK; their sides are kept.
 
     `places` are points (n, 2); each loop (k,) holds the points along one line, the outermost first.
     The second result (s,) are the first points of sides that are not an edge of the triangles'

@@ -104,9 +104,9 @@ def whole_triangles(triangles: Integers) -> Booleans:
     """Mask (m,) of triangles (m, 3) with three different corners that repeat no earlier one."""
     corners = np.sort(triangles, axis=1)
     _, first = np.unique(corners, axis=0, return_index=True)
-    whole = np.zeros(len(triangles), dtype=bool)
-    whole[first] = True
-    return np.asarray(whole & (corners[:, 1:] != corners[:, :-1]).all(axis=1))
+    is_first = np.zeros(len(triangles), dtype=bool)
+    is_first[first] = True
+    return np.asarray(is_first & (corners[:, 1:] != corners[:, :-1]).all(axis=1))
 
 
 def places_in(triangles: Integers, among: Integers) -> Integers:

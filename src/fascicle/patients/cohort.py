@@ -112,7 +112,7 @@ def outcomes(
 def _fitted(
     patients: Sequence[Patient], cluster: Cluster | None, progress: Progress | None
 ) -> Iterator[Outcome]:
-    """Fit patients, finished ones first, and report how many are done."""
+    """Yield the outcomes of patients, those of earlier runs first, and report progress."""
     ordered = sorted(patients, key=lambda patient: patient.outcome.status is not Status.FITTED)
     finished = sum(patient.outcome.status is Status.FITTED for patient in patients)
     done = 0

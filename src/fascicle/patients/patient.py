@@ -169,7 +169,7 @@ class Patient:
     cohort: Path
     heart: Path | str  # folder, or the name of a packaged heart
     recording: Path  # target (.nc), or in any format of `fascicle.read_recording`
-    scenario: Path | None = None  # in which it was recorded, if that was not the intrinsic beat
+    scenario: Path | None = None  # scenario of the recording; None: intrinsic beat
     settings_file: Path | None = None  # TOML file of settings and parameters
     settings: Mapping[str, Any] = field(default_factory=dict)  # these override those of the file
 
@@ -323,7 +323,7 @@ def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
             f"each column there, such as {','.join(needed)}; known are {', '.join(allowed)}"
         )
     for number, cells in lines:
-        if None in cells or None in cells.values():  # one too many, or too few
+        if None in cells or None in cells.values():  # a row has too many or too few cells
             raise FileError(
                 f"{path}, line {number}: has other columns than the {len(columns)} of the first "
                 "line; put a text that holds the separator between double quotes"

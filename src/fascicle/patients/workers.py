@@ -64,7 +64,8 @@ def fit_on_workers(
                     continue
                 del running[future]
                 outcome = _ended(future, patient)
-                cluster.cancel([future])  # so that the scheduler does not restart a lost worker's
+                # else the scheduler would restart the task of a lost worker
+                cluster.cancel([future])
                 if outcome.status is not Status.NOT_DONE:
                     yield outcome
                 elif attempt < attempts:

@@ -1,4 +1,4 @@
-"""Harmonic map of an endocardium to the unit disk, with the metric that makes lengths exact."""
+"""Harmonic map of an endocardium to the unit disk, and its metric, by which lengths are exact."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ def build_chart(endocardium: Endocardium) -> Chart:
     """Map an endocardium to the unit disk.
 
     Harmonic map with the boundary placed by arc length: Δu = 0 on the surface, u on the circle at
-    the base, once for each coordinate (the paper's section "Purkinje network generation"). Obtuse
-    triangles can make it fold; then the mean-value weights, which are positive and so give a
-    bijection by Tutte's theorem, take the place of the cotangents. They do so too where the
-    harmonic map stretches some triangle 20 times more one way than the other, if they stretch
-    less. The metric is that of the real surface in either case, so lengths stay exact. An error if
-    even that map folds, which a valid surface cannot do except through degenerate triangles.
+    the base, once for each coordinate (Álvarez-Barrientos et al., section "Purkinje network
+    generation"). Obtuse triangles can make it fold; then mean-value weights replace the cotangents:
+    they are positive and so give a bijection by Tutte's theorem. They are also used if the harmonic
+    map stretches some triangle 20 times more one way than the other, and they stretch it less. In
+    either case the metric is that of the endocardium, so lengths are exact. InputError if that map
+    folds, too, which happens with degenerate triangles only.
 
     References
     ----------
@@ -76,7 +76,8 @@ def build_chart(endocardium: Endocardium) -> Chart:
     # libigl numbers edges from their first corner; the walk wants the corner opposite to them
     neighbours = np.ascontiguousarray(neighbours[:, [1, 2, 0]])
     if endocardium.valves is not None:
-        neighbours[endocardium.valves[neighbours]] = -1  # where a tree would leave the tissue
+        # no neighbours across valves, where a tree would leave the tissue
+        neighbours[endocardium.valves[neighbours]] = -1
     return Chart(points, vertices, triangles, neighbours, _metric(points, vertices, triangles))
 
 
@@ -117,7 +118,7 @@ def _mean_value_map(
         length_j, length_l = np.linalg.norm(to_j, axis=1), np.linalg.norm(to_l, axis=1)
         cosine = np.einsum("ij,ij->i", to_j, to_l) / (length_j * length_l)
         cosine = cosine.clip(-1.0, 1.0)  # rounding may exceed the range
-        with np.errstate(divide="ignore"):  # of a triangle that is a line; see below
+        with np.errstate(divide="ignore"):  # degenerate triangles; see below
             half_tangent = np.sqrt((1 - cosine) / (1 + cosine))  # tan(α/2)
         for column, length in ((j, length_j), (l, length_l)):
             weights += sp.csr_matrix((half_tangent / length, (i, column)), shape=(n, n))
@@ -127,7 +128,7 @@ def _mean_value_map(
     total = sp.diags(np.asarray(weights.sum(axis=1)).ravel())
     matrix = (total - weights).tocsr()[inner]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", MatrixRankWarning)  # what is then NaN counts as folded
+        warnings.simplefilter("ignore", MatrixRankWarning)  # a NaN counts as folded below
         points[inner] = spsolve(matrix[:, inner].tocsc(), -matrix[:, loop] @ circle)
     return points
 

@@ -1,4 +1,4 @@
-"""Growth of a Purkinje tree from a chart and parameters."""
+"""Growth of a Purkinje tree from a chart and parameters (paper: Álvarez-Barrientos et al.)."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class GrowthTerm:
     Attributes
     ----------
     function : function
-        Called as ``function(tip, nearest, metric, values)``; `fascicle.kernels.growth.repulsion`,
-        the term of the paper, says with what, and what it gives. Numba compiles it; it may call
-        that one, and functions under `numba.njit`.
+        Called as ``function(tip, nearest, metric, values)``; for arguments and result see
+        `fascicle.kernels.growth.repulsion`, the term of the paper. Numba compiles it; it may call
+        `repulsion` and functions under `numba.njit`.
     parameters : tuple of Quantity
         Parameters of the function; simulations then take them like any other quantity.
     values : tuple of float, optional
@@ -72,7 +72,7 @@ REPULSION = GrowthTerm(growth.repulsion, (quantity("repulsion"),))
 
 @cache
 def _grow(term: Callable[..., Pair]) -> Any:
-    """Growth by a term; Numba keeps that of the built-in one on disk."""
+    """Compiled growth with a term; Numba caches that of the built-in term on disk."""
     if term is growth.repulsion:
         return growth.make_grow(term, cache=True)
     return growth.make_grow(register_jitable(term), cache=False)
@@ -85,17 +85,17 @@ class GrowthRules:
     Attributes
     ----------
     branch_length, segments : float and int
-        Length of a branch (mm), and how many segments it is laid in.
+        Length of a branch (mm), and its number of segments.
     branch_angle : float
         Angle between a branch and its parent (rad).
     generations : int
-        How often the ends branch.
+        Number of generations of branches.
     clearance : float
-        A branch stops nearer than this many segments to a node that is neither its own nor its
-        sister's.
+        Distance, in lengths of a segment, to nodes of branches other than itself and its sister at
+        which a branch stops.
     term : GrowthTerm
-        What is added to the direction of growth; by default w = 0.1 times the direction away from
-        the nearest node, the sister branch's included.
+        Term that is added to the direction of growth; by default w = 0.1 times the direction away
+        from the nearest node, that of the sister branch included.
 
     Raises
     ------
@@ -216,12 +216,12 @@ def grow_from_parameters(
     -----
     d_CP is the distance to the nearest node already in the tree, those of the branch itself and
     the one it starts from excepted. The sister branch repels, as in the published code
-    (fractal-tree, purkinje-uv), but here only with nodes laid in earlier rounds. There the branch
-    that moves second also sees the node that its sister has just laid, so that left and right
-    differ. Neither code lets the sister stop a branch. Other differences: the published code lets
-    the start node repel as well, gives a branch one segment more than N_s, lays a node before it
-    finds that it is too near another (here it is not laid), and measures with one factor of scale
-    per triangle instead of its metric.
+    (fractal-tree, purkinje-uv), but here only by nodes of earlier rounds. There the branch that
+    grows second is also repelled by the node that its sister has just got, so that left and right
+    differ. In neither code does the sister stop a branch. Other differences: in the published code
+    the start node repels as well, a branch has one segment more than N_s, a branch keeps the node
+    by which it comes too near to another (here it does not), and lengths are measured with one
+    scale factor per triangle instead of its metric.
     """
     numbers = range(1, fascicles(side, parameters) + 1)
     lengths = [parameters[f"{side}_fascicle_length_{k}"] for k in numbers]
@@ -254,7 +254,7 @@ def grow_from_parameters(
 
 
 def tree_of_nodes(side: str, nodes: NDArray[np.void], chart: Chart) -> PurkinjeTree:
-    """The tree of nodes, an array of NODE, that were grown in a chart."""
+    """Purkinje tree of the nodes, an array of NODE, that were grown in a chart."""
     parents, labels, triangles = (
         nodes[name].astype(np.int64) for name in ("parent", "branch", "triangle")
     )
@@ -265,7 +265,7 @@ def tree_of_nodes(side: str, nodes: NDArray[np.void], chart: Chart) -> PurkinjeT
 def tree_outside(
     side: str, branch: int, length: float, missing: float, end: NDArray[np.void], chart: Chart
 ) -> Infeasible:
-    """The outcome where `missing` mm were not laid; `end`, of shape (1,), is on the base."""
+    """Outcome of a path that met the base at node `end` (1,), `missing` mm short of its length."""
     part, name = "bundle", "initial_length"
     if branch > 0:
         part, name = f"fascicle {branch}", f"fascicle_length_{branch}"

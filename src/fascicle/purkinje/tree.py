@@ -1,4 +1,4 @@
-"""Purkinje trees, and the typed outcome for parameters that give none."""
+"""Purkinje trees, whose nodes are joined by straight segments."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ class PurkinjeTree:
     side : str
         ``"lv"`` or ``"rv"``.
     nodes, parents : (n, 3) and (n,) arrays
-        Positions (mm), and the node each one hangs on; -1 at the root.
+        Positions (mm), and the parent of each node; -1 at the root.
     lengths : (n,) array
         Length of the segment to the parent (mm), measured along the endocardium; 0 at the root.
     labels : (n,) array, optional
-        What the segment that ends in each node belongs to: 0 the bundle, k fascicle k, above that
-        the branches. Without labels these follow from how the tree forks.
+        Part that the segment ending in each node belongs to: 0 the bundle, k fascicle k, above
+        that the branches. Without labels, parts follow from the forks of the tree.
     triangles : (n,) array, optional
         The triangle of its side's endocardium that each node was grown in.
     """
@@ -85,11 +85,11 @@ class PurkinjeTree:
 
     @cached_property
     def parts(self) -> dict[str, Booleans]:
-        """The segments (each by the node it ends in) of the bundle and of each fascicle.
+        """Masks of the segments of the bundle and of each fascicle, by the node they end in.
 
-        Without labels, the bundle reaches from the root to the first fork, and every segment that
-        leaves there begins a fascicle that reaches to the next. A root that is a fork or lies
-        within a branch has no bundle.
+        Without labels, the bundle reaches from the root to the first fork. Every segment that
+        starts there begins a fascicle, which reaches to the next fork. A root that is a fork or
+        lies within a branch has no bundle.
         """
         labels = self.labels if self.labels is not None else self._labels_from_forks()
         fascicles = (self.parents >= 0) & (labels > 0) & (labels[self.parents] == 0)

@@ -44,12 +44,12 @@ class Drift(NamedTuple):
 class DetectedBeat:
     """A heart beat of a recording."""
 
-    number: int  # from 1, in the order of time
-    time: float  # of its R peak (s from the start of the recording)
+    number: int  # number in order of time, from 1
+    time: float  # time of the R peak (s from the start of the recording)
     label: str  # its class: A is the one with the most beats, then B and so on
     interval: float  # time since the beat before (ms); NaN for the first
     unused: Unused | None = None  # reason why the target does not use it
-    drift: Drift | None = None  # of its baseline, where that is the reason
+    drift: Drift | None = None  # baseline drift, if that is why it is excluded
 
     @property
     def used(self) -> bool:
@@ -73,7 +73,7 @@ class DetectedBeat:
 
 @dataclass(frozen=True)
 class AlignedBeats:
-    """Beats on one time axis."""
+    """Potentials of beats on a common time axis."""
 
     # samples in which the isoelectric level of a beat is read: one period of 50 Hz
     level_samples: ClassVar[int] = 20
@@ -150,7 +150,7 @@ def cut_beats(group: LeadGroup, members: Integers, onset: float | None) -> Align
 
 
 def drifting_beats(group: LeadGroup, members: Integers, onset: float | None) -> dict[int, Drift]:
-    """Find beats of one shape that are off the others right after the QRS: their baseline drifts.
+    """Find beats whose level right after the QRS differs from the others', by baseline drift.
 
     A drift, as when an electrode settles or is pushed, need not be the straight line that was
     removed. A drifting beat is off by more than 0.1 mV in a lead, and by more than eight robust
@@ -165,7 +165,8 @@ def drifting_beats(group: LeadGroup, members: Integers, onset: float | None) -> 
         after = slice(end, end + aligned.level_samples)
         levels = aligned.beats[:, : len(LEADS), after].mean(axis=2)
         off = np.asarray(levels - np.median(levels, axis=0))
-        spread = 1.4826 * np.median(np.abs(off), axis=0)  # of a normal distribution
+        # of a normal distribution this is the standard deviation
+        spread = 1.4826 * np.median(np.abs(off), axis=0)
         spread = np.maximum(spread, np.nanmedian(spread))
         excess = np.abs(off) / np.maximum(8.0 * spread, 0.1)
         leads = np.argmax(np.where(np.isfinite(excess), excess, 0.0), axis=1)
@@ -243,7 +244,7 @@ def select_beats(
         _reasons(group, options, label, first) for group, first in zip(groups, firsts, strict=False)
     ]
     drifts: list[dict[int, Drift]] = [{} for _ in groups]
-    if options.beats is None:  # what the user names is used
+    if options.beats is None:  # beats named by the user are all used
         for group, why, drift in zip(groups, reasons, drifts, strict=True):
             members = np.flatnonzero([reason is None for reason in why])
             drift |= drifting_beats(group, members, options.onset)

@@ -73,7 +73,8 @@ def swap(recording: Recording, first: str, second: str) -> Recording:
         for row, reversed_lead in enumerate(limb[:, _order(ELECTRODES, first, second)]):
             product = limb @ reversed_lead
             product = product / np.linalg.norm(limb, axis=1) / np.linalg.norm(reversed_lead)
-            source = int(np.argmax(np.abs(product)))  # that lead, perhaps upside down: +1 or -1
+            # the lead recorded there; its factor is +1, or -1 if inverted
+            source = int(np.argmax(np.abs(product)))
             signal[row] = np.sign(product[source]) * recording.signal[source]
             if LIMB_LEADS[source] in recording.measured_leads:
                 kept.append(LIMB_LEADS[row])

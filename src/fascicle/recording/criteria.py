@@ -275,10 +275,12 @@ class Qrs:
         """Waves in letters, such as rSR'."""
         letters: list[str] = []
         for wave in self.waves:
-            seen = "".join(letters).lower()
-            letter = "r" if wave.height > 0 else "s" if "r" in seen else "q"
+            previous_letters = "".join(letters).lower()
+            letter = "r" if wave.height > 0 else "s" if "r" in previous_letters else "q"
             capital = abs(wave.height) >= self.capital
-            letters.append((letter.upper() if capital else letter) + "'" * seen.count(letter))
+            letters.append(
+                (letter.upper() if capital else letter) + "'" * previous_letters.count(letter)
+            )
         return "QS" if self.signs == "-" else "".join(letters) or "no wave"
 
     @property

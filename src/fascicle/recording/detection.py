@@ -1,4 +1,4 @@
-"""R peaks, from the slopes of all leads together, without T waves as high as a QRS."""
+"""Detection of R peaks from the slopes of all leads, robust to T waves as high as a QRS."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ def r_peaks(signal: Floats, sampling_rate: float) -> Integers:
 
     As Pan and Tompkins (IEEE Trans. Biomed. Eng. 32:230, 1985) do for one lead: a band-pass, the
     slope, its mean over about a QRS, and a threshold a fifth of the way from the level between
-    the beats to that of the beats; T waves above it are told by their steepness and what follows.
+    the beats to that of the beats; T waves above it are recognised by their slope and what follows.
     Here the slopes of the leads, each in units of its usual QRS and limited, are averaged, weighted
-    by how well they agree with the others, without the quarter that moves most at that instant: a
-    bad electrode neither makes beats nor hides them. The highest slope within the refractory period
+    by how well they agree with the others, without the quarter that is steepest at that instant: a
+    bad electrode neither adds nor hides beats. The highest slope within the refractory period
     decides, and both levels are medians over the whole recording. Each beat then moves to the top
     of the smoothed root mean square of the leads that agree.
 
@@ -98,12 +98,12 @@ def _agreement(slopes: Floats, rate: float) -> Floats:
 
 
 def _merged(slopes: Floats, rate: float) -> Floats:
-    """Slopes (..., n) smoothed so that one QRS makes one hump."""
+    """Slopes (..., n) smoothed so that one QRS has one maximum."""
     return np.asarray(gaussian_filter1d(slopes, 0.035 * rate, axis=-1, mode="constant"))
 
 
 def _beats(slope: Floats, leads: Floats, rate: float) -> Integers:
-    """Samples about which all leads are steep, without those of T waves."""
+    """Samples around which the leads are steep, except those of T waves."""
     from scipy.signal import find_peaks
 
     merged = _merged(slope, rate)

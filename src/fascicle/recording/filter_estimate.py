@@ -1,9 +1,9 @@
-"""The recorder's filters: as the file or the user states, or from the spectrum of the beats.
+"""The recorder's filters: stated in the file or by the user, or estimated from the beats' spectrum.
 
-A QRS's own spectrum falls slowly, over octaves; that of a recording behind a steep low-pass breaks
-off at its cut-off and falls to the noise of the digits. Two models of the spectrum (dB) about a
-frequency tell them apart: a straight line, noise and a Butterworth low-pass above the floor, or a
-parabola above it. Gentle filters look like the spectrum of a smooth QRS and are not found.
+The spectrum of a QRS falls gradually, over octaves. After a steep low-pass it drops at the cut-off,
+down to the quantisation noise. Two models of the spectrum (dB) around a frequency are compared: a
+straight line with noise, both behind a Butterworth low-pass, above a noise floor; and a parabola
+above the floor. A low-pass of low order cannot be told from a smooth QRS and is not detected.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ from fascicle.recording.target_options import TargetOptions
 def passed_filters(
     recording: Recording, r_peaks: Integers, options: TargetOptions
 ) -> tuple[Filter, ...]:
-    """The recorder's filters and those of this program, in the order in which they were passed."""
-    named, stated = recording.filters.lowpass, options.recorder_lowpass
-    if named is not None and stated not in (None, named):
+    """Filters that the beats have passed, in order: the recorder's, then those of this program."""
+    in_file, stated = recording.filters.lowpass, options.recorder_lowpass
+    if in_file is not None and stated not in (None, in_file):
         raise InputError(
-            f"{recording.source}: the recorder's low-pass is {named:g} Hz in the file, not "
+            f"{recording.source}: the recorder's low-pass is {in_file:g} Hz in the file, not "
             f"{stated:g} Hz; leave --recorder-lowpass out, or correct the file"
         )
-    if (cutoff := named if named is not None else stated) is not None:
-        origin = FilterOrigin.STATED if named is None else FilterOrigin.FILE
+    if (cutoff := in_file if in_file is not None else stated) is not None:
+        origin = FilterOrigin.STATED if in_file is None else FilterOrigin.FILE
         kind = FilterKind.LOW_PASS
         filters = [Filter(kind, cutoff, origin, kind.usual_shape)]
     else:
@@ -56,27 +56,27 @@ def passed_filters(
 
 
 def estimated_lowpass(signal: Floats, sampling_rate: float, r_peaks: Integers) -> Filter | None:
-    """Find the low-pass that a recording has passed, None unless it shows one beyond doubt.
+    """Estimate the low-pass that a signal (n_leads, n), mV, has passed; None if there is doubt.
 
-    Of a signal (n_leads, n), mV, at a rate (Hz), with beats at the samples `r_peaks` (n_beats,). It
-    is the Butterworth low-pass that describes the fall best; its order need not be whole.
+    The estimate is the Butterworth low-pass that fits the spectrum best; its order need not be an
+    integer. The sampling rate is in Hz; `r_peaks` (n_beats,) are samples.
     """
     if (levels := _levels(signal, sampling_rate, r_peaks)) is None:
         return None
     frequency, level = levels
-    believed = []
+    low_passes = []
     for centre in (20.0, 30.0, 40.0, 55.0, 75.0, 100.0, 130.0):  # Hz
         near = (frequency > 0.4 * centre) & (frequency < 2.5 * centre)
         if near.sum() < 15 or frequency[-1] < _Fall.cutoffs[1] * centre:
             continue
-        # Where levels fall by less, from one frequency to 1.4 times that, there is no low-pass of
-        # the order and depth that count.
+        # A low-pass of sufficient order and depth lowers the level by more than this from some
+        # frequency to 1.4 times that.
         x, y = frequency[near], level[near]
         fall = y - np.interp(1.4 * x, x, y)
         if fall[1.4 * x <= x[-1]].max(initial=0.0) > 15.0:  # dB
-            believed.append(_Fall(x, y, centre).fit())
-    # A true low-pass is found about more than one centre.
-    fits = combinations(filter(None, believed), 2)
+            low_passes.append(_Fall(x, y, centre).fit())
+    # An actual low-pass is found from more than one centre.
+    fits = combinations(filter(None, low_passes), 2)
     agreeing = [min(a, b) for a, b in fits if abs(a[1] / b[1] - 1) < 0.05]
     if not agreeing:
         return None
@@ -85,15 +85,15 @@ def estimated_lowpass(signal: Floats, sampling_rate: float, r_peaks: Integers) -
 
 
 def _levels(signal: Floats, rate: float, r_peaks: Integers) -> tuple[Floats, Floats] | None:
-    """Middle (Hz) and level (dB, mean over beats and leads) of bands; None without a whole beat.
+    """Centres (Hz) of bands and levels (dB) of the mean energy of beats and leads in them.
 
-    Bands of power-line interference are left out.
+    None without a complete beat. Bands of power-line interference are left out.
     """
-    resolution, bandwidth = 0.5, 2.0  # Hz; of the spectrum, by padding, and of one value of the fit
+    resolution, bandwidth = 0.5, 2.0  # Hz; of the zero-padded spectrum, and of a band
     size = round(rate / resolution)
     before, after = round(0.25 * rate), round(0.45 * rate)  # s about R
     energies = []
-    for peak in r_peaks[:: max(len(r_peaks) // 30, 1)]:  # more do not make it smoother
+    for peak in r_peaks[:: max(len(r_peaks) // 30, 1)]:  # 30 to 60 beats suffice
         start, stop = max(peak - before, 0), min(peak + after, signal.shape[1])
         beat = signal[:, start:stop]
         beat = beat[np.isfinite(beat).all(axis=1)]
@@ -101,8 +101,8 @@ def _levels(signal: Floats, rate: float, r_peaks: Integers) -> tuple[Floats, Flo
             continue
         along = np.linspace(0.0, 1.0, stop - start)
         beat = beat - beat[:, :1] - along * (beat[:, -1:] - beat[:, :1])
-        # The taper falls to 0 at both ends by halves of a Blackman-Harris window, from where the
-        # QRS ends (s about R).
+        # The taper falls to 0 at both ends by halves of a Blackman-Harris window, which begin 0.04
+        # s before and 0.06 s after R, about the ends of the QRS.
         rise = max(peak - start - round(0.04 * rate), 1)
         fall = max(stop - 1 - peak - round(0.06 * rate), 1)
         taper = np.ones(stop - start)
@@ -113,7 +113,7 @@ def _levels(signal: Floats, rate: float, r_peaks: Integers) -> tuple[Floats, Flo
         return None
     frequency = np.asarray(np.fft.rfftfreq(size, 1 / rate), dtype=np.float64)
     energy = np.asarray(np.mean(energies, axis=0)) / rate**2  # mV² s²
-    # below 10 Hz are P and T waves
+    # P and T waves are below 10 Hz
     starts = np.arange(10.0, 0.36 * rate - bandwidth, bandwidth)
     middles = starts + bandwidth / 2
     lines = np.outer(MAINS, np.arange(1, 11)).ravel()  # with harmonics
@@ -126,19 +126,19 @@ def _levels(signal: Floats, rate: float, r_peaks: Integers) -> tuple[Floats, Flo
 
 @dataclass(frozen=True)
 class _Fall:
-    """Levels (k,), dB, at frequencies (k,), Hz, about the `centre` (Hz) of a search."""
+    """Search for a low-pass about a `centre` (Hz), in levels (k,), dB, at frequencies (k,), Hz."""
 
     frequency: Floats
     level: Floats
     centre: float
 
-    cutoffs: ClassVar[tuple[float, float]] = (0.7, 1.4)  # range of a fitted one, over the centre
-    knee: ClassVar[float] = 0.7  # share of the centre at which the line is pinned
+    cutoffs: ClassVar[tuple[float, float]] = (0.7, 1.4)  # range of the fitted cut-off, over centre
+    knee: ClassVar[float] = 0.7  # frequency at which the line's level is p[0], over the centre
 
     def fit(self) -> tuple[float, float, float] | None:
-        """Fit a low-pass: its misfit over that without one, cut-off (Hz) and order.
+        """Fit both models; misfit with over that without a low-pass, cut-off (Hz) and order.
 
-        None where a smooth wave looks like it, too.
+        None if a smooth QRS without a low-pass might have this spectrum.
         """
         frequency, level, centre = self.frequency, self.level, self.centre
         lowest, highest = float(level.min()), float(level.max())
@@ -157,47 +157,50 @@ class _Fall:
             [*lower, np.log(self.cutoffs[0] * centre), np.log(2.0), lowest - 20],  # orders 2 to 40
             [*upper, np.log(self.cutoffs[1] * centre), np.log(40.0), highest],
         )
-        free, _ = _least_cost(
+        cost_without, _ = _least_cost(
             self.misfit_without, [[knee, 5.0, floor, 1.0, 5.0]], [*lower, -1000.0], [*upper, 1000.0]
         )
         cutoff, order = float(np.exp(best[4])), float(np.exp(best[5]))
-        fine = np.geomspace(frequency[0], frequency[-1], 500)
-        qrs_level, floor_level = self.qrs_and_floor(best, fine)
-        above = _power_sum(qrs_level, best[6]) - floor_level
-        depth = float(np.minimum(attenuation(fine / cutoff, order), above).max())
+        grid = np.geomspace(frequency[0], frequency[-1], 500)
+        qrs_level, floor_level = self.qrs_and_floor(best, grid)
+        qrs_above_floor = _power_sum(qrs_level, best[6]) - floor_level
+        depth = float(np.minimum(attenuation(grid / cutoff, order), qrs_above_floor).max())
         qrs_slope = float(best[1]) / centre * cutoff * np.log(2)  # dB per octave, downward
-        misfit = float(np.sqrt(cost / free))
+        misfit = float(np.sqrt(cost / cost_without))
         at_bound = min(abs(cutoff / (share * centre) - 1) for share in self.cutoffs) < 0.01
-        believed = (
+        accepted = (
             25.0 <= cutoff <= 130.0  # Hz
             and not at_bound
             and order >= 8.0  # 48 dB per octave
-            and depth >= 20.0  # dB that it removes above the floor
+            and depth >= 20.0  # dB of attenuation above the floor
             and 20 * np.log10(2) * order >= 2.0 * qrs_slope
             and misfit <= 0.8
         )
-        return (misfit, cutoff, order) if believed else None
+        return (misfit, cutoff, order) if accepted else None
 
     def qrs_and_floor(self, p: Floats, frequency: Floats) -> tuple[Floats, Floats]:
-        """Straight lines (dB): the spectrum of the QRS, and the floor, which no filter lowers."""
+        """QRS spectrum p[0] − p[1]x and noise floor p[2] − p[3]x (dB); x = frequency/centre − knee.
+
+        Filters do not lower the floor.
+        """
         relative = frequency / self.centre - self.knee
         return p[0] - p[1] * relative, p[2] - p[3] * relative
 
     def misfit_with_lowpass(self, p: Floats) -> Floats:
-        """Misfit (dB) of a line and noise, p[6], both behind the low-pass, above the floor."""
+        """Misfit (dB) of line and noise p[6] behind a low-pass (exp p[4] Hz, order exp p[5])."""
         qrs_level, floor = self.qrs_and_floor(p, self.frequency)
         damping = attenuation(self.frequency / np.exp(p[4]), float(np.exp(p[5])))
         return _power_sum(_power_sum(qrs_level, p[6]) - damping, floor) - self.level
 
     def misfit_without(self, p: Floats) -> Floats:
-        """Misfit (dB) of a parabola, of curvature p[4] (dB per centre squared), above the floor."""
+        """Misfit (dB) of a parabola above the floor; p[4] is its curvature (dB per centre²)."""
         qrs_level, floor = self.qrs_and_floor(p, self.frequency)
         parabola = qrs_level - p[4] * (self.frequency / self.centre - self.knee) ** 2
         return _power_sum(parabola, floor) - self.level
 
 
 def _power_sum(level: Floats, other: Floats) -> Floats:
-    """Level (dB) of the sum of two powers."""
+    """Level (dB) of the sum of two powers given as levels (dB)."""
     return np.asarray(DECIBELS * np.logaddexp(level / DECIBELS, other / DECIBELS))
 
 

@@ -35,7 +35,7 @@ class FilterKind(Enum):
 
     @property
     def usual_shape(self) -> float:
-        """Shape of such a filter where none is stated.
+        """Shape of a filter of this kind if none is stated.
 
         Electrocardiographs state where they are 3 dB down (ANSI/AAMI EC11, IEC 60601-2-25), not how
         steeply they fall from there; an analogue stage of second order is usual. The quality of a
@@ -156,5 +156,5 @@ def coarse(signal: Floats, rate: float) -> tuple[Floats, float]:
 
 def block_means(signal: Floats, factor: int) -> Floats:
     """Means of each `factor` successive samples, (..., n) to (..., n // factor)."""
-    whole = signal.shape[-1] // factor * factor
-    return np.asarray(signal[..., :whole].reshape(*signal.shape[:-1], -1, factor).mean(axis=-1))
+    length = signal.shape[-1] // factor * factor
+    return np.asarray(signal[..., :length].reshape(*signal.shape[:-1], -1, factor).mean(axis=-1))

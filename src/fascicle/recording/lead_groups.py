@@ -23,7 +23,7 @@ ALIKE = 0.2  # share of a beat's energy by which beats of one class differ: corr
 
 @dataclass(frozen=True)
 class LeadGroup:
-    """The leads that were recorded over one stretch of time, and the beats in it.
+    """Leads that were recorded at the same time, and the beats in that time.
 
     Most recordings are one group; on paper, leads are recorded one group after another. The signal
     is without pacing spikes and filtered if so chosen; leads recorded at other times are NaN. Beats
@@ -123,7 +123,7 @@ def lead_groups(recording: Recording, spikes: Integers, options: TargetOptions) 
         inside = np.round(inside * (TARGET_RATE / rate)).astype(np.int64)
         independent = signal[_independent(signal)]
         noise = noise_energy(independent)
-        if signal.shape[1] < 1.5 * TARGET_RATE:  # one beat, as recorders print it
+        if signal.shape[1] < 1.5 * TARGET_RATE:  # a single (median) beat, as recorders print it
             peaks = np.array([int(np.argmax(magnitude(detrended(signal))))])
         else:
             peaks, margin = r_peaks(signal, TARGET_RATE), 40.0 / SAMPLING_STEP  # ms from the ends
@@ -192,8 +192,8 @@ def _name_classes(
     }
     names = {}  # A to Z, then A2 to Z2 and so on
     for place, k in enumerate(sorted(rank, key=rank.__getitem__)):
-        again, letter = divmod(place, len(ascii_uppercase))
-        names[k] = ascii_uppercase[letter] + (str(again + 1) if again else "")
+        cycle, letter = divmod(place, len(ascii_uppercase))
+        names[k] = ascii_uppercase[letter] + (str(cycle + 1) if cycle else "")
     return peaks, tuple(names[k] for k in classes)
 
 
@@ -249,9 +249,9 @@ def detrended(beats: Floats) -> Floats:
 def cluster_morphology(signal: Floats, peaks: Integers, noise: float) -> tuple[Integers, Integers]:
     """Sort beats of a signal (n_leads, n) into classes of one shape; align each with its class.
 
-    The beat that most others resemble founds the first class; every beat that differs from their
-    median by less than a fifth of its energy, beyond that of `noise`, belongs to it. The rest is
-    sorted in the same way, until no two are alike. Returns the number of each beat's class
+    The first class is of the beat that most others resemble: it has every beat that differs from
+    the median of the class by less than a fifth of its energy, beyond that of `noise`. The others
+    are sorted in the same way, until no two are alike. Returns the number of each beat's class
     (n_beats,), from 0, and its R peak, moved to where it correlates best with the class.
     """
     wide = cut(signal, peaks, HALF_WIDTH + LARGEST_SHIFT, HALF_WIDTH + LARGEST_SHIFT)
@@ -262,8 +262,8 @@ def cluster_morphology(signal: Floats, peaks: Integers, noise: float) -> tuple[I
         classes[remaining[members]] = classes.max() + 1
         shifts[remaining[members]] = shift[members]
         if len(members) == 1:  # no two are alike
-            rest = np.setdiff1d(remaining, remaining[members])
-            classes[rest] = classes.max() + 1 + np.arange(len(rest))
+            singles = np.setdiff1d(remaining, remaining[members])
+            classes[singles] = classes.max() + 1 + np.arange(len(singles))
             break
     return classes, np.asarray(peaks + shifts)
 
@@ -308,9 +308,9 @@ def _central(wide: Floats, noise: float) -> Floats:
 def _difference(beats: Floats, template: Floats, expected: float, noise: float) -> Floats:
     """Energy of beats less a template over that of the larger, both without noise."""
     energy = np.maximum((beats**2).sum(axis=(1, 2)), (template**2).sum()) - noise
-    rest = ((beats - template) ** 2).sum(axis=(1, 2)) - expected
+    excess = ((beats - template) ** 2).sum(axis=(1, 2)) - expected
     least = 1e-3 * (template**2).sum() + np.finfo(float).tiny
-    return np.asarray(rest / np.maximum(energy, least))
+    return np.asarray(excess / np.maximum(energy, least))
 
 
 def _best_shifts(wide: Floats, template: Floats) -> Integers:

@@ -32,7 +32,7 @@ def check_identities(recording: Recording) -> list[CheckResult]:
     """
     spans = recording.spans.tolist()
     rows = [row for row, lead in enumerate(LIMB_LEADS) if lead in recording.measured_leads]
-    times = {}  # of sets of at least three limb leads: samples (1 s or more) of all of them
+    times = {}  # samples (1 s or more) that at least three limb leads share, by set of leads
     for start, stop in {tuple(spans[row]) for row in rows}:
         covering = tuple(
             row
@@ -74,7 +74,7 @@ def _check_group(recording: Recording, rows: list[int], time: slice) -> list[Che
         height, message = max(_height(digits), 1.0), ""
         if (
             ratio > check.limit
-            and misfit_of_digits <= max(3.0, 0.01 * height)  # each lead was rounded
+            and misfit_of_digits <= max(3.0, 0.01 * height)  # no more than rounding causes
             and misfit * height > 3.0 * misfit_of_digits * _height(leads)
         ):
             wrong_gains = (
@@ -119,9 +119,9 @@ def _identities(rows: list[int]) -> tuple[list[str], Floats]:
         "Goldberger aVF - (II + III)/2": (0.0, -0.5, -0.5, 0.0, 0.0, 1.0),
     }
     zeros = np.array(list(classic.values()))
-    whole = ~np.delete(zeros, rows, axis=1).any(axis=1)
-    if whole.sum() == len(rows) - 2:
-        usable = np.flatnonzero(whole)
+    complete = ~np.delete(zeros, rows, axis=1).any(axis=1)
+    if complete.sum() == len(rows) - 2:
+        usable = np.flatnonzero(complete)
         return [[*classic][k] for k in usable], zeros[usable][:, rows]
     names = [LIMB_LEADS[row] for row in rows]
     from_two = limb_leads_from(names)
@@ -135,9 +135,9 @@ def _explain(
 ) -> tuple[Severity, str]:
     """Find the simplest change of the leads (m, n) that makes their relations (m - 2, m) hold.
 
-    One lead upside down or two exchanged; else one lead with another gain, or wrong altogether;
-    else each lead with a gain of its own. Reversed electrodes leave every relation intact. FATAL
-    when there is an explanation, WARNING when there is none.
+    The changes are, in order: one lead inverted, or two exchanged; one lead with another gain, or
+    wrong altogether; all leads with different gains. Reversed electrodes leave every relation
+    intact. FATAL with an explanation, WARNING without one.
     """
     names, before = [LIMB_LEADS[row] for row in rows], float(_misfits(leads, zeros).max())
 
@@ -145,9 +145,9 @@ def _explain(
         return float(_misfits(changed, zeros).max()) <= min(_limit_of(changed), REMAINING * before)
 
     mistakes = []
-    same = np.eye(len(rows))
+    identity = np.eye(len(rows))
     for k, name in enumerate(names):
-        if holds((same - 2 * np.outer(same[k], same[k])) @ leads):
+        if holds((identity - 2 * np.outer(identity[k], identity[k])) @ leads):
             mistakes.append(f"lead {name} is upside down, give --invert {name}")
     for i, j in combinations(range(len(rows)), 2):
         order = [{i: j, j: i}.get(k, k) for k in range(len(rows))]
@@ -162,7 +162,7 @@ def _explain(
     if remaining[best] <= min(limit, REMAINING * before, REMAINING * remaining[next_best]):
         gain = _gain(int(best), leads, zeros)
         fault = "does not follow from the other limb leads"
-        if holds(np.where(same[best][:, None], gain, 1.0) * leads):
+        if holds(np.where(identity[best][:, None], gain, 1.0) * leads):
             fault = f"is {1 / gain:.2f} times what the other limb leads say"
         advice = "leave it out, it is then computed from the others:"
         advice = f"{advice} {leave_out(recording, [names[best]])}"
@@ -183,9 +183,9 @@ def _explain(
 
 def _misfits(leads: Floats, zeros: Floats) -> Floats:
     """Deviation (mV) of each relation ``zeros @ leads`` from constant, 99th percentile, (k,)."""
-    rest = zeros @ leads
-    rest = np.abs(rest - np.median(rest, axis=1, keepdims=True))
-    return np.asarray(np.percentile(rest, 99.0, axis=1))
+    residual = zeros @ leads
+    residual = np.abs(residual - np.median(residual, axis=1, keepdims=True))
+    return np.asarray(np.percentile(residual, 99.0, axis=1))
 
 
 def _height(leads: Floats) -> float:
@@ -214,8 +214,8 @@ def _without(k: int, leads: Floats, zeros: Floats) -> float:
 def _gain(k: int, leads: Floats, zeros: Floats) -> float:
     """Factor for lead k that makes the relations hold best, by least squares."""
     part = zeros[:, k, None] * leads[k]
-    rest = zeros @ leads - part
-    return float(-(part * rest).sum() / max((part * part).sum(), np.finfo(float).tiny))
+    other_terms = zeros @ leads - part
+    return float(-(part * other_terms).sum() / max((part * part).sum(), np.finfo(float).tiny))
 
 
 def _factors(leads: Floats, zeros: Floats) -> Floats | None:
@@ -234,7 +234,7 @@ def _factors(leads: Floats, zeros: Floats) -> Floats | None:
 
 
 def check_reversal(recording: Recording, peaks: Integers, paced: bool = False) -> CheckResult:
-    """Suspect the right arm's electrode of having been exchanged with another limb's.
+    """Check whether the electrode of the right arm is exchanged with another limb's.
 
     Leads I and II look to the left and down, as V6 (or V5) does. Reversed arms turn lead I upside
     down, and reversed right arm and left leg lead II. The figure is the lower mean of the
@@ -261,9 +261,9 @@ def check_reversal(recording: Recording, peaks: Integers, paced: bool = False) -
     ):  # mV; half a mm on paper
         why = "the rhythm is paced" if paced else "leads I and II show no P wave"
         return check.result(np.nan, f"not checked: {why}", Severity.FINE)
-    now = _likeness(median[:2], reference, waves, rate)
-    if min(now) >= check.limit:
-        return check.result(min(now))
+    correlations = _likeness(median[:2], reference, waves, rate)
+    if min(correlations) >= check.limit:
+        return check.result(min(correlations))
     limb = lead_matrix()[:2, :3]
     from_potentials = np.linalg.pinv(limb)
     after = {
@@ -272,11 +272,12 @@ def check_reversal(recording: Recording, peaks: Integers, paced: bool = False) -
     }
     pair = max(after, key=after.__getitem__)
     message = (
-        f"lead {'I' if now[0] < now[1] else 'II'} runs against {LEADS[lateral[0]]} in P wave and "
-        f"QRS: electrodes {pair.replace('-', ' and ')} are probably reversed (or the heart lies on "
-        f"the right, or the rhythm is not from the sinus node); to undo it: --swap {pair}"
+        f"lead {'I' if correlations[0] < correlations[1] else 'II'} runs against "
+        f"{LEADS[lateral[0]]} in P wave and QRS: electrodes {pair.replace('-', ' and ')} are "
+        "probably reversed (or the heart lies on the right, or the rhythm is not from the sinus "
+        f"node); to undo it: --swap {pair}"
     )
-    return check.result(min(now), message)
+    return check.result(min(correlations), message)
 
 
 def _median_beat(recording: Recording, peaks: Integers) -> Floats:

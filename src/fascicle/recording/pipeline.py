@@ -50,7 +50,7 @@ from fascicle.recording.window import (
 
 @dataclass(frozen=True)
 class BeatClass:
-    """Beats of one shape: label (A, B, ...), number, and what is notable, such as ``early``."""
+    """Beats of one shape: label (A, B, ...), number, and notable features, such as ``early``."""
 
     label: str
     count: int
@@ -59,19 +59,19 @@ class BeatClass:
 
 @dataclass(frozen=True)
 class Analysis:
-    """A recording, what was found in it, and the target made of it.
+    """Analysis of a recording: its checks, beats and classes, and the target built from it.
 
     Attributes
     ----------
     recording : Recording
-        With the user's corrections.
+        Recording with the user's corrections.
     signal : (12, n) array
         Potential (mV) as recorded, every `fascicle.recording.filters.SAMPLING_STEP`; NaN where a
         lead was not recorded.
     beats : tuple of Beat
         Every beat that was found.
     classes : tuple of BeatClass
-        Their shapes, the most frequent first.
+        Classes of the beats, the most frequent first.
     spikes : (k,) array
         Times of pacing spikes (s).
     findings : tuple of CheckResult
@@ -160,8 +160,8 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
     check_kind(choices, (TargetOptions, NoneType), "choices", "fascicle.TargetOptions")
     options = choices if choices is not None else TargetOptions()
     source, rate = recording.source, recording.sampling_rate
-    whole = {lead: x for lead, x in recording.additional.items() if np.isfinite(x).all()}
-    findings = check_leads(replace(recording, additional=whole))
+    complete = {lead: x for lead, x in recording.additional.items() if np.isfinite(x).all()}
+    findings = check_leads(replace(recording, additional=complete))
     _refuse(findings, recording)
     spikes = find_spikes(recording.signal, rate)
     clean = recording
@@ -174,7 +174,7 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
         times = np.concatenate([group.times for group in groups])
         r_peaks = np.round(times * rate).astype(np.int64)
         filters = passed_filters(recording, r_peaks, options)
-        checked = replace(clean, additional={lead: clean.additional[lead] for lead in whole})
+        checked = replace(clean, additional={lead: clean.additional[lead] for lead in complete})
         reversal = check_reversal(checked, r_peaks, paced=len(spikes) > 0)
         findings += (*check_identities(checked), reversal)
         findings += check_recording(checked, r_peaks, filters)

@@ -31,7 +31,7 @@ class Severity(Enum):
 
 @dataclass(frozen=True)
 class Check:
-    """A check: its name, the unit of its figure (or none), and the limit of what is fine."""
+    """A check: name, unit of its figure (or none), and limit of what is acceptable."""
 
     name: str
     unit: str
@@ -80,10 +80,10 @@ CHEST = Check("chest leads, misfit ratio", "", 1.5)
 class LeadCheck(Check):
     """A check of each lead by itself; the largest figure counts."""
 
-    figure: Callable[[Floats, float], float]  # of samples (mV) and rate (Hz), in the check's unit
+    figure: Callable[[Floats, float], float]  # from samples (mV) and rate (Hz), in the check's unit
     message: str  # with {leads} for those over the limit and {largest} for the largest figure
-    advice: str  # what to do
-    refused: float = math.inf  # from which on a lead cannot be used, unless all are so
+    advice: str  # what the user should do
+    refused: float = math.inf  # limit beyond which a lead cannot be used, unless all are
 
     def of(self, recording: Recording) -> CheckResult:
         """Outcome in a recording."""
@@ -121,7 +121,7 @@ def measured(recording: Recording) -> dict[str, Floats]:
 
 
 def check_leads(recording: Recording) -> tuple[CheckResult, ...]:
-    """Check that each lead holds a signal at all times, and not that of another lead."""
+    """Check that each lead holds a signal at all times, and is not a copy of another lead."""
     # standard deviation below which a lead holds no signal
     flatness = Check("smallest lead", "uV", 1.0)
     # longer than between two beats of most
@@ -157,7 +157,7 @@ def check_leads(recording: Recording) -> tuple[CheckResult, ...]:
 def _check_duplicates(recording: Recording, least: float) -> list[CheckResult]:
     """Largest absolute correlation between two leads of the same size, of at least so many mV."""
     check = Check("duplicated leads, correlation", "", 0.9999)
-    leads = {}  # that move: standardised, and their standard deviation (mV)
+    leads = {}  # leads with a signal, standardised, and their SD (mV)
     for lead, values in measured(recording).items():
         x, _ = coarse(values, recording.sampling_rate)
         size = float(x.std())
@@ -205,14 +205,14 @@ def _check_lowpass(recording: Recording, peaks: Integers, filters: Sequence[Filt
             f"({check.limit:g} Hz are recommended); export the recording unfiltered"
         )
     if lowpass.origin is FilterOrigin.STATED:
-        seen = estimated_lowpass(recording.signal, recording.sampling_rate, peaks)
-        if seen is not None and (
-            abs(math.log(seen.frequency / lowpass.frequency)) > math.log(1.1)
-            or seen.shape >= 2.0 * lowpass.shape  # it rings otherwise
+        estimate = estimated_lowpass(recording.signal, recording.sampling_rate, peaks)
+        if estimate is not None and (
+            abs(math.log(estimate.frequency / lowpass.frequency)) > math.log(1.1)
+            or estimate.shape >= 2.0 * lowpass.shape  # a steeper filter rings differently
         ):
             messages.append(
-                f"the spectrum shows a low-pass at {seen.frequency:.3g} Hz of order "
-                f"{seen.shape:.2g}, not one at {lowpass.frequency:.3g} Hz of order "
+                f"the spectrum shows a low-pass at {estimate.frequency:.3g} Hz of order "
+                f"{estimate.shape:.2g}, not one at {lowpass.frequency:.3g} Hz of order "
                 f"{lowpass.shape:.2g}, as --recorder-lowpass is taken: it rings, and the QRS is "
                 "marked too wide unless that option is left out"
             )
@@ -222,7 +222,7 @@ def _check_lowpass(recording: Recording, peaks: Integers, filters: Sequence[Filt
 def _noise(values: Floats, rate: float) -> float:
     """Standard deviation (uV) of the noise that a moving average of 12 ms (37 Hz) removes.
 
-    By the median absolute deviation, for which the QRS takes too little of the time to count.
+    It is found by the median absolute deviation, which the short QRS hardly changes.
     """
     fast = values - uniform_filter1d(values, max(round(0.012 * rate), 1), mode="nearest")
     fast = fast[:: max(len(fast) // 200_000, 1)]
@@ -272,10 +272,9 @@ def _resolution(values: Floats, rate: float) -> float:
 def _clipped(values: Floats, rate: float) -> float:
     """Share of the samples in runs of three or more at the lowest or highest value.
 
-    A rounded peak comes to its top by steps of about one digit; a clipped one arrives at full
-    slope, by four digits or more. Fewer than three runs shorter than 20 ms happen by chance. The
-    end of a range is far out: a plateau nearer to the baseline than half the lead's largest
-    deflection is none.
+    A rounded peak approaches its top by steps of about one digit, a clipped one at full slope, by
+    four digits or more. Fewer than three runs shorter than 20 ms occur by chance. A plateau nearer
+    to the baseline than half of the lead's largest deflection is not clipping.
     """
     if np.ptp(values) == 0:
         return 0.0
@@ -305,7 +304,7 @@ LEAD_CHECKS = (
         refused=300.0,  # the QRS drowns
     ),
     LeadCheck(
-        "clipped samples", "", 1e-4, _clipped,  # one run of 3 in 30 000
+        "clipped samples", "", 1e-4, _clipped,  # one run of 3 samples in 30 000
         "peaks of {leads} are clipped ({largest:.2%} of the samples)",
         "the amplifier's or the file's range was too small, leave out what is clipped in the QRS",
     ),
@@ -351,7 +350,7 @@ def check_mean_beat(qrs: Floats, simultaneous: bool = True) -> tuple[CheckResult
 
 
 def check_chest_leads(qrs: Floats, simultaneous: bool = True) -> CheckResult:
-    r"""Suspect two neighbouring chest leads of being exchanged, or one of being upside down.
+    r"""Check whether two neighbouring chest leads are exchanged, or one is upside down.
 
     The chest leads V (6,) are :math:`V = D h + e`, of a heart vector h, by Dower's matrix D, and a
     rest e of other torsos, hearts and electrodes. With h and e normally distributed, of covariance
@@ -380,8 +379,8 @@ def check_chest_leads(qrs: Floats, simultaneous: bool = True) -> CheckResult:
     # benchmarks/chest_leads.py
     shared, electrode_noise = 0.6, 0.3
     apart = np.subtract.outer(np.arange(6), np.arange(6))
-    rest = shared**2 * np.exp(-(apart**2) / 2) + electrode_noise**2 * np.eye(6)
-    weight = np.linalg.inv(dower @ dower.T + rest)
+    residual_covariance = shared**2 * np.exp(-(apart**2) / 2) + electrode_noise**2 * np.eye(6)
+    weight = np.linalg.inv(dower @ dower.T + residual_covariance)
 
     def misfit(leads: Floats) -> float:
         return float(np.sum(leads * (weight @ leads)))

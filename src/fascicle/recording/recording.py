@@ -311,7 +311,7 @@ def missing_unit(message: str, leads: Sequence[Floats]) -> MissingMetadataError:
 
 
 def missing_rate(message: str, samples: int) -> MissingMetadataError:
-    """Ask for the sampling rate of so many samples, and guess it from the usual 10 s."""
+    """Error that asks for the sampling rate, with a guess from the usual duration of 10 s."""
     common = (500.0, 1000.0, 250.0, 400.0, 300.0, 2000.0)  # Hz
     usual = 500.0 if samples > 2000 else 1000.0
     rate = next((rate for rate in common if samples / rate == 10.0), usual)

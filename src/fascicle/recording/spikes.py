@@ -1,4 +1,4 @@
-"""Pacing spikes: where they are, and the signal without them."""
+"""Detection of pacing spikes, and their removal from the signal."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ def find_spikes(signal: Floats, sampling_rate: float) -> Integers:
 
     The prominence of a sample in one lead is how far it lies above (or below) both the samples 5 ms
     before and after it; steps of an electrode have none. A candidate is a sample that is prominent
-    in several leads at once, more than anything around it, between stretches that do not move: a
-    narrow R wave goes on falling on both sides. Where noise hides some of the spikes, the others
-    show what to look for. A simpler rule than that of Helfenbein et al. (J. Electrocardiol. 35
-    Suppl:95, 2002).
+    in several leads at once, more than any sample around it, between flat stretches: a narrow R
+    wave, in contrast, goes on falling on both sides. Spikes that noise hides are found by the
+    pattern of the others. The rule is simpler than that of Helfenbein et al. (J. Electrocardiol.
+    35 Suppl:95, 2002).
 
-    Candidates of one pattern over the leads are spikes where a pacemaker may have given them: at a
-    fixed rate, or each before the same beat. Power-line interference, muscle activity and the ends
-    of a recording do neither.
+    Candidates of one pattern over the leads are spikes if their timing is that of a pacemaker: at a
+    fixed rate, or each before a similar beat. Power-line interference, muscle activity and the ends
+    of a recording have no such timing.
 
     The signal (12, n), mV, has a rate of at least 250 Hz, and is NaN where a lead was not recorded.
     Returned are the first sample of each spike and the one after its last, (k, 2), increasing.
@@ -86,7 +86,7 @@ def spike_tail(beat: Floats, end: int) -> Floats:
     r"""Exponential decay, :math:`a_i e^{-t/\tau}`, of electrode and amplifier after a pacing spike.
 
     All leads have one time constant. The decay is fitted to the longest stretch after the spike, 60
-    to 7 ms, that it explains to 15 uV and 30 %; it never explains a QRS, which grows.
+    to 7 ms, that it fits to within 15 uV and 30 %; it never fits a QRS, which grows.
 
     `beat` is a mean beat (12, n), mV every ms, without its spike, which ends at the sample `end`.
     The tail (12, n), mV, is zero where no exponential fits, and before the spike's end.
@@ -149,7 +149,7 @@ def _pattern(signal: Floats, tops: Integers, reach: int) -> Floats:
 def _given_by_a_pacemaker(
     signal: Floats, tops: Integers, patterns: Floats, striking: Booleans, reach: int
 ) -> Booleans:
-    """Whether each of the candidates (k,) comes at a fixed rate, or before beats that are alike.
+    """Whether candidates (k,) come at a fixed rate, or each before similar beats.
 
     Candidates of one pattern (12, k) are judged together: more than half of them decide. The
     signal (12, n) is without the candidates.
@@ -160,10 +160,11 @@ def _given_by_a_pacemaker(
     anywhere = _after(signal, np.linspace(0, signal.shape[1] - 1, 200).astype(np.int64), reach)
     usual = float(np.quantile((anywhere**2).sum(axis=(1, 2)), 0.8))
     while remaining.size:
-        same = np.abs(patterns[:, remaining].T @ patterns[:, remaining]) > 0.9
-        members = remaining[same[np.argmax(same.sum(axis=1))]]
+        alike = np.abs(patterns[:, remaining].T @ patterns[:, remaining]) > 0.9
+        members = remaining[alike[np.argmax(alike.sum(axis=1))]]
         remaining = np.setdiff1d(remaining, members)
-        first = np.diff(tops[members], prepend=-signal.shape[1]) > 20 * reach  # of pairs
+        # first spikes of pairs
+        first = np.diff(tops[members], prepend=-signal.shape[1]) > 20 * reach
         events = members[first]
         regular = _at_fixed_rate(tops[events], reach)
         if len(events) >= 6:  # three in each of two chambers
@@ -213,7 +214,7 @@ def _before_beats(after: Floats, usual: float, striking: Booleans) -> Booleans:
 
 
 def _extents(signal: Floats, tops: Integers, reach: int) -> Integers:
-    """First sample and the one after the last of each spike, from where any lead leaves a line."""
+    """First sample of each spike, where any lead leaves a line, and the one after its last."""
     spikes = []
     for top in tops:
         before, after = max(int(top) - reach, 0), min(int(top) + reach, signal.shape[1] - 1)
@@ -222,7 +223,8 @@ def _extents(signal: Floats, tops: Integers, reach: int) -> Integers:
         away = np.abs(piece - piece[:, :1] - share * (piece[:, -1:] - piece[:, :1]))
         inside = np.flatnonzero((away > 0.03).any(axis=0))  # mV
         stop = before + int(inside[-1]) + 1
-        steps = np.abs(np.diff(signal[:, stop - 1 : stop + reach], axis=1))  # of the ringing
+        # steps between samples of the ringing
+        steps = np.abs(np.diff(signal[:, stop - 1 : stop + reach], axis=1))
         ringing = np.flatnonzero((steps > 0.02).any(axis=0))  # mV
         stop += int(ringing[-1]) + 1 if ringing.size else 0
         spikes.append((before + int(inside[0]), stop))

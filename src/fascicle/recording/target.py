@@ -1,4 +1,4 @@
-"""Targets of the inference: aligned beats, their QRS window and their variability."""
+"""Targets of the inference: aligned beats of a recording, with QRS window and variability."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from fascicle.recording.window import qrs_windows, smoothing_against_ringing, wi
 
 @dataclass(frozen=True)
 class Target:
-    """Beats of one recording, aligned at R, detrended, and where their QRS lies.
+    """Beats of one recording, aligned at the R peak and detrended, and their QRS window.
 
     Attributes
     ----------
@@ -33,9 +33,9 @@ class Target:
     time : (n_time,) array
         Time from the R peak (ms), every `SAMPLING_STEP`.
     qrs_onset, qrs_offset : float
-        QRS window (ms from the R peak), which all leads together decide.
+        QRS window (ms from the R peak), determined from all leads together.
     heart_rate : float, optional
-        Beats per minute; None where a single beat does not tell.
+        Beats per minute; None if unknown, as of a single beat.
     provenance : dict
         Text about the origin of the target: source file, its hash, choices made.
     onset_sd, offset_sd : float
@@ -43,13 +43,13 @@ class Target:
     noise : float, optional
         Standard deviation of every sample (mV), stated by the user; needed for a single beat.
     filters : tuple of Filter
-        Filters that the beats have passed, as far as known; a simulation must pass the same.
+        Filters that the beats have passed, as far as known; simulated ECGs are filtered likewise.
     earliest_onset : float, optional
         End of the pacing spike (ms from the R peak), before which no QRS begins; None without one.
     leads : tuple of str
         Names of the leads.
     warnings : tuple of str
-        Findings that a reader of results must know, in a line each.
+        Warnings that must be reported with any results, one a line.
     """
 
     beats: Floats
@@ -78,7 +78,7 @@ class Target:
         above("recording.target_files").write_target(self, as_path(path, "path"))
 
     def in_leads(self, leads: Sequence[str]) -> Target:
-        """Return the target with these leads as rows; those that it lacks are NaN, not used.
+        """Return the target with `leads` as rows; leads that it lacks are NaN and not used.
 
         ``provenance["leads_left_out"]`` names its other leads.
         """
@@ -111,7 +111,7 @@ class Target:
 
     @property
     def response(self) -> Callable[[Floats], Floats] | None:
-        """Gain of all filters at frequencies in cycles per sample; None without filters."""
+        """Gain of all filters as a function of frequency (cycles per sample); None without any."""
         return self._gain if self.filters else None
 
     def _gain(self, frequency: Floats) -> Floats:
@@ -120,14 +120,14 @@ class Target:
 
     @property
     def qrs_duration(self) -> float:
-        """Length of the QRS window (ms); clinics measure `global_qrs_duration`."""
+        """Length of the QRS window (ms); the clinical QRS duration is `global_qrs_duration`."""
         return self.qrs_offset - self.qrs_onset
 
     @cached_property
     def global_qrs(self) -> tuple[float, float]:
-        """Ends of the global QRS, that of the outermost leads (ms from the R peak).
+        """Onset and offset of the global QRS (ms from the R peak), the outermost of all leads.
 
-        Always found in the mean beat, wherever the window is; see `fascicle.recording.window`.
+        Measured in the mean beat, independently of the QRS window; see `fascicle.recording.window`.
         """
         onset, offset = qrs_windows(self.mean, *self._window_options).global_window
         start = float(self.time[0])
@@ -135,7 +135,7 @@ class Target:
 
     @cached_property
     def global_qrs_sd(self) -> tuple[float, float]:
-        """Standard deviations of the ends of the global QRS (ms)."""
+        """Standard deviations of onset and offset of the global QRS (ms)."""
         not_before, smoothing = self._window_options
         return window_uncertainty(self.beats, not_before, self.noise, smoothing)
 
@@ -153,7 +153,7 @@ class Target:
 
     @cached_property
     def conventional_criteria(self) -> tuple[Criterion, ...]:
-        """Conventional ECG criteria of conduction disturbances, decided on the mean beat."""
+        """Conventional ECG criteria of conduction disturbances, evaluated on the mean beat."""
         onset, offset = (round((end - self.time[0]) / SAMPLING_STEP) for end in self.global_qrs)
         return conventional_criteria(self.mean, onset, offset, self.leads)
 
@@ -179,8 +179,8 @@ class ResidualCovariance:
     """Covariance of the beats about their mean, within the QRS.
 
     The covariance of lead l at time t with lead m at time s is
-    ``sd[l, t] * sd[m, s] * leads[l, m] * time[t, s]``. A shrinkage is the weight of "no
-    correlation": near 0 with many beats, 1 where they show nothing.
+    ``sd[l, t] * sd[m, s] * leads[l, m] * time[t, s]``. A shrinkage is the weight of the identity in
+    a correlation: near 0 with many beats, 1 if the beats are no evidence of any correlation.
     """
 
     sd: Floats  # (n_leads, n_qrs) mV, of every sample; NaN where a lead is not used
@@ -193,10 +193,10 @@ class ResidualCovariance:
 def residual_covariance(target: Target) -> ResidualCovariance:
     """Estimate the covariance of a target's beats about their mean, within the QRS.
 
-    The correlation is taken as separable, one between leads times one in time, each averaged over
-    the other and shrunk towards none by the weight of Ledoit and Wolf (2004, J. Multivar. Anal.
-    88:365), with whole beats as samples. Of a single beat, samples and leads vary by its stated
-    noise independently.
+    The correlation is taken as separable: the product of one between leads, estimated over all
+    times, and one between times, estimated over all leads. Each is shrunk towards the identity by
+    the weight of Ledoit and Wolf (2004, J. Multivar. Anal. 88:365), with beats as the independent
+    samples. With a stated noise, samples and leads are taken as independent.
     """
     window, used = target.qrs_samples, target.used
     sd = target.standard_deviation[:, window]
@@ -219,7 +219,7 @@ def _correlation(scores: Floats) -> tuple[Floats, float]:
     n, raw = len(by_beat), by_beat.mean(axis=0)
     identity = np.eye(len(raw)) * np.trace(raw) / len(raw)
     structure = ((raw - identity) ** 2).sum()
-    if n < 3 or not structure > 0:  # about their own mean, two beats differ by the same
+    if n < 3 or not structure > 0:  # deviations of two beats from their mean are opposite
         return np.eye(len(raw)), 1.0
     # n(n - 2), not n(n - 1): the residuals are about the mean of the same beats
     weight = float(min(((by_beat - raw) ** 2).sum() / (n * (n - 2)) / structure, 1.0))
@@ -229,7 +229,7 @@ def _correlation(scores: Floats) -> tuple[Floats, float]:
 
 
 def repeated(target: Target, rng: np.random.Generator) -> Target:
-    """Target of ten beats, as if its single beat, of stated noise, had been recorded ten times.
+    """Target of ten simulated repetitions of a single beat, with its stated noise.
 
     Their mean is the recorded beat.
     """
@@ -240,6 +240,6 @@ def repeated(target: Target, rng: np.random.Generator) -> Target:
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, ...], sd: float) -> Floats:
-    """Noise of standard deviation `sd` (mV), smooth along the last axis, time, over some ms."""
+    """Noise of standard deviation `sd` (mV), correlated over some ms along the last axis, time."""
     smooth = gaussian_filter1d(rng.standard_normal(shape), 4.0 / SAMPLING_STEP, axis=-1)  # ms
     return np.asarray(smooth * (sd / smooth.std()))

@@ -28,9 +28,9 @@ NUMBERS = {  # attribute of the file: field of the target, and whether it is alw
     "qrs_offset_ms": ("qrs_offset", True),
     "qrs_onset_sd_ms": ("onset_sd", True),
     "qrs_offset_sd_ms": ("offset_sd", True),
-    "heart_rate_bpm": ("heart_rate", False),  # where more than one beat was recorded
-    "stated_noise_mV": ("noise", False),  # where the user has stated it
-    "earliest_onset_ms": ("earliest_onset", False),  # of paced beats
+    "heart_rate_bpm": ("heart_rate", False),  # only if more than one beat was recorded
+    "stated_noise_mV": ("noise", False),  # only if stated by the user
+    "earliest_onset_ms": ("earliest_onset", False),  # only of paced beats
 }
 
 

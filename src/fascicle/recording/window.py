@@ -1,4 +1,4 @@
-"""Onset and offset of the QRS, of all leads together and in the outermost leads, and their errors.
+"""QRS onset and offset, of all leads together and in the outermost leads, and their errors.
 
 The *window*, of the spatial velocity of all leads together, is used by losses and likelihoods. The
 *global window*, of the outermost leads, is longer; thresholds of guidelines (120, 130, 150 ms) are
@@ -28,7 +28,7 @@ ONSET_ERROR, OFFSET_ERROR = 5.0, 4.5
 
 
 class NoQrsError(ValueError):
-    """The signal holds no QRS: no lead moves, or one alone of many."""
+    """The signal has no QRS: all leads are flat, or all but one of many."""
 
 
 class QrsWindows(NamedTuple):
@@ -39,7 +39,7 @@ class QrsWindows(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """Parameters of the search for an end of the QRS."""
+    """Parameters of the search for the onset or the offset of the QRS."""
 
     # Time that makes a speed of a curvature (ms): at the top of a P wave or of a notch the leads
     # stand still for a moment, but turn.
@@ -75,7 +75,7 @@ class _Velocity:
         return cls(slope, curvature)
 
     def speed(self, turning: float, trend: Floats | float = 0.0) -> Floats:
-        """Root mean square over the leads, (n,), of how fast they leave lines of slope `trend`.
+        """Speed (n,): root mean square over the leads of their deviation from the slope `trend`.
 
         Of four or more leads the fastest is left out at each instant, so that no lead decides
         alone.
@@ -120,9 +120,10 @@ def qrs_windows(signal: Floats, not_before: int = 0, smoothing: float = SMOOTHIN
     noise, from the line through the segment. Power-line interference is subtracted. A P wave that
     runs into the QRS is no part of it, nor is a T wave that begins at the J point.
 
-    Two marks must confirm each other: one of the limb leads, which share electrodes, and one of
-    each chest lead. The ends of the window are 4 ms further out than the second mark. An expert
-    would mark the QRS in the outermost of twelve leads 17 ms before it and 11 ms after it.
+    There is one mark of the limb leads together, which share electrodes, and one of each chest
+    lead. The window begins and ends 4 ms outside of the second outermost mark, so that no mark
+    decides alone. The global QRS begins 17 ms before and ends 11 ms after that mark, where experts
+    mark it, in the outermost of twelve leads.
 
     Parameters
     ----------
@@ -138,7 +139,7 @@ def qrs_windows(signal: Floats, not_before: int = 0, smoothing: float = SMOOTHIN
     Raises
     ------
     ValueError
-        When no lead is complete, or none moves, or one of many alone.
+        If no lead is complete, all leads are flat, or all but one of many.
 
     References
     ----------
@@ -200,16 +201,19 @@ def _marks(signal: Floats, not_before: int, smoothing: float) -> _Marks:
         high = _highest(velocity.speed(search.turning))
         # mV/ms from which the leads are not at rest
         level = float(np.clip(0.001, 0.005 * high, 0.04 * high))
-        rest = _isoelectric_from(moving, start, search, level)
-        away = _away_from_segment(outward, rest, search, smoothing)
-        noise = np.sqrt((away[:, rest : rest + search.trend] ** 2).mean(axis=1))
+        isoelectric = _isoelectric_from(moving, start, search, level)
+        away = _away_from_segment(outward, isoelectric, search, smoothing)
+        noise = np.sqrt((away[:, isoelectric : isoelectric + search.trend] ** 2).mean(axis=1))
         least = np.maximum(visible, 3.0 * np.maximum(noise, np.median(noise)))
-        seen = np.abs(away[:, inside : rest + 1]) > least[:, None]
-        until = np.where(seen.any(axis=1), seen.shape[1] - 1 - np.argmax(seen[:, ::-1], axis=1), 0)
+        deflected = np.abs(away[:, inside : isoelectric + 1]) > least[:, None]
+        until = np.where(
+            deflected.any(axis=1), deflected.shape[1] - 1 - np.argmax(deflected[:, ::-1], axis=1), 0
+        )
         ends.append(
             [inside + until[electrodes == electrode].max() for electrode in np.unique(electrodes)]
         )
-    smeared = round(1.2 * (smoothing - SMOOTHING))  # by more smoothing, outward
+    # shift of the ends outward by additional smoothing (ms)
+    smeared = round(1.2 * (smoothing - SMOOTHING))
     onsets = np.sort(last - np.array(ends[0])) + smeared
     return _Marks(np.maximum(onsets, not_before), -np.sort(-np.array(ends[1])) - smeared)
 
@@ -219,7 +223,7 @@ def _core_and_leads(
 ) -> tuple[tuple[int, int], _Velocity, Floats, int]:
     """Core of the QRS, velocity, leads without interference, and first sample with a slow start.
 
-    The velocity is smoothed until noise makes it hardly faster.
+    The velocity is smoothed until noise hardly contributes to it.
     """
     independent = beat[complete_leads(beat)]
     core = _core_of(independent, paced)
@@ -234,9 +238,11 @@ def _core_and_leads(
     return core, velocity, leads, _with_slow_start(leads, velocity, core)
 
 
-def _away_from_segment(leads: Floats, rest: int, search: _Search, smoothing: float) -> Floats:
-    """Leads (k, n), outward, less the level or line of the segment from the sample `rest` on."""
-    segment = np.arange(rest, min(rest + search.trend, leads.shape[1]))
+def _away_from_segment(
+    leads: Floats, isoelectric: int, search: _Search, smoothing: float
+) -> Floats:
+    """Leads (k, n), outward, less the level or line of the segment from sample `isoelectric` on."""
+    segment = np.arange(isoelectric, min(isoelectric + search.trend, leads.shape[1]))
     away = leads - leads[:, segment].mean(axis=1, keepdims=True)
     if search.sloping and len(segment) > 2:
         centred = segment - segment.mean()
@@ -248,29 +254,29 @@ def _away_from_segment(leads: Floats, rest: int, search: _Search, smoothing: flo
 def _with_slow_start(leads: Floats, velocity: _Velocity, core: tuple[int, int]) -> int:
     """First sample at which leads (k, n) are off their level by a tenth of that in the core.
 
-    So that a slow first part, such as a delta wave, does not pass for the PR segment.
+    By this a slow first part, such as a delta wave, is not taken for the PR segment.
     """
     earliest, width = max(core[0] - 220, 0), 20
     speed = velocity.speed(_ONSET.turning)[earliest : core[0]]
     if len(speed) < 2 * width:
         return core[0]
     speed = np.convolve(speed, np.full(width, 1 / width), mode="valid")
-    rest = earliest + int(np.argmin(speed))
-    level = leads[:, rest : rest + width].mean(axis=1, keepdims=True)
+    quietest = earliest + int(np.argmin(speed))
+    level = leads[:, quietest : quietest + width].mean(axis=1, keepdims=True)
     away = np.sqrt(((leads - level) ** 2).mean(axis=0))
-    noise = 2.0 * float(away[rest : rest + width].mean())
+    noise = 2.0 * float(away[quietest : quietest + width].mean())
     far = max(0.1 * float(away[core[0] : core[1] + 1].max()), noise)
     near = np.flatnonzero(away[: core[0] + 1] <= far)
     start = int(near[-1]) + 1 if near.size else 0
-    start = max(start, core[0] - 130, rest + width)
+    start = max(start, core[0] - 130, quietest + width)
     return min(start, core[0])
 
 
 def _end_of_p_wave(leads: Floats, velocity: _Velocity, first: int, core: tuple[int, int]) -> int:
-    """Sample at which a P wave that passes for the first part of the QRS ends, or 0.
+    """Sample at which a P wave ends that was taken for the first part of the QRS, or 0.
 
-    All leads (k, n) at once come back there to the level before it, which those of no QRS do 60 ms
-    or more after its onset, and what follows is faster.
+    There all leads (k, n) return to the level before the P wave together, which they never do 60
+    ms or more after the onset of a QRS, and faster deflections follow.
     """
     smooth = gaussian_filter1d(leads[:, : core[1] + 1], 3.0, axis=1, mode="nearest")
     level = smooth[:, max(first - 15, 0) : first + 1].mean(axis=1, keepdims=True)
@@ -285,21 +291,25 @@ def _end_of_p_wave(leads: Floats, velocity: _Velocity, first: int, core: tuple[i
 
 
 def _without_interference(leads: Floats, core: tuple[int, int]) -> Floats:
-    """Leads (k, n) without power-line interference where it is most of what is fast at rest."""
+    """Leads (k, n) without power-line interference, where it dominates the isoelectric noise."""
     time = np.arange(leads.shape[1])
     # more than 60 ms from the core the beat is at rest
-    rest = np.flatnonzero((time < core[0] - 60) | (time > core[1] + 60))
-    if len(rest) < 4 * 1000.0 / min(MAINS):  # periods
+    isoelectric = np.flatnonzero((time < core[0] - 60) | (time > core[1] + 60))
+    if len(isoelectric) < 4 * 1000.0 / min(MAINS):  # periods
         return leads
     slower = 8.0  # ms; standard deviation of the Gaussian that takes the interference away
     fast = leads - gaussian_filter1d(leads, slower, mode="nearest")
-    power = np.sum(fast[:, rest] ** 2, axis=1)
+    power = np.sum(fast[:, isoelectric] ** 2, axis=1)
     for frequency in MAINS:
         turns = 2 * math.pi * frequency / 1000.0
         waves = np.array([np.cos(turns * time), np.sin(turns * time)])
-        fitted = np.linalg.lstsq(waves[:, rest].T, fast[:, rest].T, rcond=None)[0].T @ waves
-        interferes = np.sum(fitted[:, rest] ** 2, axis=1) > 0.5 * power
-        kept = 1 - math.exp(-((turns * slower) ** 2) / 2)  # of the interference, in `fast`
+        fitted = (
+            np.linalg.lstsq(waves[:, isoelectric].T, fast[:, isoelectric].T, rcond=None)[0].T
+            @ waves
+        )
+        interferes = np.sum(fitted[:, isoelectric] ** 2, axis=1) > 0.5 * power
+        # share of the interference that is in `fast`
+        kept = 1 - math.exp(-((turns * slower) ** 2) / 2)
         leads = leads - interferes[:, None] * fitted / kept
     return leads
 
@@ -311,7 +321,7 @@ def _quietest(speed: Floats) -> float:
 
 
 def _highest(speed: Floats) -> float:
-    """Mean of the fastest 10 ms, not one sample alone."""
+    """Mean speed of the fastest 10 ms."""
     return float(np.sort(speed)[-10:].mean())
 
 
@@ -373,7 +383,8 @@ def _isoelectric_from(velocity: _Velocity, core: int, search: _Search, level: fl
 def _slow_after(speed: Floats, core: int, level: float, reach: int) -> int:
     """Count the samples after the core until the leads are slower than the level for 10 ms.
 
-    Beyond the end of the array nothing moves. Where none are within `reach`, the level rises.
+    The leads are taken as flat beyond the end of the array. If they are not slower within `reach`,
+    the level is raised.
     """
     outward = speed[core:]
     end = len(outward) - 1

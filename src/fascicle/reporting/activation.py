@@ -82,7 +82,7 @@ def activation_figure(
     cavities = [e for e in heart.endocardia if e.side in sides]
     boxes = {name: view.box(heart.vertices) for name, view in views.items()}
     size = largest(list(boxes.values()))
-    seen = [(e, views[f"{e.side.upper()} side"]) for e in cavities]
+    cavity_views = [(e, views[f"{e.side.upper()} side"]) for e in cavities]
     columns, shape = len(views) + len(cavities), float(size[1] / size[0])
     figure = style.new_figure(1.95 * columns + 1.8, 1.95 * shape * len(rows) + 0.8)
     panels = figure.subplots(len(rows), columns, squeeze=False)
@@ -92,9 +92,9 @@ def activation_figure(
         for axes, (name, view) in zip(line, views.items(), strict=False):
             draw_surfaces(axes, view, *surfaces, box=boxes[name], size=size)
         if cavities:
-            width, height = largest([view.box(e.vertices) for e, view in seen])
+            width, height = largest([view.box(e.vertices) for e, view in cavity_views])
             cavity_size = np.array([1, shape]) * max(width, height / shape)
-            for axes, (cavity, view) in zip(line[len(views) :], seen, strict=True):
+            for axes, (cavity, view) in zip(line[len(views) :], cavity_views, strict=True):
                 walls, colour = (cavity.vertices, cavity.triangles), {"color": "#F1E9E4"}
                 far = DrawnSurface(*walls, colour)
                 near = DrawnSurface(walls[0], walls[1][:, ::-1], colour | {"opacity": 0.3})
@@ -190,11 +190,11 @@ def _draw_tree(
     colours = matplotlib.colormaps[TIME_COLOURS].with_extremes(bad=Colour.LIGHT_GREY)
     seam = LineCollection(list(ends[far]), colors=Colour.GREY, linewidths=1.5)
     axes.add_collection(seam, autolim=False)  # light, early colours stand out from the wall
-    for here, width, opacity in ((far, 0.9, 1.0), (~far, 0.6, 0.35)):
+    for segments, width, opacity in ((far, 0.9, 1.0), (~far, 0.6, 0.35)):
         lines = LineCollection(
-            list(ends[here]), cmap=colours, norm=norm, linewidths=width, alpha=opacity
+            list(ends[segments]), cmap=colours, norm=norm, linewidths=width, alpha=opacity
         )
-        lines.set_array(np.ma.masked_invalid(times[child][here]))
+        lines.set_array(np.ma.masked_invalid(times[child][segments]))
         axes.add_collection(lines, autolim=False)
     root = view.project(tree.nodes[tree.root])[:2]
     axes.plot(*root, "o", color="black", markeredgecolor="white", markeredgewidth=0.6)

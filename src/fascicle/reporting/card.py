@@ -31,7 +31,7 @@ Facts = tuple[dict[str, object], Figure]
 
 
 def card(shown: object) -> str:
-    """HTML of an object: its facts, and a picture beside them."""
+    """HTML view of an object: a table of facts with a picture."""
     facts, figure = _facts(shown)
     rows = "".join(
         f'<tr><th style="text-align:left">{escape(name)}</th>'

@@ -1,4 +1,4 @@
-"""Twelve-lead ECGs over one another: groups of ECGs, and the beats of a target."""
+"""Figures of superimposed twelve-lead ECGs: groups of ECGs, and the beats of a target."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ LOOKS: dict[str, dict[str, Any]] = {
 class EcgGroup:
     """Several ECGs on one time axis, drawn as their mean and the band they span."""
 
-    name: str  # of the group, in the legend
+    name: str  # name of the group in the legend
     member: str  # name of one ECG: "beat" or "network"
     time: Floats  # (t,) ms
     leads: Floats  # (n, 12 + k, t) mV; NaN where an ECG has ended
     colour: str
-    share: float = 1.0  # of the ECGs, that the band holds at every time; 1 for their range
+    share: float = 1.0  # share of the ECGs within the band at every time; 1: their range
 
     @property
     def label(self) -> str:
@@ -61,10 +61,10 @@ class EcgGroup:
         return (Patch(**self.looks), line) if len(self.leads) > 1 else (line,)
 
     def draw(self, axes: Axes, lead: int) -> None:
-        """Draw one lead."""
+        """Draw the group's ECGs in one lead."""
         ecgs = self.leads[:, lead]
         finite = np.isfinite(ecgs).any(axis=0)
-        if len(ecgs) > 1 and finite.any():  # not of a lead that was not recorded
+        if len(ecgs) > 1 and finite.any():  # a lead that was not recorded has no band
             ends = (1 - self.share) / 2, (1 + self.share) / 2
             band = np.nanquantile(ecgs[:, finite], ends, axis=0)
             axes.fill_between(self.time[finite], *band, **self.looks)
@@ -81,11 +81,11 @@ def ecg_figure(
     caption: str = "",
     leads: Sequence[str] = LEADS,
 ) -> Figure:
-    """Draw groups of ECGs over one another, the twelve leads in the clinical 3 × 4 layout.
+    """Draw superimposed groups of ECGs, the twelve leads in the clinical 3 × 4 layout.
 
     Additional leads follow in further columns. Lines are means over a group, bands hold its
-    `share`. All axes have the same limits (ms, mV). Leads have their notes; the caption stands
-    below.
+    `share`. All axes have the same limits (ms, mV). `notes`, one per lead, are beside the names of
+    the leads, the caption below the panels.
     """
     figure = style.new_figure(*figure_size(len(leads)), title)
     panels = lead_panels(figure, len(leads))
@@ -97,7 +97,7 @@ def ecg_figure(
     stop = max(float(group.time.max()) for group in groups)
     low = min(float(np.nanmin(group.leads)) for group in groups)
     high = max(float(np.nanmax(group.leads)) for group in groups)
-    box = 0.5 if high - low <= 8 else 1.0  # mV, of ECG paper; limits are whole boxes
+    box = 0.5 if high - low <= 8 else 1.0  # mV; a box of ECG paper, to which limits are rounded
     bottom, top = box * np.floor(low / box - 0.1), box * np.ceil(high / box + 0.1)
     for axes in panels:
         axes.set(xlim=(start, stop), ylim=(bottom, top))
@@ -111,13 +111,13 @@ def ecg_figure(
 
 
 def figure_size(leads: int) -> tuple[float, float]:
-    """Width and height (inch) of a figure of so many leads: a column more for every three."""
+    """Width and height (inch) of a figure of `leads` leads; it grows with the columns of panels."""
     rows, columns = _grid(leads)
     return min(10.0 + 2.0 * max(columns - 4, 0), 22.0), 6.2 + 1.0 * (rows - 3)
 
 
 def lead_panels(figure: Figure | SubFigure, leads: int) -> list[Axes]:
-    """Panels of the twelve leads and more, column by column, with common scales."""
+    """Panels of `leads` leads, column by column, with common axes."""
     rows, columns = _grid(leads)
     panels = list(figure.subplots(rows, columns, sharex=True, sharey=True).T.flat)
     for axes in panels[leads:]:
@@ -127,14 +127,14 @@ def lead_panels(figure: Figure | SubFigure, leads: int) -> list[Axes]:
 
 
 def _grid(leads: int) -> tuple[int, int]:
-    """Rows and columns: three rows, more where a vest's leads would make too many columns."""
+    """Rows and columns of panels: three rows, or more for many leads, as of an electrode vest."""
     # I II III | aVR aVL aVF | V1 V2 V3 | V4 V5 V6
     rows = 3 if leads <= 24 else math.ceil(math.sqrt(leads / 1.6))
     return rows, math.ceil(leads / rows)
 
 
 def draw_time_grid(axes: Axes) -> None:
-    """Ticks (ms) at whole boxes of ECG paper, 40 ms wide at 25 mm/s, and a grid."""
+    """Draw ticks (ms) and a grid at small boxes of ECG paper, 40 ms wide at 25 mm/s."""
     start, stop = axes.get_xlim()
     tick = next((s for s in (40, 80, 200, 400, 1000) if (stop - start) / s <= 6), 1000)
     axes.xaxis.set_major_locator(MultipleLocator(tick))
@@ -145,14 +145,14 @@ def draw_time_grid(axes: Axes) -> None:
 
 @style.styled
 def target_figure(target: Target) -> Figure:
-    """Draw the beats of a target over one another, lead by lead, with the QRS window."""
+    """Draw the superimposed beats of a target, lead by lead, with the QRS window."""
     figure = style.new_figure(*figure_size(len(target.leads)))
     draw_target(figure, target)
     return figure
 
 
 def draw_target(figure: Figure | SubFigure, target: Target) -> None:
-    """Draw every lead of a target, all to one scale.
+    """Draw every lead of a target, all on one scale.
 
     Thin lines are beats (at most 100, evenly spread over the recording), the thick line is their
     mean, the band ± 1 SD. The QRS window and ± 1 SD about its ends are shaded; broken lines mark
@@ -194,6 +194,7 @@ def draw_target(figure: Figure | SubFigure, target: Target) -> None:
 
 
 def _handles(target: Target, drawn: int) -> list[tuple[Any, str]]:
+    """Handles and labels of the legend of a target, of which `drawn` beats are shown."""
     count = len(target.beats)
     mean, band = Line2D([], [], color="black"), Patch(**LOOKS["band"])
     handles: list[tuple[Any, str]] = [(mean, "mean"), (band, "± 1 SD from beat to beat")]
@@ -210,7 +211,7 @@ def _handles(target: Target, drawn: int) -> list[tuple[Any, str]]:
 
 
 def _limits(target: Target, mean: Floats) -> tuple[float, float]:
-    """Limits (mV) that hold the visible mean, and beats and band in the QRS window.
+    """Limits (mV) of the panels: the visible mean, and beats and band within the QRS window.
 
     An artefact outside the window may leave the panel; otherwise it would flatten all of them.
     """
@@ -219,6 +220,6 @@ def _limits(target: Target, mean: Floats) -> tuple[float, float]:
     values = [mean, target.qrs_beats, inside - band, inside + band]
     low = min(float(np.nanmin(part)) for part in values)
     high = max(float(np.nanmax(part)) for part in values)
-    missing = max(0.2 - (high - low), 0.0) / 2  # of a range of 0.2 mV, at least
+    missing = max(0.2 - (high - low), 0.0) / 2  # the range is at least 0.2 mV
     margin = missing + 0.06 * (high - low + 2 * missing)
     return low - margin, high + margin

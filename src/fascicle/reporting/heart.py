@@ -1,4 +1,4 @@
-"""Figures to check a heart by eye: the labels of its surface, and a page on the whole heart."""
+"""Figures for checking a heart by eye: the labels of its surface, and an overview page."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ LABELS = {
 
 @style.styled
 def labels_figure(surface: LabelledSurface | LabelledMesh) -> Figure:
-    """Draw labels from the front, the back and the base, and without the epicardium, to one scale.
+    """Draw labels from the front, the back and the base, and without epicardium, on one scale.
 
-    The surface is closed, or a mesh's boundary, in any frame, with base, epicardium and both
-    endocardia. The legend gives the area of each label. The views are right if LV and RV are
-    labelled correctly.
+    The surface is closed or the boundary of a mesh, in any frame, with base, epicardium and both
+    endocardia. The legend gives the area of each label. Front and back are found from the labels,
+    so they are exchanged if those of LV and RV are.
     """
     views = _label_views(surface)
     boxes = [view.box(surface.vertices[np.unique(surface.triangles)]) for view in views]
@@ -63,7 +63,7 @@ def labels_figure(surface: LabelledSurface | LabelledMesh) -> Figure:
         parts = []
         for label, (_, colour) in LABELS.items():
             triangles = surface.having(label)
-            if view is views[-1]:  # cavities appear as solid casts
+            if view is views[-1]:  # without epicardium, cavities appear as solid casts
                 if label is Label.EPICARDIUM:
                     continue
                 triangles = triangles[:, ::-1] if label in ENDOCARDIA else triangles
@@ -110,7 +110,7 @@ def _label_views(surface: LabelledSurface | LabelledMesh) -> list[View]:
 
 @style.styled
 def check_figure(heart: Heart, check: HeartCheck) -> Figure:
-    """Draw the page by which a person checks a heart before using it.
+    """Draw an overview page, for checking a heart by eye before it is used.
 
     Above: endocardia with the roots and directions of the bundles; fibres on the epicardium and on
     the endocardia. Below: the torso with its electrodes, from the front and from the left; helix
@@ -134,8 +134,8 @@ def check_figure(heart: Heart, check: HeartCheck) -> Figure:
     front, left, helix, thickness = lower.subplots(1, 4, width_ratios=(1, 1, 1.1, 1.1))
     to_left, back, up = torso_axes(heart.electrodes)
     centre = (heart.electrodes.min(axis=0) + heart.electrodes.max(axis=0)) / 2
-    seen = np.array([to_left, up, back]), np.array([back, up, -to_left])
-    for axes, rows, side in zip((front, left), seen, ("front", "left"), strict=True):
+    directions = np.array([to_left, up, back]), np.array([back, up, -to_left])
+    for axes, rows, side in zip((front, left), directions, ("front", "left"), strict=True):
         _draw_torso(axes, View(f"torso, from the {side}", rows, centre), heart)
     colours = dict(zip(WALLS, (Colour.VERMILION, Colour.GREEN, Colour.BLUE), strict=True))
     _plot_helix(helix, check, colours)
@@ -158,7 +158,7 @@ def draw_heart(axes: Axes, heart: Heart, view: str) -> None:
 def _draw_seeds(
     axes: Axes, view: View, heart: Heart, box: Floats, size: Floats, *around: DrawnSurface
 ) -> None:
-    """Far walls of the endocardia, with the root and direction of each bundle."""
+    """Draw the far walls of the endocardia, with the root and direction of each bundle."""
     colours = (LABELS[label][1] for label in ENDOCARDIA)
     pairs = list(zip(heart.endocardia, colours, strict=True))
     walls = [DrawnSurface(e.vertices, e.triangles, {"color": c, "opacity": 0.55}) for e, c in pairs]
@@ -177,7 +177,7 @@ def _draw_seeds(
 def _draw_fibres(
     axes: Axes, view: View, heart: Heart, part: Booleans, step: int, box: Floats, size: Floats
 ) -> None:
-    """Short lines along the fibres next to a part of the boundary; `step` -1: seen from inside."""
+    """Draw fibres next to a part of the boundary as short lines; `step` -1: seen from inside."""
     vertices = heart.vertices
     triangles, owner = (of_boundary[part] for of_boundary in heart.boundary)
     faces = triangles[:, ::step]
@@ -193,13 +193,13 @@ def _draw_fibres(
 
 
 def _draw_torso(axes: Axes, view: View, heart: Heart) -> None:
-    """The heart, transparent skin and lungs, and the named electrodes."""
+    """Draw the heart, transparent skin and lungs, and the electrodes with their names."""
     parts = [DrawnSurface(heart.vertices, heart.boundary[0], {"color": Colour.VERMILION})]
     torso = heart.torso
     if torso is not None:
         lungs = torso.tetrahedra[torso.tissues == TorsoTissue.LUNG]
-        whole = np.concatenate([heart.tetrahedra, torso.tetrahedra])
-        for cells, colour in ((lungs, "#9FC3D9"), (whole, "#E4D2C3")):
+        tissue = np.concatenate([heart.tetrahedra, torso.tetrahedra])
+        for cells, colour in ((lungs, "#9FC3D9"), (tissue, "#E4D2C3")):
             if len(cells):
                 look = {"color": colour, "opacity": 0.4}
                 parts.append(DrawnSurface(torso.vertices, boundary_triangles(cells)[0], look))
@@ -227,7 +227,7 @@ def _draw_torso(axes: Axes, view: View, heart: Heart) -> None:
 
 
 def _plot_helix(axes: Axes, check: HeartCheck, colours: Mapping[str, Colour]) -> None:
-    """Median and interquartile range of the angles in ten layers of each wall."""
+    """Plot median and interquartile range of the helix angle in ten layers of each wall."""
     axes.axhline(0, color=Colour.GREY, linewidth=0.5)
     edges = np.linspace(0, 1, 11)
     for name, helix in check.helix.items():
@@ -252,7 +252,7 @@ def _quartiles(angle: Floats) -> Floats:
 
 
 def _plot_thickness(axes: Axes, check: HeartCheck, colours: Mapping[str, Colour]) -> None:
-    """Histogram of each wall's thickness, in percent of its points."""
+    """Plot a histogram of the thickness of each wall, in percent of its points."""
     walls = {name: wall for name, wall in zip(WALLS, check.walls, strict=True) if wall.size}
     most = max((np.percentile(wall, 99) for wall in walls.values()), default=1.0)
     bins = np.linspace(0, float(most) * 1.1, 30).tolist()

@@ -102,7 +102,7 @@ def _lines(analysis: Analysis) -> list[str]:
 
 
 def _draw_strip(axes: Axes, analysis: Analysis, colours: Mapping[str, str]) -> None:
-    """All leads, one below the other, to one scale (mV), with numbers above the beats."""
+    """Draw all leads, one below the other, on one scale (mV), with numbers above the beats."""
     start, stop = strip_span(analysis)
     signal = analysis.signal[:, round(start * SAMPLES) : round(stop * SAMPLES)]
     time = start + np.arange(signal.shape[1], dtype=np.float64) / SAMPLES
@@ -177,9 +177,9 @@ def _draw_traces(
         span = np.searchsorted(time, (beat.time - 0.1, min(beat.time + 0.4, end)))
         shades[slice(*span)] = colours[beat.label]
     for colour in dict.fromkeys(shades):
-        here: Booleans = shades == colour
+        coloured: Booleans = shades == colour
         for trace in traces[np.isfinite(traces).any(axis=1)]:
-            axes.plot(time, np.where(here, trace, np.nan), color=colour, linewidth=0.65)
+            axes.plot(time, np.where(coloured, trace, np.nan), color=colour, linewidth=0.65)
 
 
 def _number_beats(axes: Axes, analysis: Analysis, colours: Mapping[str, str]) -> None:

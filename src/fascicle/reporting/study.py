@@ -1,4 +1,4 @@
-"""The figures of a finished study."""
+"""Figures of a finished study: ECGs, activation, predictions, parameters and heart."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ def drawings(
     networks: Sequence[Network],
     predicted: Mapping[str, Predicted] = MappingProxyType({}),
 ) -> dict[str, Drawing]:
-    """Draw a study: its recordings, networks, predictions and heart.
+    """Figures of a study's recordings, networks, predictions and heart, by name.
 
-    Figures of networks carry the study's caution. `networks` is the simulated population; the
-    intrinsic beat is the first of the predictions.
+    Figures of networks are marked with the study's caution text, if it has one. `networks` is the
+    simulated population; the first of the predictions is the intrinsic beat.
     """
     check_population(fitted)
     model, population = fitted.simulator.model, fitted.population
@@ -53,10 +53,10 @@ def drawings(
     best = ActivationRow.of("best network", fitted.best_network.beat).since_first()
     activations = np.array([network.beat.activation for network in networks])
     spread = {"all networks": activation_maps(activations)["activation_sd"]}
-    # recordings in the names of files and in captions
-    counts = range(1, len(fitted.recordings) + 1)
-    suffixes = ["", *(f"-{count}" for count in counts[1:])]
-    names = [f"Recording {count}" if len(counts) > 1 else "Recording" for count in counts]
+    # how file names and captions number the recordings
+    numbers = range(1, len(fitted.recordings) + 1)
+    suffixes = ["", *(f"-{count}" for count in numbers[1:])]
+    names = [f"Recording {count}" if len(numbers) > 1 else "Recording" for count in numbers]
     drawn: dict[str, Drawing] = {}
     torso = ", each with the gain and in the torso that were drawn with it" if fitted.ecgs else ""
     for number, recording in enumerate(fitted.recordings):
@@ -134,13 +134,13 @@ def draw_losses(axes: Axes, fitted: FittedStudy) -> None:
 
 
 def states_figure(states: Mapping[str, float], priors: Mapping[str, float]) -> Figure:
-    """Draw how probable conduction states are, the most probable at the top."""
+    """Draw posterior and prior probabilities of conduction states, the most probable on top."""
     ranked = sorted(states, key=lambda name: states[name])
     figure = new_figure(6.0, 0.6 + 0.24 * len(ranked))
     axes = figure.subplots()
     axes.barh(ranked, [states[name] for name in ranked], color=Colour.ORANGE, label="given the ECG")
-    before = [priors[name] for name in ranked]
-    axes.plot(before, ranked, "|", color=Colour.GREY, markersize=10, label="before the ECG")
+    prior = [priors[name] for name in ranked]
+    axes.plot(prior, ranked, "|", color=Colour.GREY, markersize=10, label="before the ECG")
     axes.set_xlim(0, 1)
     axes.set_xlabel("probability")
     axes.legend(loc="lower right")
@@ -148,7 +148,7 @@ def states_figure(states: Mapping[str, float], priors: Mapping[str, float]) -> F
 
 
 def emulator_figure(report: Mapping[str, float]) -> Figure:
-    """Draw the errors of an emulator, of all leads and of each."""
+    """Draw the errors of an emulator, over all leads and for each lead."""
     figure = new_figure(6.0, 2.6)
     axes = figure.subplots()
     kinds = {"error": ("prior", Colour.GREY), "error_of_posterior": ("posterior", Colour.ORANGE)}
@@ -167,9 +167,10 @@ def emulator_figure(report: Mapping[str, float]) -> Figure:
 def recorded_ecg_figure(
     fitted: FittedStudy, recording: int, networks: Sequence[Network], caption: bool
 ) -> Figure:
-    """Draw recorded and simulated QRS of one recording, counted from 0.
+    """Draw recorded and simulated QRS of one recording of a study (its index, from 0).
 
-    The networks are the population in that recording's scenario. The caption says how they agree.
+    The networks are the population in that recording's scenario. `caption` adds figures of their
+    agreement below.
     """
     check_population(fitted)
     target = fitted.recordings[recording].target
@@ -179,7 +180,7 @@ def recorded_ecg_figure(
 def _ecg(
     target: Target, networks: Sequence[Network], qrs_agreement: Agreement, caption: bool = True
 ) -> Figure:
-    """Draw recorded and simulated QRS; bands hold 90 %, as ranges grow with the number of ECGs."""
+    """Draw recorded and simulated QRS; bands hold 90 %, as ranges grow with their number."""
     window = target.qrs_samples
     time = target.time[window]
     simulated = np.stack([network.predicted for network in networks])[:, :, window]
@@ -201,5 +202,5 @@ def _ecg(
                 f"{measure.name} {qrs_agreement.recorded[key]:.0f} {measure.unit}, "
                 f"simulated {middle:.0f} ({low:.0f} to {high:.0f})"
             )
-    below = "; ".join(parts) if caption else ""
-    return ecg_figure(groups, title, notes, "R peak", below, target.leads)
+    caption_text = "; ".join(parts) if caption else ""
+    return ecg_figure(groups, title, notes, "R peak", caption_text, target.leads)

@@ -20,7 +20,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_path
 from fascicle.core.ranges import check_items
 
-KINDS = ("png", "pdf", "svg")  # of files
+KINDS = ("png", "pdf", "svg")  # file formats of figures
 RC: dict[str, Any] = {
     "font.size": 9,
     "figure.titlesize": 10.5,
@@ -100,7 +100,7 @@ def new_figure(width: float, height: float, title: str = "") -> Figure:
     size = None if set_by_user("figure.figsize") else (width, height)
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
-    if title and size:  # in a size of the user's it may lie under the legend
+    if title and size:  # at a size given by the user it may lie under the legend
         head(figure, title)
     return figure
 

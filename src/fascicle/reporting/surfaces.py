@@ -150,12 +150,12 @@ def _rendered(
 
 @cache
 def _plotter() -> Any:
-    """The one plotter; None where VTK cannot render and would crash."""
+    """Shared plotter of this process; None where VTK cannot render and would crash."""
     import pyvista
     from vtkmodules.vtkCommonCore import vtkLogger
 
     before = vtkLogger.GetCurrentVerbosityCutoff()
-    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)  # it reports every backend that it tries
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)  # VTK reports every backend that it tries
     try:
         plotter = pyvista.Plotter(off_screen=True, lighting="none")
     finally:

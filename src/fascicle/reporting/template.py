@@ -46,18 +46,18 @@ def _drawn(
     templates: Mapping[str, CableTemplate], table: Mapping[str, Mapping[str, float]]
 ) -> Figure:
     figure = style.new_figure(9.0, 3.8, "Ten Tusscher–Panfilov 2006 cells in a cable")
-    whole, zoom = figure.subplots(1, 2)
+    overview, zoom = figure.subplots(1, 2)
     long, brief = np.linspace(-20, 450, 4000), np.linspace(-3, 80, 4000)  # ms
     colours = (Colour.BLUE, Colour.GREY, Colour.VERMILION)
     for (cell, template), colour in zip(templates.items(), colours, strict=True):
         apd = table[cell]["apd90"]
-        whole.plot(long, template.full(long), color=colour, label=f"{cell}, APD90 {apd:.0f} ms")
-        whole.plot(apd, template.full(np.array(apd)), "o", color=colour)
+        overview.plot(long, template.full(long), color=colour, label=f"{cell}, APD90 {apd:.0f} ms")
+        overview.plot(apd, template.full(np.array(apd)), "o", color=colour)
         zoom.plot(brief, template.full(brief), color=colour, label=cell)
     used = default_template()
     zoom.plot(brief, used(brief), "--", color="black", label=f"template ({used.cell})")
     zoom.axvline(used.span[1], color=Colour.GREY, linewidth=0.6, linestyle=":")
-    for axes, time in ((whole, long), (zoom, brief)):
+    for axes, time in ((overview, long), (zoom, brief)):
         axes.legend(loc="center left", bbox_to_anchor=(0.05, 0.4), fontsize=8)
         axes.set(xlabel="time since activation (ms)", ylabel="transmembrane potential (mV)")
         axes.set_xlim(time[0], time[-1])

@@ -47,11 +47,11 @@ def site_rays(size: TrunkSize) -> tuple[Floats, Floats]:
     Starts (9, 3) and directions (9, 3) in the torso frame (mm).
     """
     width, height = size.half_width, 1000 * size.height  # mm
-    sternal = 0.15  # of the half-width: the sternum is some 5 cm wide at the fourth space
+    sternal = 0.15  # share of the half-width: the sternum is 5 cm wide at the fourth space
     clavicular = 0.55  # halfway between the middle of the neck and the tip of the shoulder
     shoulder, hip = 0.88 * size.shoulders * width, 0.65 * size.hips * width
     fifth = -0.021 * height  # the fifth intercostal space below the fourth
-    axillary = np.radians(64)  # of the anterior axillary line from straight ahead; V6's is at 90
+    axillary = np.radians(64)  # anterior axillary line, from straight ahead; V6 is at 90
     front = (0.0, -1.0)
     # by electrode: a place within the trunk, (x, z), and the direction to the skin, (x, y)
     rays = [
@@ -70,7 +70,7 @@ def site_rays(size: TrunkSize) -> tuple[Floats, Floats]:
 
 
 def additional_sites(heart: Heart, axes: Floats, skin: Surface, names: Sequence[str]) -> Electrodes:
-    """Put electrodes besides the nine onto the skin of any torso (mm), relative to the nine.
+    """Place additional electrodes on the skin of a torso (mm), relative to the standard nine.
 
     Frank's A, C, E, I and M lie at the level of V4 to V6, C halfway between A and E around the
     chest, H at the back of the neck; F, of the left leg, is at LL: Frank 1956, Circulation

@@ -87,8 +87,8 @@ def standard_axes() -> Floats:
     of the torso (common anatomical knowledge; these figures are those of the packaged heart). The
     LV and the RV lie side by side: the axis from one to the other is horizontal.
     """
-    azimuth = np.radians(48)  # of the long axis: from straight ahead towards the patient's left
-    elevation = np.radians(38)  # of the long axis: below the horizontal plane
+    azimuth = np.radians(48)  # long axis: from straight ahead to the patient's left
+    elevation = np.radians(38)  # long axis: below the horizontal plane
     ce, se, ca, sa = np.cos(elevation), np.sin(elevation), np.cos(azimuth), np.sin(azimuth)
     apex_to_base = np.array([-ce * sa, ce * ca, se])
     lv_to_rv = np.array([-ca, -sa, 0.0])

@@ -1,9 +1,9 @@
-"""An adult torso around a given heart: of standard shape, or fitted to electrodes on its skin.
+"""Idealised adult torso around a heart: of standard shape, or fitted to electrodes on its skin.
 
-Where electrodes are given, first the measures of the trunk and its pose around heart and electrodes
-have their most probable values: electrodes lie on the skin and near their standard sites, the heart
-has its default position, measures are those of adults. The smallest smooth deformation of skin,
-ribs and lungs together closes the gaps that remain between skin and electrodes.
+If electrodes are given, the size of the trunk and its pose around heart and electrodes are fitted
+first, by maximum a posteriori: electrodes are on the skin and near their standard sites, the heart
+is near its default position, measures are those of adults. Then the smallest smooth deformation of
+skin, ribs and lungs closes the gaps that remain between skin and electrodes.
 
 Sources
 -------
@@ -66,9 +66,9 @@ FARTHEST_ELECTRODE = 60.0  # mm from the fitted skin, the most that the deformat
 def idealised_torso(
     mesh: LabelledMesh, size: TrunkSize | None = None, pose: Pose = "standard"
 ) -> TorsoSurfaces:
-    """Put an idealised adult torso around a heart (mm), which stays where it is.
+    """Put an idealised adult torso around a heart (mm), which does not move.
 
-    The trunk is a standard adult's if it is not given; the pose is that of
+    The trunk is that of a standard adult if none is given; the pose is that of
     `fascicle.torso.heart_pose.torso_frame`. An error if the heart does not fit into that torso,
     leaves no room for the lungs, or is not closed.
     """

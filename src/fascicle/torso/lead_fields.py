@@ -68,7 +68,7 @@ class Contacts:
 def resolve_lead_fields(
     heart: Heart, conduction: Conduction, progress: StageProgress = no_progress
 ) -> LeadFields | None:
-    """Lead fields of a heart: its own where they are up to date, else those of its torso.
+    """Lead fields of a heart: the stored ones if up to date, else solved in its torso.
 
     None where the volume conductor is unbounded; an error if the heart's own are out of date and
     there is no torso to compute others in.
@@ -101,7 +101,7 @@ def torso_key(torso: Torso | None) -> str:
 
 
 def key_of(heart: Heart, conduction: Conduction) -> str:
-    """SHA-256 of what the lead fields depend on within a torso: heart, electrodes, conductivities.
+    """SHA-256 of the heart, electrodes and conductivities, on which lead fields in a torso depend.
 
     The torso itself is left out, so that a heart can carry its lead fields without it.
     """
@@ -119,9 +119,9 @@ def lead_fields(
 
     Fields of the nine sum to zero at every vertex: a field, of additional electrodes too, is for
     unit current that leaves through all nine equally, which affects no lead. Scar
-    (`Conduction.regions`) does not count: tissue that does not activate still conducts
-    extracellularly, and nothing better than the intact Gᵢ + Gₑ is known of it here. An error if an
-    electrode is far from the skin, the mesh falls into pieces, or the solver gets stuck.
+    (`Conduction.regions`) is treated as intact: tissue that is not activated still conducts
+    extracellularly, and its conductivity is not known. InputError if an electrode is far from the
+    skin, the mesh falls into pieces, or the solver does not converge.
     """
     tetrahedra = np.concatenate([heart.tetrahedra, torso.tetrahedra])
     contacts = place_electrodes(torso.vertices, tetrahedra, heart.electrode_positions)
@@ -165,8 +165,8 @@ def assemble_stiffness(vertices: Floats, tetrahedra: Integers, conductivity: Flo
     vertices belongs to a tetrahedron.
     """
     unused = np.bincount(tetrahedra.ravel(), minlength=len(vertices)) == 0
-    whole = "mesh of heart and torso"
-    refuse(whole, unused, "vertices belong to no tetrahedron", "leave them out", vertices)
+    name = "mesh of heart and torso"
+    refuse(name, unused, "vertices belong to no tetrahedron", "leave them out", vertices)
     from skfem import Basis, BilinearForm, ElementTetP1, MeshTet
     from skfem.helpers import dot, mul
 
@@ -241,10 +241,10 @@ def block_cg(
     tolerance: float,
     most: int,
 ) -> Floats:
-    """Conjugate gradients, preconditioned, for several right-hand sides (n, c) in step.
+    """Preconditioned conjugate gradients for several right-hand sides (n, c) simultaneously.
 
-    A product with all columns at once costs a fraction of products one by one. It ends when all
-    residuals are below the tolerance, relative to the right-hand side, or after `most` iterations.
+    A product with all columns together costs a fraction of that with each. Iterations end when all
+    residuals are below the tolerance, relative to the right-hand side, or after `most` of them.
     """
     potential = np.zeros_like(currents)
     residual = currents.copy()
@@ -278,7 +278,7 @@ def multigrid(stiffness: csr_matrix) -> Preconditioner:
         for a in hierarchy.levels[:-1]
     ]
     inverse = [1 / np.asarray(abs(matrix).sum(axis=1)) for matrix, _, _ in levels]
-    # of some tens of unknowns
+    # the coarsest level has some tens of unknowns
     coarsest = np.linalg.inv(hierarchy.levels[-1].A.toarray()).astype(np.float32)
 
     def cycle(depth: int, residual: Floats) -> Floats:

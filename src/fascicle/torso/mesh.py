@@ -1,4 +1,4 @@
-"""Tetrahedra for the torso outside the myocardium, which conform to the heart's."""
+"""Tetrahedral mesh of the torso outside the myocardium, conforming to the heart's mesh."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from fascicle.torso.surfaces import Surface
 
 
 def torso_of(heart: Heart, progress: StageProgress = no_progress) -> Torso:
-    """A heart's torso, or the idealised one of a heart that carries its lead fields without it.
+    """Torso of a heart; the idealised one if the heart is stored with lead fields only.
 
     The idealised torso is the standard one, or the one fitted to the heart's electrodes if its lead
     fields say `FITTED`. An error if electrodes are not on it: then it was another torso.

@@ -1,4 +1,4 @@
-"""Paced cells, and fronts in a cable of them, of any `CellModel`; what describes their records."""
+"""Paced cells and cables of any `CellModel`, and measures of their recorded potentials."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class CableRun:
 
 
 def _compiled(cell: CellModel) -> Any:
-    """A cable of these cells; Numba keeps that of the built-in model on disk."""
+    """Compiled cable of cells of a model; Numba caches that of the built-in model on disk."""
     return cable_of(cell.advance, keep=cell.advance is advance)
 
 
@@ -152,23 +152,23 @@ def simulate_cable(
     half, apart = round(length / spacing / 2), round(baseline / spacing)
     probes = np.array([half - apart, half, half + apart])
     state = np.tile(simulate_cell(cell, beats=beats).state, (2 * half + 1, 1))
-    times, traces, now = [np.zeros(1)], [state[probes, 0][None]], 0.0
+    times, traces, elapsed = [np.zeros(1)], [state[probes, 0][None]], 0.0
 
     def go_on(by: float, dt: float) -> None:
-        """Go on by a whole number of steps, at least as long as `by` (ms)."""
-        nonlocal now
+        """Advance the simulation by `by` (ms), rounded up to complete steps."""
+        nonlocal elapsed
         steps = int(np.ceil(by / dt - 1e-9))
-        # for 2 ms into the first 1.5 mm
-        stimulus = STIMULUS, round(max(2.0 - now, 0.0) / dt), round(1.5 / spacing) + 1
+        # the stimulus lasts 2 ms and covers the first 1.5 mm
+        stimulus = STIMULUS, round(max(2.0 - elapsed, 0.0) / dt), round(1.5 / spacing) + 1
         lambda_ = diffusivity / spacing**2 * dt / 2
         traces.append(run(state, constants, stimulus, lambda_, dt, steps, probes))
-        times.append(np.asarray(now + dt * np.arange(1, steps + 1), dtype=float))
-        now += dt * steps
+        times.append(np.asarray(elapsed + dt * np.arange(1, steps + 1), dtype=float))
+        elapsed += dt * steps
 
     while not state[-1, 0] > 0.0:  # mV: the far end has fired
-        if now >= duration:
+        if elapsed >= duration:
             raise InputError(
-                f"cable of {length:g} mm: no front at its end after {now:g} ms; refine dx "
+                f"cable of {length:g} mm: no front at its end after {elapsed:g} ms; refine dx "
                 f"({spacing:g} mm), raise D ({diffusivity:g} mm²/ms) or record longer"
             )
         go_on(chunk, step)
@@ -176,7 +176,7 @@ def simulate_cable(
     so_far, potentials = np.concatenate(times), np.concatenate(traces)
     fired = [max_upstroke(so_far, trace)[1] for trace in potentials.T]
     speed = 2 * apart * spacing / (fired[2] - fired[0])
-    go_on(max(duration - now, 0.0), COARSENING * step)
+    go_on(max(duration - elapsed, 0.0), COARSENING * step)
     return CableRun(np.concatenate(times), np.concatenate(traces)[:, 1], speed)
 
 

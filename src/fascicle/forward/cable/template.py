@@ -209,7 +209,7 @@ def stored_template(cell: str) -> CableTemplate:
     stored = cache.read(key)
     if stored is not None:
         return CableTemplate(cell, stored["times"], stored["potentials"], float(stored["speed"]))
-    made = template_of(simulate_cable(CELLS[cell]), cell)
-    arrays = {"times": made.times, "potentials": made.potentials, "speed": made.speed}
+    template = template_of(simulate_cable(CELLS[cell]), cell)
+    arrays = {"times": template.times, "potentials": template.potentials, "speed": template.speed}
     cache.keep(key, arrays)
-    return made
+    return template

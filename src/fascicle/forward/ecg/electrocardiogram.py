@@ -1,4 +1,4 @@
-"""From activation times to the ECG: the twelve leads, and those of additional electrodes."""
+"""ECG from activation times: the twelve leads, and those of additional electrodes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def first_sample(activation: Floats) -> float:
 
 @dataclass(frozen=True)
 class Electrocardiograph:
-    """Everything about a heart that the ECG needs beyond activation times.
+    """ECG integral of a heart: all that the ECG depends on besides activation times.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class Electrocardiograph:
     def scaled(self, factors: Floats) -> Electrocardiograph:
         """ECG integral with the conductivity of each tetrahedron times a factor (m,); 0: no source.
 
-        Lead fields stay: tissue that does not activate still conducts the currents of the rest.
+        Lead fields do not change: tissue that is not activated still conducts currents of the rest.
         """
         if (factors == 1).all():
             return self
@@ -205,9 +205,9 @@ def bin_response(action_potential: ActionPotential, width: float) -> tuple[int, 
     node, weight = np.polynomial.legendre.leggauss(8)
     times = (np.arange(first - 1, last + 1)[:, None] + (node + 1) / 2) * width
     mean = action_potential(times) @ weight / 2
-    moments = np.diff(mean) / width  # of U′ with each hat, by parts
+    moments = np.diff(mean) / width  # integrals of U′ times each hat function, by parts
     overlaps = np.zeros(len(moments))
-    overlaps[:2] = 2 / 3, 1 / 6  # of a hat with itself and with the next
+    overlaps[:2] = 2 / 3, 1 / 6  # integrals of a hat function times itself and the next one
     return first, np.asarray(scipy.linalg.solve_toeplitz(overlaps, moments))
 
 

@@ -1,1 +1,1 @@
-"""Activation times of trees and myocardium, one eikonal problem."""
+"""Activation times of trees and myocardium as one coupled eikonal problem."""

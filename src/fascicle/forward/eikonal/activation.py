@@ -1,4 +1,4 @@
-"""Activation of trees and myocardium together."""
+"""Activation times of trees and myocardium by the coupled eikonal problem."""
 
 from __future__ import annotations
 
@@ -53,18 +53,18 @@ class Activation:
     trees : tuple of (n_nodes,) arrays
         Time at each node of each tree (ms); inf where no front arrives.
     origin : (n,) array
-        Which site fired each vertex: junctions are counted tree by tree, stimuli after them; -1
+        Site whose front activated each vertex, counted by junctions tree by tree, then stimuli; -1
         where no front arrives.
     retrograde : tuple of (n_junctions,) bool arrays
-        Which junctions the myocardium fired before their tree could.
+        Masks of the junctions that the myocardium activated before their tree could.
     entered_by : tuple of (n_junctions,) arrays
         For a retrograde junction the site whose front entered it, else -1.
     stimuli, stimulus_times : (n_stimuli, 3) and (n_stimuli,) arrays
         Where (mm) and when (ms) the myocardium was stimulated.
     captured : (n_stimuli,) bool array
-        Which of the stimuli came before any front was there.
+        Mask of the stimuli that came before any front arrived there.
     junction_distances : tuple of (n_junctions,) arrays
-        How far each junction lies from where it meets the tissue (mm).
+        Distance of each junction from the point where it is attached to the tissue (mm).
     his : float
         Time at the His bundle (ms); inf where there is none, or no front arrives.
     """
@@ -98,8 +98,8 @@ def solve(
 ) -> Activation:
     """Solve the coupled eikonal problem, anterograde and retrograde, in one sweep.
 
-    Equivalent to the limit of the paper's alternation between trees and myocardium (equations
-    `eikotree`, `eikomyo` and `eikoiter`).
+    The result is the limit of the alternation between trees and myocardium of Álvarez-Barrientos et
+    al. (their equations `eikotree`, `eikomyo` and `eikoiter`).
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def solve(
         c, the unchanged myocardium is activated, and all times are divided by c. Nothing needs to
         be prepared again.
     his : HisBundle, optional
-        Joins the roots; without it a front that comes to a root ends there.
+        Bundle that joins the roots; without it a front that arrives at a root ends there.
     """
     if tissue_speed != 1.0:
         slowed = solve(
@@ -162,7 +162,7 @@ def solve(
     np.divide(coupling.lengths, cv * factor, out=travel, where=factor > 0)
     travel[coupling.roots] = his.branches if his is not None else np.inf
     in_trees[-1] = his.fires if his is not None else np.inf
-    anterograde, retrograde = np.zeros((2, len(sites.node)))  # of stimuli, none
+    anterograde, retrograde = np.zeros((2, len(sites.node)))  # delays of stimuli are 0
     anterograde[: coupling.junctions[-1]] = anterograde_delay
     retrograde[: coupling.junctions[-1]] = retrograde_delay
     forest = coupling.forest._replace(time=travel)
@@ -175,7 +175,7 @@ def solve(
 
 
 def initial_front(mesh: EikonalMesh, tree_nodes: int, sites: int) -> Front:
-    """Make a front that has not started: nothing has fired."""
+    """Initial front, before anything has fired."""
     nodes = np.empty(len(mesh.vertices) + tree_nodes, STATE)
     nodes["time"], nodes["origin"], nodes["bucket"] = np.inf, -1, Bucket.NOT_QUEUED
     # nearly all times that wait lie within 200 ms: the queue's ring has buckets for them

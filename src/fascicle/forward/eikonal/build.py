@@ -199,7 +199,7 @@ def _stars(
 
 
 def _reach(squares: Floats) -> Floats:
-    """Least delay (ms) between a corner and another one that is reached through it; (m, 4, 3).
+    """Least delays (ms) of the three other corners after each corner, if reached through it.
 
     A front that comes to corner x from direction v, through the face that corner s belongs to,
     reaches x later than s by the projection of the edge from s to x on v, in the metric. Its least

@@ -1,4 +1,4 @@
-"""The myocardium as prepared for the sweep, and trees and stimuli attached to it."""
+"""Myocardium prepared for the eikonal solver, and trees and stimuli attached to it."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class LocatedPoints(NamedTuple):
 
 @dataclass(frozen=True)
 class Myocardium:
-    """The myocardium, prepared for the sweep.
+    """Myocardium, prepared for the eikonal solver.
 
     Attributes
     ----------
@@ -121,11 +121,11 @@ class Myocardium:
     def on_surface_from(self, triangles: Integers, points: Floats) -> LocatedPoints:
         """Nearest surface points to `points` in or near triangles of an endocardium.
 
-        Without a search, unless one of them lies elsewhere.
+        No search of the whole surface is needed unless one of the points is not near its triangle.
         """
         positions, nearest = np.empty_like(points), np.empty(len(points), np.int64)
         squares, surface = np.empty(len(points)), (self.mesh.vertices, self.surface)
-        for candidates in self.candidates.values():  # they lie on one side or on none
+        for candidates in self.candidates.values():  # sites are on one side or on none
             if nearest_of(points, triangles, candidates, *surface, positions, nearest, squares):
                 return self._located(positions, nearest, squares)
         return self.on_surface(points)
@@ -160,9 +160,9 @@ class Myocardium:
 class Coupling:
     """Trees and stimuli attached to the myocardium: all that does not depend on when they fire.
 
-    Sites are numbered junctions first, tree by tree, then stimuli. On the last node, the His
-    bundle, hang the roots of all trees; nothing passes there unless `activation.solve` is given a
-    bundle.
+    Sites are numbered junctions first, tree by tree, then stimuli. The last node is the His bundle,
+    whose children are the roots of all trees; it does not conduct unless `activation.solve` is
+    given a bundle.
 
     Attributes
     ----------
@@ -297,7 +297,7 @@ def _locate_stimuli(
         located = myocardium.inside(points)
         centres = LocatedPoints._make(values[:sources] for values in located)
         captured = LocatedPoints._make(values[sources:] for values in located)
-        nowhere = np.full(len(captured.elements), -1)  # in no triangle: their rays are traced
+        nowhere = np.full(len(captured.elements), -1)  # in no triangle, so their rays are traced
         rays = rays_to_mesh(centres, None, myocardium)
         rays = _joined_rays(rays, rays_to_mesh(captured, nowhere, myocardium))
         stimuli = located, rays
@@ -378,7 +378,7 @@ def _used(rays: RayTravelTimes) -> RayTravelTimes:
 
 
 def _parents_first(parents: Integers) -> Integers:
-    """Order of the nodes with parents first; that of their numbers if it is so already."""
+    """Order of the nodes with parents first; by number if parents have lower numbers already."""
     order = np.arange(len(parents))
     if (parents < order).all():
         return order
@@ -390,7 +390,7 @@ def _parents_first(parents: Integers) -> Integers:
 
 
 def grouped(groups: NDArray[np.integer], count: int) -> tuple[Integers, Integers]:
-    """Sort items by their group; those of one group stay in the order in which they came.
+    """Sort items by group, stably within a group.
 
     Parameters
     ----------

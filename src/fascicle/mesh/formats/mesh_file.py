@@ -48,7 +48,7 @@ class MeshFile:
         return None if values is None else np.asarray(values, dtype=float)
 
     def keeping(self, kind: int, chosen: Booleans | Integers) -> MeshFile:
-        """The file with chosen cells of one kind only, by mask or row, and their arrays' rows."""
+        """File with only some cells of one kind, chosen by mask or row, and their data."""
         arrays = {name: values[chosen] for name, values in self.cell_data.get(kind, {}).items()}
         return replace(
             self,
@@ -57,7 +57,7 @@ class MeshFile:
         )
 
     def require(self, kind: int, name: str) -> Integers:
-        """Cells of one kind."""
+        """Cells of one kind; InputError if the file has none, or other solid or surface cells."""
         cells = self.cells.get(kind)
         other_cells = ", ".join(f"{count} {other}" for other, count in self.other_cells.items())
         if cells is None or not len(cells):

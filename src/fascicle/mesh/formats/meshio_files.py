@@ -1,8 +1,9 @@
-"""PLY files and Gmsh files of format 4 by meshio, and Gmsh files of format 2.
+"""Readers of PLY and Gmsh files: by meshio, but for Gmsh's format 2, which is read here.
 
-VTK's PLY reader crashes on truncated files. meshio mixes up element data of Gmsh's format 2 (Gmsh
-reference manual, "MSH file format version 2 (Legacy)") where there are cells of several kinds, and
-refuses data of some elements only, as Gmsh writes fibres of tetrahedra among triangles.
+VTK's PLY reader crashes on truncated files, so meshio reads these. In Gmsh's format 2 (Gmsh
+reference manual, "MSH file format version 2 (Legacy)") meshio mixes up element data if there are
+cells of several kinds, and refuses data that only some elements have, such as fibres of tetrahedra
+in a file with triangles.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from fascicle.core.errors import InputError, one_line
 from fascicle.core.isolated import DAMAGED
 from fascicle.mesh.formats.mesh_file import GROUP, LINE, TETRAHEDRON, TRIANGLE, MeshFile, damaged
 
-# Gmsh's number of an element type: its name, how many nodes it has, and VTK's number if it is used
+# Element types by Gmsh's number: name, number of nodes, and VTK's cell type (None: not read)
 GMSH_ELEMENTS = {
     1: ("line", 2, LINE), 2: ("triangle", 3, TRIANGLE), 3: ("quadrangle", 4, None),
     4: ("tetra", 4, TETRAHEDRON), 5: ("hexahedron", 8, 12), 6: ("wedge", 6, 13),
@@ -38,11 +39,11 @@ def read_meshio(path: Path) -> MeshFile:
     printed = io.StringIO()
     try:
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
-            # meshio.read would leave the program when it cannot read a file
+            # meshio.read would exit the program if it could not read the file
             data = meshio.gmsh.read(path) if path.suffix.lower() == ".msh" else _read_ply(path)
     except (*DAMAGED, meshio.ReadError, MemoryError, struct.error) as error:
         raise damaged(path, one_line(error)) from None
-    if "not closed" in printed.getvalue():  # of a section of a Gmsh file
+    if "not closed" in printed.getvalue():  # meshio's warning about a section of a Gmsh file
         raise damaged(path, one_line(printed.getvalue()))
     cells: dict[int, Integers] = {}
     cell_data: dict[int, dict[str, Floats]] = {}
@@ -60,14 +61,16 @@ def read_meshio(path: Path) -> MeshFile:
     other_cells = {
         block.type: len(block.data) for block in data.cells if block.type not in (*used, "vertex")
     }
-    groups = {name: (int(of), int(number)) for name, (number, of) in data.field_data.items()}
+    groups = {
+        name: (int(dimension), int(number)) for name, (number, dimension) in data.field_data.items()
+    }
     return MeshFile(
         path, points, cells, dict(data.point_data), cell_data, other_cells, groups=groups
     )
 
 
 def _read_ply(path: Path) -> Any:
-    """Read a PLY file by meshio, after two corrections that it needs."""
+    """Read a PLY file by meshio, with checks and a correction that it needs."""
     import meshio
 
     content = path.read_bytes()
@@ -85,15 +88,15 @@ def _read_ply(path: Path) -> Any:
 
 
 def gmsh22_header(content: bytes) -> re.Match[bytes] | None:
-    """The header of a Gmsh file of format 2; its group is 1 in a binary file."""
+    """Match of the header of a Gmsh file of format 2; its group is 1 in a binary file."""
     return re.match(rb"\$MeshFormat\s+2(?:\.\d+)?\s+([01])\s+8\s*\n", content)
 
 
 def read_gmsh22(path: Path, content: bytes) -> MeshFile:
     """Read a Gmsh file of format 2, text or binary.
 
-    Physical groups are in the cell array `GROUP` and in ``groups``. Element data are cell arrays
-    of the kinds that have any, NaN where an element has none.
+    Physical groups are in the cell array `GROUP` and in ``groups``. Element data become cell arrays
+    of the kinds of cells that have any, NaN for elements without.
     """
     try:
         return _parsed(path, content)
@@ -102,6 +105,7 @@ def read_gmsh22(path: Path, content: bytes) -> MeshFile:
 
 
 def _parsed(path: Path, content: bytes) -> MeshFile:
+    """Parse a Gmsh file of format 2; ValueError and the like if it is damaged."""
     header = gmsh22_header(content)
     is_binary = header is not None and header[1] == b"1"
     nodes, elements = np.empty((0, 4)), list[tuple[int, Integers]]()
@@ -127,7 +131,7 @@ def _parsed(path: Path, content: bytes) -> MeshFile:
     cells, cell_data, other_cells = {}, {}, {}
     for element in sorted({element for element, _ in elements}):
         type_name, _, kind = GMSH_ELEMENTS[element]
-        rows = np.concatenate([rows for of, rows in elements if of == element])
+        rows = np.concatenate([rows for number, rows in elements if number == element])
         if kind is not None:
             places = _places(rows[:, 2:], ids)
             if (places < 0).any():
@@ -144,34 +148,36 @@ def _parsed(path: Path, content: bytes) -> MeshFile:
 
 
 def _sections(content: bytes) -> Iterator[tuple[str, bytes]]:
-    at = 0
-    while content[at:].strip():
-        start = re.compile(rb"\s*\$(\w+)\s*?\n").match(content, at)
+    """Name and body of each section of a Gmsh file."""
+    position = 0
+    while content[position:].strip():
+        start = re.compile(rb"\s*\$(\w+)\s*?\n").match(content, position)
         if start is None:
-            raise ValueError(f"no section where one should start (byte {at})")
+            raise ValueError(f"no section where one should start (byte {position})")
         end = b"$End" + start[1]
-        end_at = content.find(end, start.end())
-        at = content.find(b"\n", end_at) + 1
-        if end_at < 0 or not at or content[end_at:at].strip() != end:
+        end_position = content.find(end, start.end())
+        position = content.find(b"\n", end_position) + 1
+        if end_position < 0 or not position or content[end_position:position].strip() != end:
             raise ValueError("ends within a section")
-        yield start[1].decode(), content[start.end() : end_at]
+        yield start[1].decode(), content[start.end() : end_position]
 
 
 def _lines(body: bytes, count: int) -> tuple[list[str], bytes]:
-    """The first `count` lines, and the rest."""
-    *lines, rest = body.split(b"\n", max(count, 0))
+    """First `count` lines of a section's body, and the remaining bytes."""
+    *lines, remainder = body.split(b"\n", max(count, 0))
     if len(lines) != count:
         raise ValueError("ends within a section")
-    return [line.decode("utf-8", "replace").strip() for line in lines], rest
+    return [line.decode("utf-8", "replace").strip() for line in lines], remainder
 
 
 def _counted(body: bytes) -> tuple[int, bytes]:
-    (count,), rest = _lines(body, 1)
-    return int(count), rest
+    """Number in the first line of a section's body, and the remaining bytes."""
+    (count,), remainder = _lines(body, 1)
+    return int(count), remainder
 
 
 def _table(rows: int, body: bytes, columns: int, is_binary: bool) -> Floats:
-    """Rows of one whole number and `columns` other numbers (rows, 1 + columns)."""
+    """Table (rows, 1 + columns) whose rows are an integer and `columns` floating-point numbers."""
     if not is_binary:
         return np.array(body.decode("ascii").split(), dtype=float).reshape(rows, 1 + columns)
     row = np.dtype([("id", "<i4"), ("values", "<f8", (columns,))])
@@ -182,13 +188,16 @@ def _table(rows: int, body: bytes, columns: int, is_binary: bool) -> Floats:
 
 
 def _untagged(table: Integers, tags: int) -> Integers:
-    """Number, group (0 without tags) and nodes of elements, from number, tags and nodes."""
+    """Rows of number, group and nodes of elements, from rows of number, tags and nodes.
+
+    The group is the first tag, or 0 without tags.
+    """
     group = table[:, 1] if tags else np.zeros(len(table), dtype=np.int64)
     return np.column_stack([table[:, 0], group, table[:, 1 + tags :]]).astype(np.int64)
 
 
 def _text_elements(count: int, body: bytes) -> list[tuple[int, Integers]]:
-    """Type of each block of elements, and their numbers, groups and nodes."""
+    """Type of each block of elements, with the numbers, groups and nodes of the elements."""
     by_shape: dict[tuple[int, int], list[str]] = {}
     lines = body.decode("ascii").strip().splitlines()
     if len(lines) != count:
@@ -197,14 +206,15 @@ def _text_elements(count: int, body: bytes) -> list[tuple[int, Integers]]:
         kind, tags = line.split(maxsplit=3)[1:3]
         by_shape.setdefault((int(kind), int(tags)), []).append(line)
     parts = []
-    for (of, n), rows in by_shape.items():
+    for (element_type, n), rows in by_shape.items():
         numbers = np.array(" ".join(rows).split(), dtype=np.int64)
-        table = numbers.reshape(len(rows), 3 + n + GMSH_ELEMENTS[of][1])
-        parts.append((of, _untagged(np.delete(table, (1, 2), axis=1), n)))
+        table = numbers.reshape(len(rows), 3 + n + GMSH_ELEMENTS[element_type][1])
+        parts.append((element_type, _untagged(np.delete(table, (1, 2), axis=1), n)))
     return parts
 
 
 def _binary_elements(count: int, body: bytes) -> list[tuple[int, Integers]]:
+    """Blocks of elements as of `_text_elements`, from a binary file."""
     parts, at = [], 0
     while count > 0:
         kind, rows, tags = map(int, np.frombuffer(body, "<i4", 3, at))
@@ -221,7 +231,7 @@ def _binary_elements(count: int, body: bytes) -> list[tuple[int, Integers]]:
 def _read_data(body: bytes, is_binary: bool) -> tuple[str, Floats]:
     """Name of an array, and its rows: number of the node or element, and the values."""
     tags = []
-    for _ in range(3):  # texts, numbers (the time) and whole numbers
+    for _ in range(3):  # string tags, real tags (the time) and integer tags
         count, body = _counted(body)
         lines, body = _lines(body, count)
         tags.append(lines)
@@ -240,7 +250,7 @@ def _places(ids: Integers, numbers: Integers) -> Integers:
 
 
 def _arrays(tables: dict[str, Floats], ids: Integers) -> dict[str, Floats]:
-    """Values of each table in the order of `ids`, without tables that have none of these."""
+    """Values of each table in the order of `ids`; tables with none of these are left out."""
     arrays = {}
     for name, table in tables.items():
         place = _places(ids, table[:, 0].astype(np.int64)) if len(table) else np.full(len(ids), -1)

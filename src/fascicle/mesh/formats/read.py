@@ -24,8 +24,13 @@ MESH_FORMATS = (".vtk", ".vtu", ".vtp", ".obj", ".stl", ".ply", ".msh", *OPENCAR
 def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
     """Read a mesh file of any supported format.
 
-    InputError is that the file is missing, of another format, truncated or otherwise unreadable,
-    empty, or has coordinates that are not finite. Hexahedra, wedges and pyramids become tetrahedra.
+    Hexahedra, wedges and pyramids are cut into tetrahedra.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, of another format, truncated or otherwise unreadable, empty, or has
+        coordinates that are not finite.
     """
     path = Path(path)
     check_file(path, MESH_FORMATS, purpose)
@@ -49,23 +54,23 @@ def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
 
 
 def _check_complete(path: Path) -> None:
-    """Refuse files without their format's end: VTK reads a truncated one as far as it goes."""
+    """Refuse truncated files, by the end that their format has; VTK would read them in part."""
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(512)
         file.seek(max(0, size - 1024))
         tail = file.read()
-    # 50 bytes a triangle after the header of 80 and their number, or text
+    # binary: a header of 80 bytes, the number of triangles (4), 50 bytes a triangle; or text
     triangles = size >= 84 and size >= 84 + 50 * int.from_bytes(head[80:84], "little")
-    whole_stl = (triangles and any(tail)) or b"endsolid" in tail.lower()
-    promised = {
+    complete_stl = (triangles and any(tail)) or b"endsolid" in tail.lower()
+    endings = {
         ".vtu": ("</VTKFile>", b"</VTKFile>" in tail),
         ".vtp": ("</VTKFile>", b"</VTKFile>" in tail),
-        ".stl": ("as many triangles as announced", whole_stl),
+        ".stl": ("as many triangles as announced", complete_stl),
         ".obj": ("line end", tail[-1:].isspace()),
         ".vtk": ("line end", tail[-1:].isspace() or not is_ascii_vtk(head)),
     }
-    end, complete = promised.get(path.suffix.lower(), ("", True))
+    end, complete = endings.get(path.suffix.lower(), ("", True))
     if size == 0:
         raise InputError(f"{path}: the file is empty; export or copy it again")
     if not complete:
@@ -73,35 +78,35 @@ def _check_complete(path: Path) -> None:
 
 
 def cut_into_tetrahedra(mesh: MeshFile) -> MeshFile:
-    """Cut the solid cells of a file into tetrahedra, which take the rows of their arrays.
+    """Cut the hexahedra, wedges and pyramids of a file into tetrahedra, which inherit their data.
 
     VTK orders the corners of a cell by their numbers (Schroeder, Geveci and Malaterre 2004,
     "Compatible triangulations of spatial decompositions", IEEE Visualization), so neighbours agree
-    on the diagonal of their common face. Corners that coincide, as at an apex, are allowed. A cell
-    numbered the other way round is turned; one that is cut into a tetrahedron of no positive volume
-    is refused.
+    on the diagonal of their common face. Corners that coincide, as at an apex, are allowed. The
+    tetrahedra of inverted cells are reversed. InputError if a cell is flat or folded, so that its
+    tetrahedra do not all have a positive volume.
     """
     solids = {kind: cells for kind, cells in mesh.cells.items() if kind in SOLIDS and len(cells)}
     if not solids:
         return mesh
-    whole = [mesh.cells.get(TETRAHEDRON, np.empty((0, 4), dtype=np.int64))]
-    rest = {kind: cells for kind, cells in mesh.cells.items() if kind not in SOLIDS}
+    tetrahedra = [mesh.cells.get(TETRAHEDRON, np.empty((0, 4), dtype=np.int64))]
+    other_cells = {kind: cells for kind, cells in mesh.cells.items() if kind not in SOLIDS}
     arrays = {kind: mesh.cell_data.get(kind, {}) for kind in solids}
-    if len(whole[0]):
+    if len(tetrahedra[0]):
         arrays[TETRAHEDRON] = mesh.cell_data.get(TETRAHEDRON, {})
     names = set.intersection(*map(set, arrays.values()))
-    rows = {name: [arrays[TETRAHEDRON][name]] if len(whole[0]) else [] for name in names}
+    rows = {name: [arrays[TETRAHEDRON][name]] if len(tetrahedra[0]) else [] for name in names}
     for kind, cells in solids.items():
         parts, parent = _parts(mesh, kind, cells)
-        whole.append(parts)
+        tetrahedra.append(parts)
         for name in names:
             rows[name].append(arrays[kind][name][parent])
     count = ", ".join(f"{len(cells)} {SOLIDS[kind][0]}" for kind, cells in solids.items())
     kept = {kind: values for kind, values in mesh.cell_data.items() if kind not in SOLIDS}
-    note = f"mesh: {count} were cut into {sum(map(len, whole[1:]))} tetrahedra"
+    note = f"mesh: {count} were cut into {sum(map(len, tetrahedra[1:]))} tetrahedra"
     return replace(
         mesh,
-        cells={**rest, TETRAHEDRON: np.concatenate(whole)},
+        cells={**other_cells, TETRAHEDRON: np.concatenate(tetrahedra)},
         cell_data={
             **kept, TETRAHEDRON: {name: np.concatenate(values) for name, values in rows.items()}
         },
@@ -110,7 +115,7 @@ def cut_into_tetrahedra(mesh: MeshFile) -> MeshFile:
 
 
 def _parts(mesh: MeshFile, kind: int, cells: Integers) -> tuple[Integers, Integers]:
-    """Tetrahedra (m, 4) of the cells of one kind, and the cell that each is a part of (m,)."""
+    """Tetrahedra (m, 4) that cells of one kind are cut into, and the cell (m,) of each."""
     from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
     from vtkmodules.vtkCommonCore import vtkPoints
     from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkUnstructuredGrid
@@ -134,8 +139,8 @@ def _parts(mesh: MeshFile, kind: int, cells: Integers) -> tuple[Integers, Intege
     parts = connections.reshape(-1, 4).astype(np.int64)
     parent = vtk_to_numpy(output.GetCellData().GetArray("cell")).astype(np.int64)
     ordered = np.sort(parts, axis=1)
-    proper = (np.diff(ordered, axis=1) > 0).all(axis=1)  # without coinciding corners
-    parts, parent = parts[proper], parent[proper]
+    distinct = (np.diff(ordered, axis=1) > 0).all(axis=1)  # without coinciding corners
+    parts, parent = parts[distinct], parent[distinct]
     origin, a, b, c = (mesh.points[parts[:, k]] for k in range(4))
     volume = np.einsum("ij,ij->i", a - origin, np.cross(b - origin, c - origin))
     low, high = np.full(len(cells), np.inf), np.full(len(cells), -np.inf)

@@ -114,7 +114,7 @@ def _vtk_complaints() -> Iterator[list[str]]:
         vtkOutputWindow.SetInstance(before)
         vtkLogger.SetStderrVerbosity(verbosity)
         printed = window.GetOutput()
-        if isinstance(printed, bytes):  # it quotes a binary file
+        if isinstance(printed, bytes):  # a message that quotes a binary file
             printed = printed.decode(errors="replace")
         # "ERROR: In vtkX.cxx, line 7", then "vtkX (0x55aa): what happened"
         for text in re.split(r"^\w+: In .*, line \d+$", printed, flags=re.MULTILINE):
@@ -184,7 +184,7 @@ def write_grid(
     writer: Any = {".vtp": vtkXMLPolyDataWriter}.get(path.suffix, vtkXMLUnstructuredGridWriter)()
     data.point_data.update(point_data or {})
     data.cell_data.update(cell_data or {})
-    # by way of memory: on a full disk VTK crashes, and Python raises an error
+    # written in memory first: on a full disk VTK crashes, but Python raises an error
     writer.SetInputData(data)
     writer.SetDataModeToBinary()  # as base64, so the output is text
     writer.WriteToOutputStringOn()

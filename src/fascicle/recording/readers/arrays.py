@@ -76,7 +76,7 @@ def read_matlab(path: Path, sampling_rate: float | None) -> RawRecording:
     if b"HDF5" in start:
         return read_hdf5(path, sampling_rate)
     with warnings.catch_warnings():
-        warnings.simplefilter("error", UserWarning)  # such as of a duplicate variable
+        warnings.simplefilter("error", UserWarning)  # such as a warning of a duplicate variable
         variables = loadmat(path, appendmat=False, simplify_cells=True)
     stored = {name: value for name, value in variables.items() if not name.startswith("__")}
     # MATLAB 4 has no header
@@ -192,7 +192,7 @@ def _leads(group: _Group, path: Path) -> dict[str, tuple[list[Channel], list[Ent
 
 
 def _are_leads(names: Sequence[str]) -> bool:
-    """Whether two names at least are leads, so that a stray variable `i` makes no recording."""
+    """Whether two names at least are leads: one alone may be a variable named `i`."""
     return sum(lead_name(name) is not None for name in names) > 1
 
 

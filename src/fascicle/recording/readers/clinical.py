@@ -51,7 +51,7 @@ def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
     if wrong and record.source_format == "scp_ecg":
         remarks.append(f"checksums differ, but not those of the samples ({wrong[0]})")
     leads = [lead for lead in record.leads if _standard_name(lead) is not None]
-    for tag in ("LeadTimeOffset", "LeadOffsetFirstSample"):  # of MUSE; what they count is unknown
+    for tag in ("LeadTimeOffset", "LeadOffsetFirstSample"):  # tags of MUSE whose unit is unknown
         if len({lead.annotations.get(tag) for lead in leads}) > 1:
             raise InputError(f"{path}: {tag} differs between leads; export all over the same time")
     off = [lead.label for lead in leads if "LeadOff" in lead.annotations]
@@ -125,11 +125,11 @@ def _check_one_recording(
     """
     several, remarks = "", []
     if source_format == "scp_ecg":
-        rest = data[int.from_bytes(data[2:6], "little") :]  # after what is stated as its size
-        if rest[16:22] == b"SCPECG":
-            several = f"{len(rest)} bytes follow the first one"
-        elif rest.strip(b"\0"):
-            remarks = [f"{len(rest)} bytes after the end of the record are left out"]
+        trailing = data[int.from_bytes(data[2:6], "little") :]  # after what is stated as its size
+        if trailing[16:22] == b"SCPECG":
+            several = f"{len(trailing)} bytes follow the first one"
+        elif trailing.strip(b"\0"):
+            remarks = [f"{len(trailing)} bytes after the end of the record are left out"]
     elif root is not None:
         elements = list(root.iter())
         nested = sum(element.tag.lower() == "restingecg" for element in elements)
@@ -158,7 +158,7 @@ def _standard_name(lead: Any) -> str | None:
 
 
 def _channels(record: Any, path: Path) -> list[Channel]:
-    """Channels, in physical units where these are known; leads lie on a common time axis."""
+    """Channels, in physical units if these are stated, on a common time axis."""
     channels, starts = [], []
     for lead in record.leads:
         name, standard = printable(lead.label), _standard_name(lead)
@@ -179,7 +179,7 @@ def _channels(record: Any, path: Path) -> list[Channel]:
             )
         with np.errstate(over="ignore", invalid="ignore"):  # infinite samples are refused as gaps
             values = lead.resolution * digits + lead.offset
-        is_ishne = record.source_format == "ishne_holter"  # which marks faults by the lowest digit
+        is_ishne = record.source_format == "ishne_holter"  # its lowest value marks invalid samples
         missing = (lead.resolution * -(2.0**15) + lead.offset,) if is_ishne else ()
         unit = printable(lead.resolution_unit or lead.adc_resolution_unit) or None
         channels.append(Channel(name, values, unit, standard, 1 / lead.resolution, missing))
@@ -270,10 +270,10 @@ def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
     for segment in (file for file in files if file.suffix == ".hea"):
         # the library joins segments whatever their rates and units, and scales marks as samples
         part = _parsed(WFDBParser, segment, segment)[0].raw_metadata
-        same = all(units.get(s["description"]) == s["units"] for s in part["signal_specs"])
+        consistent = all(units.get(s["description"]) == s["units"] for s in part["signal_specs"])
         stated = part["sampling_frequency_stated"]
-        same &= not stated or part["sampling_frequency"] == raw["sampling_frequency"]
-        if not same or "invalid_sample_counts" in part:
+        consistent &= not stated or part["sampling_frequency"] == raw["sampling_frequency"]
+        if not consistent or "invalid_sample_counts" in part:
             raise InputError(
                 f"{path}: {segment.name} has another rate, other signals or units, or samples that "
                 "are marked invalid; give one segment"
@@ -293,7 +293,8 @@ def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
                 "per mV as the third field of its line, such as 1000/mV"
             )
         values, unit = (digits - spec["baseline"]) / spec["gain"], printable(spec["units"])
-        marked = lead.label in raw.get("invalid_sample_counts", {})  # by the format's lowest digit
+        # invalid samples have the lowest value of the format
+        marked = lead.label in raw.get("invalid_sample_counts", {})
         missing = (values[np.nanargmin(digits)],) if marked else ()
         channels.append(Channel(name, values, unit, gain=spec["gain"], missing=missing))
         if is_lead:

@@ -38,7 +38,7 @@ class _MultiplexGroup:
         self.sources = [_source(channel, k) for k, channel in enumerate(self.channels, start=1)]
         self.leads = [lead for _, lead in self.sources if lead is not None]
         offset = _number(item, "MultiplexGroupTimeOffset", math.nan)
-        self.start = offset * 1e-3 * (self.rate or math.nan)  # in samples; 0 is no rate
+        self.start = offset * 1e-3 * (self.rate or math.nan)  # samples; NaN if the rate is 0
         label = _text(item, "MultiplexGroupLabel").upper()
         self.averaged = _text(item, "WaveformOriginality") == "DERIVED" or "MEDIAN" in label
 
@@ -115,8 +115,8 @@ def read_dicom(path: Path, sampling_rate: float | None) -> RawRecording:
     channels: list[Channel] = []
     for start, group in zip(starts, chosen, strict=True):
         for channel in _channels(group, multiplex_array(dataset, group.index), path):
-            whole = replace(channel, values=without_fill(channel, rate), missing=())
-            channels.append(whole.placed(start, length))
+            unpadded = replace(channel, values=without_fill(channel, rate), missing=())
+            channels.append(unpadded.placed(start, length))
     channels, joined = _joined_parts(channels)
     provenance = {"multiplex_group": ", ".join(str(group.index + 1) for group in chosen)} | joined
     labels = [_text(group.item, "MultiplexGroupLabel") for group in chosen]
@@ -183,7 +183,7 @@ def _is_complete(leads: Collection[str]) -> bool:
 
 
 def _join(groups: Sequence[_MultiplexGroup], path: Path) -> list[_MultiplexGroup]:
-    """Return the group with the most leads, and those that have what it lacks or continue it."""
+    """Return the group with the most leads, and groups with other leads or its continuation."""
     ranked = sorted(groups, key=lambda group: (-len(group.leads), -group.samples))
     first, leads = ranked[0], set(ranked[0].leads)
     if _is_complete(leads):
@@ -276,7 +276,7 @@ def _items(item: Any, keyword: str) -> Sequence[Any]:
 
 
 def _text(item: Any, keyword: str) -> str:
-    """Return a text of an item, fit for a message: damaged ones run on."""
+    """Return a text of an item, shortened for a message as damaged ones may be long."""
     return printable(str(item.get(keyword, None) or "").strip()[:64])
 
 

@@ -1,7 +1,7 @@
 """Names of leads, units and pieces of metadata as they are spelt in files.
 
-Files without a standard (HDF5, MATLAB, tables) state rate, unit and names of leads under names of
-the user's own, of which those of `Key` and ``docs/recordings.md`` are understood.
+Files that follow no standard (HDF5, MATLAB, tables) hold rate, unit and lead names under names that
+their authors chose; those of `Key` and ``docs/recordings.md`` are understood.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ import numpy as np
 from fascicle.core.errors import InputError, printable
 from fascicle.core.leads import ADDITIONAL_LEADS, LEADS
 
-# Prefixes are of ISO/IEEE 11073 and EDF+, and who introduced the lead. A hyphen joins words only
-# where nothing is beside it, or blanks on both sides: "ECG -aVR" is the inverted lead.
+# Prefixes are those of ISO/IEEE 11073 and EDF+, and inventors of leads. A hyphen separates words
+# only without blanks or between two: in "ECG -aVR" it is the minus of an inverted lead.
 _LEAD = re.compile(
     r"""
     (?:
@@ -45,7 +45,7 @@ _LEAD = re.compile(
     re.VERBOSE,
 )
 
-PER_SECOND = (  # number of units of time in a second
+PER_SECOND = (  # units of time per second
     dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0)
     | dict.fromkeys(("ms", "msec", "msecs", "millisecond", "milliseconds"), 1e3)
     | dict.fromkeys(("us", "microsecond", "microseconds"), 1e6)
@@ -53,14 +53,14 @@ PER_SECOND = (  # number of units of time in a second
 
 
 def lead_name(text: str) -> str | None:
-    """Return the name in `fascicle.core.leads.LEADS` of a text without unit, None for others.
+    """Return the lead of the standard twelve (`fascicle.core.leads.LEADS`) that a text names.
 
     Understands ``aVR``, ``AVR``, ``Lead I``, ``DII``, ``L1``, ``V01``, ``C1``,
-    ``MDC_ECG_LEAD_V1``, ``ECG-I``, ``Lead I (Einthoven)`` and the like. Not leads of the twelve: an
-    inverted ``-aVR``, the unaugmented ``VR``, ``MLII``, ``V7``, ``V4R``, Frank's X, Y and Z, and a
-    ``II rhythm``, which repeats a lead.
+    ``MDC_ECG_LEAD_V1``, ``ECG-I``, ``Lead I (Einthoven)`` and the like, without a unit. None for
+    other texts, such as an inverted ``-aVR``, the unaugmented ``VR``, ``MLII``, ``V7``, ``V4R``,
+    Frank's X, Y and Z, and ``II rhythm``, which repeats a lead.
     """
-    if len(text) > 64:  # characters, as in DICOM; bounds what matching takes
+    if len(text) > 64:  # characters, as in DICOM; bounds the time of matching
         return None
     # compatible letters without accents; a dotless i is a lower-case I of Turkish software
     letters = unicodedata.normalize("NFKD", text).casefold().replace("ı", "i")
@@ -74,7 +74,7 @@ def lead_name(text: str) -> str | None:
 
 
 def additional_lead_name(text: str) -> str | None:
-    """Return the name in `fascicle.core.leads.ADDITIONAL_LEADS` of a text, None for others.
+    """Return the lead of `fascicle.core.leads.ADDITIONAL_LEADS` that a text names, None if none.
 
     Understands ``V7``, ``v3r``, ``MDC_ECG_LEAD_V8``, ``Lead X``, Frank's ``vx``, ``Frank Y`` and a
     bare ``Z``.
@@ -93,10 +93,10 @@ def lead_of_code(code: str) -> str | None:
 
 
 def millivolts(unit: str) -> float | None:
-    """Return the mV in one such unit, or None when the unit is unknown.
+    """Return the size (mV) of a unit of voltage, None if it is unknown.
 
     Understands nV, uV (with u or either code point of the Greek letter), mV, V and the words
-    (``microvolts``, ``uVolt``), in any case: a megavolt is not a unit of an ECG.
+    (``microvolts``, ``uVolt``), in any case: ``MV`` is mV, as no ECG is in megavolts.
     """
     sizes = {"n": 1e-6, "nano": 1e-6, "u": 1e-3, "micro": 1e-3, "m": 1.0, "milli": 1.0, "": 1e3}
     match = re.fullmatch(r"\[?([a-z]*)v(?:olts?)?\]?", plain_unit(unit))
@@ -114,7 +114,7 @@ def plain_unit(unit: str) -> str:
 
 
 class Key(Enum):
-    """Meaning of a piece of metadata; the values are the names that it may have."""
+    """Kind of metadata; the value lists names that files have for it, separated by blanks."""
 
     RATE = (
         "fs sfreq srate samplingrate samplingfrequency samplingfreq samplerate samplefrequency "
@@ -133,9 +133,9 @@ class Key(Enum):
 
 @dataclass(frozen=True)
 class Entry:
-    """A piece of metadata, as it is spelt in the file.
+    """A piece of metadata: its kind, its name in the file, and its value.
 
-    `value` is texts, or a number: NaN for several different ones.
+    The value is a tuple of texts, or a number, which is NaN if the file holds different ones.
     """
 
     key: Key
@@ -158,13 +158,13 @@ class Entry:
 
 
 def key_of(name: str) -> Key | None:
-    """Return the meaning of metadata of this name, None for other names."""
+    """Return the kind of metadata that a name in a file stands for, None if unknown."""
     plain = re.sub("[^a-z0-9]", "", name.lower()).removesuffix("hz")
     return next((key for key in Key if plain in key.value.split()), None)
 
 
 def entry_of(name: str, content: Any) -> Entry | None:
-    """Make an entry of texts or numbers; None where they are neither, or the name is not a key."""
+    """Entry of texts or numbers; None if the content is neither, or its name is unknown."""
     key, values = key_of(name), np.ravel(np.asarray(content))
     if key is None or not 0 < values.size <= 1000:
         return None
@@ -178,7 +178,7 @@ def entry_of(name: str, content: Any) -> Entry | None:
 
 
 def name_lists(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
-    """Return the texts that may list the names of signals; a single text is split."""
+    """Return the lists that may be names of the signals; a single text is split into names."""
     lists = []
     for entry in entries:
         if entry.key is Key.NAMES and isinstance(entry.value, tuple):
@@ -194,7 +194,7 @@ def fill_values(entries: Sequence[Entry]) -> tuple[float, ...]:
 
 
 def check_physical(entries: Sequence[Entry], path: Path) -> None:
-    """Refuse digits that a factor or an offset would have to turn into volts."""
+    """Refuse raw integer samples, to which a gain or an offset would have to be applied."""
     neutral = {Key.GAIN: 1.0, Key.OFFSET: 0.0}
     for entry in entries:
         if entry.key in neutral and any(x != neutral[entry.key] for x in entry.numbers):
@@ -221,7 +221,7 @@ def declared_unit(
 ) -> str | None:
     """Return the unit that the metadata declare for a signal, None where they do not.
 
-    `place` is its index among the signals that the entries are about, and their number.
+    `place` is the index of the signal among those that the entries describe, and their number.
     """
     index, count = place
     stated = [

@@ -50,7 +50,7 @@ class Channel:
     name: str  # as it is spelt in the file
     values: Floats  # (n,) samples, in `unit`; NaN where there is none
     unit: str | None = None  # as it is spelt in the file; None where the file does not say
-    lead: str | None = None  # where a code of the file says it; otherwise `name` decides
+    lead: str | None = None  # lead by a code in the file; None: by `name`
     gain: float | None = None  # digits of the file in one `unit`
     missing: tuple[float, ...] = ()  # written for a missing sample, in `unit`; see `without_fill`
 
@@ -65,10 +65,10 @@ class Channel:
 class RawRecording:
     """Channels and metadata that a reader finds in a file."""
 
-    channels: Sequence[Channel]  # in any order; those that are no leads are left out and named
+    channels: Sequence[Channel]  # in any order; those that are no leads are left out
     sampling_rate: float | None = None  # Hz; None where the file does not say
-    format: str = ""  # by default the reader's
-    filters: Filters = field(default_factory=Filters)  # of the recorder
+    format: str = ""  # name of the format; by default the reader's
+    filters: Filters = field(default_factory=Filters)  # filters of the recorder
     provenance: dict[str, str] = field(default_factory=dict)  # text about the file
     remarks: tuple[str, ...] = ()  # faults of the file, and how they were mended
 
@@ -212,7 +212,7 @@ def _assemble(
     channels, ignored = _by_lead(raw, source, selected)
     silent = [lead for lead, channel in channels.items() if lead in LEADS and not _moves(channel)]
     if len(silent) == len([lead for lead in channels if lead in LEADS]):
-        silent = []  # so that the refusal is about their samples
+        silent = []  # an error about the samples of these is raised instead
     channels = {lead: channel for lead, channel in channels.items() if lead not in silent}
     _check_complete(list(channels), silent, source, selected)
     leads = {lead: channel for lead, channel in channels.items() if lead in LEADS}
@@ -247,8 +247,8 @@ def _assemble(
     signal, pulses = leave_out_pulses(np.array([*signal, *more.values()]), rate)
     signal, repairs = bridge_gaps(signal, rate, (*LEADS, *more))
     signal, additional = signal[: len(LEADS)], dict(zip(more, signal[len(LEADS) :], strict=True))
-    whole = 1 if in_groups(lead_spans(signal), rate) else signal.shape[1]
-    for lead in [lead for lead, values in additional.items() if not is_span(values, whole)]:
+    shortest = 1 if in_groups(lead_spans(signal), rate) else signal.shape[1]
+    for lead in [lead for lead, values in additional.items() if not is_span(values, shortest)]:
         left_out.append(lead)
         del additional[lead]
     if left_out and selected is not None:
@@ -354,7 +354,7 @@ def _check_complete(
 def _scale(
     channel: Channel, lead: str, source: str, stated: str | None, leads: Mapping[str, Channel]
 ) -> float:
-    """Return the mV of one unit of a channel."""
+    """Return the size (mV) of a channel's unit."""
     if channel.unit is not None and stated is not None and not same_unit(channel.unit, stated):
         raise InputError(
             f"{source}: lead {lead} is in '{channel.unit}', --unit says '{stated}'; leave the "
@@ -417,7 +417,7 @@ def sha256_of(paths: Iterable[Path]) -> str:
 def narrowest_passband(
     highpass: Iterable[float], lowpass: Iterable[float], notch: Iterable[float]
 ) -> Filters:
-    """Filters of leads that may differ in them (Hz, 0 is none): the narrowest band."""
+    """Common filters (Hz, 0: none) of leads whose filters may differ: the narrowest band."""
     high, low, mains = (
         [f for f in frequencies if f > 0] for frequencies in (highpass, lowpass, notch)
     )

@@ -140,7 +140,7 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
 
 
 def _with_rest_around(table: RawRecording) -> RawRecording:
-    """Add rest before and after a single beat that begins and ends at 0, as simulated ones do.
+    """Add isoelectric samples around a single beat that begins and ends at 0 (simulated).
 
     The first sample of a paced beat is a thousandth of its amplitude at most.
     """
@@ -167,7 +167,7 @@ def _parsed(path: Path) -> tuple[list[_Column], list[Entry]]:
     try:
         text = content.decode("utf-16" if wide else "utf-8-sig")
     except UnicodeDecodeError:
-        text = content.decode("latin-1")  # whose letter µ is where Windows has it
+        text = content.decode("latin-1")  # has the letter µ at the same code as Windows
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     comments = re.findall(r"^[ \t]*#+[ \t]*(.*)$", text, re.MULTILINE)
     body = _one_header(re.sub(r"^[ \t]*#.*\n?", "", text, flags=re.MULTILINE).lstrip("\n"))
@@ -215,20 +215,20 @@ def _one_header(text: str) -> str:
     Its clock times (``'0:10.002'``) become seconds.
     """
     clock = re.compile(r"^'(?:(\d{1,4}):)?(\d{1,4}):(\d{1,4}\.\d{1,9})'", re.ASCII | re.MULTILINE)
-    names, _, rest = text.partition("\n")
+    names, _, rows = text.partition("\n")
     if not names.startswith("'"):
         return text
-    if rest.startswith("'") and not clock.match(rest):
-        units, _, rest = rest.replace("hh:mm:ss.mmm", "s", 1).partition("\n")
+    if rows.startswith("'") and not clock.match(rows):
+        units, _, rows = rows.replace("hh:mm:ss.mmm", "s", 1).partition("\n")
         pairs = zip(names.split(","), units.split(","), strict=False)
         names = ",".join(f"{name} [{unit}]" for name, unit in pairs)
-    rest = clock.sub(lambda at: f"{60 * (60 * int(at[1] or 0) + int(at[2])) + float(at[3])}", rest)
-    return names.replace("'", "") + "\n" + rest
+    rows = clock.sub(lambda at: f"{60 * (60 * int(at[1] or 0) + int(at[2])) + float(at[3])}", rows)
+    return names.replace("'", "") + "\n" + rows
 
 
 def _column(spelt: str, names: Sequence[str], cells: pd.Series) -> _Column:
     name, unit = spelt[:100].strip(), None  # bounds what matching takes
-    renamed = re.fullmatch(r"(.+)\.\d+", name)  # by pandas, of a column that is there twice
+    renamed = re.fullmatch(r"(.+)\.\d+", name)  # pandas numbers columns of the same name
     name = renamed[1] if renamed and renamed[1] in names else name
     lead, rhythm = _lead_or_rhythm(name)
     if lead is None:  # "V1 (Wilson)" has no unit
@@ -244,8 +244,8 @@ def _column(spelt: str, names: Sequence[str], cells: pd.Series) -> _Column:
 def _lead_or_rhythm(name: str) -> tuple[str | None, bool]:
     """Return the lead that a name means, and whether it is a rhythm strip."""
     strip = r"[\s_(.-]*(?<![a-z])(?:rhythm(?:[\s_]strip)?|long)(?![a-z])\)?[\s_.-]*"
-    rest, strips = re.subn(strip, "", name, count=1, flags=re.IGNORECASE)
-    return lead_name(rest), strips > 0
+    base_name, strips = re.subn(strip, "", name, count=1, flags=re.IGNORECASE)
+    return lead_name(base_name), strips > 0
 
 
 def _unit(
@@ -263,7 +263,7 @@ def _unit(
 
 
 def _agreed_rate(path: Path, rates: dict[str, float | None]) -> float | None:
-    """Rate (Hz) that the user, a comment and the times agree about, None if none states it.
+    """Rate (Hz) stated by the user, a comment or the times, which must agree; None without any.
 
     The first one is returned: rates of times may have been rounded.
     """
@@ -364,7 +364,11 @@ def _read_long(
 
 
 def _without_strips(
-    channels: Sequence[Channel], rhythm: Sequence[bool], rate: float, rest: Sequence[str], kind: str
+    channels: Sequence[Channel],
+    rhythm: Sequence[bool],
+    rate: float,
+    not_numeric: Sequence[str],
+    kind: str,
 ) -> RawRecording:
     """Choose between a lead and a rhythm strip of it: the longer one, as on paper."""
     seconds = [np.isfinite(without_fill(channel, rate)).sum() / rate for channel in channels]
@@ -380,5 +384,5 @@ def _without_strips(
         )
         name = f"{channels[other].name} (left out)"
         chosen[other] = replace(channels[other], name=name, lead=None)
-    chosen += [Channel(name, np.empty(0)) for name in rest]
+    chosen += [Channel(name, np.empty(0)) for name in not_numeric]
     return RawRecording(chosen, rate, kind, provenance=choices)

@@ -49,10 +49,10 @@ def _mended_edf(data: bytes) -> tuple[bytes, list[str]]:
     ends = [(256 + offset * n, 8 * n) for offset in (104, 112, 120, 128, 216)]
     places = [(place, k >= 2) for k, (at, size) in enumerate(ends)
               for place in range(at, at + size, 8)]  # fmt: skip
-    for at, whole in [(184, True), (236, True), (244, False), *places]:
+    for at, is_integer in [(184, True), (236, True), (244, False), *places]:
         text = head[at : at + 8].decode("latin-1").strip()
-        new = _point(text) or ("-1" if at == 236 else "")  # where records are not counted
-        new = re.sub(r"\.0*$", "", new) if whole else new
+        new = _point(text) or ("-1" if at == 236 else "")  # -1: number of records not stated
+        new = re.sub(r"\.0*$", "", new) if is_integer else new
         head[at : at + 8] = new.encode("latin-1").ljust(8)
         if new != text:
             remarks = [f"deviates from EDF: '{printable(text)}' in its header is read as {new}"]
@@ -130,7 +130,7 @@ def _waves(root: ET.Element) -> tuple[list[ET.Element], list[ET.Element]]:
 
 
 def _mend_aecg(sequences: ET.Element) -> list[str]:
-    """Name leads and units as HL7 aECG does, and state a rate, unknown where none is."""
+    """Rename leads and units to those of HL7 aECG, and add a rate, unknown if it is missing."""
     remarks, steps = [], list(sequences.iter("increment"))
     for number in [*steps, *sequences.iter("scale"), *sequences.iter("origin")]:
         text = number.get("value", "")
@@ -152,7 +152,7 @@ def _mend_aecg(sequences: ET.Element) -> list[str]:
 
 
 def _mend_muse(lead: ET.Element) -> list[str]:
-    """Fill Base64 up to whole groups; where its checksum is right, state its true counts."""
+    """Pad Base64 data to complete groups; if the checksum is right, correct the stated counts."""
     data = lead.find("WaveFormData")
     if data is None:
         return []
@@ -198,14 +198,17 @@ def mended_wfdb(header: Path) -> tuple[str, list[Path], list[str]]:
         gain = re.sub(r"^[-+\d]+,\d+", lambda number: _point(number[0]), "".join(signal[2:3]))
         gain = re.sub(r"(/[^\s(]+)(\([^)]*\))$", r"\2\1", gain)
         gain = re.sub(r"(?<=\d)\.0*(?=\))", "", gain)
-        whole = [re.sub(r"(?<=\d)\.0*$", "", number) for number in signal[3:8]]
+        integers = [re.sub(r"(?<=\d)\.0*$", "", number) for number in signal[3:8]]
         lines.append(
-            [files[-1].name, *signal[1:2], *[gain][: len(signal) - 2], *whole, *signal[8:]]
+            [files[-1].name, *signal[1:2], *[gain][: len(signal) - 2], *integers, *signal[8:]]
         )
     words = [pair for old, new in zip([record, *signals], lines, strict=True)
              for pair in zip(old, new, strict=False)]  # fmt: skip
-    changed = {was: now for was, now in words[1:] if was != now}
-    remarks = [f"'{printable(was)}' in its header is read as {now}" for was, now in changed.items()]
+    changed = {written: repaired for written, repaired in words[1:] if written != repaired}
+    remarks = [
+        f"'{printable(written)}' in its header is read as {repaired}"
+        for written, repaired in changed.items()
+    ]
     if not right:
         remarks.append(f"'{printable(' '.join(record[4:]))}' is left out, it is no time and date")
     remarks = [f"deviates from WFDB: {remark}" for remark in remarks]
@@ -251,7 +254,7 @@ def _mended_scp(data: bytes) -> tuple[bytes, list[str]]:
         struct.pack_into("<H", content, start + 2, 6)
         for lead in leads:
             struct.pack_into("<II", content, lead, 1, round(1000 * beat / interval))
-        content[places[3][0] + 17] &= 0xFE  # nothing was subtracted
+        content[places[3][0] + 17] &= 0xFE  # flag: no reference beat was subtracted
         struct.pack_into("<HII", content, entries[6], 6, length, start + 1)
         dropped += [4, 5]
         remarks.append(NO_RHYTHM)
@@ -274,12 +277,12 @@ def _mended_scp(data: bytes) -> tuple[bytes, list[str]]:
 
 
 def samples_are_right(source_format: str, data: bytes, root: ET.Element | None) -> bool:
-    """Whether no checksum that the samples depend on is wrong; one of 0 was not written."""
+    """Whether all checksums of the samples are right; a checksum of 0 was not written."""
     if source_format == "ge_muse_xml" and root is not None:
         return not any((sum_.text or "").strip().strip("0") for sum_ in root.iter("LeadDataCRC32"))
     if source_format != "scp_ecg":
         return source_format == "ishne_holter" and data[8:10] == bytes(2)
-    sections = (0, 2, 3, 4, 5, 6)  # that samples depend on
+    sections = (0, 2, 3, 4, 5, 6)  # sections that samples depend on
     samples = {start for number, _, start, n in _scp_sections(data) if n and number in sections}
     return all(
         stated in (0, computed)

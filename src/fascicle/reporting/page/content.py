@@ -1,4 +1,4 @@
-"""The words of the report: what the fit shows, what it was made of, and how to repeat it."""
+"""Text of the report: results of the fit, its inputs, and the commands that repeat it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Row = tuple[str, str, str]  # name for readers, name in files and options, value
 
 
 def meaning(fitted: FittedStudy) -> list[str]:
-    """Explain the verdict in whole sentences."""
+    """Explain the verdict in full sentences."""
     count, checks = len(fitted.population), fitted.checks
     if fitted.of_the_paper:
         return [
@@ -111,7 +111,7 @@ def held(fitted: FittedStudy) -> list[Row]:
     regions = {f"region_{region.label}_conductivity": region.conductivity for region in tissues}
     values = {**config.growth, **config.conduction, **regions, **config.fixed}
     without_effect = {*config.prior.names}
-    if {*without_effect, *config.fixed} & {*SPEED}:  # one of them replaces the others
+    if {*without_effect, *config.fixed} & {*SPEED}:  # both set the same conduction velocity
         without_effect |= {*SPEED} - {*config.fixed}
     without_effect |= {"body", "lung", "blood"} if model.heart.torso is None else {"torso"}
     rows: list[Row] = []
@@ -168,10 +168,10 @@ def commands(fitted: FittedStudy, predicted: Mapping[str, Predicted], against: s
         )
     for number, recording in enumerate(fitted.recordings, 1):
         stored, scenario = recording_paths(fitted.folder, number)
-        made = f"target-{number}.nc"
-        words = target_words(recording.target, made)
+        target_file = f"target-{number}.nc"
+        words = target_words(recording.target, target_file)
         lines += [shlex.join(words)] if words else []
-        target = made if words else str(stored)
+        target = target_file if words else str(stored)
         targets.append(f"{target}:{scenario}" if scenario.exists() else target)
     lines += ["cat > settings.toml <<'END'", *settings_file(config), "END"]
     heart, out = str(fitted.folder / StudyFile.HEART), str(fitted.folder)
@@ -182,7 +182,7 @@ def commands(fitted: FittedStudy, predicted: Mapping[str, Predicted], against: s
 
 def target_words(target: Target, out: str) -> list[str]:
     """Command that makes a target from its recording, as words; none without a source file."""
-    # by the name of the choice in the provenance
+    # options by the name of the choice in the provenance
     options = {
         "choice_sampling_rate_hz": "--sampling-rate",
         "choice_unit": "--unit",

@@ -70,7 +70,8 @@ def scene(
     chosen = _chosen(first, len(shown), len(predicted))
     beats = {name: [prediction.beats[k] for k in chosen] for name, prediction in predicted.items()}
     all_beats = [beat for scenario_beats in beats.values() for beat in scenario_beats]
-    geometry: dict[bytes, tuple[int, PurkinjeTree]] = {}  # each tree once
+    # trees by hash, so that each is stored once
+    geometry: dict[bytes, tuple[int, PurkinjeTree]] = {}
     for tree in (tree for beat in all_beats for tree in beat.trees):
         geometry.setdefault(_key(tree), (len(geometry), tree))
     trees = [tree for _, tree in geometry.values()]
@@ -180,7 +181,7 @@ def _chosen(first: Predicted, vertices: int, scenarios: int) -> Integers:
     """Networks evenly spread over total activation time, as many as the page has room for."""
     order = np.argsort(first.indices["total_activation_time"], kind="stable")
     nodes = sum(len(tree.nodes) for tree in first.beats[order[0]].trees) // 2
-    ecg = 2 * len(LEADS) * 125  # of some 250 ms
+    ecg = 2 * len(LEADS) * 125  # bytes of an ECG of about 250 ms
     size = scenarios * (vertices + nodes + ecg) + 8 * nodes
     count = int(np.clip(3_000_000 // size, 3, 40))  # compressed they are little more than half
     ranks = {*evenly_spread(len(order), count - 1), (len(order) - 1) // 2}
@@ -340,7 +341,7 @@ def _recorded(
 
 
 def _microvolts(leads: Floats) -> str:
-    """Leads (mV) as whole µV."""
+    """Leads (mV) as integers (µV)."""
     return _encoded(np.round(np.clip(1000 * leads, -32_767, 32_767)).astype("<i2"))
 
 

@@ -1,10 +1,11 @@
-"""Heart, torso and electrodes as a conductor that depends on unknown properties of the torso.
+"""Volume conductor of heart and torso, with unknown heart position, torso size and conductivities.
 
-A point x of the torso moves by a share w(x) of the skin's motion, w = d/(d + D) for its distances
-d to the convex hull of heart and blood and D to the skin. The potentials on the moved torso are
-those on the unmoved mesh with the conductivity σT, T = |J| J⁻¹J⁻ᵀ with the Jacobian J of that map,
-taken at each tetrahedron's centre: nothing is meshed again, and flat tetrahedra, which moving their
-corners would invert, do no harm.
+The heart is fixed, and the skin moves relative to it. A point x between them moves by the share
+w(x) = d/(d + D) of the skin's motion, where d is its distance to the convex hull of heart and blood
+and D its distance to the skin. Potentials on the moved torso are those on the unmoved mesh with the
+conductivity σT, T = |J| J⁻¹J⁻ᵀ, where J is the Jacobian of that map at each tetrahedron's centre.
+So nothing is meshed again, and flat tetrahedra, which would be inverted if their corners moved, do
+no harm.
 """
 
 from __future__ import annotations
@@ -30,25 +31,30 @@ from fascicle.torso.lead_fields import assemble_stiffness, outer_boundary, total
 
 @dataclass(frozen=True)
 class TorsoState:
-    """Differences from the heart folder's torso.
+    """Differences of a torso from the one in the heart's folder.
 
-    The geometry (7,) is the heart's shift to the left, posteriorly and up (mm), its rotation vector
-    along the same axes (rad), and the factor on the trunk; ratios (3,) are factors on the
-    conductivities of the `TorsoTissue`, over the factor on the myocardium's; by `chest` (6, 2) V1
-    to V6 are moved along the skin, to the left and up (mm).
+    Attributes
+    ----------
+    geometry : (7,) array
+        Shift of the heart to the left, posteriorly and up (mm), its rotation vector along the same
+        axes (rad), and a factor on the size of the trunk.
+    ratios : (3,) array
+        Factors on the conductivities of the `TorsoTissue`, over the factor on the myocardium's.
+    chest : (6, 2) array
+        Shifts of V1 to V6 along the skin, to the left and up (mm).
     """
 
     geometry: Floats
     ratios: Floats
     chest: Floats
-    # ends of the ranges between which the response is interpolated: of the geometry, displacements
-    # (mm), rotations (rad) and size, and of the logarithm of each conductivity
+    # half-widths of the ranges in which the response is interpolated: of the geometry (shifts in
+    # mm, rotations in rad, size), and of the logarithm of each conductivity
     reach: ClassVar[Floats] = np.array([20.0] * 3 + [np.radians(20.0)] * 3 + [0.15])
     log_factor: ClassVar[float] = np.log(2.0)
 
     @classmethod
     def of(cls, values: Mapping[str, float]) -> TorsoState:
-        """Take quantities of `fascicle.core.quantities`; those that are missing are neutral."""
+        """State of the values of quantities; missing ones leave the torso unchanged."""
         pose = [
             values.get(f"heart_{turn}{axis}", 0.0)
             for turn in ("", "rotation_")
@@ -56,21 +62,21 @@ class TorsoState:
         ]
         tissues = ("body", "lung", "blood")  # in the order of `TorsoTissue`
         ratios = np.array([values.get(f"{tissue}_conductivity", 1.0) for tissue in tissues])
-        together = values.get("chest_electrodes_up", 0.0)
+        all_up = values.get("chest_electrodes_up", 0.0)
         chest = [
-            (values.get(f"v{k}_left", 0.0), values.get(f"v{k}_up", 0.0) + together)
+            (values.get(f"v{k}_left", 0.0), values.get(f"v{k}_up", 0.0) + all_up)
             for k in range(1, 7)
         ]
         geometry = np.array([*pose, values.get("chest_size", 1.0)])
-        muscle = values.get("myocardium_conductivity", 1.0)
-        return cls(geometry, ratios / muscle, np.array(chest))
+        myocardium = values.get("myocardium_conductivity", 1.0)
+        return cls(geometry, ratios / myocardium, np.array(chest))
 
 
 def torso_axes(electrodes: Floats) -> Floats:
     """Directions of the torso in the heart's coordinates, from the limb electrodes.
 
-    RA and LA lie level, LL below them in the frontal plane: LL may lie to one side. Rows
-    (3, 3): to the patient's left, to the back, up; orthonormal and right-handed.
+    The line from RA to LA points left; LL lies in the frontal plane with them, not necessarily
+    midway below. Rows (3, 3): to the patient's left, to the back, up; orthonormal, right-handed.
     """
     left = unit(electrodes[Electrode.LA] - electrodes[Electrode.RA])
     upwards = electrodes[:2].mean(axis=0) - electrodes[Electrode.LL]
@@ -80,10 +86,10 @@ def torso_axes(electrodes: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class SkinMotion:
-    """Motion of the skin around a heart at rest: x → c + Rᵀ(s(x − c) − t).
+    """Motion of the skin relative to a fixed heart: x → c + Rᵀ(s(x − c) − t).
 
-    For the heart's centroid c (mm), its rotation R about c and its shift t in the chest (mm), and
-    the factor s on the trunk about c.
+    c is the heart's centroid (mm), R its rotation about c, t its shift in the chest (mm), and s the
+    factor on the size of the trunk, about c.
     """
 
     centroid: Floats
@@ -105,22 +111,23 @@ class SkinMotion:
 
 @dataclass(frozen=True)
 class Morph:
-    """Map of the torso's motion at points (m, 3), the centres of its tetrahedra (mm).
+    """Map x → x + w(x)(y(x) − x) of the torso for a motion y of its skin, at points (m, 3), mm.
 
-    It has the share w (m,), 0 in the hull of heart and blood and 1 on the skin, and ∇w (m, 3).
+    The points are the centres of the torso's tetrahedra. `share` is w (m,), 0 in the convex hull of
+    heart and blood and 1 on the skin; `slope` is ∇w (m, 3), 1/mm.
     """
 
     centres: Floats
     share: Floats
     slope: Floats
-    # least |J|: volumes between heart and skin may shrink to a tenth
+    # least |J| of a possible state: tissue may be compressed to a tenth of its volume
     least_compression: ClassVar[float] = 0.1
 
     def jacobians(self, motion: SkinMotion) -> Floats:
         """J = I + (y(x) − x)⊗∇w + w(∇y − I) for the skin's motion y, shape (m, 3, 3)."""
-        away = motion(self.centres) - self.centres
+        displacement = motion(self.centres) - self.centres
         strain = motion.size * motion.rotation.T - np.eye(3)
-        sheared = np.eye(3) + away[:, :, None] * self.slope[:, None, :]
+        sheared = np.eye(3) + displacement[:, :, None] * self.slope[:, None, :]
         return np.asarray(sheared + self.share[:, None, None] * strain)
 
     def determinants(self, motion: SkinMotion) -> Floats:
@@ -147,21 +154,23 @@ def pulled_back(jacobians: Floats) -> Floats:
 
 
 def build_morph(heart: Heart, torso: Torso, skin: Integers) -> Morph:
-    """Map at the centres of a torso's tetrahedra, for the triangles (t, 3) of its skin."""
+    """Map at the centres of a torso's tetrahedra, from the triangles (t, 3) of its skin."""
     blood = torso.tetrahedra[torso.tissues == TorsoTissue.BLOOD]
     inner = torso.vertices[np.union1d(heart.tetrahedra, blood)]
     hull = ConvexHull(inner)
     centres = torso.vertices[torso.tetrahedra].mean(axis=1)
-    to_hull, from_hull = _away(centres, inner, hull.simplices.astype(np.int64))
-    to_skin, from_skin = _away(centres, torso.vertices, skin)
+    to_hull, from_hull = _distance_and_gradient(centres, inner, hull.simplices.astype(np.int64))
+    to_skin, from_skin = _distance_and_gradient(centres, torso.vertices, skin)
     inside = Delaunay(inner[hull.vertices]).find_simplex(centres) >= 0
-    whole = to_hull + to_skin
-    slope = (to_skin[:, None] * from_hull - to_hull[:, None] * from_skin) / whole[:, None] ** 2
-    slope[inside], share = 0.0, np.where(inside, 0.0, to_hull / whole)
+    distance = to_hull + to_skin
+    slope = (to_skin[:, None] * from_hull - to_hull[:, None] * from_skin) / distance[:, None] ** 2
+    slope[inside], share = 0.0, np.where(inside, 0.0, to_hull / distance)
     return Morph(centres, share, slope)
 
 
-def _away(points: Floats, vertices: Floats, triangles: Integers) -> tuple[Floats, Floats]:
+def _distance_and_gradient(
+    points: Floats, vertices: Floats, triangles: Integers
+) -> tuple[Floats, Floats]:
     """Distances (m,) to a surface (mm), and their gradients (m, 3), unit vectors."""
     squared, _, nearest = igl.point_mesh_squared_distance(points, vertices, triangles)
     distance = np.sqrt(np.maximum(squared, 1e-12))
@@ -170,9 +179,10 @@ def _away(points: Floats, vertices: Floats, triangles: Integers) -> tuple[Floats
 
 @dataclass(frozen=True)
 class Conductor:
-    """Mesh of heart and torso whose torso can move and change its conductivities.
+    """Mesh of heart and torso, with σ as a function of the state of the torso.
 
-    The conductivity (m, 3, 3) is σ of the heart's tetrahedra, then of the torso's (mS/cm).
+    `conductivity` (m, 3, 3) is σ of the heart's tetrahedra, then of the torso's (mS/cm), in the
+    unchanged torso.
     """
 
     heart: Heart
@@ -211,12 +221,12 @@ class Conductor:
 
     @cached_property
     def in_hull(self) -> Integers:
-        """All tetrahedra (i, 4) of that hull: the heart's, then the torso's in it."""
+        """Tetrahedra (i, 4) in the hull of heart and blood: the heart's, then the torso's."""
         return np.concatenate([self.heart.tetrahedra, self.torso.tetrahedra[self.inside]])
 
     @cached_property
     def hull_surface(self) -> Integers:
-        """Vertices (s,) on the surface of that hull."""
+        """Vertices (s,) on the surface of the convex hull of heart and blood."""
         return np.intersect1d(self.in_hull, self.torso.tetrahedra[~self.inside])
 
     @cached_property
@@ -234,12 +244,12 @@ class Conductor:
         return SkinMotion.of(self.centroid, self.axes, state)
 
     def is_possible(self, state: TorsoState) -> bool:
-        """Whether the heart keeps clear of the skin."""
+        """Whether no tissue between heart and skin is compressed too much, or inverted."""
         least = float(self.morph.determinants(self.motion(state)).min())
         return least > self.morph.least_compression
 
     def stiffness(self, state: TorsoState) -> csr_matrix:
-        """Conductances (n, n) over the factor on the myocardium's conductivity (1/kΩ)."""
+        """Stiffness matrix (n, n) (1/kΩ), over the factor on the myocardium's conductivity."""
         sigma = np.concatenate([self.of_heart, self.moved(state)])
         return assemble_stiffness(self.torso.vertices, self.tetrahedra, sigma)
 

@@ -1,15 +1,16 @@
-"""The lead fields of a heart as a function of the torso: a reduced basis in a hull.
+"""Lead fields of a heart as a function of the torso: a reduced basis in a hull.
 
-The torso moves only outside the convex hull of heart and blood. Within, lead fields are
-combinations of modes Φ of the lead fields in some torsos, and their energy K depends linearly on
-the tissues' factors. The outside adds the energy A of the modes' potentials around the hull, and an
-electrode's current drives f into the hull (`fascicle.torso.variation.training`), so that the
-coefficients of an electrode's lead field are (K + A)⁻¹f, the Galerkin solution, which is best in
-the energy of heart and torso.
+The torso moves only outside the convex hull of heart and blood. Within, lead fields are linear
+combinations of modes Φ, which are computed from lead fields in some torsos; their energy K depends
+linearly on the conductivity factors of the tissues. The tissue outside the hull adds the energy A
+of the modes' potentials around it, and the current of an electrode drives f into the hull
+(`fascicle.torso.variation.training`). So the coefficients of an electrode's lead field are
+(K + A)⁻¹f, the Galerkin solution, which is best in the energy of heart and torso.
 
 A and f are smooth functions of eight numbers: pose, size, and the conductivity of the lungs. They
-are interpolated between torsos by radial functions with a linear trend. Of f only a remainder is
-interpolated: the steep part, of an electrode near the hull in infinite plain tissue, is known.
+are interpolated between torsos by radial basis functions with a linear trend. The steep part of f,
+that of an electrode near the hull in infinite plain tissue, is computed analytically, so only the
+remainder is interpolated. Plain tissue is neither lung nor blood.
 """
 
 from __future__ import annotations
@@ -80,14 +81,14 @@ class TorsoResponse:
     critical_centres: Floats
     critical_share: Floats
     critical_slope: Floats
-    centroid: Floats  # of the heart (3,), mm
-    axes: Floats  # of the torso (3, 3)
+    centroid: Floats  # centroid of the heart (3,), mm
+    axes: Floats  # axes of the torso (3, 3)
 
     @one_thread
     def __call__(self, state: TorsoState) -> Floats | Infeasible:
         """Coefficients (9 + a, k) of the modes for every electrode.
 
-        To be divided by the factor on the myocardium's conductivity; the nine sum to zero.
+        They must be divided by the factor on the myocardium's conductivity; the nine sum to zero.
         """
         motion = SkinMotion.of(self.centroid, self.axes, state)
         critical = Morph(self.critical_centres, self.critical_share, self.critical_slope)

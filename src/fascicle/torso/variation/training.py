@@ -1,10 +1,10 @@
 """Building the response of a heart's lead fields to the torso: solves, modes, interpolation.
 
 A potential B on the surface of the hull of heart and blood sets up a potential E(torso) outside,
-insulated at the skin. The outside adds the energy of E to the hull's, and E at an electrode is, by
-reciprocity, the current that a unit current into that electrode drives into the hull. The outside
-has no other effect within: static condensation (Huynh, Knezevic and Patera, ESAIM: Math. Model.
-Numer. Anal. 47, 2013, 213-251).
+insulated at the skin. The tissue outside adds the energy of E to that of the hull, and E at an
+electrode is, by reciprocity, the current that a unit current into that electrode drives into the
+hull. It has no other effect on the potential in the hull: static condensation (Huynh, Knezevic and
+Patera, ESAIM: Math. Model. Numer. Anal. 47, 2013, 213-251).
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def _in_parallel(
 
 
 def random_torsos(conductor: Conductor, count: int, rng: np.random.Generator) -> list[TorsoState]:
-    """Possible states of a conductor spread over the whole range: a Latin hypercube."""
+    """Latin hypercube of possible states of a conductor, over the range of the response."""
     from scipy.stats import qmc  # takes long to load
 
     states: list[TorsoState] = []
