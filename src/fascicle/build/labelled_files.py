@@ -88,7 +88,7 @@ def find_label_array(mesh: MeshFile, array: str | None) -> LabelArray | None:
 
 
 def has_labels(mesh: MeshFile, array: str | None = None, labels_file: Path | None = None) -> bool:
-    """Whether there are labels: in a file, a named array, or an array with a usual name."""
+    """True if there are labels: in a file, a named array, or an array with a usual name."""
     if labels_file is not None or array is not None:
         return True
     labels = find_label_array(mesh, None)

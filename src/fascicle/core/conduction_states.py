@@ -46,7 +46,7 @@ class ConductionState:
     blocked: tuple[str, ...] = ()
 
     def is_mapped(self, names: Collection[str]) -> bool:
-        """Whether its networks must activate the ventricles as mapped human hearts are.
+        """True if its networks must activate the ventricles as mapped human hearts are.
 
         `names` are those of learnt and fixed quantities. A root time in place of the
         interventricular delay does not constrain the activation sequence.

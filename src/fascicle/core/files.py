@@ -209,7 +209,7 @@ def outside_allowed() -> Iterator[None]:
 
 
 def is_outside_allowed() -> bool:
-    """Whether files may name files outside their own folder now."""
+    """True if files may name files outside their own folder now."""
     return _outside_allowed.get()
 
 

@@ -34,7 +34,7 @@ class Range:
     also: float | None = None
 
     def __contains__(self, value: float) -> bool:
-        """Whether a number is possible."""
+        """True if a number is possible."""
         return self.low <= value <= self.high or value == self.also
 
     def __str__(self) -> str:

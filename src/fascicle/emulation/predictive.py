@@ -34,7 +34,7 @@ MEASURED = {DURATION: ("global_qrs_duration_ms", " ms"), AXIS: ("axis_degrees", 
 
 @dataclass(frozen=True)
 class Checks:
-    """Whether a recording looks like what networks predict.
+    """True if a recording looks like what networks predict.
 
     A fit is poor if the recording would be rare among those that the model predicts, or if not even
     the best networks explain the QRS. The share that the other networks explain shows how wide the
@@ -116,7 +116,7 @@ class Checks:
 
     @property
     def acceptable(self) -> bool:
-        """Whether the recording looks like what the networks predict."""
+        """True if the recording looks like what the networks predict."""
         return not self.failures
 
     @property

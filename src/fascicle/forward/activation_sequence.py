@@ -26,7 +26,7 @@ class MappedRange(NamedTuple):
     name: str
 
     def holds(self, time: float) -> bool:
-        """Whether a time (ms) is within it."""
+        """True if a time (ms) is within it."""
         return self.lower <= time <= self.upper
 
 
@@ -85,7 +85,7 @@ class ActivationSequence:
 
     @property
     def is_mapped(self) -> bool:
-        """Whether every time that `MAPPED` names is in its range of mapped human hearts."""
+        """True if every time that `MAPPED` names is in its range of mapped human hearts."""
         return all(mapped.holds(getattr(self, name)) for name, mapped in MAPPED.items())
 
 

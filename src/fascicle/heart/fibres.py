@@ -144,7 +144,7 @@ def placeholder(directions: Floats) -> str:
 def is_placeholder(
     kind: str, array: str, directions: Floats, notes: list[str], *, kept: bool
 ) -> bool:
-    """Whether directions (m, 3) of an array are a `placeholder` that is not to be kept.
+    """True if directions (m, 3) of an array are a `placeholder` that is not to be kept.
 
     The notes say that a rule takes their place, or that their length was not 1.
     """

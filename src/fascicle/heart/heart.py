@@ -172,7 +172,7 @@ class Heart:
 
     @property
     def has_torso(self) -> bool:
-        """Whether the heart lies in a torso, or has the lead fields of one."""
+        """True if the heart lies in a torso, or has the lead fields of one."""
         return self.torso is not None or self.lead_fields is not None
 
     @property

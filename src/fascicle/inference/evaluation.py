@@ -48,7 +48,7 @@ class Evaluation:
 
     @property
     def feasible(self) -> bool:
-        """Whether the parameters gave a tree, and so an ECG."""
+        """True if the parameters gave a tree, and so an ECG."""
         return self.reason is None
 
 

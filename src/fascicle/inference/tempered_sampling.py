@@ -308,7 +308,7 @@ class RunAgreement:
     means: Floats
 
     def within(self, share: float = 1.0) -> bool:
-        """Whether the differences, scaled by `share`, are small enough for the runs to agree."""
+        """True if the differences, scaled by `share`, are small enough for the runs to agree."""
         means = bool((share * self.means <= MEANS_APART).all())
         return share * self.log_evidence <= EVIDENCE_APART and means
 

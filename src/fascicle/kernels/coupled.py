@@ -323,7 +323,7 @@ def _choose(node, slot, at, count, mesh, front):
 
 @kernel(inline="always")
 def _is_steep(p, s, da, db, dc):
-    """Whether arrival times in an element rise more steeply than a front allows: ∇τᵀD∇τ > 1.
+    """True if arrival times in an element rise more steeply than a front allows: ∇τᵀD∇τ > 1.
 
     `p` are the products of the element; da, db and dc are the delays of the other corners after s.
     """

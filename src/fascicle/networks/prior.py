@@ -286,7 +286,7 @@ class Prior:
         return states
 
     def covers(self, other: Prior) -> bool:
-        """Whether simulations of this prior serve for another one, which is narrower.
+        """True if simulations of this prior serve for another one, which is narrower.
 
         They do not where the other one fixes more than half: simulations of what is left say more
         of it.

@@ -36,7 +36,7 @@ from fascicle.study.study import HeldError, is_finished, study_lock
 
 
 class Status(StrEnum):
-    """Whether a patient has been fitted."""
+    """True if a patient has been fitted."""
 
     FITTED = "fitted"
     FAILED = "failed"
@@ -89,7 +89,7 @@ class Outcome(BaseModel):
 
     @property
     def trustworthy(self) -> bool:
-        """Whether the patient has a posterior that converged and explains the recording."""
+        """True if the patient has a posterior that converged and explains the recording."""
         return bool(self.converged and self.explained)
 
     @classmethod

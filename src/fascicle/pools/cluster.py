@@ -211,7 +211,7 @@ class Cluster(Remote):
 
     @property
     def _same_scheduler(self) -> bool:
-        """Whether the connection is the one through which shared data were sent."""
+        """True if the connection is the one through which shared data were sent."""
         running: bool = self.client.status == "running"
         return running and self.client.scheduler_comm is self._connection
 

@@ -163,7 +163,7 @@ def compare(first: Predicted, second: Predicted, index: str) -> Comparison:
 
 
 def _of_the_same_networks(first: Predicted, second: Predicted) -> bool:
-    """Whether the intrinsic Purkinje networks, which no scenario changes, are the same."""
+    """True if the intrinsic Purkinje networks, which no scenario changes, are the same."""
     return all(
         np.array_equal(tree.nodes, other.nodes)
         for a, b in zip(first.beats, second.beats, strict=True)

@@ -53,12 +53,12 @@ class DetectedBeat:
 
     @property
     def used(self) -> bool:
-        """Whether the target uses the beat."""
+        """True if the target uses the beat."""
         return self.unused is None
 
     @property
     def cut_off(self) -> bool:
-        """Whether a part of the beat was not recorded."""
+        """True if a part of the beat was not recorded."""
         return self.unused in (Unused.CUT_OFF_START, Unused.CUT_OFF_END)
 
     @property

@@ -108,7 +108,7 @@ class _Part(NamedTuple):
 
 
 def _at_least(number: int, met: Sequence[bool | None]) -> bool | None:
-    """Whether at least `number` are met; None where that depends on the unknown ones."""
+    """True if at least `number` are met; None where that depends on the unknown ones."""
     certain, possible = met.count(True), len(met) - met.count(False)
     return True if certain >= number else None if possible >= number else False
 
@@ -324,17 +324,17 @@ class Qrs:
 
     @property
     def is_qr(self) -> bool:
-        """Whether a q is followed by a larger R, and no other wave."""
+        """True if a q is followed by a larger R, and no other wave."""
         return self.signs == "-+" and self.waves[1].height > -self.waves[0].height
 
     @property
     def is_rs(self) -> bool:
-        """Whether an r is followed by a larger S, and no other wave."""
+        """True if an r is followed by a larger S, and no other wave."""
         return self.signs == "+-" and self.waves[0].height < -self.waves[1].height
 
     @property
     def has_r_prime(self) -> bool:
-        """Whether it is rsR', rSR', or rsr' with waves that all have small letters; not rSr'."""
+        """True if it is rsR', rSR', or rsr' with waves that all have small letters; not rSr'."""
         if self.signs != "+-+":
             return False
         r, s, r_prime = (abs(wave.height) for wave in self.waves)
@@ -342,7 +342,7 @@ class Qrs:
 
     @property
     def has_long_s(self) -> bool:
-        """Whether an S follows an R and is longer than that, or than 40 ms."""
+        """True if an S follows an R and is longer than that, or than 40 ms."""
         r_to_s = self.signs.find("+-")
         if r_to_s < 0:
             return False

@@ -1,4 +1,4 @@
-"""Whether the limb leads obey Einthoven's and Goldberger's laws, and if not, why; lead reversal."""
+"""True if the limb leads obey Einthoven's and Goldberger's laws, and if not, why; lead reversal."""
 
 from __future__ import annotations
 

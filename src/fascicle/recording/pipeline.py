@@ -432,7 +432,7 @@ def _warnings(analysis: Analysis, options: TargetOptions) -> list[str]:
 
 
 def _alternate(beats: Sequence[DetectedBeat]) -> bool:
-    """Whether nearly every second of four or more beats is of one class, the others of another."""
+    """True if nearly every second of four or more beats is of one class, the others of another."""
     two = {label for label, _ in Counter(beat.label for beat in beats).most_common(2)}
     changes = [{beat.label, following.label} == two for beat, following in pairwise(beats)]
     return len(two) == 2 and len(beats) >= 4 and sum(changes) >= 0.8 * len(changes)

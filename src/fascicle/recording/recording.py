@@ -121,7 +121,7 @@ class Recording:
 
     @property
     def simultaneous(self) -> bool:
-        """Whether all leads were recorded over the same time, as they are by digital recorders."""
+        """True if all leads were recorded over the same time, as they are by digital recorders."""
         spans = self.spans[self.recorded]
         return bool((spans == spans[0]).all())
 
@@ -238,7 +238,7 @@ def is_span(values: Floats, least: int) -> bool:
 
 
 def in_groups(spans: Integers, rate: float) -> bool:
-    """Whether leads of spans (12, 2) were recorded one group after another, not all together."""
+    """True if leads of spans (12, 2) were recorded one group after another, not all together."""
     first, stop = spans[spans[:, 1] > 0].T
     return bool(stop.min() <= first.max() + rate * 0.1)  # groups may overlap by 0.1 s
 

@@ -61,7 +61,7 @@ user_first = ContextVar("what the user has set in Matplotlib counts before `RC`"
 
 
 def set_by_user(name: str) -> bool:
-    """Whether the user has changed a setting of Matplotlib, and `user_first` lets it count."""
+    """True if the user has changed a setting of Matplotlib, and `user_first` lets it count."""
     settings: dict[str, Any] = rcParams  # type: ignore[assignment]  # its stubs want literals
     return user_first.get() and settings[name] != rcParamsDefault[name]  # type: ignore[index]
 

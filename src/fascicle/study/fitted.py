@@ -123,7 +123,7 @@ class FittedStudy:
 
     @property
     def of_the_paper(self) -> bool:
-        """Whether the networks were selected by the paper's method."""
+        """True if the networks were selected by the paper's method."""
         return self.settings.method == "paper"
 
     @property

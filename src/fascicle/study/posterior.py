@@ -104,7 +104,7 @@ class PosteriorFit:
         return self.journal.rng(Stage.SAMPLING, number + 2 * RUNS * (recordings > 1))
 
     def _agree(self, runs: Sequence[SamplingRun], share: float = 1.0) -> bool:
-        """Whether runs agree, and their effective sample size is as large as the settings ask."""
+        """True if runs agree, and their effective sample size is as large as the settings ask."""
         enough = all(run.effective * RUNS >= self.settings.effective for run in runs)
         return enough and agreement(*runs).within(share)
 

@@ -118,7 +118,7 @@ class ParameterStatement:
 
     @property
     def constrained(self) -> bool:
-        """Whether the ECG constrains the parameter: removes at least half of its prior variance."""
+        """True if the ECG constrains the parameter: removes at least half of its prior variance."""
         return self.contraction >= 0.5
 
     def __str__(self) -> str:
@@ -225,13 +225,13 @@ class Statements:
 
     @property
     def converged(self) -> bool | None:
-        """Whether both runs of a posterior ended, and agree; None without a posterior."""
+        """True if both runs of a posterior ended, and agree; None without a posterior."""
         population = self._result.population
         return population.converged if isinstance(population, Posterior) else None
 
     @property
     def acceptable(self) -> bool | None:
-        """Whether the recordings look like what the networks predict; None without checks."""
+        """True if the recordings look like what the networks predict; None without checks."""
         return None if self._result.checks is None else self._result.checks.acceptable
 
     @property
@@ -368,7 +368,7 @@ def prediction_statement(values: Floats, prior: Floats) -> str:
 
 
 def has_few_junctions(network: Network) -> bool:
-    """Whether a tree of a network has fewer junctions than a usable tree."""
+    """True if a tree of a network has fewer junctions than a usable tree."""
     return any(len(tree.junctions) < FEW_JUNCTIONS for tree in network.beat.trees)
 
 

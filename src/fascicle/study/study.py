@@ -256,7 +256,7 @@ def check_study_folder(folder: Path) -> None:
 
 
 def is_finished(folder: Path, config: StudyConfig) -> bool:
-    """Whether a folder holds the finished study of a configuration."""
+    """True if a folder holds the finished study of a configuration."""
     check_study_folder(folder)
     if not (folder / StudyFile.CONFIGURATION).exists():
         return False
@@ -280,7 +280,7 @@ def _remove_leftovers(folder: Path) -> None:
 
 
 def _same(then: Evaluation, now: Evaluation) -> bool:
-    """Whether two evaluations of one point agree, as if made by one forward model."""
+    """True if two evaluations of one point agree, as if made by one forward model."""
     if not (then.feasible and now.feasible):
         return then.feasible == now.feasible
     if not np.isclose(now.loss, then.loss, rtol=Study.tolerance, atol=0):

@@ -86,7 +86,7 @@ def resolve_lead_fields(
 
 
 def is_up_to_date(heart: Heart, conduction: Conduction) -> bool:
-    """Whether a heart's own lead fields are those of its electrodes, fibres, torso and tissues."""
+    """True if a heart's own lead fields are those of its electrodes, fibres, torso and tissues."""
     fields = heart.lead_fields
     return (
         fields is not None

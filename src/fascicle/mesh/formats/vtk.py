@@ -219,5 +219,5 @@ def pyvista_blocks(grids: Mapping[str, Any]) -> Any:
 
 
 def is_ascii_vtk(content: bytes) -> bool:
-    """Whether the third line of a legacy VTK file says that numbers follow as text."""
+    """True if the third line of a legacy VTK file says that numbers follow as text."""
     return [line.strip().upper() for line in content.split(b"\n", 3)[2:3]] == [b"ASCII"]

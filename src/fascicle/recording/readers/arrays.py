@@ -192,7 +192,7 @@ def _leads(group: _Group, path: Path) -> dict[str, tuple[list[Channel], list[Ent
 
 
 def _are_leads(names: Sequence[str]) -> bool:
-    """Whether two names at least are leads: one alone may be a variable named `i`."""
+    """True if two names at least are leads: one alone may be a variable named `i`."""
     return sum(lead_name(name) is not None for name in names) > 1
 
 

@@ -324,7 +324,7 @@ def _by_lead(
 
 
 def _moves(channel: Channel) -> bool:
-    """Whether a channel has more than one value: writers fill unrecorded ones with a constant."""
+    """True if a channel has more than one value: writers fill unrecorded ones with a constant."""
     recorded = channel.values[np.isfinite(channel.values)]
     return recorded.size > 0 and bool((recorded != recorded[0]).any())
 

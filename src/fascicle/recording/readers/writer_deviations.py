@@ -277,7 +277,7 @@ def _mended_scp(data: bytes) -> tuple[bytes, list[str]]:
 
 
 def samples_are_right(source_format: str, data: bytes, root: ET.Element | None) -> bool:
-    """Whether all checksums of the samples are right; a checksum of 0 was not written."""
+    """True if all checksums of the samples are right; a checksum of 0 was not written."""
     if source_format == "ge_muse_xml" and root is not None:
         return not any((sum_.text or "").strip().strip("0") for sum_ in root.iter("LeadDataCRC32"))
     if source_format != "scp_ecg":

@@ -244,7 +244,7 @@ class Conductor:
         return SkinMotion.of(self.centroid, self.axes, state)
 
     def is_possible(self, state: TorsoState) -> bool:
-        """Whether no tissue between heart and skin is compressed too much, or inverted."""
+        """True if no tissue between heart and skin is compressed too much, or inverted."""
         least = float(self.morph.determinants(self.motion(state)).min())
         return least > self.morph.least_compression
 
