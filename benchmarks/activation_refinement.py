@@ -29,14 +29,14 @@ from numpy.typing import NDArray
 from fascicle.build.refinement import refined
 from fascicle.core.parameters import Infeasible
 from fascicle.forward.cable.template import default_template
-from fascicle.forward.ecg.electrocardiogram import (
+from fascicle.forward.eikonal.activation import solve
+from fascicle.forward.eikonal.build import build_myocardium
+from fascicle.forward.eikonal.myocardium import attach
+from fascicle.forward.electrocardiogram import (
     build_electrocardiograph,
     nodal_gradients,
     unbounded_gradients,
 )
-from fascicle.forward.eikonal.activation import solve
-from fascicle.forward.eikonal.build import build_myocardium
-from fascicle.forward.eikonal.myocardium import attach
 from fascicle.forward.loss import align
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.conduction import Conduction

@@ -89,8 +89,8 @@ from fascicle.emulation.predictive import AXIS, DURATION, Checks, predict_record
 from fascicle.emulation.refined_emulator import refined_emulators
 from fascicle.forward.beat import Beat
 from fascicle.forward.bodies import random_bodies
-from fascicle.forward.ecg.electrocardiogram import first_sample
 from fascicle.forward.eikonal.activation import Activation
+from fascicle.forward.electrocardiogram import first_sample
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenarios

@@ -36,7 +36,7 @@ from benchmarks.qrs_marks import PACED, RATE, Case, case
 from fascicle.core.errors import InputError
 from fascicle.core.leads import CHEST_LEADS, LEADS
 from fascicle.forward.beat import Beat
-from fascicle.forward.ecg.electrocardiogram import build_electrocardiograph, unbounded_gradients
+from fascicle.forward.electrocardiogram import build_electrocardiograph, unbounded_gradients
 from fascicle.forward.scenario_files import find_scenario, read_scenario
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.recording.quality import CHEST, FASTEST_QRS, check_chest_leads, check_mean_beat

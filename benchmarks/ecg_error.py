@@ -23,7 +23,7 @@ from scipy.interpolate import CubicSpline
 from benchmarks.references import unbounded
 from fascicle.build.refinement import in_eight
 from fascicle.forward.cable.template import default_template
-from fascicle.forward.ecg.electrocardiogram import (
+from fascicle.forward.electrocardiogram import (
     Electrocardiograph,
     build_electrocardiograph,
     nodal_gradients,

@@ -26,7 +26,7 @@ import fascicle
 from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
 from fascicle.core.parameters import Infeasible, read_parameters
 from fascicle.core.quantities import QUANTITIES, TORSO_QUANTITIES
-from fascicle.forward.ecg.electrocardiogram import (
+from fascicle.forward.electrocardiogram import (
     SAMPLE_STEP,
     build_electrocardiograph,
     nodal_gradients,

@@ -9,7 +9,7 @@ from builders import block_of_random_tissue, box
 from fascicle.build.refinement import in_eight, refined
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.forward.ecg.electrocardiogram import nodal_gradients
+from fascicle.forward.electrocardiogram import nodal_gradients
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.folder import load_heart, write_heart

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from benchmarks.references import Upstroke, unbounded
 from fascicle.core.leads import FRANK_ELECTRODES, lead_matrix
-from fascicle.forward.ecg.electrocardiogram import (
+from fascicle.forward.electrocardiogram import (
     Electrocardiograph,
     build_electrocardiograph,
     channel_weights,

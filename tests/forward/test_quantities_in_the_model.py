@@ -13,7 +13,7 @@ import fascicle
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, HUMAN_SPACE
 from fascicle.core.quantities import QUANTITIES, Changes, fascicle_names, stand_ins
-from fascicle.forward.ecg.electrocardiogram import build_electrocardiograph, nodal_gradients
+from fascicle.forward.electrocardiogram import build_electrocardiograph, nodal_gradients
 from fascicle.heart.conduction import Conduction, Region, share_below
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.torso.lead_fields import resolve_lead_fields

@@ -9,8 +9,8 @@ from builders import activate, box, case, conduction_for, heart_vertices, vertex
 
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.forward.ecg.electrocardiogram import build_electrocardiograph, nodal_gradients
 from fascicle.forward.eikonal.build import build_myocardium
+from fascicle.forward.electrocardiogram import build_electrocardiograph, nodal_gradients
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.primitives import SlowConduction, Stimulus
 from fascicle.forward.scenario_files import read_scenario

@@ -7,7 +7,7 @@ from itertools import permutations
 import igl
 import numpy as np
 
-from fascicle.forward.ecg.electrocardiogram import nodal_gradients
+from fascicle.forward.electrocardiogram import nodal_gradients
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart, Torso
 from fascicle.mesh.measures import barycentric_gradients, signed_volumes

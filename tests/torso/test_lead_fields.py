@@ -10,7 +10,7 @@ from spheres import ball, boundary_area_vectors, heart_in_torso, isotropic, rim_
 
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES, lead_matrix
-from fascicle.forward.ecg.electrocardiogram import nodal_gradients
+from fascicle.forward.electrocardiogram import nodal_gradients
 from fascicle.heart.conduction import Conduction, Region, transversely_isotropic
 from fascicle.heart.heart import TorsoTissue
 from fascicle.mesh.measures import barycentric_gradients, signed_volumes

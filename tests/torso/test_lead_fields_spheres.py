@@ -17,7 +17,7 @@ from spheres import (
 )
 
 from benchmarks.references import unbounded
-from fascicle.forward.ecg.electrocardiogram import nodal_gradients
+from fascicle.forward.electrocardiogram import nodal_gradients
 from fascicle.heart.conduction import Conduction, transversely_isotropic
 from fascicle.heart.heart import TorsoTissue
 from fascicle.mesh.measures import barycentric_gradients, signed_volumes

@@ -32,7 +32,7 @@ from fascicle.core.parameters import (
 )
 from fascicle.core.progress import ProgressLines
 from fascicle.core.quantities import SPEED, TORSO_QUANTITIES, parameter_name, quantity, torso_values
-from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP
+from fascicle.forward.electrocardiogram import SAMPLE_STEP
 from fascicle.forward.example import example_parameters
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.primitives import His, SlowConduction, Stimulus

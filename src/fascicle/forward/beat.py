@@ -17,8 +17,8 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import as_path
 from fascicle.core.leads import LEADS
 from fascicle.core.ranges import check_kind, short_repr
-from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP
 from fascicle.forward.eikonal.activation import Activation
+from fascicle.forward.electrocardiogram import SAMPLE_STEP
 from fascicle.heart.heart import Heart
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.recording.criteria import Criterion, conventional_criteria, frontal_axis

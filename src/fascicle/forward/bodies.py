@@ -9,7 +9,7 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.parameters import Infeasible, ParameterSpace, free
 from fascicle.core.quantities import TORSO_QUANTITIES
-from fascicle.forward.ecg.electrocardiogram import (
+from fascicle.forward.electrocardiogram import (
     Electrocardiograph,
     build_electrocardiograph,
     unbounded_gradients,

@@ -28,19 +28,18 @@ from fascicle.core.ranges import check_items, check_kind
 from fascicle.core.threads import SharedFile, made_once, read_shared, write_shared
 from fascicle.forward.activation_sequence import VentricularSurfaces
 from fascicle.forward.beat import Beat, Signals, check_activation
-from fascicle.forward.blocks import in_state
 from fascicle.forward.cable.template import default_template
-from fascicle.forward.ecg.electrocardiogram import (
+from fascicle.forward.eikonal.activation import solve
+from fascicle.forward.eikonal.build import build_myocardium
+from fascicle.forward.eikonal.myocardium import Coupling, Myocardium, attach
+from fascicle.forward.electrocardiogram import (
     ActionPotential,
     Electrocardiograph,
     axial_projection,
     first_sample,
 )
-from fascicle.forward.eikonal.activation import solve
-from fascicle.forward.eikonal.build import build_myocardium
-from fascicle.forward.eikonal.myocardium import Coupling, Myocardium, attach
 from fascicle.forward.preparation import Prepared, as_arrays, cached, from_arrays, prepare
-from fascicle.forward.primitives import FURTHEST_STIMULUS
+from fascicle.forward.primitives import FURTHEST_STIMULUS, in_state
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.torso_model import TorsoModel, prepare_response, torso_model
 from fascicle.heart.conduction import Conduction

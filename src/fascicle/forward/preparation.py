@@ -15,15 +15,15 @@ import numpy as np
 from fascicle.core.array_cache import ArrayCache
 from fascicle.core.files import DISPOSABLE
 from fascicle.core.progress import Progress, stage_progress
-from fascicle.forward.ecg.electrocardiogram import (
+from fascicle.forward.eikonal.build import build_myocardium
+from fascicle.forward.eikonal.myocardium import Candidates, Myocardium, search_tree
+from fascicle.forward.electrocardiogram import (
     ActionPotential,
     Electrocardiograph,
     build_electrocardiograph,
     nodal_gradients,
     unbounded_gradients,
 )
-from fascicle.forward.eikonal.build import build_myocardium
-from fascicle.forward.eikonal.myocardium import Candidates, Myocardium, search_tree
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart

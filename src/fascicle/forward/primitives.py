@@ -14,6 +14,7 @@ from typing import Annotated, Any, cast
 import numpy as np
 from pydantic import BeforeValidator
 
+from fascicle.core.conduction_states import CONDUCTION_STATES
 from fascicle.core.declared import (
     CaptureRadius,
     Delay,
@@ -28,7 +29,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.quantities import SIDES, default_of
 from fascicle.core.ranges import check_text
 from fascicle.forward.eikonal.activation import HisBundle
-from fascicle.forward.scenario import Excitation, Primitive, root_times
+from fascicle.forward.scenario import Excitation, Primitive, Scenario, root_times
 from fascicle.heart.sites import CoordinateSite
 
 
@@ -219,3 +220,27 @@ class His(Primitive, table="his", once=True):
             arrivals.append(activated if self.time is None else self.time + travel_time)
             branches.append(travel_time)
         return arrivals, HisBundle(fires, branches)
+
+
+def in_state(scenario: Scenario, conduction: float) -> Scenario:
+    """Add the blocks of a conduction state, a value of ``conduction``, to a scenario.
+
+    A bundle branch is not blocked if the scenario has a His bundle with a root time of its own:
+    pacing that recruits both branches.
+    """
+    blocked = [*CONDUCTION_STATES.values()][int(conduction)].blocked
+    if not blocked:
+        return scenario
+    his = scenario.of(His)
+    left, right = (float(f"{side} bundle branch" not in blocked) for side in ("left", "right"))
+    if left * right == 0.0 and not his:
+        his = [His(left=left, right=right)]
+    elif left * right == 0.0 and his[0].root_time is None:
+        his = [replace(his[0], left=his[0].left * left, right=his[0].right * right)]
+    fascicles: list[Primitive] = [
+        SlowConduction(tree="lv", part=part.removeprefix("left "), speed=0.0)
+        for part in blocked
+        if part.endswith("fascicle")
+    ]
+    others = (primitive for primitive in scenario.primitives if not isinstance(primitive, His))
+    return replace(scenario, primitives=(*his, *fascicles, *others))

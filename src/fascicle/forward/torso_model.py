@@ -14,11 +14,7 @@ from fascicle.core.leads import INDEPENDENT_ROWS, LEADS, lead_matrix
 from fascicle.core.parameters import Infeasible
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.threads import one_thread
-from fascicle.forward.ecg.electrocardiogram import (
-    Electrocardiograph,
-    channel_weights,
-    nodal_gradients,
-)
+from fascicle.forward.electrocardiogram import Electrocardiograph, channel_weights, nodal_gradients
 from fascicle.forward.preparation import ONCE, cached
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart

@@ -92,7 +92,7 @@ def deposit(time, corners, weights, origin, width, bins):
         Activation at each vertex (ms), from origin + width to origin + (bins − 6)·width, or
         +inf.
     corners, weights : (m, 4) and (m, 3, 8) arrays
-        As in `fascicle.forward.ecg.electrocardiogram.Electrocardiograph`.
+        As in `fascicle.forward.electrocardiogram.Electrocardiograph`.
     """
     time = (time - origin) / width
     at_vertex = np.zeros((len(time), CHANNELS))

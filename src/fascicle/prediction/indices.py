@@ -16,7 +16,7 @@ from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.leads import INDEPENDENT_ROWS, LEADS
 from fascicle.core.ranges import check_kind
 from fascicle.forward.beat import Beat
-from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP
+from fascicle.forward.electrocardiogram import SAMPLE_STEP
 from fascicle.heart.fibres import Wall
 from fascicle.heart.heart import Heart
 from fascicle.heart.sites import APEX, RIGHT, Places, places

@@ -14,7 +14,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
 from fascicle.core.ranges import check_items, check_kind, check_text
 from fascicle.forward.beat import Beat
-from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP
+from fascicle.forward.electrocardiogram import SAMPLE_STEP
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenarios

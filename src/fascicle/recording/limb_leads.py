@@ -1,4 +1,4 @@
-"""True if the limb leads obey Einthoven's and Goldberger's laws, and if not, why; lead reversal."""
+"""Einthoven's and Goldberger's laws in the limb leads; if they are broken, why: lead reversal."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.cable import template as module
 from fascicle.forward.cable.cable import max_upstroke, simulate_cable
 from fascicle.forward.cable.template import TAPER, CableTemplate, stored_template, template_of
-from fascicle.forward.ecg.electrocardiogram import bin_response
+from fascicle.forward.electrocardiogram import bin_response
 from fascicle.kernels.ten_tusscher import CELLS
 
 

@@ -17,8 +17,8 @@ from fascicle.forward.beat import Beat, Signals
 from fascicle.forward.device.batch import Device, Results, Simulator
 from fascicle.forward.device.card import Card
 from fascicle.forward.device.source import BEAT, PLAN
-from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP, leads_from_independent
 from fascicle.forward.eikonal.activation import Activation
+from fascicle.forward.electrocardiogram import SAMPLE_STEP, leads_from_independent
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import root_times
 from fascicle.kernels.growth import GROWN, repulsion

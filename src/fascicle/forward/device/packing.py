@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.forward.ecg.electrocardiogram import SAMPLE_STEP, Electrocardiograph
 from fascicle.forward.eikonal.myocardium import Myocardium, grouped
+from fascicle.forward.electrocardiogram import SAMPLE_STEP, Electrocardiograph
 from fascicle.forward.preparation import Prepared
 from fascicle.kernels.arrays import CORNERS
 from fascicle.kernels.ray_travel_times import BASIS

@@ -42,7 +42,7 @@ HEART_FIELDS = {
         for side in ("lv", "rv")
         for name in names
     },
-    # the ECG: `fascicle.forward.ecg.electrocardiogram.Electrocardiograph`
+    # the ECG: `fascicle.forward.electrocardiogram.Electrocardiograph`
     **dict.fromkeys(("source_corners", "source_start", "source"), "const int*"),
     "source_weights": "const float*",
     "response": "const double*",

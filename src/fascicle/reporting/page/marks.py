@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.forward.blocks import in_state
-from fascicle.forward.primitives import His, Stimulus
+from fascicle.forward.primitives import His, Stimulus, in_state
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.fibres import Wall
 from fascicle.heart.sites import SEGMENTS, Sites

@@ -14,7 +14,7 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS
 from fascicle.core.quantities import parameter_name, quantity
 from fascicle.forward.beat import Beat
-from fascicle.forward.ecg.electrocardiogram import first_sample
+from fascicle.forward.electrocardiogram import first_sample
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.heart import Heart

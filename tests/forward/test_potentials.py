@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from benchmarks.references import Upstroke, unbounded
 from fascicle.core.leads import lead_matrix
-from fascicle.forward.ecg.electrocardiogram import (
+from fascicle.forward.eikonal.build import build_myocardium
+from fascicle.forward.electrocardiogram import (
     Electrocardiograph,
     build_electrocardiograph,
     channel_weights,
@@ -16,7 +17,6 @@ from fascicle.forward.ecg.electrocardiogram import (
     nodal_gradients,
     unbounded_gradients,
 )
-from fascicle.forward.eikonal.build import build_myocardium
 from fascicle.heart.conduction import Conduction
 from fascicle.mesh.measures import barycentric_gradients
 
