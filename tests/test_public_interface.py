@@ -88,8 +88,8 @@ TRIED_ABOVE = {
 }  # fmt: skip
 # What the program itself makes, and what it raises
 MADE = {
-    "Beat", "Comparison", "FittedStudy", "Heart", "InputError", "Infeasible", "NoStateNamed",
-    "Origin", "Predicted", "Primitive", "PurkinjeTree", "Replicate",
+    "Beat", "Comparison", "Excitation", "FittedStudy", "Heart", "InputError", "Infeasible",
+    "NoStateNamed", "Origin", "Predicted", "Primitive", "PurkinjeTree", "Replicate",
 }  # fmt: skip
 
 
@@ -181,7 +181,7 @@ def right(study, predicted, recording, default_heart, default_model, tmp_path_fa
         "load_study": (fascicle.load_study, {"folder": study.folder}),
         "plot.heart": (plot.heart, {"heart": default_heart}),
         "plot.tree": (plot.tree, {"tree": fascicle.read_tree(tree_file, "lv")}),
-        "plot.beat": (plot.beat, {"simulation": simulation}),
+        "plot.beat": (plot.beat, {"beat": simulation}),
         "plot.prediction": (plot.prediction, {"predicted": pacing}),
         "plot.ecg": (plot.ecg, dict(fitted)),
         "plot.scenario_ecg": (plot.scenario_ecg, of_two),
@@ -255,7 +255,7 @@ def test_a_study_may_be_given_by_its_folder(study, predicted, monkeypatch):
     assert len(plot.target(study.folder / "target.nc")) == 12
     # it takes seconds each time
     read = {study.folder: study}
-    monkeypatch.setattr("fascicle.study.fit.load_study", lambda folder, _: read[folder])
+    monkeypatch.setattr("fascicle.study.fitted.load_study", lambda folder, _: read[folder])
     for draw in (plot.ecg, plot.pairs, plot.priors, plot.convergence):
         assert len(draw(study.folder)) == len(draw(study))
     pyplot.close("all")
