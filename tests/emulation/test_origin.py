@@ -28,7 +28,7 @@ def small():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(PriorSimulations, "part_size", 150)
         patch.setattr(heart_emulator, "packaged", lambda *_: None)
-        learnt = partial(origin_module._learnt, made=6000, steps=600)
+        learnt = partial(origin_module._learnt, recording_count=6000, steps=600)
         patch.setattr(origin_module, "_learnt", learnt)
         yield
 

@@ -216,7 +216,9 @@ def learn(
     """Train a classifier of recordings in the leads `rows` (`fascicle.core.leads.LEADS`)."""
     training = training_set.recordings.reshape(len(training_set.kinds), -1)
     mean = training.mean(axis=0, dtype=float)
-    sample = training[rng.integers(len(training), size=6000)] - mean
+    sample = (
+        training[rng.integers(len(training), size=6000)] - mean
+    )  # an SVD of all would take long
     components = np.linalg.svd(sample, full_matrices=False)[2][:80]
     # scaled by the root of the SD: small components matter, too, but are noisier
     sds = (sample @ components.T).std(axis=0)

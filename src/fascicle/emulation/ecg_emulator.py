@@ -1,12 +1,12 @@
 """Emulator of a heart's ECG: small neural networks that learn it from the prior simulations.
 
-ECGs are aligned at the first activation and described by their principal components. Neural
-networks give the components from the parameters; another one gives the probability that parameters
-give a feasible Purkinje network of the heart. The difference between held-out ECGs in random torsos
-and the emulated ones is the residual of the emulator: its own error, the fine structure that growth
-leaves to chance, and the torso. Its covariance enters the likelihood (J. Kaipio and E. Somersalo,
-"Statistical inverse problems: discretization, model reduction and inverse crimes", J. Comput. Appl.
-Math. 198, 2007).
+ECGs are aligned at the first activation and described by the scores of their principal components.
+Neural networks give the scores from the parameters; another one gives the probability that
+parameters give a feasible Purkinje network of the heart. The difference between held-out ECGs in
+random torsos and the emulated ones is the residual of the emulator: its own error, the fine
+structure that growth leaves to chance, and the torso. Its covariance enters the likelihood
+(J. Kaipio and E. Somersalo, "Statistical inverse problems: discretization, model reduction and
+inverse crimes", J. Comput. Appl. Math. 198, 2007).
 
 Time scaling: a heart whose conduction velocities are all c times as high, with root times and
 delays c times as short, has the same ECG, c times as fast. Every simulation is therefore added to
@@ -46,7 +46,7 @@ from fascicle.networks.prior import AveragedOver, Prior
 from fascicle.networks.prior_simulations import BEFORE, Examples, PriorSimulations
 
 HIGHEST = 0.04  # highest frequency (cycles per ms); the likelihood uses lower ones alone
-TORSO_MODES = 4  # torso modes
+TORSO_MODES = 4  # number of torso modes
 FASTER = ("alpha", "fibre_speed", "cv")  # multiplied by c in time scaling
 SOONER = (*DELAY, "anterograde_delay", "retrograde_delay", "his_time")  # divided by c
 
@@ -63,12 +63,12 @@ class EcgEmulator:
         Mean and standard deviation that standardise the inputs: the quantities, with the
         logarithms of those of `FASTER`, and the tissue.
     networks, validity : sequence of NeuralNetwork, and NeuralNetwork
-        Neural networks that give the components, in `unit`; and the log odds that the parameters
-        are feasible.
+        Neural networks that give the scores, in `unit`; and one that gives the log odds that the
+        parameters are feasible.
     mean, components : (8 + k, f) and (q, 8 + k, f) arrays
-        Mean ECG (mV) and principal components, in cosines.
+        Mean ECG (mV) and principal components, as coefficients of cosines (DCT-II).
     unit : float
-        Root mean square of the components (mV).
+        Root mean square of the scores (mV).
     length : int
         Samples (1 ms) of an ECG, which begins `BEFORE` the first activation.
     torso_modes : (k, 8 + a, 8 + a) array
@@ -125,7 +125,7 @@ class EcgEmulator:
         return self.report.get("error_of_posterior", self.report["error"])
 
     def scores(self, inputs: Singles) -> Singles:
-        """Components (n, q), in `unit`, at standardised inputs (n, p)."""
+        """Scores (n, q) of the components, in `unit`, at standardised inputs (n, p)."""
         return np.asarray(np.mean([network(inputs) for network in self.networks], axis=0))
 
     def log_validity(self, inputs: Singles) -> Floats:
@@ -135,23 +135,23 @@ class EcgEmulator:
 
     def inputs(self, values: Mapping[str, Floats], tissues: Floats) -> Singles:
         """Standardised inputs (n, p) of quantities (n,) by name, and tissues (`tissue_inputs`)."""
-        raw = _raw(self.names, values, tissues)
+        raw = _raw_inputs(self.names, values, tissues)
         return np.asarray((raw - self.centre) / self.scale, dtype=np.float32)
 
     def cosines(self, scores: NDArray[Any]) -> Floats:
-        """Cosines (n, 8 + k, f) of the ECGs that have scores (n, q)."""
+        """ECGs (n, 8 + k, f), in cosines, that have scores (n, q)."""
         return np.asarray(self.mean + np.tensordot(self.unit * scores, self.components, 1))
 
     def residual_factor_of(self, errors: Floats, emulated: Floats) -> Floats:
-        """Residual covariance factor (q, q) of errors over the norms of emulated ECGs."""
+        """Residual covariance factor (q, q) of errors, each over the norm of its emulated ECG."""
         flat = self.components.reshape(len(self.components), -1)
         norms = np.sqrt((emulated**2).sum(axis=(1, 2)))
         rows = errors.reshape(len(errors), -1) @ flat.T / norms[:, None]
-        return _root(rows / np.sqrt(len(rows)))
+        return _factor(rows / np.sqrt(len(rows)))
 
     @cached_property
     def series(self) -> Floats:
-        """Leads (q, 12 + k, length) (mV) that a unit of each score adds to the ECG."""
+        """Change of the leads (q, 12 + k, length) (mV) by one unit of each score."""
         return np.asarray(self.unit * _in_time(self.components, self.length))
 
     @cached_property
@@ -215,21 +215,22 @@ class EcgEmulator:
 
 
 def tissue_inputs(averaged: AveragedOver, plain_ratio: float) -> Floats:
-    """Inputs of an emulator for each tissue: anisotropy, and speed-up by an endocardial layer.
+    """Inputs of an emulator for each tissue: log anisotropy, and speed-up by an endocardial layer.
 
     Shape (n_tissues, 2), or (1, 0) for a single tissue.
     """
     if len(averaged.tissues) == 1:
         return np.empty((1, 0))
     ratios = [tissue.get("anisotropy_ratio", plain_ratio) for tissue in averaged.tissues]
-    hastened = [
+    speed_ups = [
         tissue.get("endocardial_layer", 0.0) * (tissue.get("endocardial_speed", 1.0) ** 2 - 1)
         for tissue in averaged.tissues
     ]
-    return np.column_stack([np.log(ratios), hastened])
+    return np.column_stack([np.log(ratios), speed_ups])
 
 
-def _raw(names: tuple[str, ...], values: Mapping[str, Floats], tissues: Floats) -> Floats:
+def _raw_inputs(names: tuple[str, ...], values: Mapping[str, Floats], tissues: Floats) -> Floats:
+    """Inputs (n, p) before they are standardised."""
     columns = [np.log(values[n]) if n in FASTER else values[n] for n in names]
     return np.column_stack([*columns, tissues])
 
@@ -269,7 +270,7 @@ def learn(
     time_scaling : bool
         Whether time scaling holds; it does not where a scenario has times.
     epochs : int
-        Times that every example is seen in training.
+        Number of times that every example is used in training.
     fewest : int
         Least number of Purkinje networks to learn from.
     """
@@ -277,13 +278,14 @@ def learn(
     values = {n: column for n, column in prior.columns(points).items() if n not in prior.fixed}
     values.pop("gain", None)  # a factor on the ECG
     tissues, names = tissue_inputs(averaged, plain_ratio)[prior.tissue(points)], tuple(values)
-    raw = _raw(names, values, tissues)
-    _refuse(examples, names, raw, fewest)
+    raw = _raw_inputs(names, values, tissues)
+    _check_examples(examples, names, raw, fewest)
     feasible, count = examples.feasible, max(2, round(2 * HIGHEST * examples.ecgs.shape[2]))
-    trained = np.flatnonzero(~examples.held_out[feasible])
+    training = np.flatnonzero(~examples.held_out[feasible])
     cosines = cosines_of(examples.ecgs, count)
-    mean = cosines[trained].mean(axis=0)
-    deviations = (cosines[trained] - mean).reshape(len(trained), -1)
+    mean = cosines[training].mean(axis=0)
+    deviations = (cosines[training] - mean).reshape(len(training), -1)
+    # 6000 examples at most, since an SVD of all would take long
     components = np.linalg.svd(deviations[:6000], full_matrices=False)[2]
     components = components[:60]  # they leave a thousandth of the variance unexplained
     unit = float((deviations @ components.T).std())
@@ -295,17 +297,17 @@ def learn(
 
     def example(values: Mapping[str, Floats], ecgs: Floats) -> tuple[Singles, Floats]:
         centred = (ecgs - mean).reshape(len(ecgs), -1)
-        return emulator.inputs(values, tissues[feasible][trained]), centred @ components.T / unit
+        return emulator.inputs(values, tissues[feasible][training]), centred @ components.T / unit
 
-    plain_values = {name: value[feasible][trained] for name, value in values.items()}
-    ends = {
+    plain_values = {name: value[feasible][training] for name, value in values.items()}
+    ranges = {
         p.name: (p.lower, p.upper) for p in (*prior.learnt.parameters, *averaged.space.parameters)
     }
-    pairs = [example(plain_values, cosines[trained])]
+    pairs = [example(plain_values, cosines[training])]
     scalable = "cv" in names and {*DELAY} & {*names} and {*FASTER[:2]} & {*names}
-    for _ in range(4 if time_scaling and scalable else 0):  # copies at other velocities
+    for _ in range(4 if time_scaling and scalable else 0):  # copies of all examples
         scaled_values, scaled_ecgs = _scaled_in_time(
-            plain_values, ends, examples.ecgs[trained], rng
+            plain_values, ranges, examples.ecgs[training], rng
         )
         pairs.append(example(scaled_values, cosines_of(scaled_ecgs, count)))
     inputs, outputs = (
@@ -313,7 +315,7 @@ def learn(
     )
     all_inputs, free = emulator.inputs(values, tissues), ~examples.held_out
     validity_outputs = examples.kept[free][:, None].astype(np.float32)
-    # two networks give the components, whose outputs are averaged; the last one is of feasibility
+    # two networks give the scores, which are averaged; the third gives the log odds of feasibility
     steps = max(200, epochs * len(inputs) // BATCH_EXAMPLES)
     trainings = [partial(train, inputs, outputs, steps=steps)] * 2
     trainings.append(
@@ -327,7 +329,7 @@ def learn(
     return _with_residuals(emulator, examples.of_the_prior, count, all_inputs)
 
 
-def _refuse(examples: Examples, names: tuple[str, ...], raw: Floats, fewest: int) -> None:
+def _check_examples(examples: Examples, names: tuple[str, ...], raw: Floats, fewest: int) -> None:
     """Refuse too few examples, and those in which a learnt quantity does not vary."""
     feasible, held_out = examples.feasible, examples.held_out[examples.feasible]
     if (~held_out).sum() < fewest or not held_out.any():
@@ -350,30 +352,31 @@ def cosines_of(ecgs: NDArray[Any], count: int) -> Floats:
 
 def _scaled_in_time(
     values: Mapping[str, Floats],
-    ends: Mapping[str, tuple[float, float]],
+    ranges: Mapping[str, tuple[float, float]],
     ecgs: NDArray[np.float32],
     rng: np.random.Generator,
 ) -> tuple[dict[str, Floats], NDArray[np.float32]]:
-    """Scale hearts in time by random factors that keep the quantities in range; with their ECGs."""
-    slowest, fastest = np.full(len(ecgs), 0.2), np.full(len(ecgs), 5.0)
+    """Quantities and ECGs of hearts scaled in time by random factors c, within the ranges."""
+    slowest, fastest = np.full(len(ecgs), 0.2), np.full(len(ecgs), 5.0)  # limits
     for name, value in values.items():
-        low, high = ends[name]
+        low, high = ranges[name]
         if name in FASTER:
             slowest, fastest = np.maximum(slowest, low / value), np.minimum(fastest, high / value)
         elif name in SOONER:
-            end = np.where(value > 0, high, low)
-            slowest = np.maximum(slowest, np.where(value == 0, 0, value / end))
+            limit = np.where(value > 0, high, low)
+            slowest = np.maximum(slowest, np.where(value == 0, 0, value / limit))
     scaling = np.exp(rng.uniform(np.log(slowest), np.log(np.maximum(fastest, slowest))))
     scaled = {
         n: v * scaling if n in FASTER else v / scaling if n in SOONER else v
         for n, v in values.items()
     }
     length = ecgs.shape[2]
-    place = np.clip(BEFORE + scaling[:, None] * (np.arange(length) - BEFORE), 0, length - 1)
-    before = np.minimum(place.astype(int), length - 2)
-    share = (place - before)[:, None].astype(np.float32)
+    # samples between which the scaled ECG is interpolated
+    position = np.clip(BEFORE + scaling[:, None] * (np.arange(length) - BEFORE), 0, length - 1)
+    before = np.minimum(position.astype(int), length - 2)
+    fraction = (position - before)[:, None].astype(np.float32)
     early, late = (np.take_along_axis(ecgs, k[:, None], axis=2) for k in (before, before + 1))
-    return scaled, early * (1 - share) + late * share
+    return scaled, early * (1 - fraction) + late * fraction
 
 
 def _with_residuals(
@@ -393,13 +396,13 @@ def _with_residuals(
     )
     errors, squares = ((true - emulated) ** 2).sum(), (true**2).sum()
     spread = ((true - true.mean(axis=0)) ** 2).sum()
-    odds, feasible = emulator.validity(inputs[held_out])[:, 0], examples.feasible[held_out]
+    log_odds, feasible = emulator.validity(inputs[held_out])[:, 0], examples.feasible[held_out]
     report = {
         "networks": float(len(examples.points)),
         "r_squared": 1 - float(errors / max(spread, 1e-12)),
         "error_in_bodies": float(np.sqrt((errors_in_torsos**2).sum() / squares)),
-        "validity": float(((odds > 0) == feasible).mean()),
-        **_errors("error", true, emulated),
+        "validity": float(((log_odds > 0) == feasible).mean()),
+        **_relative_errors("error", true, emulated),
     }
     return replace(
         emulator,
@@ -420,16 +423,17 @@ def refined(
     latest: int,
     folds: int = 4,
 ) -> EcgEmulator:
-    """Train the networks on examples of a posterior, where the residuals are computed anew.
+    """Train the networks further on networks of a posterior, and replace the residuals by theirs.
 
     Parameters
     ----------
     inputs, ecgs : (n, p) and (n, 8 + k, length) arrays
         Standardised inputs and ECGs of networks of the posterior.
     usual : (n, p) array
-        Standardised inputs all over the prior, where the outputs are to stay as they are.
+        Standardised inputs throughout the prior, for which the outputs are to remain as before.
     latest : int
-        Number of the last networks, which are used in cross-validation: each is held out once.
+        Number of networks of the last round, at the end. They serve for cross-validation: each is
+        held out once.
     folds : int
         Folds of the cross-validation.
     """
@@ -439,7 +443,7 @@ def refined(
     flat = emulator.components.reshape(len(emulator.components), -1)
     scores = (true - emulator.mean).reshape(len(true), -1) @ flat.T / emulator.unit
 
-    def on(network: NeuralNetwork, chosen: Booleans, rng: np.random.Generator) -> NeuralNetwork:
+    def tuned(network: NeuralNetwork, chosen: Booleans, rng: np.random.Generator) -> NeuralNetwork:
         all_inputs = np.concatenate([inputs[chosen], usual])
         outputs = np.concatenate([scores[chosen].astype(np.float32), network(usual)])
         steps = 20 * len(all_inputs) // BATCH_EXAMPLES  # every example is seen 20 times
@@ -449,22 +453,22 @@ def refined(
     fold[:-latest] = folds  # never held out
     trainings = [(network, fold != k) for k in range(folds + 1) for network in emulator.networks]
     with ThreadPoolExecutor(2) as pool:
-        networks = list(pool.map(on, *zip(*trainings, strict=True), rng.spawn(len(trainings))))
+        networks = list(pool.map(tuned, *zip(*trainings, strict=True), rng.spawn(len(trainings))))
     count, emulated = len(emulator.networks), np.empty_like(true)
     for k in range(folds):
         without_fold = replace(emulator, networks=tuple(networks[k * count : (k + 1) * count]))
         emulated[fold == k] = without_fold.cosines(without_fold.scores(inputs[fold == k]))
     true, emulated = true[-latest:], emulated[-latest:]
-    local = emulator.residual_factor_of(true - emulated, emulated)
+    posterior_factor = emulator.residual_factor_of(true - emulated, emulated)
     return replace(
         emulator,
         networks=tuple(networks[-count:]),
-        residual_factor=_root(np.concatenate([local, emulator.torso_residual_factor])),
-        report={**emulator.report, **_errors("error_of_posterior", true, emulated)},
+        residual_factor=_factor(np.concatenate([posterior_factor, emulator.torso_residual_factor])),
+        report={**emulator.report, **_relative_errors("error_of_posterior", true, emulated)},
     )
 
 
-def _errors(name: str, true: Floats, emulated: Floats) -> dict[str, float]:
+def _relative_errors(name: str, true: Floats, emulated: Floats) -> dict[str, float]:
     """Root mean square errors over that of the ECGs, of all leads together and by lead."""
     errors, squares = ((difference**2).sum(axis=(0, 2)) for difference in (true - emulated, true))
     leads = [*INDEPENDENT_LEADS, *map(str, range(len(errors) - len(INDEPENDENT_LEADS)))]
@@ -473,8 +477,8 @@ def _errors(name: str, true: Floats, emulated: Floats) -> dict[str, float]:
     return errors_by_lead | {f"{name}_{lead}": float(error) for lead, error in lead_errors}
 
 
-def _root(rows: Floats) -> Floats:
-    """Square matrix whose rows' outer products add up to those of the given rows."""
+def _factor(rows: Floats) -> Floats:
+    """Factor F (q, q) of the sum of the outer products of rows r (m, q): FᵀF = Σ rᵀr."""
     values, vectors = np.linalg.eigh(rows.T @ rows)
     return np.asarray(np.sqrt(np.maximum(values, 0))[:, None] * vectors.T)
 
@@ -483,13 +487,13 @@ def torso_modes_of(plain: Floats, in_torsos: Floats, numbers: Integers) -> tuple
     """Torso modes: matrices (k, 8 + a, 8 + a) on the leads, and factors (torsos, k) of each torso.
 
     Leads that see the same activation front from slightly different places are nearly linear
-    combinations of one another, constant in time. These make up nine tenths of the energy that a
-    torso adds.
+    combinations of one another, constant in time. Such combinations make up nine tenths of the
+    energy that a torso adds.
     """
     rows = plain.shape[1]
     all_ecgs = plain.transpose(1, 0, 2).reshape(rows, -1)
     power = all_ecgs @ all_ecgs.T / all_ecgs.shape[1]
-    power += 1e-3 * np.trace(power) / rows * np.eye(rows)
+    power += 1e-3 * np.trace(power) / rows * np.eye(rows)  # ridge, as leads may be dependent
     torsos, root = PriorSimulations.torsos, np.linalg.cholesky(power)
     differences = np.zeros((torsos, rows, rows))
     for number in np.unique(numbers):

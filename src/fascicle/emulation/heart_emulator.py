@@ -1,4 +1,4 @@
-"""Emulator of a heart: read from the package or the heart's folder, or made and kept there."""
+"""Emulator of a heart: from the package, the heart's folder, or trained and kept there."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from fascicle.networks.prior_simulations import PriorSimulations
 from fascicle.networks.settings import FitSettings
 from fascicle.pools.pool import Pool, Threads, check_pool
 
-# Kind of a file of what is learnt from simulations
+# What a file holds that was learnt from simulations
 Kind = Literal["emulator", "classifier", "origin"]
 
 
@@ -40,20 +40,20 @@ def simulations_for(
     ranges. `scenario` is that of a recording, with its digest.
     """
     blocks = {n: v for n, v in prior.fixed.items() if n == "conduction"}
-    alike = [state for state in CONDUCTION_STATES.values() if state.blocks == blocks]
-    # The prior of all delays, None, covers every state, but a narrower emulator is more exact.
-    states = alike if blocks else [*alike, None]
-    usual = (
+    matching = [state for state in CONDUCTION_STATES.values() if state.blocks == blocks]
+    # The default prior (None) covers every state, but the emulator of one state is more exact.
+    states = matching if blocks else [*matching, None]
+    candidates = (
         simulations_of(model, usual_prior(model.heart, state), folder, scenario) for state in states
     )
-    covering = (candidate for candidate in usual if candidate.prior.covers(prior))
+    covering = (candidate for candidate in candidates if candidate.prior.covers(prior))
     return next(covering, None) or simulations_of(model, prior, folder, scenario)
 
 
 def emulator_of(
     simulations: PriorSimulations, count: int, pool: Pool, progress: Progress | None = None
 ) -> EcgEmulator:
-    """Emulator of `count` prior simulations, from the package if it has learnt from as many."""
+    """Emulator trained on `count` prior simulations, or a packaged one, on at least as many."""
     stored = packaged("emulator", simulations.content)
     if stored is not None and float(stored["report networks"]) >= count:
         return EcgEmulator.from_arrays(stored)
@@ -88,10 +88,8 @@ def made_emulator(
 ) -> EcgEmulator:
     """Emulator learnt from `count` prior simulations; both are made if they are missing."""
     model, prior = simulations.model, simulations.prior
-    cache, key = (
-        ArrayCache(simulations.cache.folder, "emulator"),
-        f"{count} of {simulations.content}",
-    )
+    cache = ArrayCache(simulations.cache.folder, "emulator")
+    key = f"{count} of {simulations.content}"
     arrays: Mapping[str, Any] | None = cache.read(key)
     if arrays is None:
         simulations.simulate(count, pool, progress)

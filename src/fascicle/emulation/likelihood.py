@@ -1,4 +1,4 @@
-"""Likelihood of a study's target by an emulator of the heart, and its posterior by sampling."""
+"""Likelihood of a study's target by an emulator of the heart, and sampling of the posterior."""
 
 from __future__ import annotations
 
@@ -91,8 +91,8 @@ class EmulatedLikelihood:
     def energies(self, networks: Sequence[Network]) -> tuple[float, float]:
         """Energy of the emulator's errors in networks' ECGs, and energy of the ECGs.
 
-        Only frequencies that the emulator covers count; in a normal QRS higher ones make up a
-        seventh, root mean square.
+        Only frequencies that the emulator covers count. In a normal QRS, higher ones amount to a
+        seventh (root mean square).
         """
         emulator, tissues = self.emulator, self.simulator.prior.averaged.tissues
         rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(emulator.mean_leads))]
@@ -112,15 +112,13 @@ class EmulatedLikelihood:
             leads = placed(signals.leads, begin, emulator.length)[rows]
             true = cosines_of(leads, emulated.shape[-1])
             gain = network.parameters.get("gain", 1.0)
-            errors, energy = (
-                errors + ((true - gain * emulated) ** 2).sum(),
-                energy + (true**2).sum(),
-            )
+            errors += ((true - gain * emulated) ** 2).sum()
+            energy += (true**2).sum()
         return float(errors), float(energy)
 
     def _one_by_one(self, scores: Floats, gains: Floats) -> Floats:
         """Log-likelihoods (n,) by a user's likelihood, which takes one ECG at a time."""
-        emulator, junctions = self.emulator, 10_000  # so many that no likelihood finds them too few
+        emulator, junctions = self.emulator, 10_000  # enough for any likelihood
         log_likelihoods = np.empty(len(scores))
         for k, (components, gain) in enumerate(zip(scores, gains, strict=True)):
             leads = emulator.mean_leads + np.tensordot(components, emulator.series, 1)
@@ -152,9 +150,9 @@ def checked(
     errors = energy = expected = 0.0
     for likelihood in {id(candidate): candidate for candidate in emulated}.values():
         pairs = zip(networks, emulated, strict=True)
-        of_state = likelihood.energies([n for n, candidate in pairs if candidate is likelihood])
-        errors, energy = errors + of_state[0], energy + of_state[1]
-        expected += likelihood.emulator.expected_error**2 * of_state[1]
+        energies = likelihood.energies([n for n, candidate in pairs if candidate is likelihood])
+        errors, energy = errors + energies[0], energy + energies[1]
+        expected += likelihood.emulator.expected_error**2 * energies[1]
     if emulated[0].simulator.model.heart.lead_fields is not None:
         checks = replace(checks, least_explained=0.75)  # a torso is not quite the patient's
     emulator = [float(np.sqrt(errors / energy)), float(np.sqrt(expected / energy))]
@@ -189,10 +187,10 @@ def sampled(
             progress("sampling", max(1, done), 100, f"{message}, log evidence {evidences}")
 
         try:
-            made: SamplingRun = temper(partial(of_all, emulated), dimension, rng, count, report)
+            sample: SamplingRun = temper(partial(of_all, emulated), dimension, rng, count, report)
         except ValueError as error:  # hardly any point has a likelihood, as by a user's own
             raise InputError(f"{error}, and the likelihood") from None
-        return made
+        return sample
 
     with ThreadPoolExecutor(len(rngs)) as pool:
         return list(pool.map(run, range(len(rngs)), rngs))

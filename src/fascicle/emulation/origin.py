@@ -71,13 +71,13 @@ class EctopicBeats(PriorSimulations):
     def origins(self, number: int) -> Integers:
         """Tetrahedra (`part_size`,) in which the beats of a part begin."""
         volumes = self.model.heart.volumes
-        rng = np.random.default_rng([self.seed, number, 4])
-        # the place of each of ten beats: some share one, since finding the rays from a place takes
-        # long; the beat that is held out has a place of its own
-        place = [0, 0, 0, 1, 1, 1, 2, 2, 2, 3]
-        size = self.part_size // HELD_OUT, max(place) + 1
+        rng = np.random.default_rng([self.seed, number, 4])  # 4: stream of the origins
+        # origin of each of ten beats: several share one, since finding the rays from it takes long;
+        # the tenth beat, which is held out, has another one
+        numbers = [0, 0, 0, 1, 1, 1, 2, 2, 2, 3]
+        size = self.part_size // HELD_OUT, max(numbers) + 1
         drawn = rng.choice(len(volumes), size, p=volumes / volumes.sum())
-        return np.asarray(drawn[:, place].ravel())
+        return np.asarray(drawn[:, numbers].ravel())
 
     def scenarios(self, number: int) -> Sequence[Scenario | None]:
         """Scenario of each beat of a part: a stimulus at its origin, and no firing His bundle."""
@@ -88,7 +88,7 @@ class EctopicBeats(PriorSimulations):
 
 @dataclass(frozen=True)
 class Origin:
-    """Probability of the places where a recorded beat may begin.
+    """Origin of a recorded beat: probability that it lies in each tetrahedron of the heart.
 
     Attributes
     ----------
@@ -126,11 +126,11 @@ class Origin:
         """Most probable origin of the beat, in one line."""
         if self.caution is not None:
             return f"no origin is named: {self.caution}"
-        named = [_ranked(self.walls)]
+        statements = [_ranked(self.walls)]
         if segments := _ranked({n: p for n, p in self.segments.items() if n in SEGMENTS}):
-            named.append(f"segments {segments}")
+            statements.append(f"segments {segments}")
         x, y, z = self.place
-        return "; ".join(named) + (
+        return "; ".join(statements) + (
             f"; most probable place {x:.0f}, {y:.0f}, {z:.0f} mm, with {REGION:.0%} within "
             f"{self.radius:.0f} mm of it"
         )
@@ -142,11 +142,11 @@ class Origin:
 
     @property
     def radius(self) -> float:
-        """Distance from the most probable place that holds the probability `REGION` (mm)."""
-        away = np.linalg.norm(_centres(self.heart) - self.place, axis=1)
-        order = np.argsort(away)
+        """Radius (mm) about the most probable place that holds the probability `REGION`."""
+        distances = np.linalg.norm(_centres(self.heart) - self.place, axis=1)
+        order = np.argsort(distances)
         within = np.cumsum(self.probabilities[order]) < REGION
-        return float(away[order[within]].max(initial=0.0))
+        return float(distances[order[within]].max(initial=0.0))
 
     @cached_property
     def levels(self) -> Floats:
@@ -167,7 +167,7 @@ class Origin:
         """Probability of each ventricle; each has the half of the septum that is nearer to it."""
         anatomy, septum = self._places, self._places.wall == Wall.SEPTUM
         right = (anatomy.wall == Wall.RV) | (septum & (anatomy.depth > 0.5))
-        return self._of({"left ventricle": ~right, "right ventricle": right})
+        return self._by_part({"left ventricle": ~right, "right ventricle": right})
 
     @property
     def walls(self) -> dict[str, float]:
@@ -177,13 +177,13 @@ class Origin:
             "right ventricular free wall": Wall.RV,
             "septum": Wall.SEPTUM,
         }
-        return self._of({name: self._places.wall == wall for name, wall in names.items()})
+        return self._by_part({name: self._places.wall == wall for name, wall in names.items()})
 
     @property
     def layers(self) -> dict[str, float]:
         """Probability of the inner and the outer half of the free walls, and of the septum."""
         septum, inner = self._places.wall == Wall.SEPTUM, self._places.depth < 0.5
-        return self._of(
+        return self._by_part(
             {"endocardial half": ~septum & inner, "epicardial half": ~septum & ~inner,
              "septum": septum}
         )  # fmt: skip
@@ -192,9 +192,9 @@ class Origin:
     def segments(self) -> dict[str, float]:
         """Probability of the left ventricle's 17 segments and of the right one's free wall."""
         names = ("right ventricular free wall", *SEGMENTS)
-        return self._of({name: self._places.segment == k for k, name in enumerate(names)})
+        return self._by_part({name: self._places.segment == k for k, name in enumerate(names)})
 
-    def _of(self, parts: Mapping[str, Any]) -> dict[str, float]:
+    def _by_part(self, parts: Mapping[str, Any]) -> dict[str, float]:
         return {name: float(self.probabilities[inside].sum()) for name, inside in parts.items()}
 
     def summary(self) -> dict[str, Any]:
@@ -283,10 +283,10 @@ def locate(
 
 
 def ectopic_beats(model: ForwardModel, folder: Path) -> EctopicBeats:
-    """Prior simulations of networks within the paper's ranges, in beats from anywhere.
+    """Prior simulations of beats that begin anywhere, in networks within the paper's ranges.
 
     The network need not give a normal activation sequence: it only conducts where the front enters
-    it. Quantities of the ECG's sources are not varied.
+    it. Quantities that change the ECG's sources are not varied.
     """
     heart = model.heart
     speed = [] if {*SPEED} & {*heart.values} else [free("alpha")]
@@ -302,11 +302,11 @@ def ectopic_beats(model: ForwardModel, folder: Path) -> EctopicBeats:
 
 @dataclass(frozen=True)
 class OriginClassifier:
-    """Classifier of origins, with simulated beats to tell recordings that are like none."""
+    """Classifier of origins, with simulated beats to detect a recording that is unlike them."""
 
     classifier: EcgClassifier
-    patches: Floats  # (c, 3) middles (mm)
-    reference: Floats  # (n, r, COSINES) simulated beats, with which a recording is compared
+    patches: Floats  # (c, 3) centres of the patches (mm)
+    reference: Floats  # (n, r, COSINES) simulated beats, to compare with a recording
     least_explained: float
     held_out: Mapping[str, float]
 
@@ -325,7 +325,7 @@ class OriginClassifier:
 def classifier_of(
     beats: EctopicBeats, rows: Integers, count: int, pool: Pool, progress: Progress | None = None
 ) -> OriginClassifier:
-    """Classifier of a heart's beats from anywhere, by the leads `rows`; made if it is missing."""
+    """Classifier of beats that begin anywhere, by the leads `rows`; trained if it is missing."""
 
     def make() -> Mapping[str, Any]:
         beats.simulate(count, pool, progress)
@@ -352,10 +352,10 @@ def _learnt(
     rows: Integers,
     count: int,
     progress: Progress | None,
-    made: int = 240_000,
+    recording_count: int = 240_000,
     steps: int = 4000,
 ) -> dict[str, Any]:
-    """Train a classifier on `made` recordings, and return the arrays of an `OriginClassifier`."""
+    """Arrays of an `OriginClassifier`, trained on `recording_count` recordings."""
     heart, rng = beats.model.heart, np.random.default_rng(beats.seed)
     centres, volumes = _centres(heart), heart.volumes
     examples, leads = beats.examples(count, LENGTH), in_leads(rows)
@@ -364,17 +364,18 @@ def _learnt(
     )
     feasible, held_out = examples.feasible, examples.held_out
     training_origins, held_out_origins = origins[feasible & ~held_out], origins[feasible & held_out]
-    drawn = centres[rng.choice(len(volumes), 10_000, p=volumes / volumes.sum())]
-    number = max(2, round(volumes.sum() / 600.0))  # of 600 mm³
-    patches = kmeans2(drawn, number, minit="++", rng=rng)[0]
+    # patches of about 600 mm³: clusters of points that are uniform in the tissue
+    points = centres[rng.choice(len(volumes), 10_000, p=volumes / volumes.sum())]
+    patch_count = max(2, round(volumes.sum() / 600.0))
+    patches = kmeans2(points, patch_count, minit="++", rng=rng)[0]
     recorder, independent = Recorder.of(examples), slice(len(INDEPENDENT_LEADS))
     ecgs = examples.ecgs[~held_out[feasible], independent]
-    recordings, chosen = recorder.recordings(ecgs, rows, made, rng)
+    recordings, chosen = recorder.recordings(ecgs, rows, recording_count, rng)
     in_torsos = examples.in_torsos[:, independent]
     held_out_recordings = leads @ recorder.recorded(in_torsos, rng, in_torsos=True)
     classifier = learn(
-        RecordingSet(recordings, _near(patches, centres[training_origins])[chosen]),
-        RecordingSet(held_out_recordings, _near(patches, centres[held_out_origins])),
+        RecordingSet(recordings, _patch_weights(patches, centres[training_origins])[chosen]),
+        RecordingSet(held_out_recordings, _patch_weights(patches, centres[held_out_origins])),
         rows, rng, progress, steps,
     )  # fmt: skip
     reference = leads @ in_cosines(ecgs[rng.permutation(len(ecgs))[:2000]])
@@ -410,17 +411,17 @@ def _ranked(parts: Mapping[str, float]) -> str:
     return ", ".join(f"{name} {parts[name]:.2f}" for name in ranked if parts[name] >= 0.05)
 
 
-def _near(patches: Floats, points: Floats) -> Singles:
+def _patch_weights(patches: Floats, points: Floats) -> Singles:
     """Weights (n, c) of patches (c, 3) at points (n, 3), normal in the distance (SD 4 mm)."""
-    near = np.exp(-0.5 * (cdist(points, patches) / 4.0) ** 2)
-    return np.asarray(near / near.sum(axis=1, keepdims=True), dtype=np.float32)
+    weights = np.exp(-0.5 * (cdist(points, patches) / 4.0) ** 2)
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True), dtype=np.float32)
 
 
 def of_tetrahedra(heart: Heart, patches: Floats, probabilities: Floats) -> Floats:
     """Probabilities (n, m) of tetrahedra from those (n, c) of the patches nearest to them."""
-    kinds, volumes = cKDTree(patches).query(_centres(heart))[1], heart.volumes
-    of_patch = np.maximum(np.bincount(kinds, volumes, len(patches)), 1e-12)
-    densities = (probabilities / of_patch)[:, kinds] * volumes
+    nearest, volumes = cKDTree(patches).query(_centres(heart))[1], heart.volumes
+    patch_volumes = np.maximum(np.bincount(nearest, volumes, len(patches)), 1e-12)
+    densities = (probabilities / patch_volumes)[:, nearest] * volumes
     return np.asarray(densities / densities.sum(axis=1, keepdims=True))
 
 
@@ -433,11 +434,12 @@ def levels(probabilities: Floats, volumes: Floats) -> Floats:
 
 
 def _place(centres: Floats, probabilities: Floats) -> Floats:
-    """Return that of the centres (m, 3) whose expected distance to the origin is the least."""
+    """Centre, of those (m, 3) of the tetrahedra, with the least expected distance to the origin."""
+    # over the 4000 most probable ones; about 500 of them are candidates, since all take long
     likely = np.argsort(-probabilities)[:4000]
     step = max(1, len(likely) // 500)
-    away = np.linalg.norm(centres[likely[::step], None] - centres[likely], axis=2)
-    return np.asarray(centres[likely[::step][np.argmin(away @ probabilities[likely])]])
+    distances = np.linalg.norm(centres[likely[::step], None] - centres[likely], axis=2)
+    return np.asarray(centres[likely[::step][np.argmin(distances @ probabilities[likely])]])
 
 
 def _centres(heart: Heart) -> Floats:

@@ -43,8 +43,8 @@ class Checks:
     Attributes
     ----------
     explained : float
-        Share of the variance of the recorded QRS that each of the best networks explains; 0 for a
-        flat line.
+        Share of the variance of the recorded QRS that each of the best networks explains at least;
+        0 for a flat line.
     probabilities : mapping of str to float
         For the QRS duration, the frontal axis, each independent lead and all of them together:
         probability of a recording at least as far from the networks, times the number of such
@@ -72,12 +72,12 @@ class Checks:
     least_explained: float = 0.85
     sequence: SequenceSummary | None = None
 
-    # nominal probability that a recording of the model is called rare; the true one is less
+    # nominal probability that a recording drawn from the model is called rare; the true one is less
     least_probable: ClassVar[float] = 0.1
-    best_share: ClassVar[float] = 0.05  # of the networks, those that count as the best
-    # error of the emulator in the networks' ECGs, over that in held-out ECGs
+    best_share: ClassVar[float] = 0.05  # share of the networks that count as the best
+    # largest error of the emulator in the networks' ECGs, over that in held-out ECGs
     most_emulator_error: ClassVar[float] = 1.5
-    most_gain_sds: ClassVar[float] = 2.5  # of the median gain from 1, in SD of the gain's prior
+    most_gain_sds: ClassVar[float] = 2.5  # largest |median gain − 1|, in SD of its prior
 
     @classmethod
     def joined(cls, parts: Sequence[Checks]) -> Checks:
@@ -89,11 +89,11 @@ class Checks:
         return cls(
             least.explained,
             {
-                f"{name}{of}": min(1.0, p * len(parts))
-                for of, checks in numbered
+                f"{name}{end}": min(1.0, p * len(parts))
+                for end, checks in numbered
                 for name, p in checks.probabilities.items()
             },
-            {f"{name}{of}": m for of, checks in numbered for name, m in checks.measured.items()},
+            {f"{name}{end}": m for end, checks in numbered for name, m in checks.measured.items()},
             max((checks.gain for checks in parts), key=lambda gain: abs(gain[0] - 1)),
             max((checks.emulator for checks in parts), key=lambda error: error[0]),
             least.least_explained,
@@ -149,7 +149,7 @@ class Checks:
         rare, failures = self.disagreeing, []
         for name, (recorded, low, middle, high) in self.measured.items():
             if name in rare:
-                unit = next(unit for of, (_, unit) in MEASURED.items() if name.startswith(of))
+                unit = next(unit for key, (_, unit) in MEASURED.items() if name.startswith(key))
                 failures.append(
                     f"{name} {recorded:.0f}{unit} recorded, {middle:.0f} ({low:.0f}–{high:.0f}) "
                     "simulated"
@@ -213,6 +213,7 @@ def predict_recording(
 def _checks(
     target: Target, compared: Agreement, drawn: Sequence[Replicate], gain_sd: float
 ) -> Checks:
+    """Checks of a recording against the recordings drawn from the networks."""
     rows, window = independent_rows(target.used), target.qrs_samples
     residual, error = np.empty((2, len(drawn), len(rows)))
     unexplained = np.empty(len(drawn))
@@ -227,38 +228,38 @@ def _checks(
         unexplained[k] = (
             residual[k].sum() if replicate.unexplained is None else replicate.unexplained
         )
-    leads = {target.leads[row]: _rarer(residual[:, k], error[:, k]) for k, row in enumerate(rows)}
-    leads["all leads together"] = _rarer(residual.sum(axis=1), error.sum(axis=1))
-    spread = float(np.hypot(*target.global_qrs_sd))
+    leads = {target.leads[row]: _tail(residual[:, k], error[:, k]) for k, row in enumerate(rows)}
+    leads["all leads together"] = _tail(residual.sum(axis=1), error.sum(axis=1))
+    duration_sd = float(np.hypot(*target.global_qrs_sd))
     measured = {
         name: [compared.recorded[key], *compared.percentiles(key)]
         for name, (key, _) in MEASURED.items()
         if key in compared.recorded
     }
     quantities = {
-        DURATION: _two_sided(
-            compared.predicted[MEASURED[DURATION][0]], measured[DURATION][0], spread
+        DURATION: _two_tails(
+            compared.predicted[MEASURED[DURATION][0]], measured[DURATION][0], duration_sd
         )
     }
     if AXIS in measured:
         axes = np.array([frontal_axis(replicate.noisy[:, window]) for replicate in drawn])
         mean = float(np.degrees(np.angle(np.exp(1j * np.radians(axes)).mean())))
-        turns = (np.append(axes, measured[AXIS][0]) - mean + 180) % 360 - 180
-        quantities[AXIS] = _two_sided(turns[:-1], float(turns[-1]), 0.0)
-    # Bonferroni: the leads together weigh as much as the duration or the axis
-    parts, off = len(quantities) + 1, Checks.most_gain_sds * gain_sd + 1e-9
-    weighted = {n: p * parts for n, p in quantities.items()}
-    weighted |= {name: p * parts * len(leads) for name, p in leads.items()}
+        angles = (np.append(axes, measured[AXIS][0]) - mean + 180) % 360 - 180
+        quantities[AXIS] = _two_tails(angles[:-1], float(angles[-1]), 0.0)
+    # Bonferroni: all leads together weigh as much as the duration or the axis
+    comparisons, far = len(quantities) + 1, Checks.most_gain_sds * gain_sd + 1e-9
+    corrected = {n: p * comparisons for n, p in quantities.items()}
+    corrected |= {name: p * comparisons * len(leads) for name, p in leads.items()}
     return Checks(
         1
         - float(np.quantile(unexplained, Checks.best_share)) / float((target.qrs[rows] ** 2).sum()),
-        {name: min(1.0, p) for name, p in weighted.items()},
+        {name: min(1.0, p) for name, p in corrected.items()},
         measured,
-        [float(np.median([replicate.gain for replicate in drawn])), max(1 - off, 0.0), 1 + off],
+        [float(np.median([replicate.gain for replicate in drawn])), max(1 - far, 0.0), 1 + far],
     )
 
 
-def _rarer(residual: Floats, error: Floats) -> float:
+def _tail(residual: Floats, error: Floats) -> float:
     """Probability of an error at least as large as the residual of a network.
 
     Every residual (n,) is compared with the errors (n,) of all networks, which have the same
@@ -267,10 +268,10 @@ def _rarer(residual: Floats, error: Floats) -> float:
     return float(1 - np.searchsorted(np.sort(error), residual).mean() / len(error))
 
 
-def _two_sided(predicted: Floats, recorded: float, sd: float) -> float:
-    """Twice the smaller tail of predictions (n,), each blurred by `sd`, beyond a value."""
+def _two_tails(predicted: Floats, recorded: float, sd: float) -> float:
+    """Twice the smaller tail of predictions (n,), each with error `sd`, beyond a recorded value."""
     from scipy.special import ndtr
 
-    sd = max(sd, 1e-6)  # of values in ms or degrees
+    sd = max(sd, 1e-6)  # ms or degrees; not 0, since it divides
     below = float(ndtr((recorded - predicted) / sd).mean())
     return min(1.0, 2 * min(below, 1 - below))

@@ -1,8 +1,8 @@
 """Emulators refined with simulations of networks drawn from the posterior of the recordings.
 
-An emulator of the prior is no more exact near the posterior than elsewhere, and its residuals are
-those of networks all over the prior. Simulated networks of a first posterior make the emulator more
-exact where it matters, and show its residuals there.
+An emulator trained on the prior is as inexact near the posterior as elsewhere, and its residuals
+are those of networks throughout the prior. Networks drawn from a first, approximate posterior are
+simulated to train the emulator further, and to measure its residuals there.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from fascicle.inference.tempered_sampling import effective_size
 from fascicle.networks.prior_simulations import PriorSimulations
 
 REFINING_NETWORKS = 500  # simulated in a round, at most
-MOST_ROUNDS = 3
+MOST_ROUNDS = 3  # of sampling, simulation and training
 
 
 def refined_emulators(
@@ -53,13 +53,13 @@ def refined_emulators(
     emulators, scenarios : sequences
         Emulator of each recording, and its scenario with the digest.
     emulated_by : callable
-        Makes the likelihoods of the recordings from emulators.
+        Function from emulators to the likelihoods of the recordings.
     count : int
         Number of prior simulations that the emulators have learnt from.
     folder : Path
         Folder of the study, in which the simulations are kept.
     share : float
-        Networks simulated in a round, over `count`; `REFINING_NETWORKS` at most.
+        Networks simulated in a round, as a fraction of `count`; `REFINING_NETWORKS` at most.
     particles : int
         Particles of each run of a round; some of them are simulated.
 
@@ -68,24 +68,25 @@ def refined_emulators(
     list of EcgEmulator
         Emulator of each recording; recordings of one scenario share an emulator.
     """
-    now = emulated_by(emulators)
-    simulator, drawn = now[0].simulator, round(min(REFINING_NETWORKS, share * count))
+    likelihoods = emulated_by(emulators)
+    simulator = likelihoods[0].simulator
+    network_count = round(min(REFINING_NETWORKS, share * count))
     if any(quantity(name).changes is Changes.TISSUE for name in simulator.prior.names):
         return [*emulators]
     prior = simulator.prior
-    sample = one_thread(sampled)  # around both runs: each would end the other's limit
+    sample = one_thread(sampled)  # around both runs: the end of one would lift the other's limit
     cache = ArrayCache(folder / DISPOSABLE, "posterior")
     digests = ["" if scenario is None else scenario[1] for scenario in scenarios]
-    seen: dict[str, list[tuple[Singles, Singles]]] = {digest: [] for digest in digests}
+    training_sets: dict[str, list[tuple[Singles, Singles]]] = {digest: [] for digest in digests}
     for number in range(1, MOST_ROUNDS + 1):
         message = f"{RUNS} runs of {particles}, to refine the emulator"
         message += f", round {number}" if number > 1 else ""
-        runs = sample(now, prior.dimension, rng.spawn(RUNS), particles, message, progress)
+        runs = sample(likelihoods, prior.dimension, rng.spawn(RUNS), particles, message, progress)
         run_points = np.concatenate([run.points for run in runs])
-        points = rng.permutation(run_points)[:drawn]
-        usual, refined = prior.sample(rng, number * len(points)), {}
-        for emulator, emulated, scenario, digest in zip(
-            emulators, now, scenarios, digests, strict=True
+        points = rng.permutation(run_points)[:network_count]
+        prior_points, refined = prior.sample(rng, number * len(points)), {}
+        for emulator, likelihood, scenario, digest in zip(
+            emulators, likelihoods, scenarios, digests, strict=True
         ):
             if digest in refined:
                 continue
@@ -94,15 +95,15 @@ def refined_emulators(
             )  # fmt: skip
             simulations.simulate(len(points), simulator.pool, progress)
             new_examples = simulations.examples(len(points), emulator.length)
-            inputs, usual_inputs = (
-                emulated.inputs(p)[0] for p in (points[new_examples.feasible], usual)
+            inputs, prior_inputs = (
+                likelihood.inputs(p)[0] for p in (points[new_examples.feasible], prior_points)
             )
-            seen[digest].append((inputs, new_examples.ecgs))
-            examples = map(np.concatenate, zip(*seen[digest], strict=True))
-            refined[digest] = refined_by(emulator, *examples, usual_inputs, rng, latest=len(inputs))
-        before, now = now, emulated_by([refined[digest] for digest in digests])
-        log_weights = of_all(now, run_points) - of_all(before, run_points)
+            training_sets[digest].append((inputs, new_examples.ecgs))
+            examples = map(np.concatenate, zip(*training_sets[digest], strict=True))
+            refined[digest] = refined_by(emulator, *examples, prior_inputs, rng, latest=len(inputs))
+        previous, likelihoods = likelihoods, emulated_by([refined[digest] for digest in digests])
+        log_weights = of_all(likelihoods, run_points) - of_all(previous, run_points)
         # where fewer than 2 % of a round's draws are effective, the posterior has moved
         if effective_size(log_weights - log_weights.max()) > 0.02 * len(run_points):
             break
-    return [likelihood.emulator for likelihood in now]
+    return [likelihood.emulator for likelihood in likelihoods]

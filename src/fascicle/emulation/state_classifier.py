@@ -1,7 +1,7 @@
 """Probability of each conduction state, by a classifier of a heart's simulated recordings.
 
 Each state has prior simulations of its own. The classifier is made once for each heart, and kept
-with it; the packaged hearts share one, which has learnt from recordings of all of them.
+with it; the packaged hearts share one, trained on simulated recordings of all of them.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ from fascicle.recording.target_files import as_target
 
 @dataclass(frozen=True)
 class StateSimulations:
-    """Prior simulations from which those of a conduction state are taken."""
+    """Prior simulations of a conduction state, and how many of them are used."""
 
     state: ConductionState
     simulations: PriorSimulations
-    count: int  # half of a study's, or all for a mapped prior, to which many do not belong
+    count: int  # a study's number for a mapped prior, to which many do not belong; else half
     fewest: ClassVar[int] = 100  # least number of simulations of a state to learn from
 
     @classmethod
@@ -92,7 +92,7 @@ class StateSimulations:
 def probabilities(
     classifier: EcgClassifier, states: Iterable[str], priors: Mapping[str, float], target: Target
 ) -> dict[str, float]:
-    """Posterior probabilities of states by a classifier, which knows the states `states`."""
+    """Posterior probabilities of states by a classifier that was trained on `states`."""
     by_classifier = zip(states, classifier.probabilities(target), strict=True)
     products = {name: p * priors[name] for name, p in by_classifier if name in priors}
     total = sum(products.values())
@@ -108,7 +108,7 @@ class NoStateNamed:
     reason : str
         Reason in a line.
     unreliable : mapping of str to float
-        Probabilities by the classifier all the same, whose reliability here is unknown.
+        Probabilities by the classifier, whose reliability for such a recording is unknown.
     """
 
     reason: str
@@ -189,7 +189,7 @@ def state_probabilities(
 
 
 def unlike(classifier: EcgClassifier, target: Target) -> str:
-    """Reason why a recording is unlike the training set of a classifier; empty if it is alike."""
+    """Reason why a recording is unlike the training set of a classifier; empty if it is not."""
     assert classifier.most_unexplained is not None
     (unexplained,) = classifier.unexplained(classifier.cosines(target))
     if unexplained <= classifier.most_unexplained:
@@ -205,11 +205,11 @@ def simulations_of_states(
 ) -> dict[str, StateSimulations]:
     """Prior simulations of all states that the learnt and fixed quantities do not exclude.
 
-    Simulations of the heart's usual priors, of all states, are taken if they cover those quantities
-    in every state.
+    Simulations of the heart's default priors, of all states, are used if they cover those
+    quantities in every state.
     """
-    usual_states = _of_each(model, usual_prior(model.heart), folder, count)
-    states = _of_each(model, prior, folder, count)
+    usual_states = _of_possible_states(model, usual_prior(model.heart), folder, count)
+    states = _of_possible_states(model, prior, folder, count)
     if all(
         name in usual_states
         and usual_states[name].simulations.prior.covers(state.simulations.prior)
@@ -219,9 +219,10 @@ def simulations_of_states(
     return states
 
 
-def _of_each(
+def _of_possible_states(
     model: ForwardModel, prior: Prior, folder: Path, count: int
 ) -> dict[str, StateSimulations]:
+    """Prior simulations of the states that a prior allows, by name."""
     possible = prior.possible_states(FREE, model.heart)
     return {
         state.name: StateSimulations.of(state, model, prior, folder, count) for state in possible
@@ -236,7 +237,7 @@ def classifier_of(
     pool: Pool,
     progress: Progress | None = None,
 ) -> EcgClassifier:
-    """Classifier of states by the leads `rows`: from the package, a heart's folder, or made."""
+    """Classifier of states by the leads `rows`: packaged, kept with the heart, or trained."""
 
     def make() -> Mapping[str, Any]:
         for number, of_state in enumerate(states.values(), 1):
@@ -274,8 +275,8 @@ def training_and_held_out(
         held_out.append(in_leads(rows) @ recorder.recorded(in_torsos, rng, in_torsos=True))
     sets = []
     for recordings in (training, held_out):
-        one_each = np.eye(len(recordings), dtype=np.float32)
-        kinds = np.repeat(one_each, [len(ecgs) for ecgs in recordings], axis=0)
+        one_hot = np.eye(len(recordings), dtype=np.float32)
+        kinds = np.repeat(one_hot, [len(ecgs) for ecgs in recordings], axis=0)
         sets.append(RecordingSet(np.concatenate(recordings), kinds))
     return sets[0], sets[1]
 
@@ -300,7 +301,7 @@ def simulate_prior(
     networks : int, optional
         Number of networks; by default that of `fascicle.fit`.
     workers : int, optional
-        Simulations that run at the same time; by default one a core.
+        Simulations that run at the same time; by default one per core.
     progress : Progress, "lines" or None
         Progress callback, called with the number of networks simulated; by default lines on
         standard error.
@@ -324,7 +325,7 @@ def simulate_prior(
         model = ForwardModel(heart, progress=shown)
         states = simulations_of_states(model, usual_prior(heart), folder, count)
         classifier_of(states, np.array(INDEPENDENT_ROWS), folder, count, pool, shown)
-        different = {state.simulations.content: state for state in states.values()}
-        for state in different.values():
+        distinct = {state.simulations.content: state for state in states.values()}
+        for state in distinct.values():
             made_emulator(state.simulations, state.count, pool, shown)
     return folder / DISPOSABLE

@@ -1,4 +1,4 @@
-"""A beat: what the forward model gives for the quantities of a network and a scenario."""
+"""Beat: output of the forward model for the quantities of a network and a scenario."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ class Beat:
     leads : (12 + k, n_time) array
         The twelve leads of `fascicle.core.leads.LEADS`, then additional ones (mV), every 1 ms.
     onset : float
-        Time of their first sample (ms).
+        Time of the first sample of `leads` (ms); not the QRS onset.
     trees : tuple of PurkinjeTree
-        The trees, left first.
+        Purkinje trees, the left one first.
     coupled : Activation
-        Times in myocardium and trees, how each junction fired, and the site that fired each vertex;
-        of a beat from a graphics card the times in the myocardium alone.
+        Activation times of myocardium and trees, how each junction fired, and the site that fired
+        each vertex. A beat simulated on a graphics card has the times of the myocardium alone.
     capture_groups : (n_points,) int array
-        Number of the scenario's myocardial stimulus that each of `Activation.stimuli` belongs to:
-        first the stimuli in their order, then the vertices that they capture.
+        Number of the scenario's myocardial stimulus to which each point of `Activation.stimuli`
+        belongs: first the stimuli in their order, then the vertices that they capture.
     lead_names : tuple of str
         Names of the leads.
     """
@@ -64,12 +64,12 @@ class Beat:
 
     @property
     def signals(self) -> Signals:
-        """Signals of the beat in a recording."""
+        """ECG of the beat, to be compared with a recording."""
         junctions = tuple(len(tree.junctions) for tree in self.trees)
         return Signals(self.leads, self.first_activation, junctions)
 
     def in_single_precision(self) -> Beat:
-        """Beat to be kept in numbers: without the sites, its times in single precision."""
+        """Smaller copy to store many beats: times in single precision, without the firing sites."""
         times: Any = [times.astype(np.float32) for times in (self.activation, *self.coupled.trees)]
         coupled = Activation(times[0], tuple(times[1:]), captured=self.captured)
         return replace(self, coupled=coupled, capture_groups=np.arange(len(self.captured)))
@@ -92,7 +92,7 @@ class Beat:
 
     @property
     def total_activation_time(self) -> float:
-        """From the first to the last activation in the myocardium that is reached (ms)."""
+        """Time from the first to the last activation of the reached myocardium (ms)."""
         reached = self.activation[np.isfinite(self.activation)]
         return float(reached.max() - reached.min())
 
@@ -106,22 +106,19 @@ class Beat:
 
     @property
     def qrs_duration(self) -> float:
-        """QRS duration (ms), by the rule for recordings.
-
-        All leads together decide its window; clinics measure `global_qrs_duration`.
-        """
+        """QRS duration (ms) of all leads together, measured as in recordings."""
         onset, offset = self._qrs_windows.window
         return (offset - onset) * SAMPLE_STEP
 
     @property
     def global_qrs_duration(self) -> float:
-        """Global QRS duration (ms), that of the outermost leads, by the rule for recordings."""
+        """Global QRS duration (ms), over the outermost of all leads, measured as in recordings."""
         onset, offset = self._qrs_windows.global_window
         return (offset - onset) * SAMPLE_STEP
 
     @property
     def frontal_axis(self) -> float:
-        """Frontal QRS axis (degrees), by the rule for recordings."""
+        """Frontal QRS axis (degrees), measured as in recordings."""
         onset, offset = self._qrs_windows.global_window
         return frontal_axis(self.leads[:, onset : offset + 1])
 
@@ -138,7 +135,7 @@ class Beat:
 
     @property
     def captured(self) -> Booleans:
-        """Whether each myocardial stimulus came before any front at its site, (n_stimuli,)."""
+        """Whether each myocardial stimulus captured, before any front arrived, (n_stimuli,)."""
         return np.asarray(np.bincount(self.capture_groups, self.coupled.captured) > 0)
 
     def plot(self, heart: Heart | Path | str | None = None) -> list[Any]:
@@ -159,7 +156,7 @@ class Beat:
         above("forward.simulation_files").write_simulation(heart, self, path, {})
 
     def index_table(self, heart: Heart, stimulus: float | None = None) -> pd.DataFrame:
-        """Indices of activation and ECG, a row each: ``value``, ``unit`` and ``name``.
+        """Indices of activation and ECG, one per row: ``value``, ``unit`` and ``name``.
 
         Indices that count from the first `stimulus` (ms) are NaN without one.
         """
@@ -168,14 +165,14 @@ class Beat:
 
 @dataclass(frozen=True)
 class Signals:
-    """Signals of a beat in a recording: its ECG, and when it begins.
+    """ECG of a beat, to be compared with a recording, and the beginning of its activation.
 
     Attributes
     ----------
     leads : (12 + k, n) array
-        Simulated ECG (mV): the leads of the heart.
+        Simulated ECG (mV), in the leads of the heart.
     first_activation : float
-        Sample of the first activation.
+        Sample of `leads` at the first activation; may lie between samples.
     junctions : tuple of int
         Number of junctions of each tree.
     """

@@ -45,8 +45,8 @@ from fascicle.forward.loss import placed
 from fascicle.kernels.gaussian import integrated
 from fascicle.recording.target import Target, residual_covariance
 
-MARGIN = 40  # samples (ms) of silence on either side of the QRS
-HALF_PERIOD = 20.0  # ms; of the fastest cosine
+MARGIN = 40  # isoelectric samples (ms) on either side of the QRS
+HALF_PERIOD = 20.0  # half of the shortest period of the cosines (ms)
 
 
 @runtime_checkable
@@ -143,11 +143,11 @@ class QrsLikelihood:
     torso_modes: Floats
 
     shift_step: ClassVar[int] = 3  # ms between shifts
-    # ms; SD of the first activation about the QRS onset, besides that of the onset
+    # SD (ms) of the first activation about the QRS onset, in addition to that of the onset itself
     first_activation_sd: ClassVar[float] = 3.0
-    # sizes of the discrepancy, of the recorded QRS (rms)
+    # sizes σ of the discrepancy, over the root mean square of the recorded QRS
     shares: ClassVar[Floats] = np.geomspace(0.1, 0.4, 4)
-    # ms; correlation times of the discrepancy: of its smooth and its rough half
+    # correlation times (ms) of the smooth and of the rough half of the discrepancy
     correlation_times: ClassVar[tuple[float, float]] = (12.0, 4.0)
     # share of the discrepancy's variance that is independent between leads
     lead_share: ClassVar[float] = 0.5
@@ -161,8 +161,8 @@ class QrsLikelihood:
     def predictive(self, ecg: Signals, rng: np.random.Generator) -> Replicate:
         """Draw shift, gain, torso and size of the discrepancy, and an error of that size."""
         target, fit = self.target, self.fit(ecg)
-        place = rng.choice(fit.weights.size, p=fit.weights.ravel() / fit.weights.sum())
-        scale, at = np.unravel_index(place, fit.weights.shape)
+        drawn = rng.choice(fit.weights.size, p=fit.weights.ravel() / fit.weights.sum())
+        scale, at = np.unravel_index(drawn, fit.weights.shape)
         shift = float(fit.shifts[at])
         models = self.whitened(ecg.leads, ecg.first_activation)[:, :, at]
         factors = self._factors(models, int(scale), rng)
@@ -171,7 +171,7 @@ class QrsLikelihood:
         leads = mixed @ ecg.leads
         begin = shift + MARGIN - target.qrs_samples.start
         clean = placed(leads, begin, len(target.time), target.response)
-        error, least = self.noise(rng, int(scale)), self.noise(rng, 0)
+        error, smallest_error = self.noise(rng, int(scale)), self.noise(rng, 0)
         residual = self._padded - placed(leads[self._rows], shift, self.length, target.response)
         return Replicate(
             clean,
@@ -180,7 +180,7 @@ class QrsLikelihood:
             ecg.first_activation - shift - MARGIN,
             self.scales[scale],
             ((residual @ self.modes) ** 2).sum(axis=1),
-            (least**2).sum(axis=1),
+            (smallest_error**2).sum(axis=1),
             float((residual**2).sum()),
             mixed / gain,
         )
@@ -197,9 +197,9 @@ class QrsLikelihood:
 
     def fit(self, ecg: Signals) -> Fit:
         """Compare a simulated ECG, zero outside its samples, with the recording."""
-        joint = self._joint(self.whitened(ecg.leads, ecg.first_activation)) + self._log_priors
+        joint = self._log_density(self.whitened(ecg.leads, ecg.first_activation)) + self._log_priors
         total = float(logsumexp(joint))
-        shifts = ecg.first_activation - MARGIN + self._steps
+        shifts = ecg.first_activation - MARGIN + self._shifts
         return Fit(total - math.log(len(self.shares)), shifts, np.exp(joint - total))
 
     def of_sums(self, parts: Floats, scores: Floats) -> Floats:
@@ -207,9 +207,9 @@ class QrsLikelihood:
 
         Parts have shape (n_shifts, 1 + k, n, q), as `whitened` computes them.
         """
-        logs = np.empty((len(self._steps), len(self.shares), scores.shape[1]))
+        logs = np.empty((len(self._shifts), len(self.shares), scores.shape[1]))
         for at, prior in enumerate(self._log_priors):
-            logs[at] = self._joint(parts[at] @ scores) + prior
+            logs[at] = self._log_density(parts[at] @ scores) + prior
         return np.asarray(logsumexp(logs, axis=(0, 1)) - math.log(len(self.shares)))
 
     def whitened(self, leads: Floats, first_activation: float) -> Floats:
@@ -217,7 +217,7 @@ class QrsLikelihood:
 
         In the diagonal basis, at every shift: shape (1 + k, n, n_shifts).
         """
-        begin, end = first_activation - MARGIN + self._steps[[0, -1]]
+        begin, end = first_activation - MARGIN + self._shifts[[0, -1]]
         samples = placed(leads, begin, self.length + round(end - begin), self.target.response)
         windows = sliding_window_view(samples, self.length, axis=1)[:, :: self.shift_step]
         coefficients = np.ascontiguousarray(windows) @ self.modes  # (12 + k, n_shifts, n_modes)
@@ -232,24 +232,25 @@ class QrsLikelihood:
         """Changes of a model by one standard deviation of the gain and of each torso mode."""
         return np.concatenate([self.gain_sd * models[:1], models[1:]])
 
-    def _joint(self, models: Floats) -> Floats:
-        """Log-likelihood (n_scales, m) of models (1 + k, n, m), as `whitened` gives them."""
+    def _log_density(self, models: Floats) -> Floats:
+        """Log-density (n_scales, m) of V̂ given models (1 + k, n, m), as `whitened` gives them."""
         _, weights, constants, data = self._diagonal
-        logs, kind = np.empty((len(weights), models.shape[2])), models.dtype
-        weights, data = weights.astype(kind), data[:, 0].astype(kind)
-        integrated(models, kind.type(self.gain_sd), data, weights, constants, logs)
+        logs, dtype = np.empty((len(weights), models.shape[2])), models.dtype
+        weights, data = weights.astype(dtype), data[:, 0].astype(dtype)
+        integrated(models, dtype.type(self.gain_sd), data, weights, constants, logs)
         return logs
 
     @cached_property
-    def _steps(self) -> Floats:
+    def _shifts(self) -> Floats:
         """Shifts (ms) about the first activation at the recorded onset."""
+        # three standard deviations to either side
         reach = math.ceil(3.0 * self._onset_sd / self.shift_step) * self.shift_step
         return np.arange(-reach, reach + 1.0, self.shift_step)
 
     @cached_property
     def _log_priors(self) -> Floats:
         """Logarithms of the prior probabilities of the shifts."""
-        logs = -0.5 * (self._steps / self._onset_sd) ** 2
+        logs = -0.5 * (self._shifts / self._onset_sd) ** 2
         return np.asarray(logs - logsumexp(logs))
 
     @property
@@ -283,24 +284,27 @@ class QrsLikelihood:
 
     @cached_property
     def _padded(self) -> Floats:
-        """Mean QRS in independent leads (mV), silent on either side."""
+        """Mean QRS in independent leads (mV), 0 over `MARGIN` on either side."""
         return np.pad(self.target.qrs[self._rows], ((0, 0), (MARGIN, MARGIN)))
 
     def _in_all_leads(self, independent: Floats) -> Floats:
-        """Complete errors (mV) of independent leads about the QRS to all leads and times."""
+        """Errors (mV) of all leads at all times, from those of independent leads about the QRS."""
         begin, times = self.target.qrs_samples.start - MARGIN, len(self.target.time)
-        out = np.zeros((len(self.target.leads), times))
-        inside = np.arange(independent.shape[1]) + begin
-        recorded = (inside >= 0) & (inside < times)
-        out[np.ix_(self._rows, inside[recorded])] = independent[:, recorded]
+        errors = np.zeros((len(self.target.leads), times))
+        samples = np.arange(independent.shape[1]) + begin
+        recorded = (samples >= 0) & (samples < times)
+        errors[np.ix_(self._rows, samples[recorded])] = independent[:, recorded]
         limb = limb_leads_from([LIMB_LEADS[row] for row in self._rows if row < len(LIMB_LEADS)])
         if limb is not None:
-            out[: len(LIMB_LEADS)] = limb @ out[: len(LIMB_LEADS)]
-        return out
+            errors[: len(LIMB_LEADS)] = limb @ errors[: len(LIMB_LEADS)]
+        return errors
 
     @cached_property
     def _diagonal(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """Basis (n, n); in it weights (n_scales, n), log-determinants and the recording (n, 1)."""
+        """Basis (n, n) in which C is the identity and D diagonal; and, in this basis, three arrays.
+
+        Inverse variances (n_scales, n), log-determinants (n_scales,), and recording V̂ (n, 1).
+        """
         values, basis = eigh(self.discrepancy, self.covariance)
         spread = 1 + self.scales[:, None] ** 2 * np.maximum(values, 0)
         constant = np.linalg.slogdet(2 * np.pi * self.covariance)[1]
@@ -331,7 +335,7 @@ def cosines(qrs: int) -> Floats:
 def beat_noise(target: Target) -> Floats:
     """Covariance (n, n) of the coefficients of the mean beat (mV²).
 
-    It is that of one beat over the number of beats; a single beat has its stated noise.
+    The covariance of one beat, over the number of beats; a single beat has its stated noise.
     """
     rows, covariance = independent_rows(target.used), residual_covariance(target)
     count = 1 if target.noise is not None else len(target.beats)
@@ -364,12 +368,12 @@ def matern(length: int, correlation: float = 12.0) -> Floats:
 
 
 def separable(leads: Floats, time: Floats, modes: Floats) -> Floats:
-    """Covariance (n, n) of coefficients, from those of leads (n_leads, n_leads) and of samples."""
+    """Covariance (n, n) of coefficients, from the covariances of leads and of samples."""
     return np.asarray(np.kron(leads, modes.T @ time @ modes))
 
 
 def lead_pattern(signals: Sequence[Floats]) -> Floats:
-    """Correlation between leads of differences between simulations (n_leads, n), of unit mean.
+    """Covariance of the leads in differences of simulations (n_leads, n), of unit mean variance.
 
     A share of the variance, `QrsLikelihood.lead_share`, is independent between leads, such as from
     misplaced electrodes. With a small share the likelihood would prefer twice the mismatch to a

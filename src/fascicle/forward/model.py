@@ -89,7 +89,7 @@ def usable(
 
 
 class ForwardModel:
-    """The forward model of one heart; construction does all that depends on the heart alone.
+    """Forward model of one heart; construction prepares all that depends on the heart alone.
 
     Parameters
     ----------
@@ -238,8 +238,8 @@ class ForwardModel:
         ----------
         parameters : mapping of name to float
             Quantities of `fascicle.core.quantities.QUANTITIES`, in its units: bundles and
-            fascicles, ``cv`` and ``root_time`` (or ``interventricular_delay``) at least. The rest
-            is as the heart, the conduction and the rules of this model have it.
+            fascicles, ``cv`` and ``root_time`` (or ``interventricular_delay``) at least. Others
+            have the values of the heart, the conduction and the rules of this model.
         scenario : Scenario, optional
             Extra stimuli, blocked or slow segments, junction delays, trees of your own.
 
@@ -347,7 +347,7 @@ class ForwardModel:
                 conduction,
                 "tissue",
                 build,
-                lambda made: made.travel_times._asdict(),  # nine tenths of the work
+                lambda myocardium: myocardium.travel_times._asdict(),  # nine tenths of the work
                 lambda arrays: build(table=TravelTimeTable(**arrays)),
                 most=self.tissues_kept,
             )

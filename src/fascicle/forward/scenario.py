@@ -1,4 +1,4 @@
-"""A scenario: pacing, blocks, slow conduction and delays on top of a network."""
+"""Scenario: pacing, blocks, slow conduction and delays imposed on a network."""
 
 from __future__ import annotations
 
@@ -45,17 +45,17 @@ class Primitive(Table, table=""):
 
     @property
     def blocked(self) -> set[str]:
-        """Names of the blocked parts."""
+        """Names of the parts of the trees that it blocks."""
         return set()
 
 
 PRIMITIVES: dict[str, type[Primitive]] = {}
-"""The primitives by what their tables are called."""
+"""Primitives, by the names of their tables."""
 
 
 @dataclass
 class Excitation:
-    """Excitation of a network, to be solved: what fires when, and how the trees conduct.
+    """Excitation of a network, before it is solved: what fires when, and how the trees conduct.
 
     The primitives of a scenario change it.
 
@@ -72,8 +72,8 @@ class Excitation:
     delays : dict of name to float
         ``anterograde_delay`` and ``retrograde_delay`` of the junctions (ms).
     his : HisBundle, optional
-        Bundle that joins the roots of the heart's own trees; without it a front that climbs to a
-        root ends there.
+        Bundle that joins the roots of the heart's own trees; without it a retrograde front ends at
+        the root.
     inactive : set of int
         Trees whose root does not fire.
     node_times : list of (tree, node, time)
@@ -106,10 +106,10 @@ class Excitation:
         return names.index(name)
 
     def part(self, tree: int, name: str) -> Booleans:
-        """Nodes that end a segment of a part of a tree, such as ``"bundle"``.
+        """Whether a segment of a part of a tree, such as ``"bundle"``, ends at a node (n_nodes,).
 
         Of several fascicles the anterior and the posterior one are those whose ends lie furthest
-        to either side.
+        in these directions.
 
         Raises
         ------
@@ -120,9 +120,9 @@ class Excitation:
         parts = {**grown.parts}
         fascicles = [mask for name, mask in parts.items() if name.startswith("fascicle")]
         if len(fascicles) > 1:
-            heights = grown.nodes @ self.sites.anterior
-            nodes = [np.setdiff1d(np.flatnonzero(mask), grown.parents[mask]) for mask in fascicles]
-            ends = [heights[tips[-1]] for tips in nodes]
+            anterior = grown.nodes @ self.sites.anterior  # coordinates (mm)
+            tips = [np.setdiff1d(np.flatnonzero(mask), grown.parents[mask]) for mask in fascicles]
+            ends = [anterior[nodes[-1]] for nodes in tips]
             parts["anterior fascicle"] = fascicles[int(np.argmax(ends))]
             parts["posterior fascicle"] = fascicles[int(np.argmin(ends))]
         if name not in parts:
@@ -141,7 +141,7 @@ class Excitation:
             self._captured += [((x, y, z), time, group) for x, y, z in near.tolist()]
 
     def slow(self, tree: int, nodes: Booleans, factor: float) -> None:
-        """Multiply the speed of the segments that end in nodes of a tree; 0 blocks them."""
+        """Multiply the velocity of the segments that end in nodes of a tree; 0 blocks them."""
         if not self._speed:
             self._speed = [np.ones(len(grown.nodes)) for grown in self.trees]
         self._speed[tree][nodes] *= factor
@@ -171,7 +171,7 @@ class Excitation:
 
     @property
     def speed(self) -> ArrayLike:
-        """Factor on the speed of every segment, tree by tree, each by the node it ends in."""
+        """Factor on the velocity of each segment, by the node it ends in, tree after tree."""
         return np.concatenate(self._speed) if self._speed else 1.0
 
     @property
@@ -188,7 +188,7 @@ class Excitation:
 
 @dataclass(frozen=True)
 class Scenario:
-    """A case to simulate on top of trees, root time and speed.
+    """Pacing, blocks, slow conduction and delays to simulate in a heart and its network.
 
     Attributes
     ----------
@@ -233,7 +233,7 @@ class Scenario:
         return [primitive for primitive in self.primitives if isinstance(primitive, kind)]
 
     def mapped(self, change: Callable[[Primitive], Primitive]) -> Scenario:
-        """Scenario with every primitive changed."""
+        """Scenario with `change` applied to every primitive."""
         return replace(self, primitives=tuple(map(change, self.primitives)))
 
     @property
@@ -244,7 +244,7 @@ class Scenario:
 
     @property
     def blocks(self) -> set[str]:
-        """Names of the blocked parts."""
+        """Names of the parts of the trees that are blocked."""
         return {block for primitive in self.primitives for block in primitive.blocked}
 
     def excitation(
@@ -254,14 +254,14 @@ class Scenario:
         values: Mapping[str, float],
         sites: Sites,
     ) -> Excitation:
-        """The excitation of a network in this scenario, to be solved.
+        """Excitation of a network in this scenario, to be solved.
 
         Parameters
         ----------
         trees : sequence of PurkinjeTree
             The heart's own trees.
         root_time : float or sequence of float
-            t_RV − t_LV, or the firing time of each of their roots (ms).
+            RV–LV activation delay t_RV − t_LV, or the firing time of each root (ms).
         values : mapping of name to float
             Quantities of the network.
         sites : Sites
@@ -289,7 +289,7 @@ class Scenario:
 
 
 def root_times(root_time: float | Sequence[float]) -> list[float]:
-    """Firing times of the roots (ms): left and right, the earlier at 0; or the given ones."""
+    """Firing times of left and right root (ms) by their delay, the earlier at 0; or as given."""
     definition = quantity("root_time")
     if isinstance(root_time, list | tuple | np.ndarray):
         return [check(definition, time) for time in root_time]

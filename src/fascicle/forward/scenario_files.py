@@ -56,7 +56,7 @@ def library() -> dict[str, Path]:
 
 
 def name_in_library(scenario: Scenario) -> str | None:
-    """Name in the `library` of a scenario that was read from it; None of any other."""
+    """Name in the `library` of a scenario that was read from it; None for any other."""
     return next((name for name, path in library().items() if str(path) == scenario.source), None)
 
 
@@ -72,7 +72,7 @@ def find_scenario(name: str) -> Path:
     if name in packaged:
         return packaged[name]
     if not path.exists() and path.name == name and not path.suffix:
-        # as `plain_name` gives them
+        # keys as `plain_name` simplifies a name
         abbreviations = {
             "lbbb": "left-bundle-branch-block", "rbbb": "right-bundle-branch-block",
             "lafb": "left-anterior-fascicular-block", "lpfb": "left-posterior-fascicular-block",

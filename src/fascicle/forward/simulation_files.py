@@ -39,9 +39,9 @@ def simulate_inputs(
 ) -> tuple[Beat, dict[str, object]]:
     """Run the forward model on the user's parameter file or two trees.
 
-    Without either, on the example network, scaled to the heart. `overrides` are quantities in place
-    of the file's. Parameters are checked before the model is made, since a large heart takes a
-    while. Returns the simulation and its inputs, for the summary.
+    Without either, the example network is simulated, scaled to the heart. `overrides` replace
+    quantities of the file. Parameters are checked before the model is made, since a large heart
+    takes a while. Returns the simulation and its inputs, for the summary.
 
     Raises
     ------

@@ -54,29 +54,29 @@ def study_space(
     Purkinje conduction velocity; ``"posterior"`` has priors of human anatomy, the interventricular
     delay, and the conduction velocity of the myocardium along the fibre, where the heart does not
     give it. A quantity that stands for another one (`stand_ins`) replaces it. `changes` holds the
-    user's, as `parameters` of `fascicle.fit`; a group of `GROUPS` that is ``"free"`` frees
+    user's choices, as `parameters` of `fascicle.fit`; a group of `GROUPS` that is ``"free"`` frees
     all of its quantities but those that are given separately.
     """
     human, changes = method == "posterior", without_groups(changes)
-    default: dict[str, Parameter | float] = {
+    default_counts: dict[str, Parameter | float] = {
         f"{side}_fascicles": default_of(f"{side}_fascicles") for side in SIDES
     }
-    numbers = default | ({"lv_fascicles": 3.0} if human else {})
-    numbers |= {name: _chosen(name, changes[name], {}) for name in default if name in changes}
-    counts = {n[:2]: int(k) for n, k in numbers.items() if not isinstance(k, Parameter)}
-    usual = list((human_space if human else network_space)(**counts).parameters)
+    fascicle_counts = default_counts | ({"lv_fascicles": 3.0} if human else {})
+    fascicle_counts |= {n: _chosen(n, changes[n], {}) for n in default_counts if n in changes}
+    counts = {n[:2]: int(k) for n, k in fascicle_counts.items() if not isinstance(k, Parameter)}
+    parameters = list((human_space if human else network_space)(**counts).parameters)
     chosen = {
-        name: _chosen(name, value, {p.name: p for p in usual})
+        name: _chosen(name, value, {p.name: p for p in parameters})
         for name, value in changes.items()
-        if name not in default
+        if name not in default_counts
     }
     check_not_twice(chosen)
     replaced = {other for name in (*chosen, *heart.values) for other in stand_ins(name)}
     replaced |= {*heart.values} & {*SPEED}
-    usual = [p for p in usual if p.name in chosen or p.name not in replaced]
+    parameters = [p for p in parameters if p.name in chosen or p.name not in replaced]
     for label, name in region_labels(chosen).items():
         Region(1.0, label, source=name).elements(heart)
-    learnt = {p.name: p for p in usual if not isinstance(chosen.get(p.name), float)}
+    learnt = {p.name: p for p in parameters if not isinstance(chosen.get(p.name), float)}
     learnt |= {name: value for name, value in chosen.items() if isinstance(value, Parameter)}
     fixed = {name: value for name, value in chosen.items() if isinstance(value, float)}
     _check_fascicles(learnt.keys() | fixed.keys(), counts)
@@ -96,7 +96,7 @@ NOT_KNOWN = (
     free("rv_source", prior="log-normal", median=0.35, sd=0.4),
     free("axial_source", lower=0.0, upper=0.5),
 )
-# As many tissues as a model keeps at a time: the plain one, and variations about it.
+# The plain tissue and variations of it, no more than a model keeps (`ForwardModel.tissues_kept`)
 TISSUES: tuple[dict[str, float], ...] = (
     {},
     {"anisotropy_ratio": 2.0},
@@ -123,7 +123,7 @@ class AveragedOver:
 
     @classmethod
     def of(cls, space: ParameterSpace, fixed: Mapping[str, float], heart: Heart) -> AveragedOver:
-        """Quantities to average over: those that are neither learnt, fixed nor the heart's own."""
+        """Quantities to average over: neither learnt, nor fixed, nor given by the heart."""
         settled = {*space.names, *fixed, *heart.values}
         unsettled = tuple(p for p in NOT_KNOWN if p.name not in settled)
         varied = {name for tissue in TISSUES for name in tissue}
@@ -150,19 +150,19 @@ class AveragedOver:
         return {**self.space.from_unit(point[: len(self.space)]), **self.tissues[number]}
 
 
-# Probability to keep a network in the prior of mapped hearts although its activation sequence
+# Probability of keeping a network in the prior of mapped hearts although its activation sequence
 # differs from theirs
 UNMAPPED = 0.03
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Knowledge of the quantities of a heart before its ECG is seen.
+    """Prior of the quantities of a heart, before its ECG is seen.
 
-    A point of the unit cube has first the coordinates of what is learnt, then those of what is
-    averaged over: a point that is drawn uniformly there is one drawn from the prior. Where the
-    sequence of activation is that of mapped hearts, points whose intrinsic beats are activated
-    otherwise are rejected (`keeps`).
+    The coordinates of a point of the unit cube are those of the learnt quantities, then those of
+    the quantities averaged over; uniform random points are draws from the prior. If `mapped`,
+    points whose intrinsic beats do not activate the ventricles in the sequence of mapped hearts are
+    rejected (`keeps`).
 
     Attributes
     ----------
@@ -173,7 +173,7 @@ class Prior:
     averaged : AveragedOver
         Quantities that are neither learnt nor reported.
     states : mapping of str to float
-        Conduction states of which the prior is a mixture, and their probabilities; empty where the
+        Conduction states of which the prior is a mixture, and their probabilities; empty if the
         conduction state is not learnt.
     mapped : bool
         Whether intrinsic beats are activated in the sequence of mapped human hearts.
@@ -193,9 +193,9 @@ class Prior:
         ----------
         method : str
             ``"paper"`` learns the paper's parameters; ``"posterior"`` has the priors of human
-            anatomy, and averages over what is not known.
+            anatomy, and averages over the quantities `NOT_KNOWN`.
         parameters : mapping of str to value
-            What differs from that, as `parameters` of `fascicle.fit`.
+            Differences from these, as `parameters` of `fascicle.fit`.
 
         Raises
         ------
@@ -228,8 +228,8 @@ class Prior:
 
     def from_unit(self, point: Floats) -> dict[str, float]:
         """All quantities at a point (d,) that are not at their defaults."""
-        learnt, rest = point[: len(self.space)], point[len(self.space) :]
-        return {**self.fixed, **self.learnt.from_unit(learnt), **self.averaged.values(rest)}
+        learnt, averaged = point[: len(self.space)], point[len(self.space) :]
+        return {**self.fixed, **self.learnt.from_unit(learnt), **self.averaged.values(averaged)}
 
     def learnt_columns(self, points: Floats) -> dict[str, Floats]:
         """Learnt quantities (n,) at points (n, d)."""
@@ -248,14 +248,14 @@ class Prior:
     def keeps(self, point: Floats, surfaces: VentricularSurfaces, beat: Beat) -> bool:
         """Whether the intrinsic beat at a point (d,) belongs to the prior.
 
-        A few points with another activation sequence than that of mapped hearts belong to it, too.
-        A hash of the coordinates decides, so that the answer for a point is always the same.
+        A few points (`UNMAPPED`) with another activation sequence than mapped hearts belong to it,
+        too. A hash of the coordinates decides which, so that a point is always kept or never.
         """
         if not self.mapped:
             return True
-        digits = hashlib.sha256(np.ascontiguousarray(point, dtype=float).tobytes()).digest()
+        digest = hashlib.sha256(np.ascontiguousarray(point, dtype=float).tobytes()).digest()
         sequence = surfaces.sequence(beat.activation)
-        return sequence.is_mapped or int.from_bytes(digits[:8]) < UNMAPPED * 2**64
+        return sequence.is_mapped or int.from_bytes(digest[:8]) < UNMAPPED * 2**64
 
     def narrowed(self, state: ConductionState) -> Prior:
         """Prior of one conduction state, which must be possible."""
@@ -271,7 +271,7 @@ class Prior:
         Raises
         ------
         InputError
-            If there is no such state, a prior probability is none, or no state is left.
+            If there is no such state, a prior probability is not positive, or no state is left.
         """
         settled = {**heart.values, **self.fixed}
         states = asked_states(conduction)
@@ -288,8 +288,8 @@ class Prior:
     def covers(self, other: Prior) -> bool:
         """True if simulations of this prior serve for another one, which is narrower.
 
-        They do not where the other one fixes more than half: simulations of what is left say more
-        of it.
+        They do not if the other one learns fewer than half as many quantities: new simulations, in
+        which these alone vary, teach an emulator more.
         """
         if 2 * len(other.space) < len(self.space) or other.mapped != self.mapped:
             return False
@@ -329,10 +329,10 @@ def without_groups(changes: Mapping[str, Any]) -> dict[str, Any]:
     return quantities | {name: value for name, value in changes.items() if name not in GROUPS}
 
 
-def _chosen(name: str, value: Any, usual: Mapping[str, Parameter]) -> Parameter | float:
+def _chosen(name: str, value: Any, default: Mapping[str, Parameter]) -> Parameter | float:
     """Read the user's choice for a quantity: a parameter to learn, or a value to fix it at."""
     if isinstance(value, str) and value == FREE:
-        return usual.get(name) or free(name)
+        return default.get(name) or free(name)
     if not isinstance(value, Mapping):
         return checked({name: value})[name]
     keys = ("prior", "lower", "upper", "median", "sd")
@@ -383,7 +383,7 @@ def read_settings(path: Path | str) -> dict[str, Any]:
 
 
 def growth_and_conduction(heart: Heart, rules: GrowthRules) -> dict[str, Any]:
-    """Constants of a heart's forward model, by the fields of a study's configuration."""
+    """Constants of a heart's forward model, by field of a study's configuration."""
     conduction = Conduction.of(heart)
     numbers = asdict(conduction)
     del numbers["regions"]

@@ -36,7 +36,7 @@ from fascicle.forward.scenario import Scenario
 from fascicle.networks.prior import UNMAPPED, Prior, growth_and_conduction
 from fascicle.pools.pool import Pool
 
-HELD_OUT = 10  # the last of so many networks is held out
+HELD_OUT = 10  # every tenth network is held out
 BEFORE = 40  # samples (ms) of an ECG that are kept before the first activation
 Arrays = dict[str, NDArray[Any]]
 
@@ -52,7 +52,7 @@ class Examples:
     feasible, kept : (n,) arrays
         Whether a point gives a network, and whether that network belongs to the prior.
     ecgs : (m, 8 + k, length) array
-        Independent leads (mV) of the feasible networks, from `BEFORE` the first activation on.
+        Independent leads (mV) of the feasible networks; `BEFORE` samples precede activation.
     in_torsos, torsos : (h, 8 + k, length) and (h,) arrays
         Independent leads (mV) of the feasible held-out networks in a random torso, and the
         torso's number.
@@ -91,12 +91,12 @@ class PriorSimulations:
     model: ForwardModel
     prior: Prior
     cache: ArrayCache  # in the heart's folder
-    scenario: tuple[Scenario, str] | None = None  # with its digest
+    scenario: tuple[Scenario, str] | None = None  # with its digest; None: the intrinsic beat
     drawn: Floats | None = None  # points drawn from a posterior, in place of the prior
 
     part_size: ClassVar[int] = 500  # networks in a file
     torsos: ClassVar[int] = 24  # random torsos, drawn once for all networks
-    seed: ClassVar[int] = 20240  # the networks of the prior are the same in every study
+    seed: ClassVar[int] = 20240  # fixed, so that all studies have the same networks
 
     @cached_property
     def content(self) -> str:
@@ -159,33 +159,33 @@ class PriorSimulations:
         report, torsos = stage_progress(progress, f"{kind} simulations", message), []
         # no random torsos if quantities of the torso are learnt, or for draws from a posterior
         if self.drawn is None and not torso_values(dict.fromkeys(self.prior.names, np.nan)):
-            rng = np.random.default_rng([self.seed, 0, 2])
+            rng = np.random.default_rng([self.seed, 0, 2])  # 2: random numbers of the torsos
             torsos = random_bodies(self.model, rng, self.torsos)
         rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(self.model.heart.leads))]
         for number in missing:
             items = [*zip(self.parameters(number), self.scenarios(number), strict=True)]
-            rng = np.random.default_rng([self.seed, number, 3])
-            drawn = rng.integers(self.torsos, size=len(items))
+            rng = np.random.default_rng([self.seed, number, 3])  # 3: numbers of a part's choices
+            torso_numbers = rng.integers(self.torsos, size=len(items))
             ecgs: list[Floats] = []
             held_out_ecgs: list[Floats] = []
             feasible, kept = np.zeros((2, len(items)), bool)
             points = self.points(number)
-            for k, outcome in enumerate(pool.map(_beat, items, self.model)):
+            for k, beat in enumerate(pool.map(_beat, items, self.model)):
                 report(number * self.part_size + k + 1, total)
-                if outcome is None:
+                if beat is None:
                     continue
                 feasible[k] = True
-                kept[k] = self.prior.keeps(points[k], self.model.surfaces, outcome)
-                ecgs.append(_from_activation(outcome.leads[rows], outcome))
+                kept[k] = self.prior.keeps(points[k], self.model.surfaces, beat)
+                ecgs.append(_from_activation(beat.leads[rows], beat))
                 if k % HELD_OUT == HELD_OUT - 1:
-                    leads = outcome.leads
+                    leads = beat.leads
                     if torsos:
-                        torso = self.model.with_sources(torsos[drawn[k]], items[k][0])
-                        leads = torso.leads(outcome.activation)
-                    held_out_ecgs.append(_from_activation(leads[rows], outcome))
+                        torso = self.model.with_sources(torsos[torso_numbers[k]], items[k][0])
+                        leads = torso.leads(beat.activation)
+                    held_out_ecgs.append(_from_activation(leads[rows], beat))
             self.cache.write(
                 f"{self.content} {number}",
-                {"feasible": feasible, "kept": kept, "bodies": drawn,
+                {"feasible": feasible, "kept": kept, "bodies": torso_numbers,
                  **_joined("ecg", ecgs, len(rows)), **_joined("body", held_out_ecgs, len(rows))},
                 compress=True,
             )  # fmt: skip
@@ -203,7 +203,7 @@ class PriorSimulations:
                     f"{self._file(number)}: damaged; delete it, and the same command makes it again"
                 )
             parts.append(part)
-        k = slice(HELD_OUT - 1, None, HELD_OUT)
+        held_out = slice(HELD_OUT - 1, None, HELD_OUT)
         if length is None:
             length = max(int(np.diff(part["ecg_ends"], prepend=0).max(initial=1)) for part in parts)
         return Examples(
@@ -212,7 +212,9 @@ class PriorSimulations:
             np.concatenate([part["kept"] for part in parts]),
             np.concatenate([_separated("ecg", part, length) for part in parts]),
             np.concatenate([_separated("body", part, length) for part in parts]),
-            np.concatenate([part["bodies"][k][part["feasible"][k]] for part in parts]),
+            np.concatenate(
+                [part["bodies"][held_out][part["feasible"][held_out]] for part in parts]
+            ),
         )
 
 
@@ -225,7 +227,7 @@ def _beat(item: tuple[Mapping[str, float], Scenario | None], model: ForwardModel
 
 
 def _from_activation(leads: Floats, beat: Beat) -> Floats:
-    """Leads (n_leads, n) from `BEFORE` the first activation to their end."""
+    """Leads (n_leads, n) from `BEFORE` samples before the first activation to their end."""
     begin = beat.first_activation - BEFORE
     return placed(leads, begin, int(np.ceil(leads.shape[1] - begin)) + BEFORE)
 

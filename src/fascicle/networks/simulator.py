@@ -19,9 +19,9 @@ from fascicle.pools.pool import Pool, Threads
 
 
 class BeatMemory:
-    """Beats that a fit has simulated, for when the same networks are read again.
+    """Cache of beats, if they are `kept`, so that a fit simulates each network once.
 
-    Threads of a process share them; a worker process simulates, and keeps nothing.
+    The threads of a process share it; a copy in a worker process keeps nothing.
     """
 
     def __init__(self, kept: bool = False) -> None:
@@ -34,7 +34,7 @@ class BeatMemory:
     def simulate(
         self, model: ForwardModel, parameters: Mapping[str, float], scenario: Scenario | None
     ) -> Beat | Infeasible:
-        """Simulate parameters, or return the beat that is kept."""
+        """Simulate a network in a scenario, or return its beat from the cache."""
         if not self._kept:
             return model.simulate(parameters, scenario)
         beats = next((beats for other, beats in self._beats if other == scenario), None)
@@ -51,7 +51,7 @@ class BeatMemory:
 
 @dataclass(frozen=True)
 class PointSimulator:
-    """Simulates points of the unit cube."""
+    """Forward model of networks given as points of the unit cube, run on a pool or a backend."""
 
     model: ForwardModel
     prior: Prior
@@ -62,7 +62,7 @@ class PointSimulator:
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        """Prepare the tissues, which every command on a study needs, once for each heart."""
+        """Prepare the tissues of the prior, unless they are cached; all commands need them."""
         tissues = self.prior.averaged.tissues
         self.model.keep_tissues({**self.prior.fixed, **tissue} for tissue in tissues)
 
@@ -80,9 +80,9 @@ class PointSimulator:
         return self.pool.map(_simulate, items, self.model)
 
     def from_backend(self, points: Sequence[Floats]) -> list[Signals | str | None]:
-        """Intrinsic beats that the backend simulates, or why one is infeasible; None elsewhere.
+        """Signals of intrinsic beats by the backend, or the reasons why they are infeasible.
 
-        A backend simulates networks in the plain tissue alone.
+        None where the backend does not simulate a point: it simulates the plain tissue alone.
         """
         signals: list[Signals | str | None] = [None] * len(points)
         # a mapped prior needs activation times, which a backend does not give
@@ -94,9 +94,8 @@ class PointSimulator:
         tissues = self.prior.tissue(np.asarray(points))
         plain = [k for k, number in enumerate(tissues) if not averaged.tissues[number]]
         plain_parameters = [self.prior.from_unit(points[k]) for k in plain]
-        for k, outcome in zip(
-            plain, self.backend.signals(self.model, plain_parameters), strict=True
-        ):
+        outcomes = self.backend.signals(self.model, plain_parameters)
+        for k, outcome in zip(plain, outcomes, strict=True):
             signals[k] = outcome.reason if isinstance(outcome, Infeasible) else outcome
         return signals
 

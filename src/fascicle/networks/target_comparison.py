@@ -65,19 +65,19 @@ class TargetComparison:
 
     target: Target
     scenario: Scenario | None = None  # of the recording; None for the intrinsic beat
-    likelihood: Likelihood | None = None  # computed in evaluations, unless None
+    likelihood: Likelihood | None = None  # None: evaluations have no log-likelihood
     free_gain: bool = False  # whether each simulation is scaled by its best global gain first
     independent_leads: bool = False  # at most two limb leads, which determine the others
-    fewest_junctions: int = 0  # a network with a tree of fewer is infeasible
+    fewest_junctions: int = 0  # a network whose tree has fewer is infeasible
 
     __repr__ = short_repr
 
     def __getstate__(self) -> dict[str, Any]:
-        """Send the fields alone, since another memory layout of derived arrays changes rounding."""
+        """Pickle the fields alone: derived arrays would change memory layout, and so rounding."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __call__(self, point: Floats, signals: Signals | str) -> Evaluation:
-        """Compare the ECG of a point (d,) with the mean beat and with every beat."""
+        """Compare the ECG of a point (d,), or the reason why it has none, with the recording."""
         if isinstance(signals, str):
             return Evaluation.infeasible(point, signals)
         for side, junctions in zip(SIDES, signals.junctions, strict=True):
@@ -85,7 +85,7 @@ class TargetComparison:
                 reason = f"{side.upper()} tree has {junctions} junctions only"
                 return Evaluation.infeasible(point, reason)
         alignment = self.align(signals.leads)
-        # the beats are aligned with one another, so one alignment with their mean serves all
+        # of every beat: beats are aligned with one another, so the alignment with their mean serves
         errors = mismatch(self._recorded_beats, alignment)
         logs = [] if self.likelihood is None else [self.likelihood.log_likelihood(signals)]
         return Evaluation(point, alignment.loss, errors, log_likelihoods=np.array(logs, float))
@@ -132,9 +132,9 @@ class TargetComparison:
 def evaluate(
     simulator: PointSimulator, recordings: Sequence[TargetComparison], points: Sequence[Floats]
 ) -> Iterator[Evaluation]:
-    """Evaluate points (d,) of the unit cube, in order; the inference sees nothing else.
+    """Evaluate points (d,) of the unit cube, in order, for the inference.
 
-    Losses of several recordings add up; the beats are those of the first.
+    Losses of several recordings add up; the errors of single beats are those of the first.
     """
     size = simulator.backend.batch if simulator.backend is not None else max(1, len(points))
     any_intrinsic = any(recording.scenario is None for recording in recordings)
@@ -154,7 +154,8 @@ def _evaluate(
 ) -> Evaluation:
     """Simulate a point in the scenario of each recording, and compare it with all of them.
 
-    The item is a point and its intrinsic beat, or why that is infeasible, if a backend made it.
+    `item` is a point, and the signals of its intrinsic beat if a backend simulated it, or the
+    reason why that is infeasible; else None.
     """
     point, from_backend = item
     parameters = prior.from_unit(point)

@@ -100,17 +100,17 @@ class Remote(Pool):
         futures.reverse()
         try:
             while futures:
-                next_ones = [futures.pop()]
+                next_futures = [futures.pop()]
                 while futures and futures[-1].done():
-                    next_ones.append(futures.pop())
-                for results in self._results(next_ones):
+                    next_futures.append(futures.pop())
+                for results in self._results(next_futures):
                     yield from results
         finally:
             self.cancel(futures)
 
     @abstractmethod
     def _send(self, content: Any) -> Any:
-        """Send something to all workers; where they find it."""
+        """Send an object to all workers, and return where they find it."""
 
     @abstractmethod
     def _submit(self, function: Callable[..., Any], items: Sequence[Any], *places: Any) -> Any:

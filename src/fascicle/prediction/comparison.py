@@ -70,8 +70,8 @@ class Comparison:
     def probability(self, threshold: float = 0.0) -> float:
         """Probability that the reduction exceeds a threshold; a tie counts half."""
         threshold = within("threshold", threshold, "threshold")
-        more, same = self.reductions > threshold, self.reductions == threshold
-        return float(more.mean() + same.mean() / 2)
+        more, ties = self.reductions > threshold, self.reductions == threshold
+        return float(more.mean() + ties.mean() / 2)
 
     def standard_error(self, threshold: float = 0.0) -> float:
         """Standard error of that probability for the effective number of networks."""
@@ -121,8 +121,8 @@ class Comparison:
         for (scenario, index), error in MEASURABLE.items():
             if scenario in predicted and self.effective >= self.fewest:
                 values = predicted[scenario].indices[index]
-                seen = float(np.var(values) / (np.var(values) + error**2))
-                measurements.append((scenario, index, seen * self._explained_by(values)))
+                reliability = float(np.var(values) / (np.var(values) + error**2))
+                measurements.append((scenario, index, reliability * self._explained_by(values)))
         return sorted(measurements, key=lambda item: -item[2])
 
     def _explained_by(self, values: Floats) -> float:

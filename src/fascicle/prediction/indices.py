@@ -48,7 +48,7 @@ class Territories:
         return np.asarray(activation[self.tetrahedra].mean(axis=1))
 
     def segment_means(self, times: Floats) -> Floats:
-        """Mean over the volume of each segment that is activated (ms), shape (18,); NaN of none.
+        """Mean over the volume of each segment that is activated (ms), shape (18,); else NaN.
 
         The first is that of the right ventricle's free wall.
         """
@@ -116,7 +116,7 @@ def _of_activation(activation: Floats, territories: Territories) -> dict[str, fl
 
 
 def _ends(times: Floats) -> tuple[float, float]:
-    """First and last of the times that are reached (ms); NaN of none."""
+    """First and last of the finite times (ms); NaN if there are none."""
     reached = times[np.isfinite(times)]
     return (float(reached.min()), float(reached.max())) if reached.size else (np.nan, np.nan)
 

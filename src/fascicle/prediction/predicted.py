@@ -32,7 +32,7 @@ from fascicle.prediction.index_names import INDICES
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.study.fitted import FittedStudy
 
-RINGING = 40  # samples on either side, for the ringing of the recorder's filters
+RINGING = 40  # samples (ms) on either side of an ECG, for the ringing of the recorder's filters
 
 Arrays = Mapping[str, NDArray[Any]]
 Trees = Sequence[tuple[PurkinjeTree, ...]]  # of each network
@@ -47,8 +47,8 @@ class Predicted:
     scenario : Scenario
         Predicted scenario.
     beats : sequence of Beat
-        Beat of each network, its ECG with the best gain or the one that was drawn, in single
-        precision (`Beat.in_single_precision`).
+        Beat of each network, its ECG scaled by the best gain or by the gain drawn with the network,
+        in single precision (`Beat.in_single_precision`).
     indices : mapping of name to (n,) array
         `INDICES` of each network.
     effective : float
@@ -71,11 +71,11 @@ class Predicted:
         return list(above("plot").prediction(self))
 
     def save(self, path: Path | str) -> None:
-        """Write `index_table` as CSV; `fascicle.predict` keeps the rest in the study's folder."""
+        """Write `index_table` as CSV; `fascicle.predict` keeps the beats in the study's folder."""
         write_text(as_path(path, "path"), self.index_table().to_csv(lineterminator="\n"))
 
     def index_table(self) -> pd.DataFrame:
-        """`indices` as a table: a row a network, a column an index, with its unit in the name."""
+        """`indices` as a table: one row per network, one column per index, named with its unit."""
         columns = {i: f"{i}_{unit}" for i, unit in INDICES.items() if unit != "1"}
         return pd.DataFrame(dict(self.indices)).rename(columns=columns).rename_axis("network")
 
@@ -158,7 +158,7 @@ class PredictionCache:
         if not os.access(folder if folder.exists() else folder.parent, os.W_OK):
             return  # predictions of a read-only study are simulated each time
         for file in folder.glob("*.npz"):
-            if not file.name.startswith(self._cache.kind):  # of the study before it was continued
+            if not file.name.startswith(self._cache.kind):  # from before the study went on
                 file.unlink()
         for prediction in predicted.values():
             if not prediction.scenario.trees:

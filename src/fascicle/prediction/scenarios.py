@@ -83,8 +83,8 @@ def predict(
                 f"{len(networks)} networks, where the study has {len(fitted.population)}; give all "
                 "that its 'networks()' gives"
             )
-    kept = PredictionCache(fitted)
-    predicted = kept.read(requested)
+    cache = PredictionCache(fitted)
+    predicted = cache.read(requested)
     missing = {name: scenario for name, scenario in requested.items() if name not in predicted}
     if missing:
         with shown_progress(progress) as shown:
@@ -92,7 +92,7 @@ def predict(
             simulated = simulate_scenarios(
                 fitted.simulator, fitted.recordings[0], networks, missing, shown
             )
-        kept.write(simulated)
+        cache.write(simulated)
         predicted |= simulated
     effective = fitted.population.effective_size
     return {name: replace(predicted[name], effective=effective) for name in requested}
@@ -175,6 +175,7 @@ def prior_networks(
     """Networks drawn from the prior of a study, and of its conduction states.
 
     Of 30 points drawn for each of `count` networks, the first that belongs to the prior is used.
+    The seed is fixed, so that the networks are always the same.
     """
     simulator, config, rng = fitted.simulator, fitted.study.config, np.random.default_rng(0)
     simulators = [
@@ -202,11 +203,11 @@ def qrs_aligned(*predicted: Predicted) -> tuple[Floats, list[Floats]]:
     longest = max(
         offset - onset for scenario_windows in windows for onset, offset in scenario_windows
     )
-    length = LEAD_IN + longest + 20  # silence after the longest
+    length = LEAD_IN + longest + 20  # isoelectric samples after the longest
     rows = len(predicted[0].beats[0].leads)
     ecgs = [np.zeros((len(prediction.beats), rows, length)) for prediction in predicted]
-    for of_scenario, prediction, scenario_windows in zip(ecgs, predicted, windows, strict=True):
-        for k, (ecg, (onset, _)) in enumerate(zip(of_scenario, scenario_windows, strict=True)):
+    for scenario_ecgs, prediction, scenario_windows in zip(ecgs, predicted, windows, strict=True):
+        for k, (ecg, (onset, _)) in enumerate(zip(scenario_ecgs, scenario_windows, strict=True)):
             begin = RINGING + onset - LEAD_IN
             padded = np.pad(prediction.filtered(k), ((0, 0), (0, length)))
             ecg[:] = padded[:, begin : begin + length]

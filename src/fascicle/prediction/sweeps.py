@@ -53,17 +53,17 @@ def simulate_sweep(
 ) -> Swept:
     """Simulate a family of scenarios in some networks, evenly spread over a study's population.
 
-    Scenarios that cannot be simulated, as of a segment without excitable tissue, are skipped.
+    Scenarios that cannot be simulated, such as of a segment without excitable tissue, are skipped.
     InputError means that the study has no network, or that no scenario can be simulated.
     """
     check_population(fitted)
-    some = fitted.networks(progress, chosen=evenly_spread(len(fitted.population), networks))
+    sample = fitted.networks(progress, chosen=evenly_spread(len(fitted.population), networks))
     swept = Swept(sweep.varied, {}, {})
     for key, scenario in sweep.scenarios.items():
         name = swept.called(key)
         try:
             simulated = simulate_scenarios(
-                fitted.simulator, fitted.recordings[0], some, {name: scenario}, progress
+                fitted.simulator, fitted.recordings[0], sample, {name: scenario}, progress
             )
         except InputError as error:
             swept.impossible[key] = str(error)

@@ -58,7 +58,7 @@ class Diagnosis:
         return {name: probable[name] / total for name in fitted}
 
     def apportioned(self, count: int) -> list[int]:
-        """Counts in proportion to the shares, which add up to `count` (largest remainders)."""
+        """Draws of each state, by its share; they add up to `count` (largest remainder method)."""
         exact = count * np.array([*self.shares.values()])
         counts = np.floor(exact).astype(int)
         counts[np.argsort(counts - exact)[: count - counts.sum()]] += 1
@@ -81,24 +81,24 @@ def mixture(
 ) -> Posterior:
     """Mix the posteriors of conduction states by their shares.
 
-    Each posterior comes with the number of draws to take from each of its runs. Differences
-    between the runs are means over the states, weighted by their probabilities.
+    Each posterior comes with the number of draws to take from each of its runs. Log evidences and
+    differences between the runs are averaged over the states, weighted by their shares.
     """
     parts = [part for part, _ in parts_and_draws]
-    # run by run, since each run is a chain
+    # run by run: a posterior holds the draws of its first run, then those of its second
     chosen = [
         (part, run * (len(part) // RUNS) + np.array(evenly_spread(len(part) // RUNS, draws), int))
         for run in range(RUNS)
         for part, draws in parts_and_draws
     ]
 
-    def joined(of: Callable[[Posterior], Floats]) -> Floats:
-        return np.concatenate([of(part)[numbers] for part, numbers in chosen])
+    def joined(values_of: Callable[[Posterior], Floats]) -> Floats:
+        return np.concatenate([values_of(part)[draws] for part, draws in chosen])
 
-    def of_part(name: str, part: Posterior) -> Floats:
+    def quantity(name: str, part: Posterior) -> Floats:  # NaN in states without it
         return np.asarray({**part.averaged, **part.values}.get(name, np.full(len(part), np.nan)))
 
-    values = {name: joined(partial(of_part, name)) for name in parts[0].values}
+    values = {name: joined(partial(quantity, name)) for name in parts[0].values}
     averaged_names = sorted({name for part in parts for name in part.averaged})
     best = min(parts, key=lambda part: part.best_loss)
     pairs = [*zip(diagnosis.shares.values(), parts, strict=True)]
@@ -119,7 +119,7 @@ def mixture(
         np.sum([part.evaluations for part in parts], axis=0),
         means_apart,
         agree and bool((effective * RUNS >= effective_wanted).all()),
-        {name: joined(partial(of_part, name)) for name in averaged_names},
+        {name: joined(partial(quantity, name)) for name in averaged_names},
         states=diagnosis.probable,
         unnamed=diagnosis.unnamed,
     )

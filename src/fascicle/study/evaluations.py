@@ -1,4 +1,8 @@
-"""Evaluations and proposals of a study, stored in a database as soon as they are made."""
+"""Evaluations and proposals of a study, stored in a database as soon as they are made.
+
+An evaluation is the loss and the log-likelihood of the network at a point of the unit cube; a
+proposal is the set of points that a step of the inference asks to be evaluated.
+"""
 
 from __future__ import annotations
 
@@ -116,7 +120,7 @@ class Database:
             connection.execute("INSERT INTO proposals VALUES (?, ?, ?, ?)", row)
 
     def forget_proposals(self, kept: Sequence[Stage]) -> None:
-        """Delete the proposals of all stages but these; evaluations are kept."""
+        """Delete the proposals of all stages but `kept`; evaluations stay."""
         marks = ", ".join("?" for _ in kept)
         with self._transaction() as connection:
             connection.execute(f"DELETE FROM proposals WHERE stage NOT IN ({marks})", tuple(kept))
@@ -174,16 +178,16 @@ def _record(row: tuple[Any, ...]) -> Record:
 
 @dataclass
 class Journal:
-    """Pass over a study that reads stored proposals and evaluations, and makes missing ones."""
+    """Run of a study, which reads stored proposals and evaluations and computes missing ones."""
 
     database: Database
     objective: Objective
     dimension: int  # d, the number of coordinates of a point
     seed: int
     workers: int  # evaluations at a time
-    # every stored evaluation, of this pass or an earlier one, by the bytes of its point
+    # all stored evaluations, of this run or an earlier one, by the bytes of their points
     evaluated: dict[bytes, Record] = field(init=False)
-    records: list[Record] = field(default_factory=list, init=False)  # those used so far, in order
+    records: list[Record] = field(default_factory=list, init=False)  # used by this run, in order
 
     def __post_init__(self) -> None:
         self.evaluated = {_bytes(r.evaluation.point): r for r in self.database.records()}
@@ -198,7 +202,7 @@ class Journal:
         return np.random.default_rng([self.seed, list(Stage).index(stage), step])
 
     def propose(self, stage: Stage, step: int, compute: Compute) -> Floats:
-        """Return the points of a step, counted from 0 in its stage; made if they are not stored."""
+        """Return the points of a step, counted from 0 in its stage, stored or computed now."""
         stored = self.database.proposal(stage, step)
         if stored is None:
             before = self.database.proposal(stage, step - 1)
@@ -253,7 +257,7 @@ class Journal:
 
 
 def _check(evaluation: Evaluation) -> None:
-    """Refuse an evaluation that the surrogate and the distance cannot use."""
+    """Refuse an evaluation that the inference cannot use."""
     if not evaluation.feasible:
         return
     errors = evaluation.beat_errors

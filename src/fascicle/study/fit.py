@@ -1,8 +1,9 @@
 """Fit of a study, in the steps of simulation-based inference.
 
-Networks of the prior are simulated, and an emulator of their ECGs is trained; near the posterior it
-is refined. The posterior is sampled with it, its draws are simulated, and the recording is compared
-with what these networks predict. The paper's method is `fascicle.study.paper`.
+Networks of the prior are simulated, and an emulator of their ECGs is trained on them, and refined
+near the posterior. The posterior is sampled by means of the emulator. Networks drawn from it are
+simulated, and the ECGs that they predict are compared with the recording. The paper's method is
+`fascicle.study.paper`.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ from fascicle.study.study import (
     study_lock,
 )
 
-# Likelihood of each recording, by the number of the conduction state
+# Likelihoods of the recordings, in their order, by the number of the conduction state
 Emulated = Mapping[float, Sequence[EmulatedLikelihood]]
 
 
@@ -163,9 +164,9 @@ def fit_inputs(
 def fit_state(
     problem: InverseProblem, folder: Path, progress: Progress | None
 ) -> tuple[FittedStudy, Sequence[EmulatedLikelihood]]:
-    """Fit the networks of one conduction state, by the posterior's method or by the paper's.
+    """Fit the networks of one conduction state, by the method ``"posterior"`` or ``"paper"``.
 
-    A posterior comes with the likelihoods of its recordings.
+    Also returns the likelihoods of the recordings, which are empty for the paper's method.
     """
     problem.check_scenarios()
     with study_lock(folder):
@@ -178,43 +179,45 @@ def fit_state(
         population = study.run(problem.evaluate, progress, emulated)  # samples, simulates draws
         share_prepared(problem.inputs.heart, folder / StudyFile.HEART)
         fitted = FittedStudy(study, problem.simulator, problem.recordings, population)
-        number = problem.simulator.prior.fixed.get("conduction", 0.0)
-        return check_and_write(fitted, {number: emulated}, progress), emulated
+        state_number = problem.simulator.prior.fixed.get("conduction", 0.0)  # 0: the default
+        return check_and_write(fitted, {state_number: emulated}, progress), emulated
 
 
 def fit_states(problem: InverseProblem, folder: Path, progress: Progress | None) -> FittedStudy:
     """Fit a mixture of the probable conduction states.
 
-    Each state is a model of its own, with its blocks and its ranges of the quantities that are
-    learnt. The most probable states by a classifier of the heart's simulated recordings are fitted
-    as studies of their own, in folders within that of the study.
+    A classifier, trained on simulated recordings of the heart, gives the probability of each state.
+    The most probable states are fitted one by one, each with its blocks and its ranges of the
+    learnt quantities, as studies in subfolders of the study's folder.
     """
     with study_lock(folder):
         study = begin(problem.inputs, folder, progress)
         diagnosis = classified(problem, _simulations_folder(problem, folder), progress)
         shares = diagnosis.shares
-        counts = diagnosis.apportioned(-(-problem.config.effective // RUNS))
-        parts: list[tuple[Posterior, int]] = []
+        draws_per_run = -(-problem.config.effective // RUNS)  # rounded up
+        counts = diagnosis.apportioned(draws_per_run)
+        posteriors: list[tuple[Posterior, int]] = []
         emulated: dict[float, Sequence[EmulatedLikelihood]] = {}
         stage = "conduction states"
         for (name, share), draws in zip(shares.items(), counts, strict=True):
             message = f"{name}, probability {diagnosis.probable[name]:.2f}"
-            stage_progress(progress, stage, message)(len(parts), len(shares))
+            stage_progress(progress, stage, message)(len(posteriors), len(shares))
             state, count = diagnosis.simulations[name].state, diagnosis.simulations[name].count
+            # 20: the least effective sample size that a study may have
             state_problem = problem.narrowed(
                 state, prior_simulations=count, share=share, effective=max(RUNS * draws, 20)
             )
             state_folder = folder / StudyFile.STATES / name.replace(" ", "-")
-            # before the link to the heart, since a folder not empty and without study is refused
+            # before the link to the heart: a folder with a link, but no study, would be refused
             Study.create_or_resume(state_folder, state_problem.config)
-            if not (state_folder / StudyFile.HEART).exists():  # it shares the whole study's
+            if not (state_folder / StudyFile.HEART).exists():  # shared by all states
                 heart = Path("..", "..", StudyFile.HEART)
                 (state_folder / StudyFile.HEART).symlink_to(heart, target_is_directory=True)
             fitted, emulated[state.number] = fit_state(state_problem, state_folder, progress)
             assert isinstance(fitted.population, Posterior)
-            parts.append((fitted.population.in_state(state.number), draws))
+            posteriors.append((fitted.population.in_state(state.number), draws))
         stage_progress(progress, stage)(len(shares), len(shares))
-        population = mixture(parts, diagnosis, problem.config.effective)
+        population = mixture(posteriors, diagnosis, problem.config.effective)
         problem = problem.with_states(diagnosis.probable)
         fitted = FittedStudy(study, problem.simulator, problem.recordings, population)
         return check_and_write(fitted, emulated, progress)
@@ -226,7 +229,7 @@ def begin(inputs: Inputs, folder: Path, progress: Progress | None) -> Study:
     heart_folder = folder / StudyFile.HEART
     try:
         stored = load_heart(heart_folder).digest
-    except InputError:  # it is missing or damaged
+    except InputError:  # the copy is missing or damaged
         stored = ""
     if stored != inputs.heart.digest:
         write_heart(inputs.heart, heart_folder)
@@ -237,17 +240,17 @@ def begin(inputs: Inputs, folder: Path, progress: Progress | None) -> Study:
 def simulate_and_train(
     problem: InverseProblem, folder: Path, progress: Progress | None
 ) -> list[EcgEmulator]:
-    """Emulator of the prior for each recording, from the package, the heart's folder, or trained.
+    """Emulators of the ECGs of the prior's networks, one for each recording.
 
-    Networks of the prior are simulated in the scenario of each recording, as far as they are
-    missing.
+    Emulators of the package or in the heart's folder are used again. To train another, networks of
+    the prior are simulated in the scenario of the recording, unless they are stored.
     """
-    place, count = _simulations_folder(problem, folder), problem.config.prior_simulations
+    cache_folder, count = _simulations_folder(problem, folder), problem.config.prior_simulations
     simulator = problem.simulator
     trained: dict[str, EcgEmulator] = {}
     for scenario, digest in zip(problem.scenarios, problem.config.scenarios, strict=True):
         if digest not in trained:
-            simulations = simulations_for(simulator.model, simulator.prior, place, scenario)
+            simulations = simulations_for(simulator.model, simulator.prior, cache_folder, scenario)
             trained[digest] = emulator_of(simulations, count, simulator.pool, progress)
     return [trained[digest] for digest in problem.config.scenarios]
 
@@ -260,13 +263,14 @@ def refine(
 ) -> list[EmulatedLikelihood]:
     """Likelihoods of the recordings by emulators that are refined near the posterior.
 
-    Refined emulators are kept in the study's folder. Those of a user's likelihood are not refined.
+    Refined emulators are kept in the study's folder. Emulators are not refined if the user gives
+    the likelihood.
     """
     if problem.inputs.likelihoods is not None:
         return problem.likelihoods(emulators)
     config, cache = problem.config, ArrayCache(folder / DISPOSABLE, "refined")
-    same = config.model_dump_json(exclude={*StudyConfig.may_change})
-    keys = [f"{number} of {same}" for number in range(len(config.scenarios))]
+    configuration = config.model_dump_json(exclude={*StudyConfig.may_change})
+    keys = [f"{number} of {configuration}" for number in range(len(config.scenarios))]
     if any(cache.read(key) is None for key in keys):
         refined = refined_emulators(
             emulators,
@@ -274,7 +278,7 @@ def refine(
             problem.scenarios,
             config.prior_simulations,
             folder,
-            np.random.default_rng([config.seed, 3]),
+            np.random.default_rng([config.seed, 3]),  # 3: random numbers of the refinement
             progress,
         )
         for key, emulator in zip(keys, refined, strict=True):
@@ -287,18 +291,18 @@ def check_and_write(
 ) -> FittedStudy:
     """Simulate the networks, compare them with the recordings, and write the results.
 
-    The beats that the fit has kept in memory are let go.
+    The beats that the fit has kept in memory are released.
     """
     networks = fitted.networks(progress)
     agreements: list[Agreement] = []
     predictions: list[Prediction] = []
-    rng = np.random.default_rng([fitted.study.config.seed, 2])
+    rng = np.random.default_rng([fitted.study.config.seed, 2])  # 2: numbers of the predictions
     for number, recording in enumerate(fitted.recordings):
-        recorded_networks = networks if number == 0 else fitted.networks(progress, number)
+        simulated = networks if number == 0 else fitted.networks(progress, number)
         if fitted.of_the_paper:
-            agreements.append(agreement(recording.target, recorded_networks))
+            agreements.append(agreement(recording.target, simulated))
         else:
-            predictions.append(_predict(fitted, number, recorded_networks, emulated, rng))
+            predictions.append(_predict(fitted, number, simulated, emulated, rng))
             agreements.append(predictions[-1].agreement)
     if predictions:
         fitted = replace(
@@ -322,7 +326,7 @@ def _predict(
     emulated: Emulated,
     rng: np.random.Generator,
 ) -> Prediction:
-    """Predictions of the networks for a recording, and the checks of the fit against it."""
+    """Recordings predicted by the networks, compared with a recording by checks of the fit."""
     recording = fitted.recordings[number]
     likelihoods = [emulated[n.parameters.get("conduction", 0.0)][number] for n in networks]
     prediction = predict_recording(
@@ -337,6 +341,8 @@ def _predict(
 
 
 def _simulations_folder(problem: InverseProblem, folder: Path) -> Path:
-    """Folder to keep simulations in: the heart's if it is writable, else its copy's in a study."""
-    kept = problem.inputs.heart.folder
-    return kept if kept is not None and os.access(kept, os.W_OK) else folder / StudyFile.HEART
+    """Folder for prior simulations: the heart's if it is writable, else its copy in the study."""
+    original = problem.inputs.heart.folder
+    if original is not None and os.access(original, os.W_OK):
+        return original
+    return folder / StudyFile.HEART

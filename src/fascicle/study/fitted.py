@@ -1,4 +1,4 @@
-"""A fitted study: its networks, their simulation, verdict and warnings; and how it is read."""
+"""Fitted study: networks, their simulation, verdict and warnings; read from its folder."""
 
 from __future__ import annotations
 
@@ -57,11 +57,11 @@ class FittedStudy:
     simulator : PointSimulator
         Forward model, and the parameters that are learnt.
     recordings : tuple of TargetComparison
-        Recordings, and the ways in which simulations are compared with them.
+        Recordings, with which simulations are compared.
     population : Population
         The networks that explain the target, and the best one.
     checks : Checks, optional
-        Agreement of a posterior with its recordings.
+        Checks of a posterior's predictions against its recordings.
     gains : (n,) array, optional
         Factor on the ECG of each network of a posterior, drawn given the first recording.
     torsos : (n, 12 + k, 12 + k) array, optional
@@ -128,7 +128,7 @@ class FittedStudy:
 
     @property
     def candidates(self) -> list[Evaluation]:
-        """Candidates that the paper's method tried for the population."""
+        """Candidates from which the paper's method selected the population."""
         return [r.evaluation for r in self.study.records() if r.stage is Stage.REJECTION]
 
     @property
@@ -364,10 +364,10 @@ def load_study(
     heart = load_heart(folder / StudyFile.HEART)
     recordings = read_recordings(folder, len(study.config.scenarios))
     digests = recording_digests(recordings)
-    same = all(getattr(study.config, name) == value for name, value in digests.items())
+    targets_unchanged = all(getattr(study.config, name) == value for name, value in digests.items())
     for name, unchanged in (
         (StudyFile.HEART, heart.digest == study.config.heart),
-        ("target.nc", same),
+        ("target.nc", targets_unchanged),
     ):
         if not unchanged:
             raise InputError(
@@ -378,14 +378,14 @@ def load_study(
             f"{result}: its parameters are not those of the study; run 'fascicle fit' "
             "again to rewrite it"
         )
-    now = study.config.model_copy(update=growth_and_conduction(heart, rules))
-    check_same(folder, study.config, now)
+    current_config = study.config.model_copy(update=growth_and_conduction(heart, rules))
+    check_same(folder, study.config, current_config)
     inputs = Inputs(heart, recordings, study.config, rules)
     with shown_progress(progress) as shown:
         problem = InverseProblem.of(inputs, pool, shown)
-    if own_rules or population.version != __version__:  # this version's own model is the same
+    if own_rules or population.version != __version__:  # a version has one forward model
         study.check_objective(problem.evaluate)
-    if isinstance(population, Posterior):  # compared with the prior of its states
+    if isinstance(population, Posterior):  # whose prior mixes its states
         problem = problem.with_states(population.states)
     return FittedStudy(
         study, problem.simulator, problem.recordings, population, *read_checks(result)

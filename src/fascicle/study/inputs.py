@@ -47,7 +47,7 @@ class Inputs:
     recordings: Sequence[Recorded]
     config: StudyConfig  # all that decides the outcome, with digests of the other inputs
     rules: GrowthRules
-    likelihoods: Sequence[Likelihood] | None = None  # the user's, in place of those by emulators
+    likelihoods: Sequence[Likelihood] | None = None  # the user's, or None for the package's
 
 
 @dataclass(frozen=True)
@@ -76,12 +76,12 @@ class InverseProblem:
         progress: Progress | None = None,
         backend: Backend | None = None,
     ) -> InverseProblem:
-        """Prepare the forward model, slowly on a new machine or with a new heart."""
+        """Prepare the forward model, which takes long on a new machine or with a new heart."""
         if progress is not None:
             compile_kernels(progress)
         config, heart, prior = inputs.config, inputs.heart, inputs.config.prior
         model = ForwardModel(heart, rules=inputs.rules, progress=progress)
-        names, (_, scenario), *_ = [*prior.names, *prior.fixed], *inputs.recordings
+        names, scenario = [*prior.names, *prior.fixed], inputs.recordings[0][1]
         backend = usable(backend, model, [*names, *prior.averaged.space.names], scenario)
         if torso := torso_values(dict.fromkeys(names, 0.0)):
             model.torso([*torso])  # built here, not by every worker
@@ -112,7 +112,7 @@ class InverseProblem:
         ]
 
     def narrowed(self, state: ConductionState, **numbers: float) -> InverseProblem:
-        """Problem of one conduction state, with other numbers of the configuration."""
+        """Problem of one conduction state; `numbers` replace fields of the configuration."""
         prior = self.config.prior.narrowed(state)
         changes = {
             "space": prior.space.parameters,
@@ -128,7 +128,7 @@ class InverseProblem:
         )
 
     def with_states(self, probable: Mapping[str, float]) -> InverseProblem:
-        """Problem with posterior probabilities of the conduction states in place of the prior's."""
+        """Problem whose prior mixes the conduction states by their posterior probabilities."""
         prior = replace(self.simulator.prior, states=probable)
         simulator = replace(self.simulator, prior=prior, memory=BeatMemory(kept=True))
         return replace(self, simulator=simulator)
@@ -138,6 +138,7 @@ class InverseProblem:
         for recording in self.recordings:
             if recording.scenario is None:
                 continue
+            # several points, since some give no network; of a fixed seed
             for point in self.simulator.prior.sample(np.random.default_rng(0), 10):
                 if isinstance(next(self.simulator.simulate([point], recording.scenario)), Beat):
                     break
@@ -191,7 +192,7 @@ def read_inputs(
             "scenario, or use the method 'posterior'"
         )
     choices, one_intrinsic_beat = {**parameters}, len(recordings) == 1 and recordings[0][1] is None
-    # the conduction state is learnt by default, unless delays are given, which it would change
+    # the conduction state is learnt by default, unless the RV-LV delay is given, which it changes
     learnt = settings.method == "posterior" and one_intrinsic_beat and likelihoods is None
     learnt &= recordings[0][0].earliest_onset is None  # a paced beat shows no conduction state
     conduction = choices.pop("conduction", FREE if learnt and not {*DELAY} & {*choices} else None)
@@ -200,7 +201,7 @@ def read_inputs(
         prior = _with_states(prior, conduction, heart, settings, one_intrinsic_beat)
     if settings.free_gain and "gain" in {*prior.names, *prior.fixed}:
         raise InputError("the gain is a parameter already; leave --free-gain out")
-    described: dict[str, float | str] = {}
+    constants: dict[str, float | str] = {}
     if settings.method == "posterior":
         constants_of_emulator = {
             "body_modes": TORSO_MODES,
@@ -208,7 +209,7 @@ def read_inputs(
             "refining_rounds": MOST_ROUNDS,
         }
         names = ", ".join(type(likelihood).__qualname__ for likelihood in likelihoods or ())
-        described = {"name": names} if names else QrsLikelihood.constants() | constants_of_emulator
+        constants = {"name": names} if names else QrsLikelihood.constants() | constants_of_emulator
     config = StudyConfig(
         heart=heart.digest,
         **recording_digests(recordings),
@@ -218,7 +219,7 @@ def read_inputs(
         mapped=prior.mapped,
         averaged=prior.averaged.space.parameters,
         tissues=prior.averaged.tissues,
-        likelihood=described,
+        likelihood=constants,
         **growth_and_conduction(heart, rules),
         **settings.model_dump(),
     )
@@ -249,7 +250,7 @@ def _with_states(
 
 
 def checked_rules(rules: GrowthRules | None) -> GrowthRules:
-    """Growth rules of an argument, by default the usual ones."""
+    """Check the argument `rules`; without one, return the default growth rules."""
     check_kind(rules, (GrowthRules, NoneType), "rules", "fascicle.GrowthRules")
     return rules or GrowthRules()
 
@@ -274,6 +275,6 @@ def checked_likelihoods(
 
 
 def recording_digests(recordings: Sequence[Recorded]) -> dict[str, Any]:
-    """Digests of the recordings, by the field of the study's configuration."""
+    """Digests of the recordings, by field of `StudyConfig`."""
     targets, scenarios = zip(*map(digests, recordings), strict=True)
     return {"target": targets[0], "other_targets": targets[1:], "scenarios": scenarios}

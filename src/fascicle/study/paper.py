@@ -1,8 +1,8 @@
-"""The paper's method, and nothing else: design, optimisation, rejection.
+"""The paper's method, unchanged: Latin hypercube, Bayesian optimisation, rejection sampling.
 
-The result is a population of networks, not a posterior: candidates are tried in the order of a
-density that the losses themselves have shaped, the first that pass are kept, and they pass by
-comparison with the best network, not with the recording.
+The result is a population of networks, not a posterior. Candidates are drawn from a density that is
+informed by the losses, the first that pass are kept, and they pass by comparison with the best
+network, not with the recording.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from fascicle.study.population import PaperPopulation
 
 @dataclass(frozen=True)
 class PaperFit:
-    """Pass through the stages of the paper's method."""
+    """Fit by the stages of the paper's method."""
 
     settings: FitSettings
     space: ParameterSpace

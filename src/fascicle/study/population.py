@@ -68,7 +68,7 @@ class Population:
 
     @property
     def effective_size(self) -> float:
-        """Effective sample size: here, the number of networks."""
+        """Effective sample size, taken to be the number of networks."""
         return float(len(self))
 
     def parameters(self, k: int) -> dict[str, float]:
@@ -133,8 +133,8 @@ class Posterior(Population):
 
     def parameters(self, k: int) -> dict[str, float]:
         """Named parameters of network `k`, with those averaged over."""
-        rest = {name: float(values[k]) for name, values in self.averaged.items()}
-        return super().parameters(k) | {n: value for n, value in rest.items() if np.isfinite(value)}
+        averaged = {name: float(values[k]) for name, values in self.averaged.items()}
+        return super().parameters(k) | {n: v for n, v in averaged.items() if np.isfinite(v)}
 
     def in_state(self, number: float) -> Posterior:
         """Posterior with the number of its conduction state as the quantity ``conduction``."""
@@ -208,7 +208,7 @@ def write_population(
         group: {name: v.reshape(chains, -1, *v.shape[1:]) for name, v in variables.items()}
         for group, variables in groups.items()
     }
-    if isinstance(population, Posterior):  # draws of the prior, for comparison
+    if isinstance(population, Posterior):  # prior draws, of a fixed seed
         drawn = space.columns(np.random.default_rng(0).random((1000, len(space))))
         split["prior"] = {name: values[None] for name, values in drawn.items()}
     with warnings.catch_warnings():  # ArviZ takes an empty population for transposed arrays
@@ -253,18 +253,18 @@ def write_population(
             (AVERAGED, population.averaged),
         ):
             if variables:
-                held = xr.Dataset({name: ("draw", values) for name, values in variables.items()})
+                dataset = xr.Dataset({name: ("draw", values) for name, values in variables.items()})
                 for name in population.best.keys() & variables.keys() if group == AVERAGED else ():
-                    held[name].attrs["best"] = population.best[name]
-                if "conduction" in held:  # as the CF conventions name flags
+                    dataset[name].attrs["best"] = population.best[name]
+                if "conduction" in dataset:  # as the CF conventions name flags
                     meanings = " ".join(name.replace(" ", "_") for name in CONDUCTION_STATES)
                     flags = {
                         "flag_values": np.arange(len(CONDUCTION_STATES)),
                         "flag_meanings": meanings,
                     }
-                    held["conduction"].attrs.update(flags)
+                    dataset["conduction"].attrs.update(flags)
                 data.sample_stats.attrs[group] = 1
-                data.add_groups({group: held}, warn_on_custom_groups=False)
+                data.add_groups({group: dataset}, warn_on_custom_groups=False)
     with atomic_path(path) as temporary:
         data.to_netcdf(str(temporary), engine="h5netcdf")
 

@@ -1,7 +1,7 @@
 """Posterior: two independent runs of tempered sampling on an emulator, and simulated draws.
 
-The emulator is fast but not exact: it finds the posterior draws, and the forward model simulates
-them. All that is reported of a posterior comes from simulated networks.
+The emulator is fast but not exact: the posterior is sampled with it, and the forward model then
+simulates the draws. All that is reported of a posterior comes from simulated networks.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ class PosteriorFit:
     journal: Journal
     emulated: Sequence[Emulated]  # likelihood of each recording
     progress: Progress | None = None
-    share: float = 1.0  # in a mixture; runs with a smaller share need not agree as closely
+    share: float = 1.0  # of its state in a mixture; with a small share, runs may agree less closely
 
     least_particles: ClassVar[int] = 600  # in a batch
-    most_batches: ClassVar[int] = 16  # batches that are pooled to a run where runs do not agree
+    most_batches: ClassVar[int] = 16  # batches that are pooled, until the runs agree
 
     def run(self) -> Posterior:
         """Sample and simulate all that is not stored yet, and return the posterior."""
@@ -100,7 +100,7 @@ class PosteriorFit:
         return feasible
 
     def _rng(self, number: int, recordings: int) -> np.random.Generator:
-        """Random generator of a run, or of the draws from a run."""
+        """Random generator of a run's batch, or of the draws from a run, by its number."""
         return self.journal.rng(Stage.SAMPLING, number + 2 * RUNS * (recordings > 1))
 
     def _agree(self, runs: Sequence[SamplingRun], share: float = 1.0) -> bool:
@@ -123,7 +123,7 @@ class PosteriorFit:
         """A batch of each run."""
         # twice as many particles as are drawn from a run, since some are infeasible
         count = max(self.least_particles, self.settings.effective)
-        # the first numbers are those of the first batches, and of draws
+        # numbers below 4 RUNS are those of the first batches and of the draws from the runs
         first = 0 if number == 0 else 4 * RUNS * number
         message = f"{RUNS} runs of {count * (number + 1)}"
         if len(self.emulated) > 1:

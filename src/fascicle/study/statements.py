@@ -130,7 +130,7 @@ class ParameterStatement:
         if self.along_fibre is not None:
             speed = "{:.2f} m/s ({:.2f}–{:.2f}) along the fibre, ".format(*self.along_fibre)
         how = "constrained by" if self.constrained else "not identifiable from"
-        # two digits of the interval's width, as more draws would change others, for all numbers
+        # decimals of two digits of the interval's width; with other draws further digits change
         decimals = max(0, 1 - math.floor(math.log10(max(self.upper - self.lower, 1e-9))))
         bounds = (f"{value:.{decimals}f}" for value in (self.median, self.lower, self.upper))
         median, lower, upper = bounds
@@ -167,10 +167,7 @@ class Statements:
             fit = f"fit acceptable: {checks.explained_in_words}"
             if not checks.acceptable:
                 ends = ", ".join(map(parameter_name, _crowded(self._result)))
-                failures = [
-                    *checks.failures,
-                    *([f"at the end of its range: {ends}"] if ends else []),
-                ]
+                failures = checks.failures + ([f"at the end of its range: {ends}"] if ends else [])
                 fit = f"poor fit: {'; '.join(failures)}"
             parts = [self.unmapped, self.diagnosis, _convergence(population), fit]
             parts.append(checks.emulator_off)
@@ -182,13 +179,10 @@ class Statements:
         """Statement on conduction states (`states`), or the reason why none is named."""
         population = self._result.population
         if getattr(population, "states", {}):
-            why = (
-                self.caution.brief
-                if self.caution is not None
-                else getattr(population, "unnamed", "")
-            )
-            if why:
-                return f"no conduction state is named ({why})"
+            unnamed = getattr(population, "unnamed", "")
+            reason = unnamed if self.caution is None else self.caution.brief
+            if reason:
+                return f"no conduction state is named ({reason})"
         return self.states
 
     @property
@@ -204,14 +198,14 @@ class Statements:
         least = 0.02  # probability of a conduction state that is named
         named = {name: p for name, p in states.items() if p >= least}
         ranked = sorted(named, key=lambda name: -named[name])
-        rest = [f"others below {least}"] if len(named) < len(states) else []
+        less_probable = [f"others below {least}"] if len(named) < len(states) else []
         alike = [
             f" (block and delay of the {side} bundle branch give much the same ECG)"
             for side in ("left", "right")
             if {f"{side} bundle branch block", f"{side} bundle branch delay"} <= {*named}
         ]
         probabilities = (f"{state_label(name)}: {named[name]:.2f}" for name in ranked)
-        ranking = ", ".join([*probabilities, *rest])
+        ranking = ", ".join([*probabilities, *less_probable])
         return ranking + "".join(alike)
 
     @property
@@ -281,7 +275,7 @@ class Statements:
     def _statement(self, parameter: Parameter, posterior: Posterior) -> ParameterStatement:
         name, alone, along_fibre = parameter.name, posterior.first_alone or {}, None
         values = posterior.values[name]
-        # in shares of the prior, which is uniform there, with variance 1/12
+        # variance of the quantiles of the prior, over 1/12, that of a uniform distribution
         remaining = float(np.var(parameter.to_unit(values)) * 12)
         if name == "alpha":  # the conduction velocity along the fibre is proportional to it
             conduction = self._result.simulator.model.conduction
@@ -422,7 +416,7 @@ def _warnings(result: Result) -> Iterator[tuple[Kind, str]]:
 
 
 def _poor_fit(result: Result) -> str:
-    """Warning of networks that cannot be the patient's; empty if they may be."""
+    """Warning that the networks do not fit the recording; else empty."""
     if result.settings.method == "paper":
         if result.explained >= 0.5:  # of the QRS; less is not the patient's network
             return ""
@@ -526,7 +520,7 @@ def _regions_taken_as_healthy(result: Result) -> str:
 
 
 def _crowded(result: Result) -> dict[str, str]:
-    """Parameters with 40 % of the networks in an outer tenth of the prior, and that tenth."""
+    """Parameters of which the prior's lowest or highest tenth holds 40 % of the networks."""
     crowded = {}
     for parameter in result.simulator.prior.learnt.parameters:
         shares = parameter.to_unit(result.population.values.get(parameter.name, np.empty(0)))
@@ -540,12 +534,12 @@ def _at_end_of_range(result: Result) -> str:
     """Warning of parameters that are limited by their ranges, not by the ECG; or empty."""
     space, population, crowded = result.simulator.prior.learnt, result.population, _crowded(result)
     best = {p.name: float(p.to_unit(np.array(population.best[p.name]))) for p in space.parameters}
-    stopped = [
+    at_end = [
         name for name, share in best.items() if min(share, 1 - share) < 0.01 and name not in crowded
     ]
     reasons = []
-    if stopped:
-        ends = ", ".join(map(parameter_name, stopped))
+    if at_end:
+        ends = ", ".join(map(parameter_name, at_end))
         reasons.append(f"the best network lies at the end of the range of {ends}")
     if crowded:
         ends = ", ".join(f"{parameter_name(name)} ({where})" for name, where in crowded.items())

@@ -3,12 +3,12 @@
 A study is a folder with `study.json` and `evaluations.sqlite`. All that takes time or is random is
 stored before it is used: each proposal of the optimisation with the hyper-parameters behind it,
 each round of candidates, each evaluation. A resumed study runs again from the start, and reads what
-is stored instead of computing it; it is therefore the same program as a study that was never
-interrupted, and gives the same bits. Step k of a stage draws from
-``default_rng([seed, stage, k])`` alone.
+is stored instead of computing it; it therefore takes the same steps as a study that was never
+interrupted, with exactly the same result. Step k of a stage draws from
+``default_rng([seed, number of the stage, k])`` alone.
 
 One process at a time works on a study (`study_lock`). All stored evaluations must come
-from one forward model. To check this, a few of them are made again, and the losses compared.
+from one forward model. To check this, a few of them are repeated, and the losses compared.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class StudyFile(StrEnum):
 
 
 class StudyConfig(FitSettings):
-    """Configuration of a study, which decides its outcome: equal ones give equal results.
+    """Configuration of a study: studies with equal configurations have equal results.
 
     A study can be resumed with an equal configuration, but for the fields of `may_change`. Heart,
     targets and scenarios are identified by digests.
@@ -66,16 +66,16 @@ class StudyConfig(FitSettings):
     other_targets: tuple[str, ...] = ()
     scenarios: tuple[str, ...] = Field(default=("",), min_length=1)  # "" for intrinsic beats
     space: tuple[Parameter, ...] = Field(min_length=1)  # learnt parameters
-    fixed: dict[str, float] = Field(default_factory=dict)  # values that are not the defaults
+    fixed: dict[str, float] = Field(default_factory=dict)  # values other than the defaults
     growth: dict[str, float]  # growth rules, which `fixed` may override
     growth_term: str = REPULSION.function.__name__  # name of the function of a GrowthTerm
-    conduction: dict[str, float | None]  # of the tissues, likewise; None if derived from others
+    conduction: dict[str, float | None]  # of the tissues, likewise; None: derived from others
     likelihood: dict[str, float | str] = Field(default_factory=dict)  # constants, of a posterior
     averaged: tuple[Parameter, ...] = ()  # quantities averaged over
     tissues: tuple[dict[str, float], ...] = ({},)  # tissues averaged over, equally probable
     states: dict[str, float] = Field(default_factory=dict)  # priors of conduction states, if learnt
-    mapped: bool = False  # whether intrinsic beats are activated as mapped human hearts are
-    share: float = 1.0  # of this state's study in the draws of the whole study
+    mapped: bool = False  # whether intrinsic beats are activated like mapped human hearts
+    share: float = 1.0  # of this conduction state in the draws of the whole study
     version: Literal[8] = STUDY_FORMAT  # of the folder's format
 
     may_change: ClassVar = ("workers", "steps", "samples", "effective", "share")
@@ -90,7 +90,7 @@ class StudyConfig(FitSettings):
 class Study:
     """A study folder."""
 
-    checked: ClassVar[int] = 4  # stored evaluations that are made again
+    checked: ClassVar[int] = 4  # number of stored evaluations that are repeated
     # relative, of losses: above rounding on other machines, below changes of the model
     tolerance: ClassVar[float] = 1e-6
 
@@ -138,7 +138,7 @@ class Study:
     def records(self) -> list[Record]:
         """Evaluations so far, in the order in which they were made, then those of its states.
 
-        Each conduction state has a unit cube of its own.
+        Points of a conduction state lie in the unit cube of that state's prior.
         """
         databases = sorted(self.folder.glob(f"{StudyFile.STATES}/*/{StudyFile.DATABASE}"))
         all_databases = (self._database, *(Database(path) for path in databases))
@@ -158,13 +158,13 @@ class Study:
 
         A posterior needs the emulated log-likelihoods of each recording.
 
-        A finished study gives its result again. A few stored points are evaluated again, to check
-        that the forward model has not changed: `objective` must be deterministic.
+        A finished study returns its stored result. A few stored points are evaluated again, to
+        check that the forward model has not changed: `objective` must be deterministic.
         """
         with study_lock(self.folder):
             self.check_objective(objective)
             self._take_over()
-            from fascicle.study import paper, posterior  # slow to import, and needed by a fit alone
+            from fascicle.study import paper, posterior  # slow to import, and only a fit needs them
 
             config, prior = self.config, self.config.prior
             seed, workers = config.seed, config.workers
@@ -177,16 +177,16 @@ class Study:
 
     def check_objective(self, objective: Objective) -> None:
         """Refuse a forward model that differs from that of the stored evaluations."""
-        stored = [record.evaluation for record in self._database.records()]
-        again = stored[:: max(1, len(stored) // self.checked)][: self.checked]
-        if not again:
+        evaluations = [record.evaluation for record in self._database.records()]
+        sample = evaluations[:: max(1, len(evaluations) // self.checked)][: self.checked]
+        if not sample:
             return
-        for then, now in zip(again, objective([e.point for e in again]), strict=True):
-            if not _same(then, now):
+        for stored, repeated in zip(sample, objective([e.point for e in sample]), strict=True):
+            if not _same(stored, repeated):
                 raise InputError(
                     f"{self.folder}: holds a study with another forward model (at one point of it "
-                    f"{_outcome(then)} then, {_outcome(now)} now); give another folder (out), or "
-                    "go on with the version of fascicle that began it"
+                    f"{_outcome(stored)} then, {_outcome(repeated)} now); give another folder "
+                    "(out), or go on with the version of fascicle that began it"
                 )
 
     def _take_over(self) -> None:
@@ -262,16 +262,16 @@ def is_finished(folder: Path, config: StudyConfig) -> bool:
         return False
     stored = _read(folder)
     check_same(folder, stored, config)
-    same = stored == config.model_copy(update={"workers": stored.workers})
-    return same and (folder / RESULT[config.method]).exists()
+    unchanged = stored == config.model_copy(update={"workers": stored.workers})
+    return unchanged and (folder / RESULT[config.method]).exists()
 
 
 def _remove_leftovers(folder: Path) -> None:
     """Remove temporary files and folders of runs that were killed."""
-    ours = r"\.(study|evaluations|posterior|population|summary|activation|heart|networks|"
-    ours += r"(target|scenario)(-\d+)?)\..*"
+    temporary = r"\.(study|evaluations|posterior|population|summary|activation|heart|networks|"
+    temporary += r"(target|scenario)(-\d+)?)\..*"
     for path in folder.glob(".*"):
-        if path.name == StudyFile.LOCK or not re.fullmatch(ours, path.name):
+        if path.name == StudyFile.LOCK or not re.fullmatch(temporary, path.name):
             continue
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
@@ -279,16 +279,16 @@ def _remove_leftovers(folder: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def _same(then: Evaluation, now: Evaluation) -> bool:
+def _same(stored: Evaluation, repeated: Evaluation) -> bool:
     """True if two evaluations of one point agree, as if made by one forward model."""
-    if not (then.feasible and now.feasible):
-        return then.feasible == now.feasible
-    if not np.isclose(now.loss, then.loss, rtol=Study.tolerance, atol=0):
+    if not (stored.feasible and repeated.feasible):
+        return stored.feasible == repeated.feasible
+    if not np.isclose(repeated.loss, stored.loss, rtol=Study.tolerance, atol=0):
         return False
-    now_log, then_log = now.log_likelihoods, then.log_likelihoods
-    if len(now_log) != len(then_log):  # a study is opened without its likelihoods
+    repeated_logs, stored_logs = repeated.log_likelihoods, stored.log_likelihoods
+    if len(repeated_logs) != len(stored_logs):  # a study is opened without its likelihoods
         return True
-    return bool(np.allclose(now_log, then_log, rtol=0, atol=1e-3))
+    return bool(np.allclose(repeated_logs, stored_logs, rtol=0, atol=1e-3))
 
 
 def _outcome(evaluation: Evaluation) -> str:

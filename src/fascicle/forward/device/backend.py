@@ -74,12 +74,12 @@ class GpuBackend:
     ) -> Iterator[Signals | Infeasible | None]:
         """Signals to compare with a recording, in order; None for too large networks."""
 
-        def made(number: int, values: Mapping[str, float], results: Results) -> Signals:
+        def to_signals(number: int, values: Mapping[str, float], results: Results) -> Signals:
             leads = _leads(results.channels[number], values)
             junctions = tuple(int(count) for count in results.junctions[number])
             return Signals(leads, float(results.first[number] / SAMPLE_STEP), junctions)
 
-        return self._each(model, parameters, made)
+        return self._simulate_each(model, parameters, to_signals)
 
     def beats(
         self, model: ForwardModel, parameters: Sequence[Mapping[str, float]]
@@ -87,7 +87,7 @@ class GpuBackend:
         """Beats of networks, in order; None for too large networks."""
         simulator, prepared = self._simulator(model), model.prepared
 
-        def made(number: int, values: Mapping[str, float], results: Results) -> Beat:
+        def to_beat(number: int, values: Mapping[str, float], results: Results) -> Beat:
             trees = tuple(
                 tree_of_nodes(side, simulator.nodes(number, k, size), prepared.charts[side])
                 for k, (side, size) in enumerate(zip(SIDES, results.sizes[number], strict=True))
@@ -97,15 +97,15 @@ class GpuBackend:
             leads = _leads(results.channels[number], values)
             return Beat(leads, 0.0, trees, Activation(activation))
 
-        return self._each(model, parameters, made)
+        return self._simulate_each(model, parameters, to_beat)
 
-    def _each(
+    def _simulate_each(
         self,
         model: ForwardModel,
         parameters: Sequence[Mapping[str, float]],
-        made: Callable[[int, Mapping[str, float], Results], Made],
+        convert: Callable[[int, Mapping[str, float], Results], Made],
     ) -> Iterator[Made | Infeasible | None]:
-        """Run networks in batches; yield in order what `made` makes of the results of each."""
+        """Simulate networks in batches; yield in order their results, converted by `convert`."""
         completed = [model.with_root_time(complete(network)) for network in parameters]
         for start in range(0, len(completed), self.batch):
             batch = completed[start : start + self.batch]
@@ -117,7 +117,7 @@ class GpuBackend:
                     np.array([_beat(model, n) for n in networks], BEAT),
                 )
                 outcomes = (
-                    made(number, values, results)
+                    convert(number, values, results)
                     if results.simulated[number]
                     else _outside(model, number, values, results)
                     for number, values in enumerate(networks)

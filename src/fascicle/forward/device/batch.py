@@ -52,7 +52,7 @@ class Results:
     Attributes
     ----------
     simulated : (b,) bool array
-        Whether each was simulated; else only `status`, `missing` and `ends` are valid.
+        Whether a network was simulated; else only `status`, `missing` and `ends` are valid.
     status, missing : (b, 2) arrays
         Outcome of the growth of both trees, and missing lengths: `fascicle.kernels.growth`.
     ends : (b, 2) array of NODE
@@ -260,5 +260,5 @@ class Simulator:
 
 
 def _waiting(nodes: int) -> int:
-    """Bytes of the words of 64 bits that say which nodes wait."""
+    """Bytes of a set of queued nodes: a bit for each node, in words of 64 bits."""
     return 8 * -(-nodes // 64)

@@ -109,13 +109,13 @@ def source(block: str | None = None) -> str:
     block : str, optional
         Text in place of ``block.cuh``, which is for CUDA.
     """
-    here = files(__package__)
+    folder = files(__package__)
     # each after those that it uses; `block.cuh`, which a test replaces, comes before all
     kernels = ("local_solver", "network", "rays", "growth", "attach", "solve", "ecg")
-    parts = [block if block is not None else (here / "block.cuh").read_text(encoding="utf-8")]
+    parts = [block if block is not None else (folder / "block.cuh").read_text(encoding="utf-8")]
     parts += [f"struct {name};" for name in SIZES]
     parts += [_declared("Heart", HEART_FIELDS), _declared("Batch", BATCH_FIELDS)]
-    parts += [(here / f"{name}.cuh").read_text(encoding="utf-8") for name in kernels]
+    parts += [(folder / f"{name}.cuh").read_text(encoding="utf-8") for name in kernels]
     parts += [f'static_assert(sizeof({n}) == {size}, "{n}");' for n, size in SIZES.items()]
     return "\n".join(parts) + "\n"
 
