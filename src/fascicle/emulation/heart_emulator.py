@@ -32,12 +32,12 @@ Kind = Literal["emulator", "classifier", "origin"]
 
 
 def simulations_for(
-    model: ForwardModel, prior: Prior, folder: Path, scenario: tuple[Scenario, str] | None = None
+    model: ForwardModel, prior: Prior, folder: Path, scenario: Scenario | None = None
 ) -> PriorSimulations:
     """Prior simulations from which an emulator for a study learns, kept in a heart's folder.
 
     Simulations of the heart's usual priors serve any study whose quantities lie within their
-    ranges. `scenario` is that of a recording, with its digest.
+    ranges. `scenario` is that of a recording.
     """
     blocks = {n: v for n, v in prior.fixed.items() if n == "conduction"}
     matching = [state for state in CONDUCTION_STATES.values() if state.blocks == blocks]
@@ -108,7 +108,7 @@ def made_emulator(
 
 
 def simulations_of(
-    model: ForwardModel, prior: Prior, folder: Path, scenario: tuple[Scenario, str] | None = None
+    model: ForwardModel, prior: Prior, folder: Path, scenario: Scenario | None = None
 ) -> PriorSimulations:
     """Simulations of a prior, kept in a heart's folder."""
     cache = ArrayCache(folder / DISPOSABLE, "prior")

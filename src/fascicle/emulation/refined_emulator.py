@@ -33,7 +33,7 @@ MOST_ROUNDS = 3  # of sampling, simulation and training
 def refined_emulators(
     emulators: Sequence[EcgEmulator],
     emulated_by: Callable[[Sequence[EcgEmulator]], Sequence[EmulatedLikelihood]],
-    scenarios: Sequence[tuple[Scenario, str] | None],
+    scenarios: Sequence[Scenario | None],
     count: int,
     folder: Path,
     rng: np.random.Generator,
@@ -51,7 +51,7 @@ def refined_emulators(
     Parameters
     ----------
     emulators, scenarios : sequences
-        Emulator of each recording, and its scenario with the digest.
+        Emulator of each recording, and its scenario.
     emulated_by : callable
         Function from emulators to the likelihoods of the recordings.
     count : int
@@ -76,8 +76,8 @@ def refined_emulators(
     prior = simulator.prior
     sample = one_thread(sampled)  # around both runs: the end of one would lift the other's limit
     cache = ArrayCache(folder / DISPOSABLE, "posterior")
-    digests = ["" if scenario is None else scenario[1] for scenario in scenarios]
-    training_sets: dict[str, list[tuple[Singles, Singles]]] = {digest: [] for digest in digests}
+    keys = [repr(scenario) for scenario in scenarios]
+    training_sets: dict[str, list[tuple[Singles, Singles]]] = {key: [] for key in keys}
     for number in range(1, MOST_ROUNDS + 1):
         message = f"{RUNS} runs of {particles}, to refine the emulator"
         message += f", round {number}" if number > 1 else ""
@@ -85,10 +85,10 @@ def refined_emulators(
         run_points = np.concatenate([run.points for run in runs])
         points = rng.permutation(run_points)[:network_count]
         prior_points, refined = prior.sample(rng, number * len(points)), {}
-        for emulator, likelihood, scenario, digest in zip(
-            emulators, likelihoods, scenarios, digests, strict=True
+        for emulator, likelihood, scenario, key in zip(
+            emulators, likelihoods, scenarios, keys, strict=True
         ):
-            if digest in refined:
+            if key in refined:
                 continue
             simulations = PriorSimulations(
                 simulator.model, replace(prior, mapped=False), cache, scenario, points
@@ -98,10 +98,10 @@ def refined_emulators(
             inputs, prior_inputs = (
                 likelihood.inputs(p)[0] for p in (points[new_examples.feasible], prior_points)
             )
-            training_sets[digest].append((inputs, new_examples.ecgs))
-            examples = map(np.concatenate, zip(*training_sets[digest], strict=True))
-            refined[digest] = refined_by(emulator, *examples, prior_inputs, rng, latest=len(inputs))
-        previous, likelihoods = likelihoods, emulated_by([refined[digest] for digest in digests])
+            training_sets[key].append((inputs, new_examples.ecgs))
+            examples = map(np.concatenate, zip(*training_sets[key], strict=True))
+            refined[key] = refined_by(emulator, *examples, prior_inputs, rng, latest=len(inputs))
+        previous, likelihoods = likelihoods, emulated_by([refined[key] for key in keys])
         log_weights = of_all(likelihoods, run_points) - of_all(previous, run_points)
         # where fewer than 2 % of a round's draws are effective, the posterior has moved
         if effective_size(log_weights - log_weights.max()) > 0.02 * len(run_points):

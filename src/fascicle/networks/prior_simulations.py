@@ -91,7 +91,7 @@ class PriorSimulations:
     model: ForwardModel
     prior: Prior
     cache: ArrayCache  # in the heart's folder
-    scenario: tuple[Scenario, str] | None = None  # with its digest; None: the intrinsic beat
+    scenario: Scenario | None = None  # None: the intrinsic beat
     drawn: Floats | None = None  # points drawn from a posterior, in place of the prior
 
     part_size: ClassVar[int] = 500  # networks in a file
@@ -104,12 +104,12 @@ class PriorSimulations:
         constants = growth_and_conduction(self.model.heart, self.model.rules)
         prior = self.prior
         varied = prior.learnt.parameters, prior.averaged, sorted(prior.fixed.items())
-        digest = "" if self.scenario is None else self.scenario[1]
+        scenario = "" if self.scenario is None else repr(self.scenario)
         drawn = "" if self.drawn is None else hashlib.sha256(self.drawn.tobytes()).hexdigest()
         mapped = f" {MAPPED} {UNMAPPED}" if prior.mapped else ""
         return (
             f"{self.model.heart.digest} {varied} {sorted(constants.items())} "
-            f"{digest}{drawn}{mapped}"
+            f"{scenario}{drawn}{mapped}"
         )
 
     def _file(self, number: int) -> Path:
@@ -138,7 +138,7 @@ class PriorSimulations:
 
     def scenarios(self, number: int) -> Sequence[Scenario | None]:
         """Scenario of each network of a part."""
-        return [None if self.scenario is None else self.scenario[0]] * len(self.points(number))
+        return [self.scenario] * len(self.points(number))
 
     def simulate(
         self, count: int, pool: Pool, progress: Progress | None = None, message: str = ""

@@ -26,7 +26,6 @@ from fascicle.forward.eikonal.activation import Activation
 from fascicle.forward.loss import Response, placed
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
-from fascicle.forward.scenario_files import scenario_text
 from fascicle.networks.activation_maps import activation_maps
 from fascicle.prediction.index_names import INDICES
 from fascicle.purkinje.tree import PurkinjeTree
@@ -127,7 +126,7 @@ class PredictionCache:
     def read(self, scenarios: Mapping[str, Scenario]) -> dict[str, Predicted]:
         """Read the cached predictions of scenarios; damaged files are ignored."""
         files = {
-            name: self._cache.read(scenario_text(scenario))
+            name: self._cache.read(repr(scenario))
             for name, scenario in scenarios.items()
             if not scenario.trees
         }
@@ -162,7 +161,7 @@ class PredictionCache:
                 file.unlink()
         for prediction in predicted.values():
             if not prediction.scenario.trees:
-                self._cache.write(scenario_text(prediction.scenario), self._arrays(prediction))
+                self._cache.write(repr(prediction.scenario), self._arrays(prediction))
 
     def _arrays(self, predicted: Predicted) -> Arrays:
         """Arrays to store: the indices, and the arrays of each network by its number."""

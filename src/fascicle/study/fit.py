@@ -248,11 +248,11 @@ def simulate_and_train(
     cache_folder, count = _simulations_folder(problem, folder), problem.config.prior_simulations
     simulator = problem.simulator
     trained: dict[str, EcgEmulator] = {}
-    for scenario, digest in zip(problem.scenarios, problem.config.scenarios, strict=True):
-        if digest not in trained:
+    for scenario in problem.scenarios:
+        if repr(scenario) not in trained:
             simulations = simulations_for(simulator.model, simulator.prior, cache_folder, scenario)
-            trained[digest] = emulator_of(simulations, count, simulator.pool, progress)
-    return [trained[digest] for digest in problem.config.scenarios]
+            trained[repr(scenario)] = emulator_of(simulations, count, simulator.pool, progress)
+    return [trained[repr(scenario)] for scenario in problem.scenarios]
 
 
 def refine(

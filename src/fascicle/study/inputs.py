@@ -104,12 +104,9 @@ class InverseProblem:
         return self.inputs.config
 
     @property
-    def scenarios(self) -> list[tuple[Scenario, str] | None]:
-        """Scenario of each recording with its digest; None for an intrinsic beat."""
-        return [
-            None if recording.scenario is None else (recording.scenario, digest)
-            for recording, digest in zip(self.recordings, self.config.scenarios, strict=True)
-        ]
+    def scenarios(self) -> list[Scenario | None]:
+        """Scenario of each recording; None for an intrinsic beat."""
+        return [recording.scenario for recording in self.recordings]
 
     def narrowed(self, state: ConductionState, **numbers: float) -> InverseProblem:
         """Problem of one conduction state; `numbers` replace fields of the configuration."""
