@@ -274,7 +274,6 @@ def _write_clinical(folder: Path) -> None:
     (folder / "aecg.xml").write_text(clinical_files.aecg(digits))
     (folder / "muse.xml").write_text(clinical_files.muse(digits))
     (folder / "plain.scp").write_bytes(clinical_files.scp(digits))
-    (folder / "packed.scp").write_bytes(clinical_files.scp(digits, order=2, huffman=True))
 
 
 def unpacked(seed: Seed, name: str) -> bytes:

@@ -148,7 +148,7 @@ def test_the_same_surface_gives_the_same_mesh_in_another_run(build, tmp_path):
 @pytest.mark.parametrize("name", ["heart.nii.gz", "heart.nrrd"])
 def test_segmentations_with_scar(build, tmp_path, monkeypatch, name):
     # cubes of 3 mm instead of 1: walls of 11 mm need no more, and it is several times as fast
-    monkeypatch.setattr("fascicle.build.segmentation_surface.EDGE", 3.0)
+    monkeypatch.setattr("fascicle.build.segmentation_surface.Grid.edge", 3.0)
     write = anatomies.write_nifti if "nii" in name else anatomies.write_nrrd
     heart, ended = build(write(tmp_path / name), "--labels", BLOOD_AND_SCAR, edge_length=7.5)
     assert_ventricles(replace(heart, values={}))  # in which the scar conducts

@@ -421,7 +421,7 @@ def test_plots_in_a_notebook(study):
         "convergence": plot.convergence(study),
         "heart": plot.heart(heart),
         "tree": plot.tree(study.best_network.beat.trees[0]),
-        "simulation": plot.beat(study.best_network.beat),
+        "beat": plot.beat(study.best_network.beat),
         "prediction": plot.prediction(predicted["intrinsic"]),
         "target": plot.target(study.recordings[0].target),
     }

@@ -269,7 +269,9 @@ def test_what_cannot_be_simulated_is_said_in_a_line(session, message, words):
 def test_what_does_not_fit_the_heart_is_said(session):
     assert "stimulus" in ask(session, stimuli=[[9e3, 0, 0]])[0]["error"]
     values = {**session.start, "lv_initial_length": 400.0}
-    assert ask(session, values=values)[0]["error"].startswith("no network: ")
+    error = ask(session, values=values)[0]["error"]
+    assert error.startswith("LV bundle leaves the endocardium after")
+    assert error.endswith("; shorten it, or undo the last change")
 
 
 def test_what_is_given_must_be_there(tmp_path):
