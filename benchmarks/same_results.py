@@ -4,9 +4,9 @@
 
 Runs the same commands with the source of this checkout and with that of another: a simulation on
 the packaged heart, targets of recordings, a heart built from a surface, a short fit by both
-methods, and predictions. Every array in the netCDF, VTK and CSV files that they write is compared;
-JSON (paths and times stand in it), pictures and databases are not. Exit status 1 if any differs, or
-if a command fails.
+methods, an origin, and predictions. Every array in the netCDF, VTK and CSV files that they write is
+compared; JSON (paths and times stand in it), pictures and databases are not. Exit status 1 if any
+differs, or if a command fails.
 """
 
 from __future__ import annotations
@@ -46,6 +46,7 @@ def commands(data: Path) -> Iterator[list[str]]:
     yield ["fit", "default", target, *FIT, *posterior, "--out", "posterior"]
     paper = ["--method", "paper", "--initial", "30", "--steps", "10", "--samples", "3"]
     yield ["fit", "default", target, *FIT, *paper, "--draws", "20000", "--out", "paper"]
+    yield ["locate", "default", target, "--out", "origin"]
     yield ["predict", "posterior", "--scenario", "his-pacing-nonselective", "--out", "prediction"]
 
 
