@@ -170,7 +170,7 @@ class Grid:
     origin: Floats
     axes: Floats
     shape: tuple[int, int, int]
-    edge: float = 1.0
+    edge: ClassVar[float] = 1.0
 
     def positions(self, index: Floats) -> Floats:
         """Positions (mm) of points given in node indices, shape (n, 3)."""
