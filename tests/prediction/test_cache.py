@@ -2,12 +2,15 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Annotated
 
 import numpy as np
 import pytest
 
+from fascicle.core.declared import SpeedFactor
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
 from fascicle.forward.model import ForwardModel
+from fascicle.forward.scenario import PRIMITIVES, Primitive, Scenario
 from fascicle.networks.prior import Prior
 from fascicle.networks.simulator import PointSimulator
 from fascicle.networks.target_comparison import Network
@@ -120,6 +123,27 @@ def test_what_another_version_has_left_is_made_anew(study, activated, monkeypatc
     activated.clear()
     predict(study, "his-pacing")
     assert len(activated) == 2 + 2
+
+
+def test_primitives_of_the_user_are_simulated_each_time(study, activated):
+    """What they do may have changed."""
+
+    class Slower(Primitive, table="slower"):
+        factor: Annotated[SpeedFactor, "factor on the speed"] = 0.5
+
+        def apply(self, excitation):
+            excitation.slow(0, np.ones(len(excitation.trees[0].nodes), bool), self.factor)
+
+    try:
+        scenarios = {"slow": Scenario((Slower(),))}
+        before = predict(study, scenarios)["slow"]
+        Slower.apply = lambda self, excitation: None
+        activated.clear()
+        after = predict(study, scenarios)
+        assert activated == [None] * 2 + [scenarios["slow"]] * 2  # two networks, then both in it
+        assert not np.array_equal(after["slow"].beats[0].activation, before.beats[0].activation)
+    finally:
+        del PRIMITIVES["slower"]
 
 
 @pytest.mark.parametrize("share", [0.5, None])

@@ -243,6 +243,11 @@ class Scenario:
         return min((time for time in times if time is not None), default=None)
 
     @property
+    def has_own_primitives(self) -> bool:
+        """True if a primitive is the user's own, whose `apply` may change between two runs."""
+        return any(not type(p).__module__.startswith("fascicle.") for p in self.primitives)
+
+    @property
     def blocks(self) -> set[str]:
         """Names of the parts of the trees that are blocked."""
         return {block for primitive in self.primitives for block in primitive.blocked}

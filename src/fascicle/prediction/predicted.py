@@ -128,7 +128,7 @@ class PredictionCache:
         files = {
             name: self._cache.read(repr(scenario))
             for name, scenario in scenarios.items()
-            if not scenario.trees
+            if not (scenario.trees or scenario.has_own_primitives)
         }
         trees = self._trees() if any(files.values()) else []
         predictions = {}
@@ -152,7 +152,7 @@ class PredictionCache:
         return Predicted(scenario, beats, indices, response=target.response)
 
     def write(self, predicted: Mapping[str, Predicted]) -> None:
-        """Cache predictions if the folder is writable, except those with custom networks."""
+        """Cache predictions of the package's own primitives, if the folder is writable."""
         folder = self._cache.folder
         if not os.access(folder if folder.exists() else folder.parent, os.W_OK):
             return  # predictions of a read-only study are simulated each time
@@ -160,8 +160,9 @@ class PredictionCache:
             if not file.name.startswith(self._cache.kind):  # from before the study went on
                 file.unlink()
         for prediction in predicted.values():
-            if not prediction.scenario.trees:
-                self._cache.write(repr(prediction.scenario), self._arrays(prediction))
+            scenario = prediction.scenario
+            if not (scenario.trees or scenario.has_own_primitives):
+                self._cache.write(repr(scenario), self._arrays(prediction))
 
     def _arrays(self, predicted: Predicted) -> Arrays:
         """Arrays to store: the indices, and the arrays of each network by its number."""

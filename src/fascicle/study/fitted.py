@@ -17,7 +17,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, ValueRefusedError
 from fascicle.core.files import as_path, atomic_folder, check_folder, write_text
 from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
-from fascicle.core.quantities import checked
+from fascicle.core.quantities import checked, quantity
 from fascicle.core.ranges import check_count, short_repr, shown
 from fascicle.emulation.predictive import Checks
 from fascicle.forward.beat import Beat
@@ -357,7 +357,7 @@ def load_study(
     from fascicle import __version__
 
     check_pool(pool)
-    folder, own_rules = as_path(folder, "study"), rules is not None
+    folder, own_code = as_path(folder, "study"), rules is not None
     rules, study = checked_rules(rules), Study.open(folder)
     result = folder / RESULT[study.config.method]
     population = read_population(result)
@@ -383,7 +383,11 @@ def load_study(
     inputs = Inputs(heart, recordings, study.config, rules)
     with shown_progress(progress) as shown:
         problem = InverseProblem.of(inputs, pool, shown)
-    if own_rules or population.version != __version__:  # a version has one forward model
+    names = (*study.config.prior.names, *study.config.fixed)
+    own_code |= any(quantity(name).apply is not None for name in names)
+    own_code |= any(scenario.has_own_primitives for _, scenario in recordings if scenario)
+    # a version has one forward model, but for rules, quantities and primitives of the user's own
+    if own_code or population.version != __version__:
         study.check_objective(problem.evaluate)
     if isinstance(population, Posterior):  # whose prior mixes its states
         problem = problem.with_states(population.states)
