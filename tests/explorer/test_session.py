@@ -1,9 +1,11 @@
 """What the explorer answers is what the forward model gives, or one line of what is wrong."""
 
 import json
+import socket
 import time
 from dataclasses import replace
 from types import SimpleNamespace
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from builders import recorded
 import fascicle
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import HUMAN_SPACE, read_parameters
-from fascicle.explorer.explore import session_of
+from fascicle.explorer.explore import serve, session_of
 from fascicle.explorer.session import PageState, Session, _spoken
 from fascicle.forward.scenario_files import read_scenario
 from fascicle.forward.simulation_files import write_ecg
@@ -279,3 +281,13 @@ def test_what_is_given_must_be_there(tmp_path):
         session_of(tmp_path / "none", None, None)
     with pytest.raises(fascicle.InputError, match="target"):
         session_of("default", 3, None)
+
+
+def test_a_page_is_announced_when_it_can_be_opened(session):
+    def opened(url):
+        page = urlsplit(url)
+        socket.create_connection((page.hostname, page.port)).close()
+        raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        serve(session, opened=opened)

@@ -140,7 +140,7 @@ def serve(session: Session, port: int = 0, opened: Callable[[str], object] | Non
     port : int
         Port of the page; any free one if 0.
     opened : callable, optional
-        Called with the address of the page once it can be opened; a browser by default.
+        Called with the address of the page, which can then be opened; a browser by default.
 
     Raises
     ------
@@ -153,20 +153,22 @@ def serve(session: Session, port: int = 0, opened: Callable[[str], object] | Non
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((Application.address, port))
+        listening.listen()  # from now on a browser waits for the server instead of being refused
     except OSError as error:
         listening.close()
         raise InputError(
             f"port {port}: {error.strerror}; leave out --port, or give another"
         ) from None
-    app = Application(session, listening.getsockname()[1], opened or in_browser)
+    app = Application(session, listening.getsockname()[1])
     config = uvicorn.Config(
-        app.asgi(), log_level="error", ws="websockets-sansio", ws_max_size=2**20, lifespan="on",
+        app.asgi(), log_level="error", ws="websockets-sansio", ws_max_size=2**20, lifespan="off",
         ws_per_message_deflate=False,  # compression takes longer than the simulation
         timeout_graceful_shutdown=1,
     )  # fmt: skip
     server = uvicorn.Server(config)
     app.end = lambda: setattr(server, "should_exit", True)
     try:
+        (opened or in_browser)(app.url)
         server.run(sockets=[listening])
     finally:
         listening.close()
@@ -204,8 +206,8 @@ class Application:
         "'none'"
     )
 
-    def __init__(self, session: Session, port: int, opened: Callable[[str], object]) -> None:
-        self.session, self.opened = session, opened
+    def __init__(self, session: Session, port: int) -> None:
+        self.session = session
         self.token = secrets.token_urlsafe(24)
         self.hosts = {f"{name}:{port}" for name in (self.address, "localhost")}
         self.url = f"http://{self.address}:{port}/{self.token}/"
@@ -214,8 +216,6 @@ class Application:
 
     def asgi(self) -> Any:
         """ASGI application; every path begins with the secret token."""
-        from contextlib import asynccontextmanager
-
         from starlette.applications import Starlette
         from starlette.requests import Request
         from starlette.responses import Response
@@ -231,18 +231,13 @@ class Application:
             headers = {"Content-Security-Policy": self.policy, "Referrer-Policy": "no-referrer"}
             return Response(content.read_text(encoding="utf-8"), 200, headers, kinds[name])
 
-        @asynccontextmanager
-        async def life(app: Starlette) -> Any:
-            asyncio.get_running_loop().call_soon(self.opened, self.url)
-            yield
-
         at = f"/{self.token}"
         routes = [
             Route(f"{at}/", file),
             WebSocketRoute(f"{at}/socket", self.socket),
             Route(f"{at}/{{name}}", file),
         ]
-        return Starlette(routes=routes, lifespan=life)
+        return Starlette(routes=routes)
 
     async def socket(self, page: Any) -> None:
         """Serve the socket of one page until it is closed; messages are answered in order."""
