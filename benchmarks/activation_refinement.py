@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 
 from fascicle.build.refinement import refined
 from fascicle.core.parameters import Infeasible
-from fascicle.forward.cable.template import default_template
 from fascicle.forward.eikonal.activation import solve
 from fascicle.forward.eikonal.build import build_myocardium
 from fascicle.forward.eikonal.myocardium import attach
@@ -39,6 +38,7 @@ from fascicle.forward.electrocardiogram import (
 )
 from fascicle.forward.loss import align
 from fascicle.forward.model import ForwardModel
+from fascicle.forward.template import default_template
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import barycentric_gradients

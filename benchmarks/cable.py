@@ -19,10 +19,10 @@ import numpy as np
 from benchmarks.references import Upstroke
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.beat import Beat
-from fascicle.forward.cable.cable import max_upstroke, simulate_cable
-from fascicle.forward.cable.template import CableTemplate, template_of
+from fascicle.forward.cable import max_upstroke, simulate_cable
 from fascicle.forward.electrocardiogram import ActionPotential
 from fascicle.forward.model import ForwardModel
+from fascicle.forward.template import CableTemplate, template_of
 from fascicle.heart.folder import load_heart
 from fascicle.kernels.ten_tusscher import CELLS
 

@@ -83,12 +83,15 @@ from fascicle.core.parameters import Infeasible, ParameterSpace
 from fascicle.core.progress import Progress
 from fascicle.core.quantities import stand_ins, torso_values
 from fascicle.emulation.ecg_emulator import EcgEmulator
-from fascicle.emulation.heart_emulator import emulator_of, simulations_for, usual_prior
+from fascicle.emulation.heart_emulator import (
+    emulator_of,
+    refined_emulators,
+    simulations_for,
+    usual_prior,
+)
 from fascicle.emulation.likelihood import EmulatedLikelihood, checked, likelihood_of
 from fascicle.emulation.predictive import AXIS, DURATION, Checks, predict_recording
-from fascicle.emulation.refined_emulator import refined_emulators
 from fascicle.forward.beat import Beat
-from fascicle.forward.bodies import random_bodies
 from fascicle.forward.eikonal.activation import Activation
 from fascicle.forward.electrocardiogram import first_sample
 from fascicle.forward.model import ForwardModel
@@ -96,7 +99,7 @@ from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenarios
 from fascicle.heart.heart import Heart
 from fascicle.networks.prior import NOT_KNOWN, Prior, study_space
-from fascicle.networks.prior_simulations import PriorSimulations
+from fascicle.networks.prior_simulations import PriorSimulations, random_bodies
 from fascicle.networks.settings import FitSettings, Method
 from fascicle.networks.simulator import BeatMemory, PointSimulator
 from fascicle.networks.target_comparison import Network, TargetComparison, evaluate
@@ -105,10 +108,10 @@ from fascicle.pools.pool import Threads
 from fascicle.recording.target import Target, smooth_noise
 from fascicle.recording.target_files import read_target
 from fascicle.reporting.style import new_figure, save
-from fascicle.study import paper
+from fascicle.study import methods
 from fascicle.study.evaluations import Database, Journal
+from fascicle.study.methods import PosteriorFit
 from fascicle.study.population import Population, Posterior
-from fascicle.study.posterior import PosteriorFit
 
 LEVELS = (0.5, 0.8, 0.9)
 TUNING, HELD_OUT = 2, 3  # seeds of truths: for choosing constants, and for the documentation
@@ -327,7 +330,7 @@ def fitted(
         objective = partial(evaluate, simulator, [recording])
         journal = Journal(database, objective, simulator.prior.dimension, number, 1)
         if emulator is None:
-            return paper.PaperFit(settings, simulator.prior.learnt, journal).run()
+            return methods.PaperFit(settings, simulator.prior.learnt, journal).run()
         emulated = [EmulatedLikelihood(simulator, emulator, recording.likelihood)]
         return PosteriorFit(settings, simulator.prior, journal, emulated).run()
 

@@ -22,13 +22,13 @@ from scipy.interpolate import CubicSpline
 
 from benchmarks.references import unbounded
 from fascicle.build.refinement import in_eight
-from fascicle.forward.cable.template import default_template
 from fascicle.forward.electrocardiogram import (
     Electrocardiograph,
     build_electrocardiograph,
     nodal_gradients,
     unbounded_gradients,
 )
+from fascicle.forward.template import default_template
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import barycentric_gradients, signed_volumes

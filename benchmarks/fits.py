@@ -41,11 +41,10 @@ from fascicle.build.read_anatomy import Source
 from fascicle.cli.output import TerminalProgress
 from fascicle.heart.folder import write_heart
 from fascicle.heart.heart import Heart
-from fascicle.recording.corrections import share_gain
+from fascicle.recording.choices import TargetOptions, share_gain
 from fascicle.recording.pipeline import analyse
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.target import Target
-from fascicle.recording.target_options import TargetOptions
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import Posterior
 

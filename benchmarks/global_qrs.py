@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 import fascicle
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
-from fascicle.recording.corrections import share_gain
+from fascicle.recording.choices import share_gain
 from fascicle.recording.detection import r_peaks
 from fascicle.recording.filters import resample
 from fascicle.recording.pipeline import Analysis

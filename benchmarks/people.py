@@ -49,9 +49,9 @@ from fascicle.core.parameters import HUMAN_SPACE
 from fascicle.emulation.heart_emulator import usual_prior
 from fascicle.emulation.state_classifier import NoStateNamed
 from fascicle.forward.beat import Beat
-from fascicle.forward.bodies import random_bodies
 from fascicle.forward.loss import align
 from fascicle.heart.folder import write_heart
+from fascicle.networks.prior_simulations import random_bodies
 from fascicle.recording.criteria import frontal_axis
 
 Array = NDArray[np.float64]

@@ -96,9 +96,9 @@ def networks(parameters: dict[str, float]) -> Iterator[dict[str, float]]:
 
 def measure(path: Path, parameters: dict[str, float]) -> dict[str, float]:
     """Time and memory of the forward run on a prepared heart; for a process of its own."""
-    from fascicle.forward.cable.template import default_template
     from fascicle.forward.model import ForwardModel
     from fascicle.forward.preparation import from_arrays
+    from fascicle.forward.template import default_template
 
     with np.load(path) as arrays:
         heart, prepared = from_arrays(arrays, default_template())

@@ -35,10 +35,9 @@ from fascicle.forward.loss import align
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.recording.window import qrs_window
 from fascicle.reporting.style import Colour, new_figure, save, styled
+from fascicle.torso.conductor import Conductor, TorsoState, build_conductor, torso_of
 from fascicle.torso.lead_fields import assemble_stiffness
-from fascicle.torso.mesh import torso_of
-from fascicle.torso.variation.conductor import Conductor, TorsoState, build_conductor
-from fascicle.torso.variation.training import electrode_places, solve_torso
+from fascicle.torso.training import electrode_places, solve_torso
 
 Values = Mapping[str, float]
 Array = NDArray[np.float64]

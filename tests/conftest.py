@@ -47,8 +47,8 @@ def small_posteriors() -> Iterator[None]:
         return [plain.scaled(np.full(size, gain)) for gain in rng.uniform(0.7, 1.4, count)]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fascicle.study.posterior.PosteriorFit.least_particles", 200)
-        patch.setattr("fascicle.study.posterior.PosteriorFit.most_batches", 1)
+        patch.setattr("fascicle.study.methods.PosteriorFit.least_particles", 200)
+        patch.setattr("fascicle.study.methods.PosteriorFit.most_batches", 1)
         patch.setattr("fascicle.networks.prior_simulations.random_bodies", bodies)
         yield
 
@@ -84,7 +84,7 @@ def torso_model(default_heart: Heart) -> ForwardModel:
     from fascicle.forward.model import ForwardModel
     from fascicle.heart.conduction import Conduction
     from fascicle.torso.lead_fields import key_of
-    from fascicle.torso.variation.training import build_response
+    from fascicle.torso.training import build_response
 
     quick = partial(build_response, mode_torsos=4, modes=20, outer_torsos=14)
     fields = default_heart.lead_fields
@@ -108,7 +108,7 @@ def torso_model(default_heart: Heart) -> ForwardModel:
 def crtdemo(data_folder: Path) -> Heart:
     """A patient's heart, imported as `fascicle heart import` does, with the published seeds."""
     from fascicle.heart.assembly import assemble_heart
-    from fascicle.mesh.formats.read import read_mesh
+    from fascicle.mesh.read import read_mesh
 
     folder = data_folder / "hearts" / "crtdemo"
     return assemble_heart(

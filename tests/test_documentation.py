@@ -11,7 +11,7 @@ from fascicle.forward.likelihood import QrsLikelihood
 from fascicle.networks.prior import NOT_KNOWN
 from fascicle.networks.prior_simulations import PriorSimulations
 from fascicle.networks.settings import FitSettings
-from fascicle.study.posterior import PosteriorFit
+from fascicle.study.methods import PosteriorFit
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DOCS = REPOSITORY / "docs"

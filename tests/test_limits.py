@@ -23,7 +23,7 @@ import json, resource, sys
 from fascicle.build.segmentation_files import read_segmentation
 from fascicle.core import isolated
 from fascicle.core.errors import InputError
-from fascicle.mesh.formats.read import read_mesh
+from fascicle.mesh.read import read_mesh
 from fascicle.recording.readers.read import read_recording
 try:
     eval(sys.argv[1])(sys.argv[2])

@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fascicle
-from fascicle.core.array_cache import ArrayCache
-from fascicle.core.files import DISPOSABLE, PACKAGED
+from fascicle.core.files import DISPOSABLE, PACKAGED, ArrayCache
 from fascicle.core.leads import INDEPENDENT_ROWS
 from fascicle.emulation import origin
 from fascicle.emulation.ecg_classifier import RecordingSet, learn

@@ -37,7 +37,7 @@ VAGUE_FIRST = re.compile(
 # The most there should be of each; what is above its aim may only fall (aim in brackets)
 LIMITS = {
     "lines of source": 46_400,  # 40,500
-    "modules": 232,  # 210
+    "modules": 210,
     "most modules in a folder": 20,
     "most levels of imports in a folder": 8,
     "lines of tests": 37_500,  # 29,000

@@ -34,7 +34,7 @@ class Kind:
 
 
 def _mesh(path: Path) -> Any:
-    from fascicle.mesh.formats.read import read_mesh
+    from fascicle.mesh.read import read_mesh
 
     return read_mesh(path)
 

@@ -14,9 +14,7 @@ from .emulation.state_classifier import simulate_prior as simulate_prior
 from .emulation.state_classifier import state_probabilities as state_probabilities
 from .explorer.explore import explore as explore
 from .forward.beat import Beat as Beat
-from .forward.cable.template import cell_action_potential as cell_action_potential
 from .forward.device.backend import GpuBackend as GpuBackend
-from .forward.example import example_parameters as example_parameters
 from .forward.likelihood import Replicate as Replicate
 from .forward.model import ForwardModel as ForwardModel
 from .forward.primitives import His as His
@@ -28,6 +26,8 @@ from .forward.scenario import Excitation as Excitation
 from .forward.scenario import Primitive as Primitive
 from .forward.scenario import Scenario as Scenario
 from .forward.scenario_files import read_scenarios as read_scenarios
+from .forward.simulation_files import example_parameters as example_parameters
+from .forward.template import cell_action_potential as cell_action_potential
 from .heart.action_potential import read_action_potential as read_action_potential
 from .heart.conduction import Conduction as Conduction
 from .heart.conduction import Region as Region
@@ -49,11 +49,11 @@ from .purkinje.growth import GrowthRules as GrowthRules
 from .purkinje.growth import GrowthTerm as GrowthTerm
 from .purkinje.tree import PurkinjeTree as PurkinjeTree
 from .purkinje.tree_files import read_tree as read_tree
+from .recording.choices import TargetOptions as TargetOptions
 from .recording.pipeline import analyse as analyse
 from .recording.pipeline import make_target as make_target
 from .recording.readers.read import read_recording as read_recording
 from .recording.target_files import read_target as read_target
-from .recording.target_options import TargetOptions as TargetOptions
 from .reporting.page.page import report as report
 from .study.fit import fit as fit
 from .study.fitted import FittedStudy as FittedStudy

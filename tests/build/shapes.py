@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from fascicle.build.labelled_files import Anatomy, labelled_surface, labelled_tetrahedra
 from fascicle.heart.labelled_surface import Label, LabelledSurface
-from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.measures import closed_volume
+from fascicle.mesh.read import read_mesh
 
 # Half-axes (mm) of ellipsoids cut off at z = 0, the apices below, and how far to the side of the
 # left ventricle the right one is. The right cavity is what its inner ellipsoid leaves outside the

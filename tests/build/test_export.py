@@ -13,8 +13,8 @@ from fascicle.core.leads import ELECTRODES
 from fascicle.heart.electrodes import read_electrodes
 from fascicle.heart.heart import LeadFields
 from fascicle.heart.labelled_surface import NEEDED_LABELS, labelled_mesh
-from fascicle.mesh.formats.mesh_file import GROUP, TETRAHEDRON, TRIANGLE
-from fascicle.mesh.formats.read import read_mesh
+from fascicle.mesh.mesh_file import GROUP, TETRAHEDRON, TRIANGLE
+from fascicle.mesh.read import read_mesh
 from fascicle.purkinje.tree_files import read_tree
 
 SIZE = 60.0  # mm

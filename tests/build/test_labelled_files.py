@@ -11,7 +11,7 @@ from shapes import read_labelled_surface
 from fascicle.build.labelled_files import has_labels
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label
-from fascicle.mesh.formats.read import read_mesh
+from fascicle.mesh.read import read_mesh
 from fascicle.mesh.topology import boundary_loops, unique_edges
 
 

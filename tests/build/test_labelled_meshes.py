@@ -15,7 +15,7 @@ from fascicle.build.labelled_files import labelled_tetrahedra
 from fascicle.build.mesh_repair import repaired_mesh
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledMesh, label_of, labels_by_number
-from fascicle.mesh.formats.read import read_mesh
+from fascicle.mesh.read import read_mesh
 from fascicle.mesh.topology import boundary_triangles
 
 SIZE = 60.0  # mm

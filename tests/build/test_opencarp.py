@@ -9,9 +9,9 @@ from builders import block_of_random_tissue
 from fascicle.build.export import write_opencarp
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledMesh
-from fascicle.mesh.formats.mesh_file import LINE, TETRAHEDRON, TRIANGLE
-from fascicle.mesh.formats.opencarp import read_opencarp_mesh, read_surf, read_vtx
-from fascicle.mesh.formats.read import read_mesh
+from fascicle.mesh.mesh_file import LINE, TETRAHEDRON, TRIANGLE
+from fascicle.mesh.opencarp import read_opencarp_mesh, read_surf, read_vtx
+from fascicle.mesh.read import read_mesh
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.purkinje.tree_files import read_tree
 

@@ -10,10 +10,10 @@ from fascicle.build.read_anatomy import Source, read_anatomy
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import LabelledMesh
 from fascicle.mesh.checks import check_tetrahedra
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON, MeshFile
-from fascicle.mesh.formats.vtk import write_grid
 from fascicle.mesh.measures import closed_volume, signed_volumes
+from fascicle.mesh.mesh_file import TETRAHEDRON, MeshFile
 from fascicle.mesh.topology import boundary_triangles, pieces_of, without_unused_vertices
+from fascicle.mesh.vtk import write_grid
 from tests.anatomies import MYOCARDIUM, circular_fibres, tissue
 
 SPACING = 4.0  # mm

@@ -10,7 +10,7 @@ from fascicle.build.labelled_files import labelled_tetrahedra
 from fascicle.core.errors import InputError
 from fascicle.heart.assembly import _endocardium
 from fascicle.mesh.checks import check_edges, check_fibres, check_tetrahedra, first_places
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
+from fascicle.mesh.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.topology import boundary_triangles, unique_edges
 
 BLOCK = box(60.0, 4, jitter=0.1)

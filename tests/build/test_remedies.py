@@ -17,7 +17,7 @@ from fascicle.build.segmentation_surface import surface_from_segmentation
 from fascicle.build.surface_checks import mirror_warning
 from fascicle.build.surface_repair import prepared_surface
 from fascicle.core.errors import InputError
-from fascicle.mesh.formats.read import read_mesh
+from fascicle.mesh.read import read_mesh
 from fascicle.mesh.topology import boundary_loops, fan
 
 NUMBERS = {"lv": 1, "rv": 2, "myocardium": 3, "scar": 4}

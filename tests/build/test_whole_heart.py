@@ -13,9 +13,9 @@ from fascicle.build.whole_heart import region_arrays, regions_in, ventricles
 from fascicle.core.errors import InputError
 from fascicle.heart.fibres import placeholder
 from fascicle.heart.labelled_surface import NEEDED_LABELS, Label, labelled_mesh
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON, MeshFile
-from fascicle.mesh.formats.vtk import write_grid
 from fascicle.mesh.measures import signed_volumes, triangle_areas
+from fascicle.mesh.mesh_file import TETRAHEDRON, MeshFile
+from fascicle.mesh.vtk import write_grid
 
 REGIONS = {"lv": (11,), "rv": (12,), "septum": (17,)}
 

@@ -221,7 +221,7 @@ def small_heart(tmp_path_factory):
     """Folder of the small heart."""
     from fascicle.heart.assembly import assemble_heart
     from fascicle.heart.folder import write_heart
-    from fascicle.mesh.formats.read import read_mesh
+    from fascicle.mesh.read import read_mesh
 
     materials = Materials(tmp_path_factory.mktemp("materials"))
     files = materials.files
@@ -269,6 +269,6 @@ def parameters(tmp_path):
 @pytest.fixture(scope="session", autouse=True)
 def compiled():
     """Compile the kernels before a program says on its standard error that it does."""
-    from fascicle.forward.compile_kernels import compile_kernels
+    from fascicle.forward.preparation import compile_kernels
 
     compile_kernels(lambda *_: None)

@@ -10,8 +10,8 @@ from anatomies import LV, RV
 from fascicle.build.build_heart import TorsoOptions, build_heart
 from fascicle.build.read_anatomy import Source
 from fascicle.heart.folder import load_heart, write_heart
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON
-from fascicle.mesh.formats.read import read_mesh
+from fascicle.mesh.mesh_file import TETRAHEDRON
+from fascicle.mesh.read import read_mesh
 
 
 @pytest.fixture(scope="module")

@@ -102,7 +102,7 @@ class TestOutputs:
         self, blank_pictures, small_heart, parameters, simulated, outside, run
     ):
         """Half the built-in one: half the ECG, and the summary says which it was."""
-        from fascicle.forward.cable.template import default_template
+        from fascicle.forward.template import default_template
 
         times = np.linspace(-4.0, 60.0, 12801)
         table = outside.parent / "u.csv"

@@ -7,8 +7,12 @@ import pytest
 
 import fascicle
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, Infeasible
-from fascicle.forward.bodies import electrocardiograph_in_body, moved_electrodes, random_bodies
-from fascicle.torso.variation.conductor import TorsoState, torso_axes
+from fascicle.networks.prior_simulations import (
+    electrocardiograph_in_body,
+    moved_electrodes,
+    random_bodies,
+)
+from fascicle.torso.conductor import TorsoState, torso_axes
 
 CHEST = slice(3, 9)
 
@@ -44,7 +48,9 @@ def test_priors_are_those_of_the_documentation_and_the_impossible_is_drawn_again
         drawn.append(values)
         return Infeasible("") if len(drawn) % 2 else len(drawn)
 
-    monkeypatch.setattr("fascicle.forward.bodies.electrocardiograph_in_body", lambda _: in_body)
+    monkeypatch.setattr(
+        "fascicle.networks.prior_simulations.electrocardiograph_in_body", lambda _: in_body
+    )
     bodies = random_bodies(None, np.random.default_rng(0), 2000)
     assert bodies == list(range(2, 4001, 2))
     spread = {name: np.std([values[name] for values in drawn]) for name in drawn[0]}

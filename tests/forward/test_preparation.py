@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from benchmarks.references import Upstroke
-from fascicle.core.array_cache import ArrayCache
 from fascicle.core.errors import InputError
-from fascicle.core.files import DISPOSABLE
+from fascicle.core.files import DISPOSABLE, ArrayCache
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.forward import compile_kernels, preparation
+from fascicle.forward import preparation
 from fascicle.forward.eikonal import build as eikonal_build
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.preparation import prepare
@@ -35,7 +34,7 @@ def built(monkeypatch):
 @pytest.fixture
 def heart(tmp_path):
     """Four tetrahedra, as if read from a folder."""
-    return replace(compile_kernels._smallest_heart(), folder=tmp_path)
+    return replace(preparation._smallest_heart(), folder=tmp_path)
 
 
 def kept(heart):
@@ -205,17 +204,17 @@ class TestCompilation:
     @pytest.fixture(autouse=True)
     def not_yet(self, monkeypatch):
         """As in a process that has compiled nothing."""
-        monkeypatch.setattr(compile_kernels, "_compiled", False)
+        monkeypatch.setattr(preparation, "_compiled", False)
 
     def test_says_nothing_where_nothing_is_slow(self, monkeypatch):
-        compile_kernels.compile_kernels(lambda *_: None)  # now everything is compiled
-        monkeypatch.setattr(compile_kernels, "_compiled", False)
+        preparation.compile_kernels(lambda *_: None)  # now everything is compiled
+        monkeypatch.setattr(preparation, "_compiled", False)
         reports = []
-        compile_kernels.compile_kernels(lambda *what: reports.append(what), silence=60.0)
+        preparation.compile_kernels(lambda *what: reports.append(what), silence=60.0)
         assert reports == []
 
     def test_reports_progress_where_it_takes_long(self, monkeypatch):
-        reports, steps = [], compile_kernels._steps
+        reports, steps = [], preparation._steps
 
         def slow_steps():
             import time
@@ -223,8 +222,8 @@ class TestCompilation:
             time.sleep(0.1)
             yield from steps()
 
-        monkeypatch.setattr(compile_kernels, "_steps", slow_steps)
-        compile_kernels.compile_kernels(lambda *what: reports.append(what), silence=0.0)
+        monkeypatch.setattr(preparation, "_steps", slow_steps)
+        preparation.compile_kernels(lambda *what: reports.append(what), silence=0.0)
         assert [what[:3] for what in reports] == [("compilation", done, 4) for done in range(5)]
 
     def test_leaves_no_timer_behind_when_it_fails(self, monkeypatch):
@@ -234,10 +233,10 @@ class TestCompilation:
             raise RuntimeError("no compiler")
             yield
 
-        monkeypatch.setattr(compile_kernels, "_steps", broken)
+        monkeypatch.setattr(preparation, "_steps", broken)
         before, reports = threading.active_count(), []
         with pytest.raises(RuntimeError, match="no compiler"):
-            compile_kernels.compile_kernels(lambda *what: reports.append(what))
+            preparation.compile_kernels(lambda *what: reports.append(what))
         for thread in threading.enumerate():
             if isinstance(thread, threading.Timer):
                 thread.join(2.0)

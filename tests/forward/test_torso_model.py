@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import fascicle
-from fascicle.core.array_cache import ArrayCache
 from fascicle.core.errors import InputError
+from fascicle.core.files import ArrayCache
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, Infeasible
 from fascicle.core.quantities import QUANTITIES, TORSO_QUANTITIES
-from fascicle.forward.bodies import random_bodies
+from fascicle.networks.prior_simulations import random_bodies
+from fascicle.torso.conductor import torso_of
 from fascicle.torso.lead_fields import is_up_to_date, lead_fields
-from fascicle.torso.mesh import torso_of
 
 TISSUES = ("lung", "blood", "myocardium", "body")
 

@@ -8,8 +8,8 @@ import pytest
 
 from fascicle import EXAMPLE_PARAMETERS, ForwardModel, load_heart, read_action_potential
 from fascicle.core.errors import InputError
-from fascicle.forward.cable.template import default_template
 from fascicle.forward.electrocardiogram import build_electrocardiograph, unbounded_gradients
+from fascicle.forward.template import default_template
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.folder import write_heart
 from fascicle.mesh.measures import barycentric_gradients

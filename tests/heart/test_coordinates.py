@@ -22,7 +22,7 @@ from fascicle.heart.folder import load_heart, write_heart
 from fascicle.heart.heart import Heart, VentricularCoordinates
 from fascicle.heart.labelled_surface import BASAL, Label, LabelledMesh
 from fascicle.heart.sites import CoordinateSite, Sites
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON, MeshFile
+from fascicle.mesh.mesh_file import TETRAHEDRON, MeshFile
 from fascicle.mesh.topology import boundary_triangles
 
 

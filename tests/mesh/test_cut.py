@@ -6,9 +6,9 @@ import pytest
 import pyvista as pv
 
 from fascicle.core.errors import InputError
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON
-from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.mesh_file import TETRAHEDRON
+from fascicle.mesh.read import read_mesh
 from fascicle.mesh.topology import boundary_triangles
 
 N = 4

@@ -11,8 +11,8 @@ import pyvista as pv
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
 from fascicle.core.errors import InputError
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE
-from fascicle.mesh.formats.read import read_mesh
+from fascicle.mesh.mesh_file import TETRAHEDRON, TRIANGLE
+from fascicle.mesh.read import read_mesh
 
 CUTS = [0, 0.001, 0.01, 0.03, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99, 0.995, -100, -40, -20, -10, -5]
 RUBBISH = {

@@ -9,26 +9,28 @@ from numpy.testing import assert_array_equal
 
 import fascicle
 from benchmarks.fits import demo_recording
-from fascicle.core.array_cache import ArrayCache
 from fascicle.core.errors import InputError
-from fascicle.core.files import DISPOSABLE
+from fascicle.core.files import DISPOSABLE, ArrayCache
 from fascicle.core.leads import INDEPENDENT_ROWS
 from fascicle.core.quantities import fascicles
 from fascicle.emulation import heart_emulator
 from fascicle.emulation.ecg_emulator import learn
-from fascicle.emulation.heart_emulator import emulator_of, made_emulator, simulations_for
+from fascicle.emulation.heart_emulator import (
+    emulator_of,
+    made_emulator,
+    refined_emulators,
+    simulations_for,
+)
 from fascicle.emulation.likelihood import EmulatedLikelihood
-from fascicle.emulation.refined_emulator import refined_emulators
 from fascicle.emulation.state_classifier import simulate_prior
 from fascicle.forward.beat import Beat
-from fascicle.forward.bodies import random_bodies
 from fascicle.forward.eikonal.activation import Activation
 from fascicle.forward.loss import placed
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.folder import write_heart
 from fascicle.networks import prior_simulations as tested
 from fascicle.networks.prior import Prior
-from fascicle.networks.prior_simulations import BEFORE, Examples, PriorSimulations
+from fascicle.networks.prior_simulations import BEFORE, Examples, PriorSimulations, random_bodies
 from fascicle.networks.simulator import PointSimulator
 from fascicle.pools.pool import Threads
 
@@ -308,7 +310,7 @@ def test_a_heart_in_a_folder_that_cannot_be_written_to(model, tmp_path, monkeypa
     with pytest.raises(InputError, match="heart: cannot be written to; copy the heart"):
         simulate_prior(folder, COUNT)
     target = fascicle.make_target(fascicle.read_recording(demo_recording()))
-    monkeypatch.setattr("fascicle.study.posterior.PosteriorFit.most_batches", 1)
+    monkeypatch.setattr("fascicle.study.methods.PosteriorFit.most_batches", 1)
     given = {"prior_simulations": 100, "effective": 20, "parameters": {"conduction": "normal"}}
     fitted = fascicle.fit(folder, target, out, **given)
     kept = {file.name.partition("-")[0] for file in (out / "heart" / DISPOSABLE).iterdir()}

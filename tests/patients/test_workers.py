@@ -24,7 +24,7 @@ LONGER = {"method": "posterior", "effective": "20", "prior_simulations": "100"}
 
 @pytest.fixture(autouse=True)
 def as_many_particles_as_on_workers(monkeypatch):
-    from fascicle.study.posterior import PosteriorFit
+    from fascicle.study.methods import PosteriorFit
 
     monkeypatch.setattr(PosteriorFit, "least_particles", 600)
     monkeypatch.setattr(PosteriorFit, "most_batches", 16)

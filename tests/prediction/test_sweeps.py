@@ -10,7 +10,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.primitives import His, Stimulus
 from fascicle.networks.target_comparison import Network
-from fascicle.prediction.sweeps import Varied, delays, radii, segments, simulate_sweep
+from fascicle.prediction.comparison import Varied, delays, radii, segments, simulate_sweep
 
 HIS = His(time=np.inf)
 PAIR = case((Stimulus(5.0, site="rv apex"), Stimulus(10.0, (1.0, 2.0, 3.0))), his=HIS)

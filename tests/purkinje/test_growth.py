@@ -183,7 +183,7 @@ def test_another_process_finds_growth_compiled():
     chart = build_chart(endocardium)
     grow((endocardium, chart, find_seed(endocardium, chart)))
     commands = (
-        "from fascicle.forward.compile_kernels import compile_kernels\n"
+        "from fascicle.forward.preparation import compile_kernels\n"
         "from fascicle.purkinje.growth import REPULSION, _grow\n"
         "compile_kernels(print)\n"
         "stats = _grow(REPULSION.function).stats\n"

@@ -11,11 +11,10 @@ from fascicle.cli.options import lead_names
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.prediction.indices import vectorcardiogram
-from fascicle.recording.corrections import invert, share_gain
+from fascicle.recording.choices import TargetOptions, invert, share_gain
 from fascicle.recording.pipeline import analyse, make_target
 from fascicle.recording.readers.names import additional_lead_name
 from fascicle.recording.readers.read import read_recording
-from fascicle.recording.target_options import TargetOptions
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,10 @@ from quality_recordings import synthetic
 
 from fascicle.core.leads import LEADS
 from fascicle.recording.beats import Unused
+from fascicle.recording.choices import TargetOptions
 from fascicle.recording.pipeline import analyse
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Recording
-from fascicle.recording.target_options import TargetOptions
 
 V6 = LEADS.index("V6")
 

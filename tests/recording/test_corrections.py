@@ -10,11 +10,10 @@ from fascicle.cli.commands import app
 from fascicle.cli.recordings import target
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES, LEADS, lead_matrix
-from fascicle.recording.corrections import invert, share_gain, swap
+from fascicle.recording.choices import TargetOptions, invert, share_gain, swap
 from fascicle.recording.pipeline import make_target
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Recording, derive_limb_leads
-from fascicle.recording.target_options import TargetOptions
 
 
 @pytest.fixture

@@ -10,7 +10,8 @@ from scipy.signal import bessel, butter, ellip, filtfilt, firwin, sosfilt, sosfi
 from benchmarks.fits import demo_recording
 from benchmarks.synthetic_recordings.rhythms import RHYTHMS
 from fascicle.core.errors import InputError
-from fascicle.networks.recordings import target_digest
+from fascicle.networks.target_comparison import target_digest
+from fascicle.recording.choices import TargetOptions
 from fascicle.recording.detection import r_peaks
 from fascicle.recording.filter_estimate import estimated_lowpass, passed_filters
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin, applied_filters
@@ -18,7 +19,6 @@ from fascicle.recording.pipeline import analyse
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Filters
 from fascicle.recording.target import Target
-from fascicle.recording.target_options import TargetOptions
 
 RECORDER = FilterOrigin.FILE
 

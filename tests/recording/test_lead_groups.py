@@ -8,9 +8,9 @@ from quality_recordings import on_paper, synthetic
 
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
+from fascicle.recording.choices import TargetOptions
 from fascicle.recording.lead_groups import lead_groups
 from fascicle.recording.pipeline import analyse, make_target
-from fascicle.recording.target_options import TargetOptions
 
 GROUPS = (("I", "II", "III"), ("aVR", "aVL", "aVF"), ("V1", "V2", "V3"), ("V4", "V5", "V6"))
 

@@ -7,10 +7,10 @@ import pytest
 from quality_recordings import synthetic
 
 from fascicle.core.leads import independent_rows
+from fascicle.recording.choices import TargetOptions
 from fascicle.recording.filters import resample
 from fascicle.recording.lead_groups import cluster_morphology, lead_groups, noise_energy
 from fascicle.recording.spikes import find_spikes, remove_spikes
-from fascicle.recording.target_options import TargetOptions
 
 
 def independent(recording):

@@ -7,7 +7,7 @@ from clinical import SHORT_BUNDLES
 from benchmarks.qrs_window import simulated
 from benchmarks.synthetic_recordings.rhythms import hump
 from fascicle.core.leads import lead_matrix
-from fascicle.forward.example import example_parameters
+from fascicle.forward.simulation_files import example_parameters
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
 from fascicle.recording.target import Target
 from fascicle.recording.window import (

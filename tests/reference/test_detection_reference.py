@@ -7,12 +7,12 @@ import pytest
 
 from benchmarks.synthetic_recordings.rhythms import RHYTHMS, Synthesis, synthetic_recording
 from fascicle.core.leads import LEADS
+from fascicle.recording.choices import TargetOptions
 from fascicle.recording.detection import r_peaks
 from fascicle.recording.lead_groups import lead_groups
 from fascicle.recording.pipeline import analyse
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.spikes import find_spikes, remove_spikes
-from fascicle.recording.target_options import TargetOptions
 
 pytestmark = pytest.mark.slow
 

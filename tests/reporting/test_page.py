@@ -23,9 +23,8 @@ from fascicle.prediction.predicted import Predicted
 from fascicle.recording.criteria import Criterion
 from fascicle.reporting.names import MEASURES, scenario_name
 from fascicle.reporting.page.content import meaning, prediction
-from fascicle.reporting.page.marks import marks, where
 from fascicle.reporting.page.page import _safe, _template
-from fascicle.reporting.page.scene import NONE, scene
+from fascicle.reporting.page.scene import NONE, marks, scene, where
 from fascicle.reporting.prediction import scenario_activation_figure, scenario_ecg_figure
 from fascicle.study.population import Posterior
 from fascicle.study.statements import Caution, ParameterStatement, Statements

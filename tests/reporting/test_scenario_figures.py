@@ -7,9 +7,9 @@ import pytest
 
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.sites import SEGMENTS
+from fascicle.prediction.comparison import Swept, Varied
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import Predicted
-from fascicle.prediction.sweeps import Swept, Varied
 from fascicle.reporting.names import index_label
 from fascicle.reporting.prediction import SHOWN, bulls_eye_figure, index_figure, sweep_figure
 

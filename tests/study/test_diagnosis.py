@@ -26,8 +26,7 @@ from fascicle.emulation.state_classifier import (
     state_probabilities,
 )
 from fascicle.forward.beat import Beat
-from fascicle.networks.conduction_states import asked_states, narrowed, states_of
-from fascicle.networks.prior import Prior, read_settings
+from fascicle.networks.prior import Prior, asked_states, narrowed, read_settings, states_of
 from fascicle.networks.prior_simulations import PriorSimulations
 from fascicle.networks.settings import checked_settings
 from fascicle.pools.pool import Threads

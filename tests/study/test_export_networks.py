@@ -12,13 +12,13 @@ from builders import block_of_random_tissue, case, conduction_for
 
 from benchmarks.references import solve_from_vertices
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.forward.activation_sequence import nearest_to_median
 from fascicle.forward.eikonal.build import build_myocardium
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.primitives import Stimulus
 from fascicle.heart.conduction import Conduction, Region
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON
-from fascicle.mesh.formats.opencarp import read_opencarp_mesh, read_vtx
-from fascicle.networks.activation_maps import nearest_to_median
+from fascicle.mesh.mesh_file import TETRAHEDRON
+from fascicle.mesh.opencarp import read_opencarp_mesh, read_vtx
 from fascicle.networks.target_comparison import Network
 from fascicle.purkinje.tree_files import read_tree
 from fascicle.study.export import STIMULUS_STEP, tissue_table, tissue_tags, write_networks

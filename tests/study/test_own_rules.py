@@ -10,7 +10,7 @@ from benchmarks.fits import demo_recording
 from fascicle.core.errors import InputError
 from fascicle.core.quantities import QUANTITIES
 from fascicle.recording.target_files import write_target
-from fascicle.study.posterior import PosteriorFit
+from fascicle.study.methods import PosteriorFit
 from tests.test_extending import example
 
 

@@ -75,7 +75,7 @@ def done(tmp_path_factory):
     seen = []
     folder = tmp_path_factory.mktemp("s") / "study"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fascicle.study.posterior.PosteriorFit.most_batches", 4)
+        patch.setattr("fascicle.study.methods.PosteriorFit.most_batches", 4)
         return *run(folder, lambda *news: seen.append(news)), seen
 
 
@@ -111,7 +111,7 @@ def test_interrupted_it_resumes_to_the_same_bits(done, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fascicle.study.posterior.PosteriorFit.most_batches", 4)
+        patch.setattr("fascicle.study.methods.PosteriorFit.most_batches", 4)
         with pytest.raises(KeyboardInterrupt):
             run(tmp_path / "s", before=interrupted)
         study, again = run(tmp_path / "s", before=lambda: asked.append(1))
@@ -305,7 +305,7 @@ def test_alpha_is_given_as_a_speed_too(done):
 
 def test_a_second_recording_narrows_what_the_first_leaves(tmp_path, monkeypatch):
     """The second knows the speed, which the first hardly does."""
-    monkeypatch.setattr("fascicle.study.posterior.PosteriorFit.most_batches", 4)
+    monkeypatch.setattr("fascicle.study.methods.PosteriorFit.most_batches", 4)
     others = {"other_targets": ("b",), "scenarios": ("", "")}
     _, both = run(tmp_path, emulated=(emulated, second), **others)
     assert both.converged

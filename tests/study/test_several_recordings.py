@@ -16,14 +16,15 @@ from fascicle.forward.likelihood import QrsLikelihood, cosines, matern, separabl
 from fascicle.forward.primitives import SlowConduction, Stimulus
 from fascicle.forward.scenario_files import find_scenario, read_scenario, scenario_text
 from fascicle.networks.prior import Prior
-from fascicle.networks.recordings import (
+from fascicle.networks.simulator import PointSimulator
+from fascicle.networks.target_comparison import (
+    TargetComparison,
     digests,
+    evaluate,
     given_recordings,
     read_recordings,
     write_recordings,
 )
-from fascicle.networks.simulator import PointSimulator
-from fascicle.networks.target_comparison import TargetComparison, evaluate
 from fascicle.reporting.study import drawings
 
 SMALL = {"prior_simulations": 100, "effective": 20, "workers": 2}

@@ -10,7 +10,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.electrodes import read_electrodes
 from fascicle.heart.labelled_surface import labelled_mesh
-from fascicle.mesh.formats.read import read_mesh
+from fascicle.mesh.read import read_mesh
 from fascicle.torso.electrode_sites import check_not_exchanged
 from fascicle.torso.heart_pose import default_position, torso_frame
 from fascicle.torso.idealised import fit_trunk, fitted_torso, leaving

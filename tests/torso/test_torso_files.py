@@ -9,8 +9,8 @@ from block_heart import HEART_CENTRE, block_heart, ellipsoid, lung, skin
 from fascicle.core.errors import InputError
 from fascicle.heart.folder import read_torso, write_torso
 from fascicle.heart.heart import Torso
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE
-from fascicle.mesh.formats.vtk import write_grid
+from fascicle.mesh.mesh_file import TETRAHEDRON, TRIANGLE
+from fascicle.mesh.vtk import write_grid
 from fascicle.torso.surfaces import Surface, read_torso_surfaces, signed_distance
 
 

@@ -10,7 +10,7 @@ from fascicle.core.errors import InputError
 from fascicle.heart.heart import TorsoTissue
 from fascicle.mesh.measures import intersections, signed_volumes
 from fascicle.mesh.topology import boundary_triangles
-from fascicle.torso.mesh import mesh_torso
+from fascicle.torso.conductor import mesh_torso
 from fascicle.torso.surfaces import Surface, check_within
 
 CUBES = [np.prod(np.subtract(high, low)) for low, high in (LV, RV)]

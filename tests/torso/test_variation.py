@@ -10,16 +10,16 @@ from fascicle.core.quantities import QUANTITIES, TORSO_QUANTITIES
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import TorsoTissue
 from fascicle.mesh.measures import signed_volumes
-from fascicle.torso.lead_fields import assemble_stiffness, solve_neumann
-from fascicle.torso.variation.conductor import (
+from fascicle.torso.conductor import (
     TorsoState,
     build_conductor,
     build_morph,
     pulled_back,
     torso_axes,
 )
-from fascicle.torso.variation.response import LEFT, UPWARD, TorsoResponse, at_electrodes, near_field
-from fascicle.torso.variation.training import (
+from fascicle.torso.lead_fields import assemble_stiffness, solve_neumann
+from fascicle.torso.response import LEFT, UPWARD, TorsoResponse, at_electrodes, near_field
+from fascicle.torso.training import (
     build_response,
     currents,
     electrode_places,

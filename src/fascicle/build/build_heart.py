@@ -27,6 +27,7 @@ from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import LabelledMesh
 from fascicle.mesh.checks import check_tetrahedra
+from fascicle.torso.conductor import mesh_torso, torso_of
 from fascicle.torso.electrode_sites import (
     additional_sites,
     check_not_exchanged,
@@ -41,7 +42,6 @@ from fascicle.torso.lead_fields import (
     outer_boundary,
     resolve_lead_fields,
 )
-from fascicle.torso.mesh import mesh_torso, torso_of
 from fascicle.torso.surfaces import Surface, TorsoSurfaces, read_torso_surfaces
 from fascicle.torso.trunk import TRUNK_SHAPE, TrunkSize, outside_trunk
 

@@ -14,9 +14,9 @@ from fascicle.heart.electrodes import write_electrodes
 from fascicle.heart.folder import cell_arrays, heart_mesh
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import Label, LabelledMesh, labelled_mesh
-from fascicle.mesh.formats import opencarp
-from fascicle.mesh.formats.mesh_file import GROUP
-from fascicle.mesh.formats.vtk import write_grid
+from fascicle.mesh import opencarp
+from fascicle.mesh.mesh_file import GROUP
+from fascicle.mesh.vtk import write_grid
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.purkinje.tree_files import write_opencarp_tree
 

@@ -30,9 +30,9 @@ from fascicle.heart.labelled_surface import (
     whole_numbers,
 )
 from fascicle.mesh.checks import check_fibres, check_tetrahedra, check_units, refuse
-from fascicle.mesh.formats.mesh_file import GROUP, OPENCARP_FORMATS, TETRAHEDRON, TRIANGLE, MeshFile
-from fascicle.mesh.formats.opencarp import opencarp_file, read_surf, read_vtx
 from fascicle.mesh.measures import principal_axes, unit
+from fascicle.mesh.mesh_file import GROUP, OPENCARP_FORMATS, TETRAHEDRON, TRIANGLE, MeshFile
+from fascicle.mesh.opencarp import opencarp_file, read_surf, read_vtx
 from fascicle.mesh.topology import (
     boundary_triangles,
     merged_vertices,

@@ -21,8 +21,8 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import ENDOCARDIA, LabelledMesh, LabelledSurface
 from fascicle.mesh.checks import first_places, place
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.measures import closed_volume, signed_volumes
+from fascicle.mesh.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.meshing import Interface, tetrahedralise
 from fascicle.mesh.topology import (
     boundary_triangles,

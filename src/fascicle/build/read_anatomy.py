@@ -46,9 +46,9 @@ from fascicle.core.files import check_file
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface, labels_by_number
 from fascicle.mesh.checks import check_units, check_volumes
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
-from fascicle.mesh.formats.read import MESH_FORMATS, read_mesh
 from fascicle.mesh.measures import closed_volume, mean_edge_length
+from fascicle.mesh.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
+from fascicle.mesh.read import MESH_FORMATS, read_mesh
 from fascicle.mesh.topology import boundary_triangles, without_unused_vertices
 
 

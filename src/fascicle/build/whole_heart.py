@@ -12,8 +12,8 @@ from fascicle.core.arrays import Booleans, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.assembly import ARRAY_NAMES
 from fascicle.heart.labelled_surface import ENDOCARDIA, Label, LabelledMesh
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.measures import closed_by_fan, signed_volumes, triangle_areas
+from fascicle.mesh.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.topology import boundary_triangles, places_in
 
 Regions = Mapping[str, tuple[int, ...]]  # the numbers of "lv", "rv" and perhaps "septum"

@@ -10,8 +10,8 @@ import typer
 from typer import Argument, Option
 
 import fascicle
+from fascicle.cli import resumable
 from fascicle.cli.hearts import heart_app
-from fascicle.cli.interruption import resumable
 from fascicle.cli.options import (
     FixOption,
     FormatOption,
@@ -115,7 +115,7 @@ def simulate(
     ```
     """
     from fascicle.cli.printing import print_simulation
-    from fascicle.forward.compile_kernels import compile_kernels
+    from fascicle.forward.preparation import compile_kernels
     from fascicle.forward.scenario_files import find_scenario, read_scenario
     from fascicle.forward.simulation_files import simulate_inputs, write_simulation
     from fascicle.reporting.prediction import draw_simulation
@@ -472,8 +472,8 @@ def sweep(
         fascicle sweep STUDY biventricular-pacing --delay=-60:60:10 --out SWEEP
     """
     from fascicle.cli.printing import print_sweep, print_verdict
+    from fascicle.prediction.comparison import delays, radii, segments, simulate_sweep
     from fascicle.prediction.index_names import check_index
-    from fascicle.prediction.sweeps import delays, radii, segments, simulate_sweep
     from fascicle.reporting.prediction import write_sweep
 
     check_index(index)
@@ -634,8 +634,8 @@ def template(
 
     They are those of ten Tusscher and Panfilov's cell (2006) in the middle of a cable.
     """
+    from fascicle.reporting.ecg import template_figure
     from fascicle.reporting.style import check_picture, save
-    from fascicle.reporting.template import template_figure
 
     check_picture(out)
     with TerminalProgress() as progress:

@@ -249,7 +249,7 @@ def heart_import(
     from fascicle.heart.coordinates import with_coordinates
     from fascicle.heart.folder import check_heart_folder
     from fascicle.heart.labelled_surface import labelled_mesh, missing_parts
-    from fascicle.mesh.formats.read import read_mesh
+    from fascicle.mesh.read import read_mesh
 
     inputs = [mesh, Path(fibres), lv_endocardium, rv_endocardium, electrodes]
     check_heart_folder(out, [path for path in inputs if path.is_file()])

@@ -11,9 +11,8 @@ from fascicle import Beat, FittedStudy, Predicted
 from fascicle.cli.output import print_row, print_table
 from fascicle.core.arrays import Floats
 from fascicle.heart.sites import SEGMENTS
-from fascicle.prediction.comparison import MEASURABLE, compare, missing_blocks
+from fascicle.prediction.comparison import MEASURABLE, Swept, Varied, compare, missing_blocks
 from fascicle.prediction.index_names import COMPARED, INDICES
-from fascicle.prediction.sweeps import Swept, Varied
 from fascicle.reporting.names import MEASURES, index_label, index_name
 from fascicle.study.population import Posterior
 from fascicle.study.statements import prediction_statement

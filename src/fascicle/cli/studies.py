@@ -12,7 +12,7 @@ import typer
 from typer import Argument, Option
 
 import fascicle
-from fascicle.cli.interruption import resumable
+from fascicle.cli import resumable
 from fascicle.cli.options import OutOption, SchedulerOption, StudyArgument, pool_at
 from fascicle.cli.output import (
     NotAllDoneError,

@@ -19,9 +19,8 @@ from scipy.cluster.vq import kmeans2
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from fascicle.core.array_cache import ArrayCache
 from fascicle.core.arrays import Booleans, Floats, Integers
-from fascicle.core.files import DISPOSABLE, as_path, atomic_folder
+from fascicle.core.files import DISPOSABLE, ArrayCache, as_path, atomic_folder
 from fascicle.core.leads import INDEPENDENT_LEADS
 from fascicle.core.parameters import ParameterSpace, free, network_space, ordered_fascicles
 from fascicle.core.progress import Lines, Progress, shown_progress
@@ -39,16 +38,16 @@ from fascicle.emulation.ecg_classifier import (
     most_alike,
 )
 from fascicle.emulation.heart_emulator import for_simulations, learnt_or_made
-from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
+from fascicle.forward.preparation import compile_kernels
 from fascicle.forward.primitives import His, Stimulus
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.fibres import Wall
 from fascicle.heart.heart import Heart
 from fascicle.heart.sites import SEGMENTS, Places, places
 from fascicle.inference.emulator import Singles
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON
-from fascicle.mesh.formats.vtk import write_grid
+from fascicle.mesh.mesh_file import TETRAHEDRON
+from fascicle.mesh.vtk import write_grid
 from fascicle.networks.prior import AveragedOver, Prior
 from fascicle.networks.prior_simulations import HELD_OUT, PriorSimulations
 from fascicle.pools.pool import Pool

@@ -39,12 +39,11 @@ from fascicle.emulation.heart_emulator import (
     simulations_of,
     usual_prior,
 )
-from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
+from fascicle.forward.preparation import compile_kernels
 from fascicle.heart.heart import Heart
 from fascicle.inference.emulator import Singles
-from fascicle.networks.conduction_states import state_label
-from fascicle.networks.prior import Prior
+from fascicle.networks.prior import Prior, state_label
 from fascicle.networks.prior_simulations import PriorSimulations
 from fascicle.pools.pool import Pool
 from fascicle.recording.target import Target

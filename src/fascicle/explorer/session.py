@@ -33,18 +33,18 @@ from fascicle.core.parameters import (
 from fascicle.core.progress import ProgressLines
 from fascicle.core.quantities import SPEED, TORSO_QUANTITIES, parameter_name, quantity, torso_values
 from fascicle.forward.electrocardiogram import SAMPLE_STEP
-from fascicle.forward.example import example_parameters
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.primitives import His, SlowConduction, Stimulus
 from fascicle.forward.scenario import Primitive, Scenario
 from fascicle.forward.scenario_files import library, read_scenarios, scenario_text
+from fascicle.forward.simulation_files import example_parameters
 from fascicle.heart.conduction import Region
 from fascicle.networks.target_comparison import TargetComparison
 from fascicle.prediction.scenarios import INTRINSIC
 from fascicle.reporting.names import scenario_name
 from fascicle.reporting.page.scene import body_axes, boundary
 from fascicle.study.fitted import FittedStudy
-from fascicle.torso.variation.conductor import TorsoState
+from fascicle.torso.conductor import TorsoState
 
 Coordinate = Annotated[float, Field(ge=-1e4, le=1e4, allow_inf_nan=False)]
 Place = tuple[Coordinate, Coordinate, Coordinate]

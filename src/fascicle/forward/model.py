@@ -28,7 +28,6 @@ from fascicle.core.ranges import check_items, check_kind
 from fascicle.core.threads import SharedFile, made_once, read_shared, write_shared
 from fascicle.forward.activation_sequence import VentricularSurfaces
 from fascicle.forward.beat import Beat, Signals, check_activation
-from fascicle.forward.cable.template import default_template
 from fascicle.forward.eikonal.activation import solve
 from fascicle.forward.eikonal.build import build_myocardium
 from fascicle.forward.eikonal.myocardium import Coupling, Myocardium, attach
@@ -41,6 +40,7 @@ from fascicle.forward.electrocardiogram import (
 from fascicle.forward.preparation import Prepared, as_arrays, cached, from_arrays, prepare
 from fascicle.forward.primitives import FURTHEST_STIMULUS, in_state
 from fascicle.forward.scenario import Scenario
+from fascicle.forward.template import default_template
 from fascicle.forward.torso_model import TorsoModel, prepare_response, torso_model
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.folder import as_heart
@@ -50,7 +50,7 @@ from fascicle.kernels.arrays import TravelTimeTable
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.purkinje.growth import GrowthRules, grow_from_parameters, with_angles
 from fascicle.purkinje.tree import PurkinjeTree
-from fascicle.torso.variation.response import TorsoResponse
+from fascicle.torso.response import TorsoResponse
 
 SCENARIO = "a fascicle.Scenario; fascicle.read_scenarios reads them"  # what to give
 
@@ -101,7 +101,7 @@ class ForwardModel:
         Rules of tree growth, which are held fixed.
     action_potential : ActionPotential, optional
         The template U; if not given the heart's, or that of
-        `fascicle.forward.cable.template.default_template`.
+        `fascicle.forward.template.default_template`.
     prepared : Prepared, optional
         Result of `fascicle.forward.preparation.prepare` for heart and conduction, if at hand.
     progress : Progress, optional

@@ -20,10 +20,9 @@ from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
 from fascicle.kernels.jit import CHANNELS
 from fascicle.mesh.measures import barycentric_gradients
-from fascicle.torso.mesh import torso_of
-from fascicle.torso.variation.conductor import build_conductor
-from fascicle.torso.variation.response import TorsoResponse
-from fascicle.torso.variation.training import build_response
+from fascicle.torso.conductor import build_conductor, torso_of
+from fascicle.torso.response import TorsoResponse
+from fascicle.torso.training import build_response
 
 
 @dataclass(frozen=True)

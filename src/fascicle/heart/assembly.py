@@ -24,8 +24,8 @@ from fascicle.mesh.checks import (
     check_units,
     refuse,
 )
-from fascicle.mesh.formats.mesh_file import GROUP, TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.measures import principal_axes, unit
+from fascicle.mesh.mesh_file import GROUP, TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.topology import without_unused_vertices
 
 # Names of arrays in files, in the order in which they are looked for

@@ -37,10 +37,9 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import cKDTree
 
-from fascicle.core.array_cache import ArrayCache
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.core.files import DISPOSABLE
+from fascicle.core.files import DISPOSABLE, ArrayCache
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.core.ranges import check_kind
 from fascicle.heart.fibres import Wall

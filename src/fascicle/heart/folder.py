@@ -33,10 +33,10 @@ from fascicle.heart.conduction import Conduction, Region
 from fascicle.heart.electrodes import write_electrodes
 from fascicle.heart.heart import Heart, LeadFields, Torso, TorsoTissue
 from fascicle.mesh.checks import refuse
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
-from fascicle.mesh.formats.read import read_mesh
-from fascicle.mesh.formats.vtk import write_grid
 from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
+from fascicle.mesh.read import read_mesh
+from fascicle.mesh.vtk import write_grid
 
 # Files of a heart folder, which may be replaced: the manifest, the files by its keys, and pictures,
 # where the command that wrote the folder drew them, of the heart and of labels found from its shape

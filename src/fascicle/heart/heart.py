@@ -21,9 +21,9 @@ from fascicle.core.leads import ELECTRODES, LEADS, additional_leads
 from fascicle.core.ranges import short_repr
 from fascicle.heart.action_potential import TabulatedPotential
 from fascicle.heart.endocardium import Endocardium
-from fascicle.mesh.formats.vtk import pyvista_grid
 from fascicle.mesh.measures import edge_lengths, signed_volumes
 from fascicle.mesh.topology import boundary_triangles
+from fascicle.mesh.vtk import pyvista_grid
 
 
 class TorsoTissue(IntEnum):

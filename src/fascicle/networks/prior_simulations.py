@@ -10,7 +10,7 @@ written whole or not at all, so that they may be interrupted at any time.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,22 +19,100 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.core.array_cache import ArrayCache
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
+from fascicle.core.files import ArrayCache
 from fascicle.core.leads import INDEPENDENT_ROWS, LEADS
-from fascicle.core.parameters import Infeasible
+from fascicle.core.parameters import Infeasible, ParameterSpace, free
 from fascicle.core.progress import Progress, stage_progress
-from fascicle.core.quantities import Changes, quantity, torso_values
+from fascicle.core.quantities import TORSO_QUANTITIES, Changes, quantity, torso_values
 from fascicle.forward.activation_sequence import MAPPED
 from fascicle.forward.beat import Beat
-from fascicle.forward.bodies import random_bodies
 from fascicle.forward.eikonal.activation import Activation
+from fascicle.forward.electrocardiogram import (
+    Electrocardiograph,
+    build_electrocardiograph,
+    unbounded_gradients,
+)
 from fascicle.forward.loss import placed
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
+from fascicle.mesh.measures import barycentric_gradients, solid_centroid, unit
 from fascicle.networks.prior import UNMAPPED, Prior, growth_and_conduction
 from fascicle.pools.pool import Pool
+from fascicle.torso.conductor import SkinMotion, TorsoState, torso_axes
+from fascicle.torso.electrode_sites import Electrode
+
+
+def random_bodies(
+    model: ForwardModel, rng: np.random.Generator, count: int
+) -> list[Electrocardiograph]:
+    """ECG integrals of a model's heart in random torsos.
+
+    Their quantities of the torso are drawn from their priors (docs/quantities.md); impossible
+    torsos are drawn again. Each takes as much memory as the model's own integral.
+
+    Parameters
+    ----------
+    model : ForwardModel
+        The heart. With a torso or lead fields, `ForwardModel.torso` is built first: minutes, once.
+    rng : numpy.random.Generator
+        Generator of the draws: the same state gives the same torsos.
+    count : int
+        Number of torsos.
+    """
+    space = ParameterSpace(tuple(free(name) for name in TORSO_QUANTITIES))
+    in_torso, integrals = electrocardiograph_in_body(model), list[Electrocardiograph]()
+    while len(integrals) < count:
+        integral = in_torso(space.from_unit(rng.random(len(space))))
+        if not isinstance(integral, Infeasible):
+            integrals.append(integral)
+    return integrals
+
+
+def electrocardiograph_in_body(
+    model: ForwardModel,
+) -> Callable[[Mapping[str, float]], Electrocardiograph | Infeasible]:
+    """The ECG integral of a model's heart as a function of quantities of the torso.
+
+    In an unbounded conductor electrodes move as with the skin, and conductivities, which scale the
+    whole ECG there, do nothing.
+    """
+    heart, conduction = model.heart, model.conduction
+    if heart.has_torso:
+        return model.electrocardiograph_in_torso
+    mesh = heart.vertices, heart.tetrahedra
+    centroid, barycentric = solid_centroid(*mesh), barycentric_gradients(*mesh)
+    intracellular, scale = conduction.intracellular(heart.fibres), conduction.scale(heart)
+
+    def unbounded(values: Mapping[str, float]) -> Electrocardiograph:
+        places = moved_electrodes(heart.electrode_positions, centroid, TorsoState.of(values))
+        gradients = unbounded_gradients(*mesh, places, conduction.torso)
+        volumes, more = heart.volumes, [*heart.additional_electrodes]
+        return build_electrocardiograph(
+            heart.tetrahedra, barycentric, volumes, intracellular, gradients,
+            model.action_potential, more,
+        ).scaled(scale)  # fmt: skip
+
+    return unbounded
+
+
+def moved_electrodes(electrodes: Floats, centroid: Floats, state: TorsoState) -> Floats:
+    """Positions of moved electrodes (9 + a, 3) about a heart's centroid (mm), without a torso.
+
+    V1 to V6 move to the left and up at right angles to the line from the centroid, then all
+    electrodes by `SkinMotion`.
+    """
+    motion = SkinMotion.of(centroid, torso_axes(electrodes), state)
+    chest = slice(Electrode.V1, Electrode.V6 + 1)
+    outwards = unit(electrodes[chest] - centroid)
+    upwards = torso_axes(electrodes)[2]
+    up = unit(upwards - (outwards @ upwards)[:, None] * outwards)
+    left, lifted = (state.chest / motion.size).T
+    placed = electrodes.copy()
+    placed[chest] += left[:, None] * np.cross(up, outwards) + lifted[:, None] * up
+    return motion(placed)
+
 
 HELD_OUT = 10  # every tenth network is held out
 BEFORE = 40  # samples (ms) of an ECG that are kept before the first activation

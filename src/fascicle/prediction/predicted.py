@@ -16,17 +16,16 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from fascicle.core import above, html_card
-from fascicle.core.array_cache import ArrayCache
 from fascicle.core.arrays import Floats
-from fascicle.core.files import as_path, write_text
+from fascicle.core.files import ArrayCache, as_path, write_text
 from fascicle.core.parameters import Infeasible, complete
 from fascicle.core.ranges import short_repr
+from fascicle.forward.activation_sequence import activation_maps
 from fascicle.forward.beat import Beat
 from fascicle.forward.eikonal.activation import Activation
 from fascicle.forward.loss import Response, placed
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
-from fascicle.networks.activation_maps import activation_maps
 from fascicle.prediction.index_names import INDICES
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.study.fitted import FittedStudy

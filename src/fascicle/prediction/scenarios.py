@@ -18,7 +18,7 @@ from fascicle.forward.electrocardiogram import SAMPLE_STEP
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenarios
-from fascicle.networks.conduction_states import states_of
+from fascicle.networks.prior import states_of
 from fascicle.networks.simulator import PointSimulator
 from fascicle.networks.target_comparison import Network, TargetComparison
 from fascicle.prediction.index_names import INDICES

@@ -14,7 +14,7 @@ from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.files import as_path
 from fascicle.core.ranges import short_repr
 from fascicle.kernels.growth import path_lengths
-from fascicle.mesh.formats.vtk import pyvista_grid
+from fascicle.mesh.vtk import pyvista_grid
 
 # A tree with fewer junctions than this has hardly branched. In 500 networks drawn from the ranges
 # of `NETWORK_SPACE`, the packaged heart's trees have a median of 280 (left) and 345 (right)

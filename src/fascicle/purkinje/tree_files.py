@@ -30,12 +30,12 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path, check_file
 from fascicle.core.ranges import check_array, check_kind, check_position, check_text
-from fascicle.mesh.formats import opencarp
-from fascicle.mesh.formats.mesh_file import LINE, OPENCARP_FORMATS, MeshFile
-from fascicle.mesh.formats.read import read_mesh
-from fascicle.mesh.formats.vtk import write_grid
+from fascicle.mesh import opencarp
 from fascicle.mesh.measures import unit
+from fascicle.mesh.mesh_file import LINE, OPENCARP_FORMATS, MeshFile
+from fascicle.mesh.read import read_mesh
 from fascicle.mesh.topology import components_of, merged_vertices
+from fascicle.mesh.vtk import write_grid
 from fascicle.purkinje.tree import PurkinjeTree
 
 SAME_NODE = 1e-4  # mm; ends of polylines closer than this are one node (single precision)

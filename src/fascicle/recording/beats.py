@@ -13,11 +13,11 @@ import numpy as np
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
+from fascicle.recording.choices import TargetOptions
 from fascicle.recording.detection import magnitude
 from fascicle.recording.filters import SAMPLING_STEP
 from fascicle.recording.lead_groups import LARGEST_SHIFT, LeadGroup, cut, detrended, end_of_spikes
 from fascicle.recording.spikes import spike_tail
-from fascicle.recording.target_options import TargetOptions
 from fascicle.recording.window import qrs_window, spatial_velocity
 
 

@@ -19,6 +19,7 @@ from scipy.signal.windows import blackmanharris
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
+from fascicle.recording.choices import TargetOptions
 from fascicle.recording.filters import (
     DECIBELS,
     MAINS,
@@ -29,7 +30,6 @@ from fascicle.recording.filters import (
     attenuation,
 )
 from fascicle.recording.recording import Recording
-from fascicle.recording.target_options import TargetOptions
 
 
 def passed_filters(

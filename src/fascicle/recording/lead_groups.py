@@ -10,10 +10,10 @@ import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS, independent_rows
+from fascicle.recording.choices import TargetOptions
 from fascicle.recording.detection import magnitude, r_peaks
 from fascicle.recording.filters import SAMPLING_STEP, TARGET_RATE, applied_filters, resample
 from fascicle.recording.recording import Recording
-from fascicle.recording.target_options import TargetOptions
 from fascicle.recording.window import qrs_window
 
 HALF_WIDTH = 100  # samples each side of R that are compared

@@ -23,6 +23,7 @@ from fascicle.recording.beats import (
     cut_beats,
     select_beats,
 )
+from fascicle.recording.choices import TargetOptions, check_window
 from fascicle.recording.detection import magnitude
 from fascicle.recording.filter_estimate import passed_filters
 from fascicle.recording.filters import TARGET_RATE, Filter, resample
@@ -39,7 +40,6 @@ from fascicle.recording.quality import (
 from fascicle.recording.recording import MissingMetadataError, Recording
 from fascicle.recording.spikes import find_spikes, remove_spikes
 from fascicle.recording.target import Target
-from fascicle.recording.target_options import TargetOptions, check_window
 from fascicle.recording.window import (
     NoQrsError,
     qrs_window,

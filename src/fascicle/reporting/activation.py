@@ -20,11 +20,11 @@ from scipy.spatial import cKDTree
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.emulation.origin import Origin
+from fascicle.forward.activation_sequence import since_first
 from fascicle.forward.beat import Beat
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import triangle_normals
-from fascicle.networks.activation_maps import since_first
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.reporting import style
 from fascicle.reporting.style import Colour

@@ -31,7 +31,7 @@ from fascicle.reporting.surfaces import (
     scale_bar,
     upright_frame,
 )
-from fascicle.torso.variation.conductor import torso_axes
+from fascicle.torso.conductor import torso_axes
 
 # Name and colour of each label
 LABELS = {

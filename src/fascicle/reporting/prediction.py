@@ -21,17 +21,16 @@ from fascicle.core.files import atomic_folder, write_bytes, write_text
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.ranges import check_text
+from fascicle.forward.activation_sequence import since_first
 from fascicle.forward.beat import Beat
 from fascicle.heart.heart import Heart
 from fascicle.heart.sites import SEGMENTS
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON
-from fascicle.mesh.formats.vtk import write_grid
-from fascicle.networks.activation_maps import since_first
-from fascicle.prediction.comparison import SIGNED
+from fascicle.mesh.mesh_file import TETRAHEDRON
+from fascicle.mesh.vtk import write_grid
+from fascicle.prediction.comparison import SIGNED, Swept, Varied
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import INTRINSIC, qrs_aligned
-from fascicle.prediction.sweeps import Swept, Varied
 from fascicle.reporting import style
 from fascicle.reporting.activation import (
     ActivationRow,

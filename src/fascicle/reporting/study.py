@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from fascicle.build.check import check_heart
 from fascicle.core.leads import INDEPENDENT_LEADS
-from fascicle.networks.activation_maps import activation_maps
+from fascicle.forward.activation_sequence import activation_maps
 from fascicle.networks.agreement import Agreement, agreement
 from fascicle.networks.target_comparison import Network
 from fascicle.prediction.predicted import Predicted

@@ -24,7 +24,7 @@ from fascicle.forward.simulation_files import junctions, sites_table, write_beat
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import labelled_mesh
-from fascicle.mesh.formats.opencarp import write_values, write_vtx
+from fascicle.mesh.opencarp import write_values, write_vtx
 from fascicle.networks.target_comparison import Network
 from fascicle.purkinje.tree_files import directions, write_opencarp_tree
 

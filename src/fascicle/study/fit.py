@@ -3,7 +3,7 @@
 Networks of the prior are simulated, and an emulator of their ECGs is trained on them, and refined
 near the posterior. The posterior is sampled by means of the emulator. Networks drawn from it are
 simulated, and the ECGs that they predict are compared with the recording. The paper's method is
-`fascicle.study.paper`.
+`fascicle.study.methods`.
 """
 
 from __future__ import annotations
@@ -18,16 +18,14 @@ from typing import Any
 
 import numpy as np
 
-from fascicle.core.array_cache import ArrayCache
 from fascicle.core.errors import InputError
-from fascicle.core.files import DISPOSABLE, as_path
+from fascicle.core.files import DISPOSABLE, ArrayCache, as_path
 from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
 from fascicle.core.ranges import check_kind
 from fascicle.emulation.ecg_emulator import EcgEmulator
-from fascicle.emulation.heart_emulator import emulator_of, simulations_for
+from fascicle.emulation.heart_emulator import emulator_of, refined_emulators, simulations_for
 from fascicle.emulation.likelihood import RUNS, EmulatedLikelihood, checked
 from fascicle.emulation.predictive import Checks, Prediction, predict_recording
-from fascicle.emulation.refined_emulator import refined_emulators
 from fascicle.forward.activation_sequence import SequenceSummary
 from fascicle.forward.likelihood import Likelihood
 from fascicle.forward.model import Backend
@@ -35,10 +33,9 @@ from fascicle.forward.preparation import share_prepared
 from fascicle.heart.folder import load_heart, write_heart
 from fascicle.heart.heart import Heart
 from fascicle.networks.agreement import Agreement, agreement
-from fascicle.networks.recordings import Given, write_recordings
 from fascicle.networks.settings import checked_settings
 from fascicle.networks.simulator import BeatMemory
-from fascicle.networks.target_comparison import Network
+from fascicle.networks.target_comparison import Given, Network, write_recordings
 from fascicle.pools.pool import Pool, check_pool
 from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.diagnosis import classified, mixture

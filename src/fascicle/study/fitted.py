@@ -20,15 +20,14 @@ from fascicle.core.progress import Lines, Progress, shown_progress, stage_progre
 from fascicle.core.quantities import checked, quantity
 from fascicle.core.ranges import check_count, short_repr, shown
 from fascicle.emulation.predictive import Checks
+from fascicle.forward.activation_sequence import nearest_to_median
 from fascicle.forward.beat import Beat
 from fascicle.heart.folder import load_heart
 from fascicle.inference.evaluation import Evaluation, best_of
-from fascicle.networks.activation_maps import nearest_to_median
 from fascicle.networks.prior import growth_and_conduction
-from fascicle.networks.recordings import read_recordings
 from fascicle.networks.settings import FitSettings
 from fascicle.networks.simulator import PointSimulator
-from fascicle.networks.target_comparison import Network, TargetComparison, networks
+from fascicle.networks.target_comparison import Network, TargetComparison, networks, read_recordings
 from fascicle.pools.pool import Pool, check_pool
 from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.evaluations import Stage

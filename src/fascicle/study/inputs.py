@@ -19,21 +19,27 @@ from fascicle.core.progress import Progress
 from fascicle.core.quantities import DELAY, torso_values
 from fascicle.core.ranges import check_kind
 from fascicle.emulation.ecg_emulator import TORSO_MODES, EcgEmulator
+from fascicle.emulation.heart_emulator import MOST_ROUNDS, REFINING_NETWORKS
 from fascicle.emulation.likelihood import EmulatedLikelihood, likelihood_of
-from fascicle.emulation.refined_emulator import MOST_ROUNDS, REFINING_NETWORKS
 from fascicle.forward.beat import Beat
-from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.likelihood import Likelihood, QrsLikelihood
 from fascicle.forward.model import Backend, ForwardModel, usable
+from fascicle.forward.preparation import compile_kernels
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
 from fascicle.inference.evaluation import Evaluation
 from fascicle.networks.prior import Prior, growth_and_conduction
-from fascicle.networks.recordings import Given, Recorded, digests, given_recordings
 from fascicle.networks.settings import FitSettings
 from fascicle.networks.simulator import BeatMemory, PointSimulator
-from fascicle.networks.target_comparison import TargetComparison, evaluate
+from fascicle.networks.target_comparison import (
+    Given,
+    Recorded,
+    TargetComparison,
+    digests,
+    evaluate,
+    given_recordings,
+)
 from fascicle.pools.pool import Pool, Threads
 from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.study import StudyConfig

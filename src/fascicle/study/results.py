@@ -12,9 +12,9 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.files import atomic_folder, write_text
 from fascicle.emulation.predictive import Prediction
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON
-from fascicle.mesh.formats.vtk import write_grid
-from fascicle.networks.activation_maps import activation_maps, since_first
+from fascicle.forward.activation_sequence import activation_maps, since_first
+from fascicle.mesh.mesh_file import TETRAHEDRON
+from fascicle.mesh.vtk import write_grid
 from fascicle.networks.agreement import Agreement
 from fascicle.networks.target_comparison import Network
 from fascicle.purkinje.tree_files import write_tree

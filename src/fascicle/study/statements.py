@@ -20,7 +20,7 @@ from fascicle.emulation.predictive import Checks
 from fascicle.inference.evaluation import Evaluation
 from fascicle.inference.tempered_sampling import EVIDENCE_APART, MEANS_APART
 from fascicle.networks.agreement import pearson
-from fascicle.networks.conduction_states import state_label
+from fascicle.networks.prior import state_label
 from fascicle.networks.settings import FitSettings
 from fascicle.networks.simulator import PointSimulator
 from fascicle.networks.target_comparison import Network, TargetComparison

@@ -164,14 +164,14 @@ class Study:
         with study_lock(self.folder):
             self.check_objective(objective)
             self._take_over()
-            from fascicle.study import paper, posterior  # slow to import, and only a fit needs them
+            from fascicle.study import methods  # slow to import, and only a fit needs them
 
             config, prior = self.config, self.config.prior
             seed, workers = config.seed, config.workers
             journal = Journal(self._database, objective, prior.dimension, seed, workers)
             if config.method == "paper":
-                return paper.PaperFit(config, prior.learnt, journal, progress).run()
-            return posterior.PosteriorFit(
+                return methods.PaperFit(config, prior.learnt, journal, progress).run()
+            return methods.PosteriorFit(
                 config, prior, journal, emulated, progress, config.share
             ).run()
 

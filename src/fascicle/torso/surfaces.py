@@ -21,10 +21,10 @@ from fascicle.mesh.checks import (
     place,
     refuse,
 )
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE
-from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.measures import closed_volume, intersections, self_intersections, turned_outwards
+from fascicle.mesh.mesh_file import TETRAHEDRON, TRIANGLE
 from fascicle.mesh.meshing import remeshed_triangles
+from fascicle.mesh.read import read_mesh
 from fascicle.mesh.topology import boundary_triangles, directed_edges, without_unused_vertices
 
 EDGES = {"torso": 11.0, "lung": 9.0}  # mm, of the triangles of each surface

@@ -10,10 +10,10 @@ import sys
 import numpy as np
 from emulated import RANDOM, Emulated
 
-from fascicle.forward.cable.template import default_template
 from fascicle.forward.device.backend import GpuBackend
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.preparation import from_arrays
+from fascicle.forward.template import default_template
 
 if __name__ == "__main__":
     model, written, *options = sys.argv[1:]

@@ -25,7 +25,7 @@ from fascicle.core.leads import (
     limb_leads_from,
 )
 from fascicle.core.ranges import check_items, check_kind, check_text, number
-from fascicle.recording import corrections
+from fascicle.recording import choices
 from fascicle.recording.readers.formats import READERS, reader_of
 from fascicle.recording.readers.names import additional_lead_name, lead_name, millivolts, same_unit
 from fascicle.recording.recording import (
@@ -149,26 +149,26 @@ def read_recording(
         "choice_sampling_rate_hz": None if sampling_rate is None else f"{sampling_rate:g}",
         "choice_unit": unit,
     }
-    choices = {name: text for name, text in notes.items() if text is not None}
+    chosen = {name: text for name, text in notes.items() if text is not None}
     recording = replace(
         recording,
-        provenance=recording.provenance | choices,
+        provenance=recording.provenance | chosen,
         amplitude_stated=unit is not None or shared_gain,
     )
     if digits_per_mv is not None and not shared_gain:
         raise InputError("--digits-per-mv is the gain of --shared-gain; give both or neither")
     if shared_gain:
         gain = 1000.0 if digits_per_mv is None else digits_per_mv
-        recording = corrections.share_gain(recording, gain)
+        recording = choices.share_gain(recording, gain)
     for lead in invert:
-        recording = corrections.invert(recording, lead_name(lead) or lead)
+        recording = choices.invert(recording, lead_name(lead) or lead)
     for text in swap:
         pair = [part.strip() for part in re.split(r"[-,]", text)]
         if len(pair) != 2:
             raise InputError(f"--swap {text}: give two names, such as RA-LA or V1-V2")
         # leads by their standard names, electrodes in capitals
         first, second = (lead_name(name) or name.upper() for name in pair)
-        recording = corrections.swap(recording, first, second)
+        recording = choices.swap(recording, first, second)
     return recording
 
 

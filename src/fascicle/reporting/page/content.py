@@ -12,8 +12,8 @@ import numpy as np
 from fascicle.core.parameters import Parameter
 from fascicle.core.quantities import SIDES, SPEED, fascicles, parameter_name, quantity
 from fascicle.forward.scenario_files import name_in_library
-from fascicle.networks.recordings import recording_paths
 from fascicle.networks.settings import SETTINGS_OF
+from fascicle.networks.target_comparison import recording_paths
 from fascicle.prediction.comparison import compare, missing_blocks
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import INTRINSIC

@@ -13,23 +13,80 @@ from numpy.typing import NDArray
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS
 from fascicle.core.quantities import parameter_name, quantity
+from fascicle.forward.activation_sequence import since_first
 from fascicle.forward.beat import Beat
 from fascicle.forward.electrocardiogram import first_sample
 from fascicle.forward.model import ForwardModel
+from fascicle.forward.primitives import His, Stimulus, in_state
 from fascicle.forward.scenario import Scenario
+from fascicle.heart.fibres import Wall
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import ENDOCARDIA, labelled_mesh
-from fascicle.heart.sites import places
-from fascicle.networks.activation_maps import since_first
+from fascicle.heart.sites import SEGMENTS, Sites, places
 from fascicle.networks.target_comparison import Network, TargetComparison
 from fascicle.prediction.indices import Territories
 from fascicle.prediction.predicted import RINGING, Predicted
 from fascicle.purkinje.tree import PurkinjeTree
-from fascicle.reporting.names import scenario_name
-from fascicle.reporting.page.marks import marks, where
+from fascicle.reporting.names import capitals, scenario_name
 from fascicle.reporting.surfaces import heart_views
 from fascicle.study.population import evenly_spread
-from fascicle.torso.variation.conductor import torso_axes
+from fascicle.torso.conductor import torso_axes
+
+
+def marks(
+    scenario: Scenario, values: Mapping[str, float], trees: Sequence[PurkinjeTree], sites: Sites
+) -> list[dict[str, Any]]:
+    """Marks for the viewer: kind (``"paced"`` or ``"blocked"``), text and place (mm).
+
+    `values` are the network's parameters, `trees` those of its beat in the scenario.
+    """
+    network_trees = trees[: len(trees) - len(scenario.trees)]
+    scenario = in_state(scenario, values.get("conduction", 0.0))
+    marked: list[tuple[str, str, Floats]] = []
+    roots = np.array([tree.nodes[tree.root] for tree in network_trees])
+    for primitive in scenario.primitives:
+        if isinstance(primitive, Stimulus):
+            site, place = primitive.site, primitive.position
+            if place is None:
+                assert site is not None
+                place = sites.position(site)
+            marked.append(("paced", site if isinstance(site, str) else "stimulus", np.array(place)))
+        elif isinstance(primitive, His) and primitive.stimulus_time is not None:
+            marked.append(("paced", "His bundle", roots[:2].mean(axis=0)))
+        if not primitive.blocked:
+            continue
+        alone = Scenario((primitive,), scenario.trees)
+        excitation = alone.excitation(network_trees, values.get("root_time", 0.0), values, sites)
+        text = ", ".join(sorted(structure.removeprefix("the ") for structure in primitive.blocked))
+        branches = excitation.his.branches if excitation.his is not None else ()
+        places = [root for root, way in zip(roots, branches, strict=False) if np.isinf(way)]
+        ends = np.cumsum([len(tree.nodes) for tree in excitation.trees])
+        parts = np.split(np.broadcast_to(excitation.speed, ends[-1]), ends[:-1])
+        for tree, speed in zip(excitation.trees, parts, strict=True):
+            # where parts of a tree without conduction begin
+            dead = (speed == 0) & (tree.parents >= 0)
+            begins = dead & ~dead[tree.parents]
+            places += list(tree.nodes[np.unique(tree.parents[begins])])
+        marked += [("blocked", text, place) for place in places]
+    return [
+        {"kind": kind, "text": capitals(text), "place": np.round(place, 1).tolist()}
+        for kind, text, place in marked
+    ]
+
+
+def where(vertex: int, sites: Sites) -> str:
+    """Location of a vertex of the heart in words: the segment, and the side of the septum."""
+    heart, places = sites.heart, sites.places
+    element = int(np.flatnonzero((heart.tetrahedra == vertex).any(axis=1))[0])
+    segment, wall = places.segment[element], places.wall[element]
+    name = SEGMENTS[segment - 1] if segment > 0 else "RV free wall"
+    if wall != Wall.SEPTUM:
+        return name
+    left, right = (
+        np.linalg.norm(e.vertices - heart.vertices[vertex], axis=1).min() for e in heart.endocardia
+    )
+    return f"{name}, {'left' if left < right else 'right'} side of the septum"
+
 
 NONE = 65_535  # marks a missing quantised value; others are lower
 MAPS = (  # over all networks: name in `Predicted.maps`, label, unit, kind

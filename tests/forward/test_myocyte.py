@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fascicle.core.errors import InputError
-from fascicle.forward.cable.cable import duration, max_upstroke, simulate_cell
+from fascicle.forward.cable import duration, max_upstroke, simulate_cell
 from fascicle.kernels.cable import cable_of
 from fascicle.kernels.ten_tusscher import CELLS, C, Row, advance
 

@@ -4,7 +4,7 @@ The torso moves only outside the convex hull of heart and blood. Within, lead fi
 combinations of modes Φ, which are computed from lead fields in some torsos; their energy K depends
 linearly on the conductivity factors of the tissues. The tissue outside the hull adds the energy A
 of the modes' potentials around it, and the current of an electrode drives f into the hull
-(`fascicle.torso.variation.training`). So the coefficients of an electrode's lead field are
+(`fascicle.torso.training`). So the coefficients of an electrode's lead field are
 (K + A)⁻¹f, the Galerkin solution, which is best in the energy of heart and torso.
 
 A and f are smooth functions of eight numbers: pose, size, and the conductivity of the lungs. They
@@ -30,8 +30,8 @@ from fascicle.core.leads import ELECTRODES
 from fascicle.core.parameters import Infeasible
 from fascicle.core.quantities import torso_values
 from fascicle.core.threads import one_thread
+from fascicle.torso.conductor import Morph, SkinMotion, TorsoState
 from fascicle.torso.electrode_sites import Electrode
-from fascicle.torso.variation.conductor import Morph, SkinMotion, TorsoState
 
 # Places (mm) of chest electrodes along the skin, whose triangles have edges of some 11 mm: beyond
 # the 25 mm of one electrode over a chest of 0.85, and upwards also the 40 mm of all together

@@ -8,10 +8,10 @@ import pytest
 
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.forward.cable import template as module
-from fascicle.forward.cable.cable import max_upstroke, simulate_cable
-from fascicle.forward.cable.template import TAPER, CableTemplate, stored_template, template_of
+from fascicle.forward import template as module
+from fascicle.forward.cable import max_upstroke, simulate_cable
 from fascicle.forward.electrocardiogram import bin_response
+from fascicle.forward.template import TAPER, CableTemplate, stored_template, template_of
 from fascicle.kernels.ten_tusscher import CELLS
 
 
@@ -128,7 +128,7 @@ def test_template_is_simulated_once(folder, template):
 def test_key_changes_with_version_and_code(folder, template, monkeypatch, tmp_path):
     cache, made = folder
     stored_template("endocardial")
-    monkeypatch.setattr("fascicle.core.array_cache.version", lambda _: "0.0.0")
+    monkeypatch.setattr("fascicle.core.files.version", lambda _: "0.0.0")
     stored_template("endocardial")
     source = tmp_path / "other.py"
     source.write_text("G_NA = 15.0")
@@ -140,7 +140,7 @@ def test_key_changes_with_version_and_code(folder, template, monkeypatch, tmp_pa
 
 def test_figure_and_table(folder, template):
     """All three cells from the fake simulation, so every row is the same."""
-    from fascicle.reporting.template import template_figure
+    from fascicle.reporting.ecg import template_figure
 
     module.default_template.cache_clear()
     reports = []

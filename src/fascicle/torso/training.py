@@ -24,6 +24,7 @@ from fascicle.core.threads import one_thread
 from fascicle.heart.heart import TorsoTissue
 from fascicle.mesh.measures import triangle_normals, unit
 from fascicle.mesh.topology import without_unused_vertices
+from fascicle.torso.conductor import Conductor, TorsoState
 from fascicle.torso.electrode_sites import Electrode
 from fascicle.torso.lead_fields import (
     MM_PER_CM,
@@ -34,8 +35,7 @@ from fascicle.torso.lead_fields import (
     grounded,
     multigrid,
 )
-from fascicle.torso.variation.conductor import Conductor, TorsoState
-from fascicle.torso.variation.response import (
+from fascicle.torso.response import (
     FIXED,
     LEFT,
     SPACING,

@@ -10,13 +10,12 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from fascicle.core.array_cache import ArrayCache
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.files import user_cache
+from fascicle.core.files import ArrayCache, user_cache
 from fascicle.core.ranges import check_kind
-from fascicle.forward.cable import cable as cable_module
-from fascicle.forward.cable.cable import CableRun, max_upstroke, simulate_cable
+from fascicle.forward import cable as cable_module
+from fascicle.forward.cable import CableRun, max_upstroke, simulate_cable
 from fascicle.kernels import cable as kernels
 from fascicle.kernels import ten_tusscher
 from fascicle.kernels.cable import CellModel
@@ -141,7 +140,7 @@ def cell_action_potential(cell: CellModel, **settings: float) -> CableTemplate:
     cell : CellModel
         The model of the cells.
     **settings
-        Of `fascicle.forward.cable.cable.simulate_cable`: `diffusivity`, `length`, `duration`,
+        Of `fascicle.forward.cable.simulate_cable`: `diffusivity`, `length`, `duration`,
         `spacing`, `step`, `beats`.
 
     Returns

@@ -13,10 +13,10 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
 from fascicle.core.isolated import read_isolated
 from fascicle.mesh.checks import refuse
-from fascicle.mesh.formats.mesh_file import OPENCARP_FORMATS, SOLIDS, TETRAHEDRON, MeshFile, damaged
-from fascicle.mesh.formats.meshio_files import gmsh22_header, read_gmsh22, read_meshio
-from fascicle.mesh.formats.opencarp import read_opencarp_mesh
-from fascicle.mesh.formats.vtk import is_ascii_vtk, read_vtk
+from fascicle.mesh.mesh_file import OPENCARP_FORMATS, SOLIDS, TETRAHEDRON, MeshFile, damaged
+from fascicle.mesh.meshio_files import gmsh22_header, read_gmsh22, read_meshio
+from fascicle.mesh.opencarp import read_opencarp_mesh
+from fascicle.mesh.vtk import is_ascii_vtk, read_vtk
 
 MESH_FORMATS = (".vtk", ".vtu", ".vtp", ".obj", ".stl", ".ply", ".msh", *OPENCARP_FORMATS)
 

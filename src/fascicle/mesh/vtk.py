@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError, one_line
 from fascicle.core.files import write_text
-from fascicle.mesh.formats.mesh_file import LINE, SOLIDS, TETRAHEDRON, TRIANGLE, MeshFile, damaged
+from fascicle.mesh.mesh_file import LINE, SOLIDS, TETRAHEDRON, TRIANGLE, MeshFile, damaged
 
 
 def read_vtk(path: Path) -> MeshFile:

@@ -21,7 +21,7 @@ import numpy as np
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError, one_line
 from fascicle.core.isolated import DAMAGED
-from fascicle.mesh.formats.mesh_file import GROUP, LINE, TETRAHEDRON, TRIANGLE, MeshFile, damaged
+from fascicle.mesh.mesh_file import GROUP, LINE, TETRAHEDRON, TRIANGLE, MeshFile, damaged
 
 # Element types by Gmsh's number: name, number of nodes, and VTK's cell type (None: not read)
 GMSH_ELEMENTS = {

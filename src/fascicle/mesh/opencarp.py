@@ -15,14 +15,7 @@ import numpy as np
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError, printable
 from fascicle.core.files import check_file, write_text
-from fascicle.mesh.formats.mesh_file import (
-    LINE,
-    OPENCARP_FORMATS,
-    TETRAHEDRON,
-    TRIANGLE,
-    MeshFile,
-    damaged,
-)
+from fascicle.mesh.mesh_file import LINE, OPENCARP_FORMATS, TETRAHEDRON, TRIANGLE, MeshFile, damaged
 
 # Names of elements: VTK's number of those that are used here and how many nodes they have, or what
 # the others are

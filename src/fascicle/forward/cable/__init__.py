@@ -1,1 +1,0 @@
-"""Action potentials of cells in a cable, the template of the ECG."""

@@ -1,1 +1,0 @@
-"""Mesh files: VTK, Gmsh, openCARP and PLY."""

@@ -1,1 +1,0 @@
-"""Lead fields as a function of unknown properties of the torso."""
