@@ -31,9 +31,30 @@ settings.load_profile("same")
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep what is cached for a user apart from this one's, and begin with nothing."""
+    """Keep what is cached for a user apart from this one's, and begin with nothing.
+
+    The workers of pytest-xdist share it, so that a heart is prepared once.
+    """
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FASCICLE_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("FASCICLE_CACHE", str(folder / "cache"))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def coarse_pictures() -> Iterator[None]:
+    """Draw figures at a third of their resolution, as a test reads what is in them."""
+    from matplotlib.figure import Figure
+
+    drawn = Figure.savefig
+
+    def savefig(figure: Figure, *arguments: Any, dpi: float = 150, **options: Any) -> None:
+        drawn(figure, *arguments, dpi=dpi / 3, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", savefig)
         yield
 
 
