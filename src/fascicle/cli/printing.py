@@ -162,12 +162,12 @@ def _print_capture(predicted: Mapping[str, Predicted]) -> None:
 
 
 def print_reductions(predicted: Mapping[str, Predicted], against: str) -> None:
-    """Print by how much the scenarios after `against` shorten its total activation time."""
+    """Print by how much the scenarios after `against` shorten or prolong its activation."""
     names = list(predicted)
     print(f"total activation time against {against}:")
     for name in names[names.index(against) + 1 :]:
         reduction = compare(predicted[name], predicted[against], "total_activation_time")
-        print(f"  {name:<30} shortened by {reduction}; P(shorter) = {reduction.probability():.2f}")
+        print(f"  {name:<30} {reduction.change}; P(shorter) = {reduction.probability():.2f}")
 
 
 def print_comparison(predicted: Mapping[str, Predicted], result: Mapping[str, Any]) -> None:

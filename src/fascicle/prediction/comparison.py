@@ -103,6 +103,13 @@ class Comparison:
         middle, low, high = (f"{number:.0f}" for number in numbers)
         return f"{middle} {self.unit} (90 % CrI {low} to {high})"
 
+    @property
+    def change(self) -> str:
+        """Reduction of a duration in words: ``shortened by …``, or ``prolonged by …``."""
+        if self.median >= 0:
+            return f"shortened by {self}"
+        return f"prolonged by {replace(self, reductions=-self.reductions)}"
+
     def variance_explained_by(self, parameters: Mapping[str, Floats]) -> list[tuple[str, float]]:
         """Share of the reduction's variance, in ranks, that each parameter alone explains.
 

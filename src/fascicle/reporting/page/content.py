@@ -80,13 +80,9 @@ def prediction(
     if missing := missing_blocks(name, predicted, against):
         sentence = f"{sentence}. Caution: {missing}"
     beat = "the intrinsic beat" if against == INTRINSIC else scenario_name(against)
-    index = "total_activation_time"
-    reduction = compare(paced, other, index)
-    change = f"shortened by {reduction}"
-    if reduction.median < 0:
-        change = f"prolonged by {compare(other, paced, index)}"
+    reduction = compare(paced, other, "total_activation_time")
     shorter = f"P(shorter) = {reduction.probability():.2f}"
-    return f"{sentence}. Activation {change} compared with {beat}; {shorter}."
+    return f"{sentence}. Activation {reduction.change} compared with {beat}; {shorter}."
 
 
 def learnt(config: StudyConfig) -> list[Row]:
