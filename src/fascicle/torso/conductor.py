@@ -258,7 +258,7 @@ class Conductor:
     def is_possible(self, state: TorsoState) -> bool:
         """True if no tissue between heart and skin is compressed too much, or inverted."""
         least = float(self.morph.determinants(self.motion(state)).min())
-        return least > self.morph.least_compression
+        return least >= self.morph.least_compression
 
     def stiffness(self, state: TorsoState) -> csr_matrix:
         """Stiffness matrix (n, n) (1/kΩ), over the factor on the myocardium's conductivity."""
