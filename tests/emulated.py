@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from fascicle.core.parameters import NETWORK_SPACE
-from fascicle.forward.device.source import source
+from fascicle.forward.device.card import source
 
 HERE = Path(__file__).resolve().parent
 KEPT = Path(tempfile.gettempdir()) / "fascicle-emulated"

@@ -9,7 +9,7 @@ from builders import case
 import fascicle
 from fascicle.cli import main
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, ParameterSpace, free
-from fascicle.forward.device import source as card_module
+from fascicle.forward.device import card as card_module
 from fascicle.forward.device.backend import GpuBackend
 from fascicle.forward.device.batch import Simulator
 from fascicle.forward.primitives import His

@@ -37,6 +37,10 @@ from fascicle.networks.prior_simulations import PriorSimulations
 from fascicle.networks.settings import FitSettings
 from fascicle.pools.pool import Pool, Threads, check_pool
 
+REFINING_NETWORKS = 500  # simulated in a round, at most
+MOST_ROUNDS = 3  # of sampling, simulation and training
+
+
 # What a file holds that was learnt from simulations
 Kind = Literal["emulator", "classifier", "origin"]
 
@@ -150,10 +154,6 @@ def for_simulations(
     if heart.folder is None or not os.access(heart.folder, os.W_OK):
         raise InputError(f"{heart.folder or heart.name}: cannot be written to; copy the heart")
     return heart, heart.folder, count, pool or Threads(workers or os.cpu_count() or 1)
-
-
-REFINING_NETWORKS = 500  # simulated in a round, at most
-MOST_ROUNDS = 3  # of sampling, simulation and training
 
 
 def refined_emulators(

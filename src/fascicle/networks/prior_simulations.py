@@ -43,6 +43,10 @@ from fascicle.pools.pool import Pool
 from fascicle.torso.conductor import SkinMotion, TorsoState, torso_axes
 from fascicle.torso.electrode_sites import Electrode
 
+HELD_OUT = 10  # every tenth network is held out
+BEFORE = 40  # samples (ms) of an ECG that are kept before the first activation
+Arrays = dict[str, NDArray[Any]]
+
 
 def random_bodies(
     model: ForwardModel, rng: np.random.Generator, count: int
@@ -112,11 +116,6 @@ def moved_electrodes(electrodes: Floats, centroid: Floats, state: TorsoState) ->
     placed = electrodes.copy()
     placed[chest] += left[:, None] * np.cross(up, outwards) + lifted[:, None] * up
     return motion(placed)
-
-
-HELD_OUT = 10  # every tenth network is held out
-BEFORE = 40  # samples (ms) of an ECG that are kept before the first activation
-Arrays = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)

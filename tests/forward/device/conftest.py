@@ -13,7 +13,7 @@ def _card():
         cupy.cuda.runtime.getDeviceCount()
     except (ImportError, RuntimeError) as error:
         pytest.skip(f"no NVIDIA card with CuPy ({error})")
-    from fascicle.forward.device.source import Card
+    from fascicle.forward.device.card import Card
 
     return Card("cuda")
 

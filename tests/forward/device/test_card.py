@@ -11,10 +11,10 @@ from test_networks import assert_same
 
 from fascicle.core.errors import InputError
 from fascicle.forward.beat import Beat
-from fascicle.forward.device import source as card_module
+from fascicle.forward.device import card as card_module
 from fascicle.forward.device.backend import GpuBackend
 from fascicle.forward.device.batch import Simulator
-from fascicle.forward.device.source import OPTIONS, THREADS, card_number, source
+from fascicle.forward.device.card import OPTIONS, THREADS, card_number, source
 from fascicle.forward.primitives import InactiveRoot
 from fascicle.forward.scenario import Scenario
 

@@ -15,7 +15,7 @@ from fascicle.core.parameters import Infeasible, complete
 from fascicle.core.quantities import SIDES, Changes, fascicles, quantity
 from fascicle.forward.beat import Beat, Signals
 from fascicle.forward.device.batch import Device, Results, Simulator
-from fascicle.forward.device.source import BEAT, PLAN, Card
+from fascicle.forward.device.card import BEAT, PLAN, Card
 from fascicle.forward.eikonal.activation import Activation
 from fascicle.forward.electrocardiogram import SAMPLE_STEP, leads_from_independent
 from fascicle.forward.model import ForwardModel

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.quantities import SIDES
+from fascicle.forward.device.card import BATCH_FIELDS, HEART_FIELDS, SITE, SIZES, Bytes, structure
 from fascicle.forward.device.packing import packed_heart
-from fascicle.forward.device.source import BATCH_FIELDS, HEART_FIELDS, SITE, SIZES, Bytes, structure
 from fascicle.forward.electrocardiogram import SAMPLE_STEP, Electrocardiograph
 from fascicle.forward.preparation import Prepared
 from fascicle.kernels.arrays import CORNERS

@@ -16,7 +16,7 @@ from fascicle.mesh.topology import TETRAHEDRON_EDGES
 
 
 def packed_heart(prepared: Prepared, electrocardiograph: Electrocardiograph) -> dict[str, Any]:
-    """Numbers and arrays of `fascicle.forward.device.source.HEART_FIELDS`.
+    """Numbers and arrays of `fascicle.forward.device.card.HEART_FIELDS`.
 
     The ECG integral is without tissue that does not conduct.
     """

@@ -32,6 +32,14 @@ from fascicle.reporting.surfaces import heart_views
 from fascicle.study.population import evenly_spread
 from fascicle.torso.conductor import torso_axes
 
+NONE = 65_535  # marks a missing quantised value; others are lower
+MAPS = (  # over all networks: name in `Predicted.maps`, label, unit, kind
+    ("activation_mean", "mean of the networks", "ms", "time"),
+    ("activation_sd", "spread: standard deviation over the networks", "ms", "scalar"),
+    ("probability_latest_fifth", "P(among the latest-activated 20 %)", "1", "scalar"),
+)
+Thinned = tuple[Integers, Integers]  # nodes, and where their parents are: see `_thinned`
+
 
 def marks(
     scenario: Scenario, values: Mapping[str, float], trees: Sequence[PurkinjeTree], sites: Sites
@@ -86,15 +94,6 @@ def where(vertex: int, sites: Sites) -> str:
         np.linalg.norm(e.vertices - heart.vertices[vertex], axis=1).min() for e in heart.endocardia
     )
     return f"{name}, {'left' if left < right else 'right'} side of the septum"
-
-
-NONE = 65_535  # marks a missing quantised value; others are lower
-MAPS = (  # over all networks: name in `Predicted.maps`, label, unit, kind
-    ("activation_mean", "mean of the networks", "ms", "time"),
-    ("activation_sd", "spread: standard deviation over the networks", "ms", "scalar"),
-    ("probability_latest_fifth", "P(among the latest-activated 20 %)", "1", "scalar"),
-)
-Thinned = tuple[Integers, Integers]  # nodes, and where their parents are: see `_thinned`
 
 
 def scene(

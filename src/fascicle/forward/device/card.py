@@ -16,6 +16,12 @@ from fascicle.core.errors import InputError, one_line
 from fascicle.core.ranges import check_text
 from fascicle.kernels.growth import NODE
 
+# No fused multiply-add: every operation rounds as on a processor, so that trees are the same to the
+# last bit.
+OPTIONS = ("-std=c++17", "-fmad=false")
+THREADS = {"grow": 128, "attach": 256, "solve": 512, "electrocardiogram": 512}  # of a block
+
+
 Bytes = NDArray[np.uint8]
 
 # The members of the two structures that every kernel gets. Each takes eight bytes, so that the
@@ -133,12 +139,6 @@ def structure(members: Mapping[str, str], values: Mapping[str, Any]) -> Bytes:
     """A structure as bytes, from numbers and addresses of arrays."""
     kinds = "".join("d" if kind == "double" else "q" for kind in members.values())
     return np.frombuffer(struct.pack(kinds, *(values[member] for member in members)), np.uint8)
-
-
-# No fused multiply-add: every operation rounds as on a processor, so that trees are the same to the
-# last bit.
-OPTIONS = ("-std=c++17", "-fmad=false")
-THREADS = {"grow": 128, "attach": 256, "solve": 512, "electrocardiogram": 512}  # of a block
 
 
 def card_number(name: str) -> int:
