@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+import pickle
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,6 +72,65 @@ def small_posteriors() -> Iterator[None]:
         patch.setattr("fascicle.study.methods.PosteriorFit.least_particles", 200)
         patch.setattr("fascicle.study.methods.PosteriorFit.most_batches", 1)
         patch.setattr("fascicle.networks.prior_simulations.random_bodies", bodies)
+        yield
+
+
+def once(function: Callable[..., Any], arrays: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, which is called once with each content of the `arrays` of its arguments."""
+    found = dict[str, Any]()
+
+    def call(*given: Any) -> Any:
+        from fascicle.heart.heart import digest_of
+
+        key = digest_of(*map(np.asarray, arrays(*given)))
+        if key not in found:
+            found[key] = function(*given)
+        return found[key]
+
+    return call
+
+
+@pytest.fixture(scope="session", autouse=True)
+def hearts_prepared_once(own_cache: None) -> Iterator[None]:
+    """Do what takes seconds once for all copies of a heart, if nothing has changed that it needs.
+
+    Read a packaged heart, see what lies in its cavities and walls, and trace rays in a tissue.
+    """
+    from fascicle.forward.eikonal import build
+    from fascicle.heart import folder, sites
+    from fascicle.heart.heart import digest_of
+    from fascicle.mesh import checks
+
+    packaged = Path(folder.__file__).parents[1] / "data"
+    read, trace = folder.load_heart, build.build_travel_time_table
+    read_packaged = cache(read)
+    tables = Path(os.environ["FASCICLE_CACHE"]) / "tables"
+    tables.mkdir(parents=True, exist_ok=True)
+
+    def load_heart(path: Path | str) -> Heart:
+        known = isinstance(path, Path) and path.is_relative_to(packaged)
+        return read_packaged(path) if known else read(path)
+
+    def traced(mesh: Any, surface: Any, owner: Any, triangles: Any, *options: Any) -> Any:
+        if len(mesh.corners) < 20_000 or len(options) > 1:
+            return trace(mesh, surface, owner, triangles, *options)
+        rays = mesh.vertices, mesh.corners, mesh.cells, mesh.neighbours, np.array(mesh.slowness)
+        kept = tables / digest_of(*rays, surface, owner, triangles)
+        if not kept.exists():
+            part = kept.with_suffix(f".{os.getpid()}")
+            part.write_bytes(pickle.dumps(trace(mesh, surface, owner, triangles, *options)))
+            part.rename(kept)
+        return pickle.loads(kept.read_bytes())
+
+    def parts(space: Any, mesh: Any) -> Any:
+        return mesh.vertices, mesh.tetrahedra, mesh.triangles, mesh.labels
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(folder, "load_heart", load_heart)
+        wound = once(checks.winding_number, lambda *arrays: arrays)
+        patch.setattr(checks, "winding_number", wound)
+        patch.setattr(sites, "wall_potentials", once(sites.wall_potentials, parts))
+        patch.setattr(build, "build_travel_time_table", traced)
         yield
 
 
