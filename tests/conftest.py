@@ -134,6 +134,18 @@ def hearts_prepared_once(own_cache: None) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="module")
+def plain_tissue() -> Iterator[None]:
+    """Networks of posteriors in the plain tissue alone: each other one takes ten seconds."""
+
+    def first(averaged: Any, points: Any) -> Any:
+        return np.zeros(len(points), np.intp)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fascicle.networks.prior.AveragedOver.tissue", first)
+        yield
+
+
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
     """Folder of real recordings and hearts; tests that need it skip where it is missing."""

@@ -48,6 +48,9 @@ NETWORK = HUMAN_SPACE.from_unit(np.full(len(HUMAN_SPACE), 0.5)) | {
 SETTINGS = {"prior_simulations": 100, "effective": 20, "workers": 2, "progress": None}
 
 
+pytestmark = pytest.mark.usefixtures("plain_tissue")
+
+
 @pytest.fixture(scope="module")
 def target(default_model):
     return recorded(default_model.simulate(NETWORK | {"conduction": BLOCK}))
@@ -75,6 +78,11 @@ def test_a_block_is_recognised(fitted):
     summary = json.loads((fitted.folder / "summary.json").read_text())
     assert summary["evaluations"] >= 20
     assert summary["conduction_states"] == dict(fitted.population.states)
+    alone = fascicle.load_study(fitted.folder / "states" / "left-bundle-branch-block", None)
+    assert alone.simulator.prior.fixed == {"conduction": 1.0}
+    delays = alone.population.values["interventricular_delay"]
+    assert ((delays >= TOGETHER[0]) & (delays <= TOGETHER[1])).all()
+    assert not alone.simulator.prior.mapped
 
 
 @pytest.mark.slow
@@ -90,14 +98,6 @@ def test_a_study_is_read_back_and_fitted_again_as_it_is(fitted, target):
         fascicle.fit(
             "default", target, fitted.folder, parameters={"conduction": "free"}, **SETTINGS
         )
-
-
-def test_the_study_of_a_state_is_one_of_its_own(fitted):
-    alone = fascicle.load_study(fitted.folder / "states" / "left-bundle-branch-block", None)
-    assert alone.simulator.prior.fixed == {"conduction": 1.0}
-    delays = alone.population.values["interventricular_delay"]
-    assert ((delays >= TOGETHER[0]) & (delays <= TOGETHER[1])).all()
-    assert not alone.simulator.prior.mapped
 
 
 def test_predictions_keep_the_block(fitted):
@@ -133,20 +133,20 @@ def test_the_settings_file_of_the_report_repeats_it(fitted, target, tmp_path):
     ("parameters", "mapped"),
     [
         ({}, False),
-        ({"conduction": "normal"}, True),
         ({"conduction": "normal", "lv_fascicles": 2, "rv_fascicles": 3}, True),
         ({"conduction": "right bundle branch delay", "fibre_speed": 0.5}, False),
         ({"conduction": "left anterior fascicular block"}, False),
-        ({"root_time": -60.0}, False),
     ],
 )
-def test_a_settings_file_gives_the_same_study(target, tmp_path, parameters, mapped):
+def test_a_settings_file_gives_the_same_study(target, tmp_path, default_heart, parameters, mapped):
     """Of one state as well, of which there is nothing to fix if it is normal."""
-    first = read_inputs("default", target, parameters, checked_settings({})).config
+    first = read_inputs(default_heart, target, parameters, checked_settings({})).config
     assert first.mapped == mapped
     (tmp_path / "settings.toml").write_text("\n".join(settings_file(first)))
     read = read_settings(tmp_path / "settings.toml")
-    again = read_inputs("default", target, read.pop("parameters"), checked_settings(read)).config
+    again = read_inputs(
+        default_heart, target, read.pop("parameters"), checked_settings(read)
+    ).config
     assert {p.name: p for p in again.space} == {p.name: p for p in first.space}
     unordered = {"space": (), "workers": 1}
     assert again.model_copy(update=unordered) == first.model_copy(update=unordered)
@@ -165,6 +165,13 @@ def test_what_is_said(fitted):
     paced = replace(one, target=replace(one.target, earliest_onset=one.target.qrs_onset))
     said = Statements(replace(fitted, recordings=(paced,))).warnings
     assert [w.kind for w in said if "the recorded beats are paced" in w.text] == ["paced"]
+    states = {BLOCK: 0.6, "left bundle branch delay": 0.3, "normal": 0.1, "other": 0.001}
+    population = replace(fitted.population, states=states)
+    assert Statements(replace(fitted, population=population)).states == (
+        "left bundle branch block: 0.60, left bundle branch delay: 0.30, normal or fascicular "
+        "block: 0.10, others below 0.02 (block and delay of the left bundle branch give much the "
+        "same ECG)"
+    )
 
 
 @pytest.mark.slow
@@ -178,20 +185,12 @@ def test_the_states_are_drawn_and_not_if_none_is_named(fitted):
     assert "states" not in drawings(poor, networks)
 
 
-def test_what_the_ecg_cannot_tell_apart_is_said(fitted):
-    states = {BLOCK: 0.6, "left bundle branch delay": 0.3, "normal": 0.1, "other": 0.001}
-    population = replace(fitted.population, states=states)
-    assert Statements(replace(fitted, population=population)).states == (
-        "left bundle branch block: 0.60, left bundle branch delay: 0.30, normal or fascicular "
-        "block: 0.10, others below 0.02 (block and delay of the left bundle branch give much the "
-        "same ECG)"
-    )
-
-
 @pytest.mark.slow
-def test_states_are_learnt_of_one_intrinsic_beat_unless_something_speaks_against_it(target):
+def test_states_are_learnt_of_one_intrinsic_beat_unless_something_speaks_against_it(
+    target, default_heart
+):
     def learnt(target, parameters, **more):
-        given = read_inputs("default", target, parameters, checked_settings({}), **more)
+        given = read_inputs(default_heart, target, parameters, checked_settings({}), **more)
         return given.config.states
 
     assert [*learnt(target, {})] == [*learnt(target, {"cv": 2.5})] == [s.name for s in told_apart()]
@@ -204,31 +203,31 @@ def test_states_are_learnt_of_one_intrinsic_beat_unless_something_speaks_against
     assert learnt(replace(target, earliest_onset=target.qrs_onset), {}) == {}
 
 
-def of_one_state(target, parameters):
-    config = read_inputs("default", target, parameters, checked_settings({})).config
-    return config, {p.name: (p.lower, p.upper) for p in config.space}
-
-
-def test_normal_alone_is_activated_as_mapped_hearts_are(target):
+def test_normal_alone_is_activated_as_mapped_hearts_are(default_heart, target):
     """Unless root times are asked for, of which mapped hearts say nothing."""
     normal = {"conduction": "normal"}
-    config, ranges = of_one_state(target, normal)
+
+    def of(parameters):
+        config = read_inputs(default_heart, target, parameters, checked_settings({})).config
+        return config, {p.name: (p.lower, p.upper) for p in config.space}
+
+    config, ranges = of(normal)
     assert ranges["interventricular_delay"] == TOGETHER
     assert (config.fixed, config.states, config.mapped) == ({}, {}, True)
-    config, ranges = of_one_state(target, normal | {"root_time": "free"})
+    config, ranges = of(normal | {"root_time": "free"})
     assert ranges["root_time"] == (-20.0, 20.0)
     assert "interventricular_delay" not in ranges
     assert not config.mapped
-    config, ranges = of_one_state(target, normal | {"interventricular_delay": 5.0})
+    config, ranges = of(normal | {"interventricular_delay": 5.0})
     assert config.fixed == {"interventricular_delay": 5.0}
     assert config.mapped
     with pytest.raises(InputError, match="the ranges exclude what was asked"):
-        of_one_state(target, normal | {"interventricular_delay": 30.0})
-    assert not of_one_state(target, {"conduction": "right bundle branch delay"})[0].mapped
-    assert not of_one_state(target, {"interventricular_delay": "free"})[0].mapped
+        of(normal | {"interventricular_delay": 30.0})
+    assert not of({"conduction": "right bundle branch delay"})[0].mapped
+    assert not of({"interventricular_delay": "free"})[0].mapped
 
 
-def test_the_packaged_heart_brings_the_emulators_of_all_states(default_model, tmp_path):
+def test_states_have_simulations_and_emulators_of_their_own(default_model, tmp_path):
     """Also where a quantity is fixed; else this would simulate thousands of networks."""
     prior = Prior.of("posterior", {"cv": 2.5}, default_model.heart)
     for state in told_apart():
@@ -239,6 +238,29 @@ def test_the_packaged_heart_brings_the_emulators_of_all_states(default_model, tm
         emulator = emulator_of(simulations, 8000, Threads(1))
         assert emulator.report["r_squared"] > 0.6
     assert not [*tmp_path.iterdir()]
+    # Those of the usual priors, where they are of what is asked for.
+    prior = usual_prior(default_model.heart)
+    known = simulations_of_states(default_model, prior, tmp_path, 2000)
+    assert [*known] == [state.name for state in told_apart()]
+    usual = {name: each.simulations.content for name, each in known.items()}
+    assert len({*usual.values()}) == len(told_apart())
+    delays = {}
+    for name, each in known.items():
+        its = each.simulations.prior
+        (delay,) = (p for p in its.learnt.parameters if p.name == "interventricular_delay")
+        delays[name] = delay.lower, delay.upper
+        assert its.fixed == CONDUCTION_STATES[name].blocks
+        assert its.mapped == (name == "normal")
+        assert each.count == (2000 if name == "normal" else 1000)  # of which many are left out
+    assert delays.pop("left bundle branch delay") == (-40.0, -5.0)
+    assert delays.pop("right bundle branch delay") == (15.0, 40.0)
+    assert {*delays.values()} == {TOGETHER}
+    first, *others = prior.space.parameters
+    for upper, same in ((first.upper - 5, True), (first.upper + 10, False)):
+        asked = replace(prior, space=ParameterSpace((replace(first, upper=upper), *others)))
+        found = simulations_of_states(default_model, asked, tmp_path, 2000)
+        for name, content in usual.items():
+            assert (found[name].simulations.content == content) == same
 
 
 @pytest.mark.slow
@@ -368,33 +390,7 @@ def test_probabilities_are_of_priors_and_the_classifier():
     assert sum(even.apportioned(150)) == 150
 
 
-def test_states_have_simulations_of_their_own(default_model, tmp_path):
-    """Those of the usual priors, where they are of what is asked for."""
-    prior = usual_prior(default_model.heart)
-    known = simulations_of_states(default_model, prior, tmp_path, 2000)
-    assert [*known] == [state.name for state in told_apart()]
-    usual = {name: each.simulations.content for name, each in known.items()}
-    assert len({*usual.values()}) == len(told_apart())
-    delays = {}
-    for name, each in known.items():
-        its = each.simulations.prior
-        (delay,) = (p for p in its.learnt.parameters if p.name == "interventricular_delay")
-        delays[name] = delay.lower, delay.upper
-        assert its.fixed == CONDUCTION_STATES[name].blocks
-        assert its.mapped == (name == "normal")
-        assert each.count == (2000 if name == "normal" else 1000)  # of which many are left out
-    assert delays.pop("left bundle branch delay") == (-40.0, -5.0)
-    assert delays.pop("right bundle branch delay") == (15.0, 40.0)
-    assert {*delays.values()} == {TOGETHER}
-    first, *others = prior.space.parameters
-    for upper, same in ((first.upper - 5, True), (first.upper + 10, False)):
-        asked = replace(prior, space=ParameterSpace((replace(first, upper=upper), *others)))
-        found = simulations_of_states(default_model, asked, tmp_path, 2000)
-        for name, content in usual.items():
-            assert (found[name].simulations.content == content) == same
-
-
-def test_states_of_a_recording_without_a_fit(target, default_model):
+def test_states_of_a_recording_without_a_fit_and_of_noise(target, default_model):
     found = state_probabilities("default", target, progress=None)
     assert not isinstance(found, NoStateNamed)
     assert next(iter(found)) == "normal or fascicular block"
@@ -414,10 +410,7 @@ def test_states_of_a_recording_without_a_fit(target, default_model):
     assert isinstance(wide, Beat)
     right = state_probabilities("default", recorded(wide), progress=None)
     assert sum(right[f"right bundle branch {how}"] for how in ("block", "delay")) > 0.5
-
-
-def test_no_state_is_named_of_noise(target):
-    """It says what the classifier says all the same, and that this cannot be relied on."""
+    # It says what the classifier says all the same, and that this cannot be relied on.
     noise = smooth_noise(np.random.default_rng(3), target.beats.shape[1:], 0.5)
     limb = limb_leads_from(INDEPENDENT_LEADS)
     noise[:6] = limb[:, :2] @ noise[:2]

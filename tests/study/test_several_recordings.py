@@ -54,18 +54,25 @@ def both(default_model, intrinsic):
     return [recorded(intrinsic), (recorded(beat, 1), paced)]
 
 
-def test_scenarios_are_kept_as_text(tmp_path):
+def test_recordings_are_kept(tmp_path, both):
     path = tmp_path / "scenario.toml"
     path.write_text(scenario_text(EVERYTHING))
     assert read_scenario(path) == (EVERYTHING, ())
+    path.unlink()
+    given = given_recordings(both)
+    write_recordings(tmp_path, given)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "target.nc", "target-2.nc", "scenario-2.toml",
+    }  # fmt: skip
+    again = read_recordings(tmp_path, 2)
+    assert [*map(digests, again)] == [*map(digests, given)]
+    assert digests(given[0])[1] == ""
+    assert len({digest for one in given for digest in digests(one)}) == 4
 
 
-def test_a_scenario_of_the_library_is_given_by_its_name(both):
+def test_scenarios_by_name_and_recordings_that_are_refused(both, intrinsic, tmp_path):
     (found,) = given_recordings((both[0], "rv-apical-pacing"))
     assert found[1] == read_scenario(find_scenario("rv-apical-pacing"))[0]
-
-
-def test_recordings_that_are_refused(both, intrinsic, tmp_path):
     path = tmp_path / "scar.toml"
     path.write_text("[[region]]\nconductivity = 0.0\nlabel = 1\n")
     for given, message in (
@@ -77,18 +84,6 @@ def test_recordings_that_are_refused(both, intrinsic, tmp_path):
             given_recordings(given)
     with pytest.raises(InputError, match=r"rv\.toml: has trees of its own"):
         scenario_text(case(trees=((intrinsic.trees[0], 0.0),), source="rv.toml"))
-
-
-def test_recordings_are_kept(both, tmp_path):
-    given = given_recordings(both)
-    write_recordings(tmp_path, given)
-    assert {path.name for path in tmp_path.iterdir()} == {
-        "target.nc", "target-2.nc", "scenario-2.toml",
-    }  # fmt: skip
-    again = read_recordings(tmp_path, 2)
-    assert [*map(digests, again)] == [*map(digests, given)]
-    assert digests(given[0])[1] == ""
-    assert len({digest for one in given for digest in digests(one)}) == 4
 
 
 def test_fits_that_are_refused_before_anything_is_written(both, tmp_path):
@@ -141,6 +136,7 @@ def test_likelihoods_and_losses_add_up(default_model, both):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("plain_tissue")
 def test_a_fit_of_two_recordings(both, tmp_path):
     folder = tmp_path / "study"
     fitted = fascicle.fit("default", both, folder, **SMALL)
