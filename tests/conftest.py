@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -245,3 +246,25 @@ def browser() -> Iterator[Any]:
         opened = running.chromium.launch(executable_path=chromium, args=[*webgl, "--no-sandbox"])
         yield opened
         opened.close()
+
+
+@pytest.fixture
+def visit(browser: Any) -> Iterator[Any]:
+    """Open pages; in the end none complained, or asked for anything elsewhere."""
+    said, asked, contexts = list[str](), list[str](), []
+
+    def open_page(url: str, **options: Any) -> Any:
+        contexts.append(browser.new_context(**options))
+        page = contexts[-1].new_page()
+        page.on("console", lambda message: said.append(message.text))
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(url)
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert said == []
+    here = re.compile(r"(http|ws)://127\.0\.0\.1|about:|blob:|data:|file:")
+    assert [address for address in asked if not here.match(address)] == []

@@ -49,13 +49,10 @@ def test_a_widget_answers_as_its_session(session):
     assert asked(made, message) == session.answer(message)
 
 
-def test_a_cell_shows_the_heart(session, browser):
+def test_a_cell_shows_the_heart(session, visit):
     pytest.importorskip("anywidget")
     made = widget(session)
-    page = browser.new_page()
-    said = []
-    page.on("console", lambda message: said.append(message.text))
-    page.on("pageerror", lambda error: said.append(str(error)))
+    page = visit("about:blank")
     page.expose_function("kernel", lambda m: base64.b64encode(asked(made, m)).decode())
     page.evaluate(CELL, str(made._esm))
     page.locator(".fx-measured dd").first.wait_for()
@@ -63,8 +60,6 @@ def test_a_cell_shows_the_heart(session, browser):
     assert page.locator(".fx-measured dd").first.inner_text() == (
         f"{expected.global_qrs_duration:.0f} ms"
     )
-    assert said == []
-    page.close()
 
 
 def test_a_kernel_gets_a_widget_and_a_script_a_page(session, monkeypatch):
@@ -78,13 +73,10 @@ def test_a_kernel_gets_a_widget_and_a_script_a_page(session, monkeypatch):
     assert fascicle.explore("default") == ("widget", session)
 
 
-def test_a_notebook_without_anywidget_is_told(session, monkeypatch):
+def test_without_anywidget_or_a_browser_it_says_so(session, monkeypatch):
     monkeypatch.setattr(explore_module, "find_spec", lambda name: None)
     with pytest.raises(fascicle.InputError, match="pip install anywidget"):
         widget(session)
-
-
-def test_a_machine_without_a_browser_is_told_the_address(monkeypatch):
     monkeypatch.setattr("webbrowser.open", lambda url: False)
     with pytest.warns(UserWarning, match="open http://127.0.0.1:1/x/"):
         in_browser("http://127.0.0.1:1/x/")
