@@ -10,84 +10,82 @@ import time
 import urllib.error
 import urllib.request
 from pathlib import Path
+from queue import Queue
+from threading import Thread
 
 import numpy as np
 import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from fascicle.explorer.explore import serve
 from fascicle.explorer.session import Session, packed
 from fascicle.reporting.page.page import _file
 
 
-class Server:
-    """`fascicle explore` in a process of its own."""
+class Process:
+    """A command in a process of its own, which prints the address of its page."""
 
-    def __init__(self, *arguments, command=None):
-        # as a terminal would: a shell's background job ignores Ctrl-C
-        explore = [sys.executable, "-m", "fascicle.cli", "explore", *arguments, "--no-browser"]
-        command = command or explore
+    def __init__(self, *command):
         self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            [sys.executable, *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            # as a terminal would: a shell's background job ignores Ctrl-C
             preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
         )  # fmt: skip
-        line = self.process.stdout.readline()
-        self.url = re.search(r"http://\S+", line)[0]
-        self.port = self.url.split(":")[2].split("/")[0]
-        self.origin = f"http://127.0.0.1:{self.port}"
+        self.url = re.search(r"http://\S+", self.process.stdout.readline())[0]
 
     def ended(self):
         """Its exit status, and what it said on standard error."""
-        return self.process.wait(120), self.process.stderr.read()
+        said = self.process.communicate(timeout=120)[1]
+        return self.process.returncode, said
 
 
 @pytest.fixture
-def server():
-    made = Server("default")
+def process():
+    made = Process("-m", "fascicle.cli", "explore", "default", "--no-browser")
     yield made
-    if made.process.poll() is None:
-        made.process.kill()
+    made.process.kill()
     made.process.communicate()
 
 
+def served(session):
+    """A thread that serves a session, and the address of its page."""
+    urls = Queue()
+    thread = Thread(target=serve, args=(session,), kwargs={"opened": urls.put}, daemon=True)
+    thread.start()
+    return thread, urls.get(timeout=60)
+
+
 @pytest.fixture(scope="module")
-def lasting():
-    """Address of a server that does not end with a test's page, as another one is open."""
-    made = Server("default")
-    with connect(f"{made.url.replace('http', 'ws')}socket", origin=made.origin, max_size=None):
-        yield made.url
-    status, said = made.ended()
-    assert status == 0
-    assert "Traceback" not in said
+def session(default_model):
+    return Session(default_model)
+
+
+@pytest.fixture(scope="module")
+def url(session):
+    """Address of a page that is served until the module's end, as another page is open."""
+    thread, url = served(session)
+    own = url[: url.index("/", 8)]
+    with connect(f"{url.replace('http', 'ws')}socket", origin=own, max_size=None):
+        yield url
+    thread.join(60)
+    assert not thread.is_alive()
 
 
 @pytest.fixture
-def page(lasting, visit):
-    return visit(lasting)
-
-
-@pytest.fixture
-def visit(browser):
-    """Open pages; in the end none complained, or asked for anything elsewhere."""
-    said, asked, contexts = [], [], []
-
+def explore(visit):
     def open_page(url):
         # the policy of the page forbids what the test's own questions need
-        context = browser.new_context(bypass_csp=True, viewport={"width": 1300, "height": 1000})
-        contexts.append(context)
-        page = context.new_page()
-        page.on("console", lambda message: said.append(message.text))
-        page.on("pageerror", lambda error: said.append(str(error)))
-        page.on("request", lambda request: asked.append(request.url))
-        page.goto(url)
+        page = visit(url, bypass_csp=True, viewport={"width": 1000, "height": 700})
         answered(page, 1)
         return page
 
-    yield open_page
-    for context in contexts:
-        context.close()
-    assert said == []
-    assert [u for u in asked if not re.match(r"(http|ws)://127\.0\.0\.1|data:|blob:", u)] == []
+    return open_page
+
+
+@pytest.fixture
+def page(url, explore):
+    return explore(url)
 
 
 def answered(page, count):
@@ -138,6 +136,23 @@ def test_a_slider_gives_the_ecg_that_simulate_gives(page, default_model):
     assert f"{expected.global_qrs_duration:.0f} ms" in text
     change(page, lambda: page.keyboard.press("Control+z"))
     assert shown(page)["leads"] == before["leads"]
+    slide_to = "e => { e.value = 30; e.dispatchEvent(new Event('input')) }"
+    page.get_by_label("time after the first").evaluate(slide_to)
+    assert page.evaluate("explorer.ecg.time") == 30
+    page.get_by_label("time in the ECG").press("ArrowRight")
+    assert page.evaluate("explorer.time") == 31
+
+
+def test_what_was_found_is_saved(page, tmp_path):
+    kept = []
+    page.on("download", lambda each: kept.append(each))
+    page.get_by_role("button", name="save parameters").click()
+    page.wait_for_timeout(500)
+    assert {each.suggested_filename for each in kept} == {"parameters.toml", "scenario.toml"}
+    with page.expect_download() as picture:
+        page.get_by_role("button", name="picture").click()
+    picture.value.save_as(tmp_path / "heart.png")
+    assert (tmp_path / "heart.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_clicks_pace_and_block_and_undo_takes_them_back(page):
@@ -172,27 +187,6 @@ def test_states_and_pacings_are_chosen_and_compared_with_a_pinned_beat(page):
     assert shown(page)["state"]["values"]["conduction"] == 1  # stays blocked
     change(page, lambda: page.get_by_role("button", name="start again").click())
     assert shown(page)["said"] == sinus | {"id": shown(page)["said"]["id"]}
-
-
-def test_heart_and_ecg_have_one_cursor(page):
-    page.get_by_label("time after the first").evaluate(
-        "e => { e.value = 30; e.dispatchEvent(new Event('input')) }"
-    )
-    assert page.evaluate("explorer.ecg.time") == 30
-    page.get_by_label("time in the ECG").press("ArrowRight")
-    assert page.evaluate("explorer.time") == 31
-
-
-def test_what_was_found_is_saved(page, tmp_path):
-    kept = []
-    page.on("download", lambda each: kept.append(each))
-    page.get_by_role("button", name="save parameters").click()
-    page.wait_for_timeout(500)
-    assert {each.suggested_filename for each in kept} == {"parameters.toml", "scenario.toml"}
-    with page.expect_download() as picture:
-        page.get_by_role("button", name="picture").click()
-    picture.value.save_as(tmp_path / "heart.png")
-    assert (tmp_path / "heart.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_every_exercise_can_be_begun(page):
@@ -270,8 +264,8 @@ def test_an_electrode_is_dragged(torso_model, browser):
     page.close()
 
 
-def test_two_pages_and_the_server_ends_with_the_last(server, visit):
-    one, other = visit(server.url), visit(server.url)
+def test_two_pages_and_the_server_ends_with_the_last(process, explore):
+    one, other = explore(process.url), explore(process.url)
     change(one, lambda: slide(one, "cv", 2.0))
     assert total(one) != total(other)
     one.close()
@@ -279,18 +273,21 @@ def test_two_pages_and_the_server_ends_with_the_last(server, visit):
     other.reload()
     answered(other, 1)
     other.close()
-    assert server.ended() == (0, "")
+    assert process.ended() == (0, "")
 
 
-def test_a_page_says_that_its_server_has_gone(server, visit):
-    page = visit(server.url)
-    server.process.kill()
+def test_ctrl_c_ends_it_and_its_page_says_so(process, explore):
+    page = explore(process.url)
+    process.process.send_signal(signal.SIGINT)
     page.get_by_role("alert").wait_for()
     assert "fascicle explore" in page.get_by_role("alert").inner_text()
+    status, said = process.ended()
+    assert status == 130
+    assert "Traceback" not in said
 
 
 class Slow(Session):
-    """A session whose answers take ten minutes, longer than `Server.ended` waits."""
+    """A session whose answers take ten minutes, longer than a test waits."""
 
     def answer(self, message, report=None):
         for k in range(6000):
@@ -309,38 +306,42 @@ serve(Slow(fascicle.ForwardModel("default")), opened=lambda url: print(url, flus
 """
 
 
-@pytest.mark.parametrize("interrupted", [False, True])
-def test_it_ends_at_once_while_it_computes(browser, interrupted):
-    script = SCRIPT.format(folder=str(Path(__file__).parent))
-    server = Server(command=[sys.executable, "-c", script])
+def begun(browser, url):
+    """A page whose answer is being computed."""
     page = browser.new_page()
-    page.goto(server.url)
+    page.goto(url)
     page.get_by_text("step 5").wait_for()
-    if interrupted:
-        server.process.send_signal(signal.SIGINT)
+    return page
+
+
+def test_it_ends_at_once_while_it_computes(browser, default_model, capfd):
+    thread, url = served(Slow(default_model))
+    begun(browser, url).close()
+    thread.join(60)
+    assert not thread.is_alive()
+    assert capfd.readouterr().err == ""
+
+
+def test_ctrl_c_ends_it_while_it_computes(browser):
+    process = Process("-c", SCRIPT.format(folder=str(Path(__file__).parent)))
+    page = begun(browser, process.url)
+    process.process.send_signal(signal.SIGINT)
     page.close()
-    status, said = server.ended()
+    _, said = process.ended()
     assert "ASGI" not in said
     assert "running task" not in said
-    assert interrupted or (status == 0 and "Traceback" not in said)
 
 
-def test_ctrl_c_ends_it(server):
-    server.process.send_signal(signal.SIGINT)
-    status, said = server.ended()
-    assert status == 130
-    assert "Traceback" not in said
-
-
-def test_nobody_else_gets_in(server):
-    port, own = server.port, server.origin
-    socket = server.url.replace("http", "ws") + "socket"
-    for url in (f"{own}/", f"{own}/other/", f"{own}/other/viewer.js", f"{server.url}../x"):
+def test_nobody_else_gets_in(url):
+    own = url[: url.index("/", 8)]
+    socket = url.replace("http", "ws") + "socket"
+    for other in (f"{own}/", f"{own}/other/", f"{own}/other/viewer.js", f"{url}../x"):
         with pytest.raises(urllib.error.HTTPError, match="404"):
-            urllib.request.urlopen(url)
-    stranger = urllib.request.Request(server.url, headers={"Host": "example.org"})
+            urllib.request.urlopen(other)
+    stranger = urllib.request.Request(url, headers={"Host": "example.org"})
     with pytest.raises(urllib.error.HTTPError, match="404"):
         urllib.request.urlopen(stranger)
+    port = own.rpartition(":")[2]
     for origin in (None, "http://example.org", f"http://example.org:{port}", "null"):
         with pytest.raises(InvalidStatus, match="403"), connect(socket, origin=origin):
             pass
@@ -350,8 +351,10 @@ def test_nobody_else_gets_in(server):
         assert b"missing parameters" in page.recv()
 
 
-def test_a_port_that_is_taken_is_said(server):
-    command = [sys.executable, "-m", "fascicle.cli", "explore", "default", "--port", server.port]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert ended.returncode == 2
-    assert f"port {server.port}" in ended.stderr.splitlines()[-1]
+def test_a_port_that_is_taken_is_said(session, url, monkeypatch, capsys):
+    from tests.cli.conftest import exit_status  # the script above cannot import it
+
+    monkeypatch.setattr("fascicle.explorer.explore.session_of", lambda *given: session)
+    port = url[: url.index("/", 8)].rpartition(":")[2]
+    assert exit_status("explore", "default", "--port", port) == 2
+    assert f"port {port}" in capsys.readouterr().err.splitlines()[-1]
