@@ -25,34 +25,39 @@ from fascicle.core import isolated
 from fascicle.core.errors import InputError
 from fascicle.mesh.read import read_mesh
 from fascicle.recording.readers.read import read_recording
-try:
-    eval(sys.argv[1])(sys.argv[2])
-    message = ""
-except InputError as error:
-    message = str(error)
-isolated.end_child()
-# not RUSAGE_SELF, which on Linux holds what the parent took before this program began
-own = next(line for line in open("/proc/self/status") if line.startswith("VmHWM:")).split()[1]
-peak = max(int(own), resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
-print(json.dumps([message, peak / 2**20]))
+for function, path in zip(sys.argv[1::2], sys.argv[2::2]):
+    try:
+        eval(function)(path)
+        message = ""
+    except InputError as error:
+        message = str(error)
+    isolated.end_child()
+    # not RUSAGE_SELF, which on Linux holds what the parent took before this program began
+    own = next(line for line in open("/proc/self/status") if line.startswith("VmHWM:")).split()[1]
+    peak = max(int(own), resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+    print(json.dumps([message, peak / 2**20]))
 """
 
 
-def refused(function, path):
-    """The message with which a file is refused by a process that stays small."""
+def refused(function, *paths):
+    """The messages with which files are refused by a process that stays small."""
+    arguments = [each for path in paths for each in (function, str(path))]
     done = subprocess.run(
-        [sys.executable, "-c", READ, function, str(path)],
+        [sys.executable, "-c", READ, *arguments],
         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
         capture_output=True,
         text=True,
         check=True,
     )
-    message, peak = json.loads(done.stdout)
-    assert message.startswith(f"{path}: ")
-    assert message.isprintable()
-    assert peak < MOST
     assert not done.stderr
-    return message
+    messages = []
+    for path, line in zip(paths, done.stdout.splitlines(), strict=True):
+        message, peak = json.loads(line)
+        assert message.startswith(f"{path}: ")
+        assert message.isprintable()
+        assert peak < MOST
+        messages.append(message)
+    return messages
 
 
 def zeros(total, size=2**22):
@@ -80,25 +85,17 @@ def vtu(points, positions, form):
     )
 
 
-def test_mesh_that_states_more_points_than_it_can_hold(tmp_path):
-    path = tmp_path / "a.vtu"
-    path.write_text(vtu(9_000_000_000_000, "0 0 0", "ascii"))
-    assert "takes more than 1.5 GB of memory, the limit for a file of" in refused("read_mesh", path)
-
-
-def test_mesh_that_unpacks_to_more_than_it_may(tmp_path):
-    path = tmp_path / "a.vtu"
+def test_meshes_that_state_or_unpack_to_more_than_they_may(tmp_path):
+    states, unpacks, legacy = (tmp_path / name for name in ("a.vtu", "b.vtu", "c.vtk"))
+    states.write_text(vtu(9_000_000_000_000, "0 0 0", "ascii"))
     points = 2**27
-    path.write_text(vtu(points, zeros(24 * points), "binary"))
-    assert path.stat().st_size < 5 * 2**20
-    assert "GB of memory, the limit for a file of" in refused("read_mesh", path)
-
-
-def test_legacy_mesh_that_states_more_points_than_it_can_hold(tmp_path):
-    path = tmp_path / "a.vtk"
+    unpacks.write_text(vtu(points, zeros(24 * points), "binary"))
+    assert unpacks.stat().st_size < 5 * 2**20
     head = "# vtk DataFile Version 3.0\na\nBINARY\nDATASET UNSTRUCTURED_GRID\n"
-    path.write_text(f"{head}POINTS 900000000000 double\n" + "0" * 100)
-    refused("read_mesh", path)
+    legacy.write_text(f"{head}POINTS 900000000000 double\n" + "0" * 100)
+    one, other, _ = refused("read_mesh", states, unpacks, legacy)
+    assert "takes more than 1.5 GB of memory, the limit for a file of" in one
+    assert "GB of memory, the limit for a file of" in other
 
 
 def test_recording_that_unpacks_to_more_than_it_may(tmp_path):
@@ -114,7 +111,7 @@ def test_recording_that_unpacks_to_more_than_it_may(tmp_path):
     block = packer.compress(bytes(2**20)) + packer.flush(zlib.Z_FULL_FLUSH)
     packed = head + block * (8 * samples // 2**20)
     path.write_bytes(content[:128] + struct.pack("<2I", 15, len(packed)) + packed)
-    assert "unpack" in refused("read_recording", path)
+    assert "unpack" in refused("read_recording", path)[0]
 
 
 def nrrd_header(sizes):
@@ -124,18 +121,15 @@ def nrrd_header(sizes):
     ).encode()
 
 
-def test_segmentation_that_unpacks_to_more_than_it_states(tmp_path):
-    path = tmp_path / "a.nrrd"
+def test_segmentations_that_hold_more_or_less_than_they_state(tmp_path):
+    more, less, least = (tmp_path / f"{name}.nrrd" for name in "abc")
     packer = zlib.compressobj(wbits=31)
     head = packer.compress(bytes(2**24)) + packer.flush(zlib.Z_FULL_FLUSH)
     block = packer.compress(bytes(2**24)) + packer.flush(zlib.Z_FULL_FLUSH)
-    path.write_bytes(nrrd_header("256 256 256") + head + block * 200)
+    more.write_bytes(nrrd_header("256 256 256") + head + block * 200)
+    for path, sizes in ((less, "1024 512 512"), (least, "1024 1024 1024")):
+        path.write_bytes(nrrd_header(sizes) + gzip.compress(bytes(2**24)))
+    said, *others = refused("read_segmentation", more, less, least)
     # of memory, or on a slow machine of computing
-    assert "the limit for a file of" in refused("read_segmentation", path)
-
-
-@pytest.mark.parametrize("sizes", ["1024 512 512", "1024 1024 1024"])
-def test_segmentation_that_holds_less_than_it_states(tmp_path, sizes):
-    path = tmp_path / "a.nrrd"
-    path.write_bytes(nrrd_header(sizes) + gzip.compress(bytes(2**24)))
-    assert "damaged, truncated or mislabelled" in refused("read_segmentation", path)
+    assert "the limit for a file of" in said
+    assert all("damaged, truncated or mislabelled" in other for other in others)
