@@ -1,7 +1,5 @@
 """Surfaces and activations, on the block, where it is known what every view shows."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import matplotlib
@@ -73,7 +71,7 @@ def drawn(block, colour="red"):
     return axes, view
 
 
-def test_a_surface_is_where_its_view_puts_it(block, pixels):
+def test_a_surface_is_where_its_view_puts_it_and_faces_the_eye(block, pixels):
     """Just within the corners of its outline it is painted, just outside it is not."""
     axes, view = drawn(block)
     screen = view.project(block.vertices)[:, :2]
@@ -83,10 +81,7 @@ def test_a_surface_is_where_its_view_puts_it(block, pixels):
     outside = pixels(axes, middle + 1.02 * (corners - middle))
     assert (inside[:, 1:] < 0.1).all()
     assert (outside == 1.0).all()
-
-
-def test_only_what_faces_the_eye_is_seen(block, pixels):
-    """Turned inside out, the block shows its inner walls, not the near face."""
+    # Turned inside out, the block shows its inner walls, not the near face.
     view = heart_views(block)["anterior"]
     middle = view.project(block.vertices.mean(axis=0)[None])[:, :2]
     axes = new_figure(3, 3).subplots()
@@ -107,18 +102,6 @@ def test_where_nothing_renders_the_panel_says_so(block, monkeypatch):
     assert "neither EGL nor OSMesa" in axes.texts[0].get_text()
 
 
-def test_a_fresh_process_without_a_display_renders_and_says_nothing():
-    program = (
-        "from fascicle.heart.folder import load_heart;"
-        "from fascicle.reporting.activation import *; heart = load_heart('default');"
-        "f = activation_figure(heart, [ActivationRow('', heart.vertices[:, 0])], 'ms');"
-        "assert f.axes[0].images"
-    )
-    clean = {"PATH": "/usr/bin:/bin", "HOME": "/tmp", "PYTHONPATH": ":".join(sys.path)}
-    ended = subprocess.run([sys.executable, "-c", program], env=clean, capture_output=True)
-    assert (ended.returncode, ended.stderr) == (0, b"")
-
-
 def tree_in(endocardium):
     lengths = np.array([0.0, CELL, CELL, CELL])
     parents = np.array([-1, 0, 1, 1])
@@ -131,7 +114,7 @@ def rows(heart):
     return [ActivationRow("before", activation, trees), ActivationRow("after", activation + 37)]
 
 
-def test_rows_share_one_scale_of_round_isochrones(block):
+def test_rows_share_one_scale_with_the_trees_in_their_cavities(block, pixels):
     figure = activation_figure(block, rows(block))
     *panels, bar = figure.axes
     assert len(panels) == 2 * (len(VIEWS) + 2)
@@ -149,6 +132,11 @@ def test_rows_share_one_scale_of_round_isochrones(block):
     assert [axes.get_title() for axes in panels[:6]] == [
         *VIEWS, "LV Purkinje network", "RV Purkinje network",
     ]  # fmt: skip
+    axes = next(a for a in figure.axes if a.get_title() == "LV Purkinje network")
+    coloured = [c for c in axes.collections if c.get_array() is not None]
+    assert sorted(np.concatenate([c.get_array() for c in coloured])) == [10.0, 30.0, 45.0]
+    centre = heart_views(block)["LV side"].project(block.lv.vertices.mean(axis=0)[None])[:, :2]
+    assert pixels(axes, centre).min() < 0.99  # the wall is behind them
 
 
 def test_surface_has_the_colours_of_its_times(block, pixels):
@@ -175,15 +163,6 @@ def test_what_is_never_reached_is_grey_and_no_time_at_all_refused(block, pixels)
     assert np.ptp(pixels(figure.axes[1], place)) < 0.02
     with pytest.raises(InputError, match="ever activated"):
         spread_figure(block, {"none": np.full_like(activation, np.inf)})
-
-
-def test_tree_segments_carry_their_node_times_and_stay_in_their_cavity(block, pixels):
-    figure = activation_figure(block, rows(block))
-    axes = next(a for a in figure.axes if a.get_title() == "LV Purkinje network")
-    coloured = [c for c in axes.collections if c.get_array() is not None]
-    assert sorted(np.concatenate([c.get_array() for c in coloured])) == [10.0, 30.0, 45.0]
-    centre = heart_views(block)["LV side"].project(block.lv.vertices.mean(axis=0)[None])[:, :2]
-    assert pixels(axes, centre).min() < 0.99  # the wall is behind them
 
 
 def test_times_since_the_first_activation_are_those_of_tissue_and_trees(block):

@@ -1,8 +1,6 @@
 """A study survives interruption and refuses to be mixed with another."""
 
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -147,12 +145,17 @@ def test_every_fit_but_the_first_starts_warm(tmp_path, monkeypatch):
     assert [start for start, _ in starts[1:]] == [end for _, end in starts[:-1]]
 
 
-def test_finished_study_evaluates_nothing_new(copied, uninterrupted):
+def test_finished_study_evaluates_nothing_new_and_refuses_another_model(copied, uninterrupted):
     reopened, again = Study.open(copied), Counting()
     assert summary(reopened, reopened.run(again)) == uninterrupted
     stored = {record.evaluation.point.tobytes() for record in reopened.records()}
     assert len(again.points) == Study.checked
     assert {*again.points} <= stored
+    before = {path.name: path.read_bytes() for path in copied.iterdir()}
+    study = Study.create_or_resume(copied, make_config(steps=8))
+    with pytest.raises(InputError, match=r"another forward model .* then, 3 mV² now.*\(out\)"):
+        study.run(lambda points: [Evaluation(p, 3.0, 3 + NOISE) for p in points])
+    assert {path.name: path.read_bytes() for path in copied.iterdir()} == before
 
 
 def test_batches_are_repeatable(tmp_path):
@@ -198,7 +201,15 @@ def test_other_settings_are_refused(tmp_path, change, message):
     assert len(str(caught.value)) < 300 + len(str(tmp_path))
 
 
-def test_an_infinite_delay_is_read_back(tmp_path):
+def test_configurations_are_read_back_and_foreign_folders_refused(tmp_path):
+    (tmp_path / "thesis.tex").write_text("x")
+    with pytest.raises(InputError, match="not a study"):
+        Study.create_or_resume(tmp_path, make_config())
+    with pytest.raises(InputError, match=r"no study\.json"):
+        Study.open(tmp_path)
+    with pytest.raises(InputError, match=r"thesis.tex: .*\(out\)"):
+        Study.create_or_resume(tmp_path / "thesis.tex", make_config())
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
     config = make_config(fixed={"anterograde_delay": np.inf})
     Study.create_or_resume(tmp_path / "s", config)
     assert Study.create_or_resume(tmp_path / "s", config).config == config
@@ -231,25 +242,6 @@ def test_more_workers_go_on(tmp_path):
     stages = [record.stage for record in study.records()]
     assert stages.count("optimisation") == 5
     assert study.steps(Stage.OPTIMISATION) == 5  # single ones, whatever the workers
-
-
-def test_another_forward_model_is_refused_and_changes_nothing(copied):
-    before = {path.name: path.read_bytes() for path in copied.iterdir()}
-    study = Study.create_or_resume(copied, make_config(steps=8))
-    with pytest.raises(InputError, match=r"another forward model .* then, 3 mV² now.*\(out\)"):
-        study.run(lambda points: [Evaluation(p, 3.0, 3 + NOISE) for p in points])
-    assert {path.name: path.read_bytes() for path in copied.iterdir()} == before
-
-
-def test_foreign_folders_are_refused(tmp_path):
-    (tmp_path / "thesis.tex").write_text("x")
-    with pytest.raises(InputError, match="not a study"):
-        Study.create_or_resume(tmp_path, make_config())
-    with pytest.raises(InputError, match=r"no study\.json"):
-        Study.open(tmp_path)
-    with pytest.raises(InputError, match=r"thesis.tex: .*\(out\)"):
-        Study.create_or_resume(tmp_path / "thesis.tex", make_config())
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
 @pytest.mark.parametrize(
@@ -309,13 +301,6 @@ def test_the_paper_comes_short_where_beats_hardly_vary(tmp_path):
     assert len(population) < 4
     assert study.steps(Stage.REJECTION) == 2
     assert {r.stage for r in study.records()} == {"initial", "optimisation", "rejection"}
-
-
-def test_importing_the_study_loads_no_surrogate():
-    heavy = "('scipy.stats', 'fascicle.inference.gaussian_process')"
-    code = f"import sys, fascicle.study.study; print([m for m in {heavy} if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
 
 
 def test_a_posterior_names_the_constants_of_its_likelihood(default_heart, monkeypatch):
