@@ -34,7 +34,7 @@ from fascicle.networks.prior_simulations import BEFORE, Examples, PriorSimulatio
 from fascicle.networks.simulator import PointSimulator
 from fascicle.pools.pool import Threads
 
-PART, COUNT = 40, 70
+PART, COUNT = 20, 35
 
 
 class Counting(Threads):
@@ -60,7 +60,7 @@ def small():
         patch.setattr(PriorSimulations, "torsos", 2)
         patch.setattr(PriorSimulations, "seed", 1)  # torsos not at the far end of their prior
         patch.setattr(tested, "random_bodies", random_bodies)
-        patch.setattr(heart_emulator, "learn", partial(learn, epochs=1, fewest=20))
+        patch.setattr(heart_emulator, "learn", partial(learn, epochs=1, fewest=10))
         patch.setattr("fascicle.networks.prior.TISSUES", ({}, {"anisotropy_ratio": 2.0}))
         yield
 
@@ -102,7 +102,7 @@ def test_examples_are_simulations_of_their_points(prior, model):
     assert len(parameters) == len(examples.points) == len(examples.feasible) == 2 * PART
     assert_array_equal(examples.kept, examples.feasible)  # the prior is not that of mapped hearts
     numbers = np.cumsum(examples.feasible) - 1
-    for k in (0, 9, 50, 79):
+    for k in (0, 9, 25, 39):
         found = model.simulate(parameters[k])
         assert isinstance(found, Beat) == examples.feasible[k]
         if examples.feasible[k]:
@@ -136,7 +136,7 @@ def test_parameters_are_those_asked_for(model, tmp_path):
 
 
 def test_interrupted_it_goes_on_to_the_same_bits(prior, model, tmp_path):
-    again, pool = prior_in(tmp_path, model), Counting(PART + 20)
+    again, pool = prior_in(tmp_path, model), Counting(PART + 10)
     with pytest.raises(KeyboardInterrupt):
         again.simulate(COUNT, pool)
     assert [each is None for each in parts(again)] == [False, True]
