@@ -25,7 +25,7 @@ def panel(figure, lead):
     return figure.axes[[axes.texts[0].get_text() for axes in figure.axes].index(lead)]
 
 
-def test_lines_are_means_and_bands_run_from_minimum_to_maximum():
+def test_leads_have_means_and_ranges_in_the_clinical_columns():
     beats, networks = ecgs(4), ecgs(6, seed=1)
     figure = figure_of(networks, beats)
     for index, lead in enumerate(LEADS):
@@ -38,9 +38,6 @@ def test_lines_are_means_and_bands_run_from_minimum_to_maximum():
         np.testing.assert_array_equal(times, TIME)
         np.testing.assert_allclose(low, networks[:, index].min(axis=0))
         np.testing.assert_allclose(high, networks[:, index].max(axis=0))
-
-
-def test_leads_stand_in_the_clinical_columns():
     figure = figure_of(ecgs(2))
     figure.draw_without_rendering()
     columns = [("I", "II", "III"), ("aVR", "aVL", "aVF"), ("V1", "V2", "V3"), ("V4", "V5", "V6")]
@@ -96,16 +93,13 @@ def test_additional_leads_have_panels_after_the_twelve(more, grid):
     assert len(panel(figure, leads[-1]).collections) == 1
 
 
-def test_an_ecg_that_ended_leaves_the_mean_to_the_others():
+def test_ecgs_that_ended_and_a_single_beat():
     networks = ecgs(3)
     networks[0, :, 100:] = np.nan
     networks[:, :, -1] = np.nan
     line = panel(figure_of(networks), "I").lines[0].get_ydata()
     np.testing.assert_allclose(line[110], networks[1:, 0, 110].mean())
     assert np.isnan(line[-1])
-
-
-def test_single_beat_has_a_line_and_no_band():
     figure = figure_of(ecgs(5), ecgs(1))
     assert len(panel(figure, "V1").collections) == 1
     assert figure.legends[0].get_texts()[0].get_text() == "recorded (1 beat)"

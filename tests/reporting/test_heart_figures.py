@@ -44,7 +44,7 @@ def shown(axes, label):
     return area, np.flatnonzero(alike.any(axis=0)).mean() / alike.shape[1] if area else np.nan
 
 
-def test_areas_and_names_are_in_the_legend(surface):
+def test_areas_are_in_the_legend_and_each_view_shows_what_faces_it(surface):
     assert label_areas(surface) == pytest.approx(AREAS)
     figure = labels_figure(surface)
     assert [axes.get_title() for axes in figure.axes] == [
@@ -55,10 +55,7 @@ def test_areas_and_names_are_in_the_legend(surface):
         "base\n6.0 cm²", "epicardium\n44.0 cm²", "LV endocardium\n9.0 cm²",
         "RV endocardium\n7.0 cm²",
     ]  # fmt: skip
-
-
-def test_each_view_shows_what_faces_it(surface):
-    """The long axis leans from the left well's opening to a corner of its floor."""
+    # The long axis leans from the left well's opening to a corner of its floor.
     front, back, base, cast = labels_figure(surface).axes
     lean = 20 / np.hypot(20, np.hypot(5, 5))
     assert shown(base, Label.BASE)[0] == pytest.approx(6 * lean, rel=0.05)
@@ -80,7 +77,7 @@ def checked(default_heart):
     return check_figure(default_heart, check_heart(default_heart, charts))
 
 
-def test_the_page_on_a_heart_names_what_it_shows(checked):
+def test_the_page_on_a_heart_names_what_it_shows_with_what_room_there_is(checked):
     assert [axes.get_title() for axes in checked.axes] == [
         "endocardia and bundles (front)", "fibres, epicardium", "fibres, endocardia, front half",
         "torso, from the front", "torso, from the left", "fibre angles: median and IQR",
@@ -94,9 +91,6 @@ def test_the_page_on_a_heart_names_what_it_shows(checked):
     assert thickness.get_xlabel() == "wall thickness (mm)"
     names = [text.get_text() for text in thickness.get_legend().get_texts()]
     assert [name.split(":")[0] for name in names] == ["LV free wall", "septum", "RV free wall"]
-
-
-def test_the_heart_has_what_room_there_is(checked):
     checked.canvas.draw()
     upper, lower = checked.axes[:3], checked.axes[3:]
     inch = checked.dpi

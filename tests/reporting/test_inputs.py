@@ -80,9 +80,6 @@ def test_what_is_learnt_is_not_fixed_as_well(made, default_heart):
     called = [name for name, _, _ in held(fitted)]
     assert ("conductivity of the lungs" in called) == (default_heart.torso is not None)
     assert ("conductivity of the unbounded conductor" in called) == (default_heart.torso is None)
-
-
-def test_a_speed_that_stands_for_alpha_leaves_no_alpha(made):
     for fixed, other in (("fibre_speed", "alpha"), ("alpha", "fibre_speed")):
         fitted = made({fixed: 0.07})
         names = [name for _, name, _ in (*held(fitted), *learnt(fitted.study.config))]
@@ -90,11 +87,21 @@ def test_a_speed_that_stands_for_alpha_leaves_no_alpha(made):
         assert other not in names
 
 
-def test_recordings_by_name(made):
+def test_the_report_s_command_makes_the_page_again(made, tmp_path):
     target = SimpleNamespace(provenance={"source": "/tmp/a.hea", "beats_used": "9"})
     assert dict(recordings(made({}, target))) == {
         "recording": "/tmp/a.hea", "target": "beats_used: 9",
     }  # fmt: skip
+    # With the file of a scenario of one's own, and names with spaces in quotes.
+    path = tmp_path / "my case.toml"
+    path.write_text("inactive_root = [{tree = 'rv'}]\n")
+    found = {
+        name: SimpleNamespace(scenario=scenario)
+        for name, scenario in with_intrinsic_beat(read_scenarios(["his-pacing", path])).items()
+    }
+    words = report_words(SimpleNamespace(folder=tmp_path / "S"), found, "my case")
+    assert words[:5] == ["fascicle", "report", str(tmp_path / "S"), "--scenario", "his-pacing"]
+    assert words[5:] == ["--scenario", str(path), "--against", "my case"]
 
 
 def test_the_target_s_command_makes_it_again(tmp_path, monkeypatch):
@@ -123,29 +130,23 @@ def test_the_target_s_command_makes_it_again(tmp_path, monkeypatch):
     [
         ({}, {}),
         (
-            {"lv_fascicles": 3, "alpha": 0.071234567891, "repulsion": "free", "pose": "free"},
+            {
+                "lv_fascicles": 3, "repulsion": "free", "pose": "free",
+                "alpha": {"prior": "log-normal", "median": 0.07, "sd": 0.2},
+                "root_time": {"lower": -120.0, "upper": 0.0}, "anterograde_delay": np.inf,
+            },
             {"effective": 40, "gain_sd": 0.0, "seed": 7, "fewest_junctions": 20},
         ),
         (
             {
-                "alpha": {"prior": "log-normal", "median": 0.07, "sd": 0.2},
-                "root_time": {"lower": -120.0, "upper": 0.0},
-                "anterograde_delay": float("inf"),
-            },
-            {},
-        ),
-        (
-            {
-                "lv_fascicles": 2,
-                "lv_fascicle_angle_2": "free",
-                "rv_source": "free",
-                "interventricular_delay": {"lower": 3.0, "upper": 12.0},
+                "lv_fascicles": 2, "lv_fascicle_angle_2": "free", "rv_source": "free",
+                "alpha": 0.071234567891, "interventricular_delay": {"lower": 3.0, "upper": 12.0},
             },
             {},
         ),
         ({"cv": 2.5}, {"method": "paper", "leads": "8", "steps": 10, "free_gain": True}),
     ],
-)
+)  # fmt: skip
 def test_the_fit_s_command_gives_the_same_study(
     made, monkeypatch, tmp_path, default_heart, parameters, given
 ):
@@ -181,16 +182,3 @@ def test_commands_say_that_growth_rules_came_from_python(made, changed):
     fitted.study.config = fitted.study.config.model_copy(update=changed)
     said = commands(fitted, {}, "intrinsic")[0]
     assert said.startswith("# The networks grew by rules given in Python (rules=, growth term")
-
-
-def test_the_report_s_command_makes_the_page_again(tmp_path):
-    """With the file of a scenario of one's own, and names with spaces in quotes."""
-    path = tmp_path / "my case.toml"
-    path.write_text("inactive_root = [{tree = 'rv'}]\n")
-    found = {
-        name: SimpleNamespace(scenario=scenario)
-        for name, scenario in with_intrinsic_beat(read_scenarios(["his-pacing", path])).items()
-    }
-    words = report_words(SimpleNamespace(folder=tmp_path / "S"), found, "my case")
-    assert words[:5] == ["fascicle", "report", str(tmp_path / "S"), "--scenario", "his-pacing"]
-    assert words[5:] == ["--scenario", str(path), "--against", "my case"]

@@ -105,7 +105,7 @@ def test_every_figure_calls_a_parameter_the_same():
         assert [" ".join(axes.get_xlabel().split()) for axes in row] == expected
 
 
-@pytest.mark.parametrize("count", [1, 3, len(NETWORK_SPACE)])
+@pytest.mark.parametrize("count", [1, len(NETWORK_SPACE)])
 def test_names_and_legend_hide_nothing(count):
     space = ParameterSpace(NETWORK_SPACE.parameters[:count])
     values = {p.name: p.from_unit(np.linspace(0.1, 0.9, 20)) for p in space.parameters}

@@ -75,7 +75,7 @@ def test_bulls_eye_has_each_segment_in_its_place():
     assert np.hypot(*at(1)) > np.hypot(*at(7)) > np.hypot(*at(13)) > np.hypot(*at(17))
 
 
-def test_a_swept_delay_has_its_median():
+def test_swept_delays_and_segments_have_their_medians():
     found = {float(d): with_indices([d, d + 1.0, d + 5.0]) for d in (-10, 0, 10)}
     (axes,) = sweep_figure(Swept(Varied.DELAY, found, {}), "total_activation_time", "pacing").axes
     (line,) = axes.lines
@@ -83,9 +83,6 @@ def test_a_swept_delay_has_its_median():
     np.testing.assert_array_equal(line.get_ydata(), [-9, 1, 11])
     assert axes.get_ylabel() == "total activation time (ms)"
     assert axes.get_xlabel() == Varied.DELAY
-
-
-def test_a_swept_segment_has_the_size_of_its_delay():
     found = {float(k): with_indices([-k] * 3) for k in range(1, 18)}
     figure = sweep_figure(Swept(Varied.SEGMENT, found, {}), "lv_rv_delay", "pacing")
     numbers = {text.get_text() for text in figure.axes[0].texts if text.get_text().isdigit()}
