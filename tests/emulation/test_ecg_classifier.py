@@ -36,7 +36,7 @@ def normal(rng, means, count):
 @pytest.fixture(scope="module")
 def classifier():
     rng, means = np.random.default_rng(0), (-1.0, 0.0, 2.0)
-    return learn(normal(rng, means, 20_000), normal(rng, means, 2000), ROWS, rng, steps=1500)
+    return learn(normal(rng, means, 10_000), normal(rng, means, 2000), ROWS, rng, steps=800)
 
 
 def test_probabilities_are_those_of_bayes(classifier):
@@ -47,9 +47,6 @@ def test_probabilities_are_those_of_bayes(classifier):
     density = np.exp(-0.5 * (values[:, None] - np.array([-1.0, 0.0, 2.0])) ** 2)
     exact = density / density.sum(axis=1, keepdims=True)
     np.testing.assert_allclose(classifier.of_cosines(recordings), exact, atol=0.06)
-
-
-def test_how_often_it_is_right_is_of_held_out_recordings(classifier):
     # of the best possible one: cuts at -0.5 and 1
     assert classifier.accuracy == pytest.approx((0.691 + 0.533 + 0.841) / 3, abs=0.02)
 
@@ -139,9 +136,6 @@ def test_recordings_have_other_gains_places_and_discrepancies(recorder):
     size = np.sqrt((ecgs[0] ** 2).mean() * LENGTH / 99)
     shares = still.std() / np.sqrt(LENGTH / COSINES) / size
     assert 0.2 < shares < 0.35  # root mean square of 10 to 40 %, in spread gains
-
-
-def test_each_ecg_is_taken_as_often(recorder):
     ecgs = pulses(7)
     count = recorder.chunk + 3
     recordings, chosen = recorder.recordings(ecgs, ROWS, count, np.random.default_rng(4))
@@ -149,14 +143,11 @@ def test_each_ecg_is_taken_as_often(recorder):
     assert np.ptp(np.bincount(chosen, minlength=7)) <= 1
 
 
-def test_other_leads_are_those_of_the_potentials():
+def test_other_leads_and_what_is_most_alike():
     leads = in_leads(np.array([2, 5, 6]))  # III, aVF, V1
     np.testing.assert_allclose(leads[0, :2], [-1, 1])
     np.testing.assert_allclose(leads[1, :2], [-0.5, 1], atol=1e-6)
     np.testing.assert_allclose(leads[2], np.eye(8)[2])
-
-
-def test_what_is_most_alike_whatever_its_size():
     rng = np.random.default_rng(5)
     reference = rng.normal(0, 1, (30, 8, COSINES))
     found = most_alike(3 * reference[4:6], reference)

@@ -184,10 +184,8 @@ def test_what_is_stored_is_what_was_learnt(emulator, examples):
     one, other = (emulated_ecgs(each, examples.points[:50])[0] for each in emulator)
     assert np.abs(one - other).max() < 0.02 * np.abs(other).max()  # weights of half precision
     assert stored.report == found.report
-    first, second = (
-        learn(examples, PRIOR, 2.5, np.random.default_rng(1), epochs=1) for _ in range(2)
-    )
-    for one, other in ((stored, EcgEmulator.from_arrays(stored.arrays())), (first, second)):
+    again = learn(examples, PRIOR, 2.5, np.random.default_rng(0))
+    for one, other in ((stored, EcgEmulator.from_arrays(stored.arrays())), (found, again)):
         for name, array in one.arrays().items():
             assert_array_equal(other.arrays()[name], array)
 
@@ -313,10 +311,7 @@ def test_likelihoods_are_those_of_emulated_ecgs(emulator, target):
         found = EmulatedLikelihood(SIMULATOR, emulator[0], each)(points)
         assert found == pytest.approx(expected, rel=1e-4, abs=0.02)
     assert np.ptp(expected) > 20
-
-
-def test_the_likelihood_knows_what_the_emulator_does_not_say(emulator, target):
-    """In proportion to the QRS; the cosines keep most of it."""
+    # In proportion to the QRS; the cosines keep most of it.
     for louder in (1.0, 2.0):
         given = replace(target, beats=louder * target.beats)
         energy = (given.qrs[list(INDEPENDENT_ROWS)] ** 2).sum()

@@ -22,7 +22,7 @@ def test_equal_sets_have_distance_zero_and_far_ones_one():
         assert total_variation(a, b) == pytest.approx(1.0, abs=1e-4)
 
 
-@pytest.mark.parametrize("gap", [0.1, 0.5, 1.0, 2.5])
+@pytest.mark.parametrize("gap", [0.1, 2.5])
 def test_two_normal_densities(gap):
     a = ErrorDensity(np.full(4, 9.0), 0.5)
     b = ErrorDensity(np.full(3, 9.0 + gap), 0.5)
@@ -48,7 +48,7 @@ def test_density_equals_scikit_learn():
     np.testing.assert_allclose(q(grid), np.exp(reference.score_samples(grid[:, None])), rtol=1e-9)
 
 
-@pytest.mark.parametrize("n", [3, 12, 40])
+@pytest.mark.parametrize("n", [3, 20])
 def test_bandwidth_equals_scikit_learn(n):
     errors = np.random.default_rng(n).gamma(2, 3, n)
     trials = errors.std(ddof=1) * np.geomspace(0.05, 2.0, 30)

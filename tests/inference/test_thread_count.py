@@ -43,7 +43,7 @@ def test_proposals_do_not_depend_on_the_threads():
     assert one == two == three
 
 
-def test_chunks_cover_everything_once():
+def test_chunks_cover_everything_once_on_one_thread():
     seen = np.zeros(1003)
 
     def work(part):
@@ -53,6 +53,9 @@ def test_chunks_cover_everything_once():
     with threadpool_limits(2, user_api="blas"):
         in_chunks(work, 1003, 100)
     assert (seen == 1).all()
+    with threadpool_limits(2, user_api="blas"):
+        assert one_thread(blas_threads)() == 1
+        assert blas_threads() == 2
 
 
 def test_no_points_give_no_predictions():
@@ -60,9 +63,3 @@ def test_no_points_give_no_predictions():
     gp = ExponentialGP.condition(points, points.sum(1), Hyperparameters((1.0,) * 3, 1.0, 1e-3))
     assert [len(answer) for answer in gp.predict(np.empty((0, 3)))] == [0, 0]
     assert [len(answer) for answer in gp.mean_many(np.empty((0, 3)))] == [0, 0]
-
-
-def test_one_thread_is_undone():
-    with threadpool_limits(2, user_api="blas"):
-        assert one_thread(blas_threads)() == 1
-        assert blas_threads() == 2
