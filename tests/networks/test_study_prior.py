@@ -24,10 +24,7 @@ def test_default_priors(default_heart):
         assert sum(name.startswith("lv_fascicle_length") for name in space.names) == lv
         assert sum(name.startswith("rv_fascicle_angle") for name in space.names) == rv
         assert fixed == {}
-
-
-def test_a_posterior_has_the_speed_of_fibres_too_unless_it_is_known(default_heart):
-    """Or fixed, by either of its names."""
+    # Or fixed, by either of its names.
     without = tuple(name for name in HUMAN_SPACE.names if name != "fibre_speed")
     for wanted, heart in (
         ({"alpha": 0.08}, default_heart),
@@ -59,16 +56,13 @@ def test_what_stands_for_another_is_learnt_in_its_place(default_heart, method, n
     assert fixed == {}
 
 
-def test_what_is_free_has_its_usual_prior(default_heart):
+def test_what_is_said_of_a_quantity_counts(default_heart):
     """That of human anatomy where the method has one; else the declared one."""
     wanted = {"interventricular_delay": "free", "fibre_speed": "free", "lv_initial_length": "free"}
     assert study_space("posterior", wanted, default_heart)[0] == HUMAN_SPACE
     paper, _ = study_space("paper", {"fibre_speed": "free"}, default_heart)
     (speed,) = (p for p in paper.parameters if p.name == "fibre_speed")
     assert (speed.lower, speed.upper) == (0.5, 1.5)
-
-
-def test_what_is_said_of_a_quantity_counts(default_heart):
     wanted = {
         "cv": np.float32(2.5),
         "root_time": {"lower": -120.0, "upper": 0.0},

@@ -60,6 +60,16 @@ def test_truth_is_explained_to_the_noise(default_model, target, points):
     assert best.loss == pytest.approx(12 * NOISE**2 / 5, rel=0.1)
     np.testing.assert_allclose(best.beat_errors, 12 * NOISE**2, rtol=0.15)
     assert min(e.loss for e in others if e.feasible) > 10 * best.loss
+    # Ten repetitions with noise σ: each misses the truth by about 12·σ², always the same.
+    mean = target.mean[None]
+    single = replace(target, beats=mean, noise=0.05)
+    (first,) = evaluated(default_model, single, points[:1])
+    (again,) = evaluated(default_model, single, points[:1])
+    assert len(first.beat_errors) == 10
+    np.testing.assert_array_equal(first.beat_errors, again.beat_errors)
+    assert first.beat_errors.mean() == pytest.approx(12 * 0.05**2, rel=0.2)
+    assert 0.02 < first.beat_errors.std() / first.beat_errors.mean() < 0.3
+    assert first.loss == pytest.approx(12 * NOISE**2 / 5, rel=0.1)
 
 
 def test_networks_that_were_evaluated_are_not_simulated_again(
@@ -93,7 +103,7 @@ def test_what_is_no_network_is_a_typed_evaluation(
     assert outcome.beat_errors.size == 0
 
 
-def test_free_gain_forgives_the_amplitude_only(default_model, target, points):
+def test_gains_and_the_independent_leads(default_model, target, points):
     half = Target(0.5 * target.beats, target.time, target.qrs_onset, target.qrs_offset, 60.0)
     point = points[0]
     (fixed,) = evaluated(default_model, half, [point])
@@ -103,6 +113,18 @@ def test_free_gain_forgives_the_amplitude_only(default_model, target, points):
     leads = default_model.simulate(NETWORK_SPACE.from_unit(point)).leads
     comparison = TargetComparison(half, free_gain=True)
     assert comparison.align(leads).gain == pytest.approx(0.5, abs=0.01)
+    # A fixed gain is that of the simulation; eight leads say what twelve do.
+    plain = TargetComparison(target)
+    loud = PointSimulator(default_model, Prior(NETWORK_SPACE, {"gain": 2.0}))
+    network = next(networks(loud, plain, [NETWORK_SPACE.from_unit(points[0])]))
+    assert network.parameters["gain"] == 2.0
+    (found,) = evaluate(loud, [plain], points[:1])
+    assert found.loss == pytest.approx(plain.null_loss, rel=0.05)
+    eight = replace(plain, independent_leads=True)
+    assert eight.compared.tolist() == [True, True, False, False, False, False] + [True] * 6
+    assert 0 < eight.null_loss < plain.null_loss
+    (found,) = evaluated(default_model, target, points[:1], independent_leads=True)
+    assert found.loss == pytest.approx(8 * NOISE**2 / 5, rel=0.15)
 
 
 def test_unused_leads_do_not_count(default_model, target, points):
@@ -158,34 +180,6 @@ def test_additional_leads_count_like_the_twelve(
     both = TargetComparison(of_both.in_leads(more.leads))
     assert both.compared.tolist() == [True] * 13 + [False]
     assert both(points[1], signals[1]).loss > plain(points[1], signals[1]).loss
-
-
-def test_single_beat_varies_by_its_stated_noise(default_model, target, points):
-    """Ten repetitions with noise σ: each misses the truth by about 12·σ², always the same."""
-    mean = target.mean[None]
-    single = replace(target, beats=mean, noise=0.05)
-    (first,) = evaluated(default_model, single, points[:1])
-    (again,) = evaluated(default_model, single, points[:1])
-    assert len(first.beat_errors) == 10
-    np.testing.assert_array_equal(first.beat_errors, again.beat_errors)
-    assert first.beat_errors.mean() == pytest.approx(12 * 0.05**2, rel=0.2)
-    assert 0.02 < first.beat_errors.std() / first.beat_errors.mean() < 0.3
-    assert first.loss == pytest.approx(12 * NOISE**2 / 5, rel=0.1)
-
-
-def test_fixed_quantities_and_the_independent_leads(default_model, target, points):
-    """A fixed gain is that of the simulation; eight leads say what twelve do."""
-    plain = TargetComparison(target)
-    loud = PointSimulator(default_model, Prior(NETWORK_SPACE, {"gain": 2.0}))
-    network = next(networks(loud, plain, [NETWORK_SPACE.from_unit(points[0])]))
-    assert network.parameters["gain"] == 2.0
-    (found,) = evaluate(loud, [plain], points[:1])
-    assert found.loss == pytest.approx(plain.null_loss, rel=0.05)
-    eight = replace(plain, independent_leads=True)
-    assert eight.compared.tolist() == [True, True, False, False, False, False] + [True] * 6
-    assert 0 < eight.null_loss < plain.null_loss
-    (found,) = evaluated(default_model, target, points[:1], independent_leads=True)
-    assert found.loss == pytest.approx(8 * NOISE**2 / 5, rel=0.15)
 
 
 def test_a_network_lies_under_the_recorded_qrs(default_model, target, points):

@@ -14,20 +14,10 @@ FORK = multiprocessing.get_context("fork")  # starts at once, with all that is i
 def killed_at_random(
     work: Callable[[Path], object], parent: Path, kills: int, longest: float, seed: int
 ) -> list[Path]:
-    """Folders of studies that were killed again and again, and then finished.
+    """Folders, in `parent`, of studies that were killed again and again, and then finished.
 
-    Parameters
-    ----------
-    work : callable
-        Does what is left of the study in a folder.
-    parent : Path
-        Where the folders are made.
-    kills : int
-        How often ``kill -9`` ends a process.
-    longest : float
-        After how many seconds at most; half of the times are within the first tenth of them.
-    seed : int
-        Of the times.
+    ``kill -9`` ends the `work` on a folder after `longest` seconds at most, in half of the cases
+    after a tenth of them at most.
     """
     rng = np.random.default_rng(seed)
     folders = [parent / "0"]

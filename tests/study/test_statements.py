@@ -20,29 +20,13 @@ MIDDLE = NETWORK_SPACE.from_unit(np.full(len(NETWORK_SPACE), 0.5))
 
 
 def fitted(
-    *,
-    loss=0.5,
-    best=None,
-    regions=None,
-    values=None,
-    fixed=None,
-    junctions=(200, 300),
-    under=0.99,
-    lead_fields=True,
-    gain=1.0,
-    upside_down=None,
-    method="paper",
-    networks=30,
-    beats=300,
-    candidates=(),
-    learnt=None,
-    share=None,
-):
+    *, loss=0.5, best=None, regions=None, values=None, fixed=None, junctions=(200, 300), under=0.99,
+    lead_fields=True, gain=1.0, upside_down=None, method="paper", networks=30, beats=300,
+    candidates=(), learnt=None, share=None,
+):  # fmt: skip
     """A study of which only what decides the warnings is there."""
-    heart = SimpleNamespace(
-        regions=None if regions is None else np.array(regions),
-        has_torso=lead_fields,
-    )  # fmt: skip
+    regions = None if regions is None else np.array(regions)
+    heart = SimpleNamespace(regions=regions, has_torso=lead_fields)
     conduction = Conduction().with_values(values or {})
     model = SimpleNamespace(heart=heart, conduction=conduction)
     trees = [
@@ -54,25 +38,17 @@ def fitted(
     if upside_down is not None:
         predicted[upside_down] *= -1
     tried = [SimpleNamespace(evaluation=e, stage=Stage.REJECTION) for e in candidates]
+    target = SimpleNamespace(
+        earliest_onset=None, leads=LEADS, qrs=recorded, qrs_samples=slice(2, 42),
+        beats=np.empty(beats),
+    )  # fmt: skip
+    all_but_v6 = np.arange(12) != 11
+    recording = SimpleNamespace(null_loss=2.0, scenario=None, target=target, compared=all_but_v6)
+    config = SimpleNamespace(method=method, samples=30, effective=60)
     study = FittedStudy(
-        SimpleNamespace(
-            config=SimpleNamespace(method=method, samples=30, effective=60), records=lambda: tried
-        ),
+        SimpleNamespace(config=config, records=lambda: tried),
         SimpleNamespace(model=model, prior=Prior(NETWORK_SPACE, fixed or {})),
-        (
-            SimpleNamespace(
-                null_loss=2.0,
-                scenario=None,
-                target=SimpleNamespace(
-                    earliest_onset=None,
-                    leads=LEADS,
-                    qrs=recorded,
-                    qrs_samples=slice(2, 42),
-                    beats=np.empty(beats),
-                ),
-                compared=np.arange(12) != 11,  # all but V6
-            ),
-        ),
+        (recording,),
         Population(learnt or {}, np.ones(networks), MIDDLE | (best or {}), loss),
         None if share is None else Checks(share, {}),
     )
