@@ -237,7 +237,7 @@ def pixels(axes):
 def test_figures_are_drawn_into_the_user_s_axes_and_saved(study, tmp_path):
     drawn = pixels(fascicle.plot.convergence(study))
     assert len(pyplot.get_fignums()) == 1
-    pyplot.savefig(tmp_path / "drawn.png")
+    pyplot.savefig(tmp_path / "drawn.png", dpi=300)  # 100 in tests (`coarse_pictures`)
     pyplot.close("all")
     assert drawn.std() > 10, "the picture is blank"
     saved = 255 * pyplot.imread(tmp_path / "drawn.png")
