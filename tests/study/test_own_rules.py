@@ -23,7 +23,7 @@ def target():
 
 def test_the_example_of_the_documentation(target, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(PosteriorFit, "least_particles", 24)  # each takes a millisecond
+    monkeypatch.setattr(PosteriorFit, "least_particles", 40)  # each takes a millisecond
     monkeypatch.setattr(PosteriorFit, "most_batches", 1)
     write_target(target, tmp_path / "target.nc")
     names = example("Likelihood")
