@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import pickle
 import re
 import shutil
 from collections.abc import Callable, Iterator
@@ -97,16 +96,17 @@ def hearts_prepared_once(own_cache: None) -> Iterator[None]:
 
     Read a packaged heart, see what lies in its cavities and walls, and trace rays in a tissue.
     """
+    from fascicle.core.files import ArrayCache, user_cache
     from fascicle.forward.eikonal import build
     from fascicle.heart import folder, sites
     from fascicle.heart.heart import digest_of
+    from fascicle.kernels.arrays import TravelTimeTable
     from fascicle.mesh import checks
 
     packaged = Path(folder.__file__).parents[1] / "data"
     read, trace = folder.load_heart, build.build_travel_time_table
     read_packaged = cache(read)
-    tables = Path(os.environ["FASCICLE_CACHE"]) / "tables"
-    tables.mkdir(parents=True, exist_ok=True)
+    tables = ArrayCache(user_cache(), "table")
 
     def load_heart(path: Path | str) -> Heart:
         known = isinstance(path, Path) and path.is_relative_to(packaged)
@@ -116,12 +116,11 @@ def hearts_prepared_once(own_cache: None) -> Iterator[None]:
         if len(mesh.corners) < 20_000 or len(options) > 1:
             return trace(mesh, surface, owner, triangles, *options)
         rays = mesh.vertices, mesh.corners, mesh.cells, mesh.neighbours, np.array(mesh.slowness)
-        kept = tables / digest_of(*rays, surface, owner, triangles)
-        if not kept.exists():
-            part = kept.with_suffix(f".{os.getpid()}")
-            part.write_bytes(pickle.dumps(trace(mesh, surface, owner, triangles, *options)))
-            part.rename(kept)
-        return pickle.loads(kept.read_bytes())
+        key = digest_of(*rays, surface, owner, triangles)
+        if (arrays := tables.read(key)) is None:
+            arrays = trace(mesh, surface, owner, triangles, *options)._asdict()
+            tables.write(key, arrays)
+        return TravelTimeTable(**arrays)
 
     def parts(space: Any, mesh: Any) -> Any:
         return mesh.vertices, mesh.tetrahedra, mesh.triangles, mesh.labels
