@@ -73,10 +73,8 @@ class TestHdf5:
         assert recording.ignored == ("resp",)
         assert recording.provenance["format"] == "HDF5"
 
-    @pytest.mark.parametrize("key", ["sig_name", "Lead Names"])
-    @pytest.mark.parametrize("turned", [False, True])
+    @pytest.mark.parametrize(("key", "turned"), [("sig_name", False), ("Lead Names", True)])
     def test_matrix_with_names(self, tmp_path, signal, key, turned):
-        matrix = signal.T if turned else signal
         names = ["Resp", *reversed(LEADS)]
         matrix = np.insert(signal[::-1], 0, 7.0, axis=0)
         path = save_hdf5(tmp_path / "a.h5", {"ecg": matrix.T if turned else matrix, key: names})
@@ -94,8 +92,8 @@ class TestHdf5:
 
     @pytest.mark.parametrize(
         ("key", "value"),
-        [("fs", 500), ("sampling_frequency", [500.0]), ("SampleRate", "500 Hz"),
-         ("samplerate", np.full(12, 500)), ("fs_hz", "500"), ("frequency", "500.0Hz")],
+        [("sampling_frequency", [500.0]), ("samplerate", np.full(12, 500)), ("fs_hz", "500"),
+         ("frequency", "500.0Hz")],
     )  # fmt: skip
     def test_spellings_of_the_rate(self, tmp_path, signal, key, value):
         path = save_hdf5(tmp_path / "a.h5", by_lead(signal), {key: value, "units": "mV"})
@@ -130,7 +128,7 @@ class TestStated:
     def test_contradictions_in_the_file(self, tmp_path, signal):
         path = save_hdf5(tmp_path / "a.h5", by_lead(signal), {"fs": 500, "I:fs": 250, "units": "V"})
         refused(path, "unclear sampling rate", "250", "500")
-        for rate in (np.nan, np.array([500, 1000]), "fast", "0.5 kHz", np.inf):
+        for rate in (np.array([500, 1000]), "0.5 kHz", np.inf):
             path = save_hdf5(tmp_path / "a.h5", by_lead(signal), {"fs": rate, "units": "mV"})
             refused(path, "unclear sampling rate")
         attributes = {"fs": 500, "units": "mV", "II:units": "uV"}
@@ -143,10 +141,7 @@ class TestStated:
         )  # fmt: skip
         refused(path, "'ecg' (12 x 1000)", "ambiguous")
 
-    @pytest.mark.parametrize(
-        ("name", "value"),
-        [("gain", 200), ("scale_factor", 0.005), ("add_offset", 5.0), ("adc_gain", np.arange(12))],
-    )
+    @pytest.mark.parametrize(("name", "value"), [("add_offset", 5.0), ("adc_gain", np.arange(12))])
     def test_digits_with_a_gain(self, tmp_path, signal, name, value):
         attributes = {"fs": RATE, "units": "mV", name: value}
         refused(save_hdf5(tmp_path / "a.h5", by_lead(signal), attributes), f"'{name}'", "physical")
@@ -199,29 +194,20 @@ class TestHdf5Refused:
             file.create_dataset("V1", (N,), float, external=[(secret, 0, 8 * N)])
         refused(path, "lead V1 missing")
 
-    @pytest.mark.parametrize(
-        "dtype",
-        [np.complex128, [("re", float), ("im", float)], h5py.vlen_dtype(float), h5py.ref_dtype],
-    )
+    @pytest.mark.parametrize("dtype", [np.complex128, h5py.vlen_dtype(float)])
     def test_what_is_no_number(self, tmp_path, signal, dtype):
         path = save_hdf5(tmp_path / "a.h5", by_lead(signal))
         with h5py.File(path, "a") as file:
             del file["V1"]
             file.create_dataset("V1", (N,), dtype, fillvalue=None)
         refused(path, "lead V1 missing")
+        refused(save_hdf5(path, by_lead(signal) | {"V1": h5py.Empty(float)}), "V1")
 
-    def test_empty(self, tmp_path, signal):
-        for empty in (np.zeros(0), h5py.Empty(float)):
-            refused(save_hdf5(tmp_path / "a.h5", by_lead(signal) | {"V1": empty}), "V1")
-
-    @pytest.mark.parametrize("shape", [(10**12,), (12, 10**11)])
-    def test_bombs(self, tmp_path, shape):
+    def test_bomb(self, tmp_path):
         path = tmp_path / "a.h5"
         with h5py.File(path, "w") as file:
             file.attrs.update({"fs": RATE, "units": "mV", "leads": list(LEADS)})
-            for name in LEADS if len(shape) == 1 else ["ecg"]:
-                data = file.create_dataset(name, shape, "i1", chunks=(1,) * len(shape))
-                data[(0,) * len(shape)] = 1
+            file.create_dataset("ecg", (12, 10**11), "i1", chunks=(1, 1))[0, 0] = 1
         refused(path, "GB of memory, the limit for a file")
 
     def test_groups_in_circles_and_crowds(self, tmp_path, signal):
@@ -233,18 +219,15 @@ class TestHdf5Refused:
         assert read_recording(path).signal == pytest.approx(signal, abs=0)
 
 
-class TestIsolated:
-    """Whatever the library does, the caller sees one refusal."""
-
-    def test_module_in_the_working_folder_is_not_run(self, tmp_path, signal, monkeypatch):
-        (tmp_path / "h5py.py").write_text("raise SystemExit(3)")
-        path = save_hdf5(tmp_path / "a.h5", by_lead(signal))
-        monkeypatch.chdir(tmp_path)
-        assert read_recording(path).signal == pytest.approx(signal, abs=0)
+def test_module_in_the_working_folder_is_not_run(tmp_path, signal, monkeypatch):
+    (tmp_path / "h5py.py").write_text("raise SystemExit(3)")
+    path = save_hdf5(tmp_path / "a.h5", by_lead(signal))
+    monkeypatch.chdir(tmp_path)
+    assert read_recording(path).signal == pytest.approx(signal, abs=0)
 
 
 class TestMatlab:
-    @pytest.mark.parametrize("options", [{}, {"do_compression": True}, {"format": "4"}])
+    @pytest.mark.parametrize("options", [{}, {"format": "4"}])
     def test_one_variable_a_lead(self, tmp_path, signal, options):
         variables = by_lead(1000 * signal) | {"fs": 500.0, "units": "uV", "x": np.ones(3)}
         recording = read_as(save_matlab(tmp_path / "a.mat", variables, **options), signal)
@@ -253,11 +236,9 @@ class TestMatlab:
         assert recording.provenance["format"] == f"MATLAB {options.get('format', '5')}"
 
     @pytest.mark.parametrize("names", [np.array(LEADS, dtype=object), np.array(LEADS)])
-    @pytest.mark.parametrize("turned", [False, True])
-    def test_matrix_with_names(self, tmp_path, signal, names, turned):
-        matrix = signal.T if turned else signal
+    def test_matrix_with_names(self, tmp_path, signal, names):
         loop_index = np.arange(9.0)  # is no lead I
-        variables = {"ecg": matrix, "leads": names, "Fs": 500, "unit": "mV", "i": loop_index}
+        variables = {"ecg": signal.T, "leads": names, "Fs": 500, "unit": "mV", "i": loop_index}
         read_as(save_matlab(tmp_path / "a.mat", variables), signal)
 
     def test_structure(self, tmp_path, signal):
@@ -280,9 +261,7 @@ class TestMatlab:
         path = save_matlab_73(tmp_path / "b.mat", signal, kind=b"string")
         refused(path, "'leads' (no numbers)")
 
-    @pytest.mark.parametrize(
-        "value", [np.ones(N, dtype=complex), "text", scipy.sparse.eye(9).tocsc()]
-    )
+    @pytest.mark.parametrize("value", ["text", scipy.sparse.eye(9).tocsc()])
     def test_what_is_no_number(self, tmp_path, signal, value):
         variables = by_lead(signal) | {"fs": 500, "units": "mV", "V1": value}
         refused(save_matlab(tmp_path / "a.mat", variables), "lead V1 missing")

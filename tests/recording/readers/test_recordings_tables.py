@@ -38,10 +38,6 @@ def write(path, text, encoding="utf-8"):
     return path
 
 
-def text_of(frame, **options):
-    return frame.to_csv(index=False, **options)
-
-
 class TestUnits:
     def test_our_own_format_is_in_mv(self, tmp_path, signal):
         recording = read_as(save(table(signal), tmp_path / "ecg.csv"), signal)
@@ -50,12 +46,8 @@ class TestUnits:
 
     @pytest.mark.parametrize(
         ("pattern", "factor"),
-        [
-            ("{}_uV", 1e3), ("{} [mV]", 1), ("{} (uV)", 1e3), ("lead {} (µV)", 1e3), ("{}_V", 1e-3),
-            ("{}/mV", 1), ("{} / μV", 1e3), ("{} in uV", 1e3),
-            ("{}_microvolts", 1e3), ("{} (Wilson) [nV]", 1e6),
-        ],
-    )  # fmt: skip
+        [("lead {} (µV)", 1e3), ("{}_V", 1e-3), ("{} / μV", 1e3), ("{} (Wilson) [nV]", 1e6)],
+    )
     def test_in_the_header(self, tmp_path, signal, pattern, factor):
         names = [pattern.format(lead.upper()) for lead in LEADS]
         path = save(table(factor * signal, names, "time_s"), tmp_path / "a.csv")
@@ -72,16 +64,14 @@ class TestUnits:
         path = write(tmp_path / "c.csv", f"# unit = uV\n{path.read_text()}")
         refused(path, "column 'I_mV' is in 'mV', a comment says 'uV'")
 
-    @pytest.mark.parametrize("separator", [",", "\t", ";"])
-    def test_row_of_units_is_refused(self, tmp_path, signal, separator):
-        lines = text_of(table(1e3 * signal, time="time"), sep=separator).splitlines()
-        units = separator.join(["(sec)", *["(µV)"] * 12])
+    def test_row_of_units_is_refused(self, tmp_path, signal):
+        lines = table(1e3 * signal, time="time").to_csv(index=False).splitlines()
+        units = ",".join(["(sec)", *["(µV)"] * 12])
         path = write(tmp_path / "a.csv", "\n".join([lines[0], units, *lines[1:]]))
         refused(path, "column 'I' holds '(µV)' in row 1", "must be a number")
 
     @pytest.mark.parametrize(
-        ("unit", "time"),
-        [("hh:mm:ss.mmm", "'0:{:06.3f}'"), ("hh:mm:ss.mmm", "'1:02:{:06.3f}'"), ("seconds", "{}")],
+        ("unit", "time"), [("hh:mm:ss.mmm", "'1:02:{:06.3f}'"), ("seconds", "{}")]
     )
     def test_as_rdsamp_writes_csv(self, tmp_path, signal, unit, time):
         header = ",".join(["'Elapsed time'", *[f"'{lead.lower()}'" for lead in LEADS]])
@@ -97,25 +87,24 @@ class TestUnits:
 
 class TestNumbers:
     def test_decimal_commas_that_are_not_clear(self, tmp_path, signal):
-        text = text_of(table(signal, IN_MV, "time_s"), sep=";", decimal=",")
+        text = table(signal, IN_MV, "time_s").to_csv(index=False, sep=";", decimal=",")
         refused(write(tmp_path / "a.csv", text.replace(";", ",")), "decimal commas by semicolons")
         frame = table(signal, IN_MV).astype(str)
         frame["V6_mV"] = frame["V6_mV"].str.replace(".", ",")
         refused(save(frame, tmp_path / "b.csv", sep=";"), "column 'V6_mV' holds", "decimal mark")
 
-    @pytest.mark.parametrize(
-        ("encoding", "line_end"), [("utf-8", "\r\n"), ("utf-16", "\r"), ("mac-roman", "\n")]
-    )
+    @pytest.mark.parametrize(("encoding", "line_end"), [("utf-16", "\r"), ("mac-roman", "\r\n")])
     def test_encodings_and_line_ends(self, tmp_path, signal, encoding, line_end):
         names = [f"{lead} (µV)" for lead in LEADS]
-        text = text_of(table(1e3 * signal[:, :800], names), lineterminator=line_end)
+        frame = table(1e3 * signal[:, :800], names)
+        text = frame.to_csv(index=False, lineterminator=line_end)
         read_as(write(tmp_path / "a.csv", text, encoding), signal[:, :800])
 
     def test_text_and_holes(self, tmp_path, signal):
         frame = table(signal).astype(object)
         frame.loc[5, "V3"] = "0.25x"
         refused(save(frame, tmp_path / "a.csv"), "column 'V3'", "row 6", "0.25x")
-        for cell in ("inf", "1e999", "1e4000000000000001", "9" * 400, "True", "-", "0,25"):
+        for cell in ("inf", "1e4000000000000001", "True", "0,25"):
             frame.loc[5, "V3"] = cell
             refused(save(frame, tmp_path / "b.csv"), "column 'V3'", "row 6")
         frame = table(signal)
@@ -127,16 +116,16 @@ class TestNumbers:
 
     def test_comments_notes_and_empty_ends(self, tmp_path, signal):
         frame = table(signal).assign(remark='sinus, "normal"', beat=np.nan)
-        lines = text_of(frame).splitlines()
+        lines = frame.to_csv(index=False).splitlines()
         lines = ["# exported", "", *lines[:9], "# here", *lines[9:], ",,,,,,,,,,,,,,", "", "# end"]
         recording = read_as(write(tmp_path / "a.csv", "\n".join(lines)), signal, unit="mV")
         assert recording.ignored == ("remark", "beat")
 
     def test_cells_beyond_the_header_and_open_quotes(self, tmp_path, signal):
-        lines = text_of(table(signal, IN_MV)).splitlines()
+        lines = table(signal, IN_MV).to_csv(index=False).splitlines()
         longer = "\n".join([lines[0], *(f"{line},1" for line in lines[1:])])
         refused(write(tmp_path / "a.csv", longer), "not a readable table", "every row")
-        lines = text_of(table(signal, IN_MV).assign(note="x")).splitlines()
+        lines = table(signal, IN_MV).assign(note="x").to_csv(index=False).splitlines()
         lines[5], lines[9] = lines[5][:-1] + '"', lines[9] + '"'
         refused(write(tmp_path / "b.csv", "\n".join(lines)), "quotation mark")
 
@@ -144,11 +133,8 @@ class TestNumbers:
 class TestTimes:
     @pytest.mark.parametrize(
         ("name", "per_second"),
-        [
-            ("time_ms", 1e3), ("time_s", 1), ("time [ms]", 1e3), ("Time (s)", 1), ("t_ms", 1e3),
-            ("seconds", 1), ("sec", 1), ("msec", 1e3), ("Time in s", 1),
-            ("timestamp_us", 1e6), ("Elapsed time [s]", 1), ("T (µs)", 1e6),
-        ],
+        [("t_ms", 1e3), ("seconds", 1), ("msec", 1e3), ("Time in s", 1),
+         ("timestamp_us", 1e6), ("Elapsed time [s]", 1), ("T (µs)", 1e6)],
     )  # fmt: skip
     def test_units(self, tmp_path, signal, name, per_second):
         frame = table(signal, IN_MV, name)
@@ -157,11 +143,8 @@ class TestTimes:
         assert recording.sampling_rate == pytest.approx(500, abs=1e-5)
         assert recording.ignored == ()
 
-    @pytest.mark.parametrize("step", [1 / RATE, 1000 / RATE, 1])
-    def test_without_a_unit_the_rate_must_be_given(self, tmp_path, signal, step):
-        frame = table(signal, IN_MV, "time")
-        frame["time"] = 3 + step * np.arange(N)
-        path = save(frame, tmp_path / "a.csv")
+    def test_without_a_unit_the_rate_must_be_given(self, tmp_path, signal):
+        path = save(table(signal, IN_MV, "time"), tmp_path / "a.csv")
         refused(path, "unknown unit of the time column 'time'", "sampling_rate=")
         assert read_recording(path, sampling_rate=500).sampling_rate == 500
 
@@ -190,16 +173,14 @@ class TestTimes:
 
     @pytest.mark.parametrize(
         ("rate", "digits", "name"),
-        [(256, 0, "time_ms"), (360, 3, "time_s"), (257, 3, "time_s"), (1000, 3, "time_s"),
-         (1000 / 3, 0, "time_ms")],
-    )  # fmt: skip
+        [(256, 0, "time_ms"), (1000, 3, "time_s"), (1000 / 3, 0, "time_ms")],
+    )
     def test_rounded(self, tmp_path, rate, digits, name):
         frame = table(waves(N, rate), IN_MV, name, rate)
         frame[name] = frame[name].round(digits)
         recording = read_recording(save(frame, tmp_path / "a.csv"))
         assert recording.sampling_rate == pytest.approx(rate, rel=1e-4)
-        for gap in (500, 1000, 1900):
-            refused(save(frame.drop(index=gap), tmp_path / "b.csv"), "not evenly")
+        refused(save(frame.drop(index=1900), tmp_path / "b.csv"), "not evenly")
 
     def test_uneven(self, tmp_path, signal):
         path = save(table(signal).drop(index=range(90, 95)), tmp_path / "a.csv")
@@ -242,9 +223,7 @@ class TestPaper:
             rows[k, span] = signal[k, span]
         return rows
 
-    @pytest.mark.parametrize(
-        "name", ["II_rhythm_mV", "II (rhythm) [mV]", "Rhythm II_mV", "rhythm strip II_mV"]
-    )
+    @pytest.mark.parametrize("name", ["II (rhythm) [mV]", "rhythm strip II_mV"])
     def test_the_longer_strip_is_the_lead(self, tmp_path, name):
         signal = waves(self.N)
         recording = read_recording(save(paper(signal, name), tmp_path / "a.csv"))
@@ -273,8 +252,7 @@ class TestPaper:
         assert_allclose(recording.signal, expected, rtol=0, atol=1e-12)
 
     def test_long_format_with_a_grid_of_its_own_for_each_lead(self, tmp_path):
-        signal = waves(self.N)
-        frame = long_format(paper(signal, None))
+        frame = long_format(paper(waves(self.N), None))
         rng = np.random.default_rng(1)
         shift = {lead: rng.uniform(-0.24, 0.24) / RATE for lead in LEADS}
         frame["time_s"] += frame["Lead"].map(shift)
@@ -285,8 +263,7 @@ class TestPaper:
         assert finite.sum(axis=1).tolist() == [1250] * 12
 
     def test_long_format_at_different_rates(self, tmp_path):
-        signal = waves(self.N)
-        frame = long_format(paper(signal, None))
+        frame = long_format(paper(waves(self.N), None))
         frame.loc[frame["Lead"] == "V2", "time_s"] *= 1.0015
         refused(save(frame, tmp_path / "a.csv"), "lead 'V2' is not sampled at the 500 Hz")
         frame.loc[frame["Lead"] == "V2", "time_s"] *= 1.1
@@ -304,26 +281,19 @@ class TestPaper:
         refused(save(frame.assign(Lead="spam"), tmp_path / "d.csv"), "no lead in the column 'Lead'")
 
 
-class TestNoTables:
-    @pytest.mark.parametrize(
-        "content",
-        [
-            b"", b"\n\n", b"\xff\xfe\x00\x01" * 30, b"time_ms,I\n", b'"a,b\n1', b",,,\n,,,\n,,,\n",
-            b"time_ms,I_mV,II_mV\n,,\n,,\n", b"\x00" * 5000, bytes(range(256)) * 40,
-            b'{"I": [1, 2, 3],\n "II": [4, 5, 6],\n "rate": 500}', b"import numpy as np\nx = 1\n",
-            b"Dear colleague,\nthank you, again.\nI saw, II told\n", b"# only\n# remarks\n",
-            b"0,1,2\n3,4,5\n6,7,8\n", b"a b\n1 2\n", b"I_mV,II_mV\n1,2\n", b"\xfe\xff\xd8",
-            b"x" * 200_000, b"," * 200_000, b"a," * 1000 + b"\n" + b"1," * 1000 + b"\n",
-            b"time_ms,I_mV\n0,1\n1,2\n2,3,4\n", b'time_ms,I_mV\n0,1\n1,"2\n2,3\n', b"sep=;\n",
-            b"#\n" * 5000, b"\n" * 5000 + b"time_ms,I_mV\n0,1\n2,3\n",
-            b"time_ms,I_mV\n" + b"0,1\n" * 30 + b"1,2,3\n", b"time_ms,I_mV\n1e308,1\n-1e308,1\n",
-        ],
-    )  # fmt: skip
-    def test_content(self, tmp_path, content):
-        path = tmp_path / "a.csv"
-        path.write_bytes(content)
-        refused(path)
-        refused(path, sampling_rate=500.0, unit="mV")
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"time_ms,I\n", b'"a,b\n1', b",,,\n,,,\n,,,\n", b"time_ms,I_mV,II_mV\n,,\n,,\n",
+        b"\x00" * 5000, b"# only\n# remarks\n", b"0,1,2\n3,4,5\n6,7,8\n", b"\xfe\xff\xd8",
+        b"," * 200_000, b"sep=;\n", b"time_ms,I_mV\n1e308,1\n-1e308,1\n",
+    ],
+)  # fmt: skip
+def test_no_tables(tmp_path, content):
+    path = tmp_path / "a.csv"
+    path.write_bytes(content)
+    refused(path)
+    refused(path, sampling_rate=500.0, unit="mV")
 
 
 SPELT = {lead: [lead, lead.upper(), lead.lower(), f"Lead {lead}", f"MDC_ECG_LEAD_{lead}"]
@@ -331,7 +301,7 @@ SPELT = {lead: [lead, lead.upper(), lead.lower(), f"Lead {lead}", f"MDC_ECG_LEAD
 
 
 @settings(
-    max_examples=30,
+    max_examples=15,
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],

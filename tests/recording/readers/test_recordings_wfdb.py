@@ -22,28 +22,21 @@ def digits(n=N, gain=GAIN):
     return np.round(gain * waves(n)).astype(np.int64)
 
 
-def pack(samples, kind):
-    """Bytes of samples (n, channels) in a signal format, 16 or 212."""
-    flat = samples.ravel()
-    if kind == "16":
-        return flat.astype("<i2").tobytes()
-    one, two = (flat & 0xFFF).reshape(-1, 2).T
+def pack(samples):
+    """Bytes of samples (n, channels) in signal format 212."""
+    one, two = (samples.ravel() & 0xFFF).reshape(-1, 2).T
     octets = [one & 0xFF, (one >> 8) | (two >> 8 << 4), two & 0xFF]
     return np.stack(octets, axis=1).astype(np.uint8).tobytes()
 
 
-def write(
-    folder, samples, kind="16", gain=f"{GAIN}/mV", names=LEADS, name="rec", first=None, **how
-):
-    """Write a record of samples (channels, n); `gain` is one or a list."""
-    stored = how.get("stored", kind)
-    gains = [gain] * len(samples) if isinstance(gain, str) else gain
+def write(folder, samples, gain=f"{GAIN}/mV", names=LEADS, name="rec", first=None, stored="16"):
+    """Write a record of samples (channels, n)."""
     first = f"{name} {len(samples)} {RATE} {samples.shape[1]}" if first is None else first
     lines = [
         f"{name}.dat {stored} {gain} 16 0 {row[0]} {int(row.sum()) % 2**16} 0 {lead}"
-        for row, gain, lead in zip(samples, gains, names, strict=True)
+        for row, lead in zip(samples, names, strict=True)
     ]
-    (folder / f"{name}.dat").write_bytes(pack(samples.T, kind))
+    (folder / f"{name}.dat").write_bytes(samples.T.astype("<i2").tobytes())
     path = folder / f"{name}.hea"
     path.write_text("\n".join([first, *lines]) + "\n", encoding="utf-8")
     return path
@@ -56,9 +49,8 @@ def change(path, old, new, count=1):
     return path
 
 
-@pytest.mark.parametrize("kind", ["16", "212"])
-def test_signal_formats(tmp_path, kind):
-    path = write(tmp_path, digits(), kind)
+def test_values_are_those_of_wfdb(tmp_path):
+    path = write(tmp_path, digits())
     recording = read_as(path, digits() / GAIN)
     assert recording.sampling_rate == RATE
     assert recording.digits_per_millivolt == pytest.approx(np.full(12, GAIN))
@@ -68,17 +60,14 @@ def test_signal_formats(tmp_path, kind):
     data = path.with_suffix(".dat").read_bytes()
     path.with_suffix(".dat").write_bytes(data[: len(data) // 2 - 1])
     refused(path, "rec.dat holds 749 frames, header declares 1500")
-
-
-def test_flac_is_refused(tmp_path):
     refused(write(tmp_path, digits(), stored="516"), "FLAC", "without compression")
 
 
 def test_several_signal_files_of_several_formats(tmp_path):
     path = write(tmp_path, digits())
     lines = path.read_text().splitlines()
-    (tmp_path / "limb.dat").write_bytes(pack(digits()[:6].T, "212"))
-    (tmp_path / "chest.dat").write_bytes(pack(digits()[6:].T, "16"))
+    (tmp_path / "limb.dat").write_bytes(pack(digits()[:6].T))
+    (tmp_path / "chest.dat").write_bytes(digits()[6:].T.astype("<i2").tobytes())
     for k in range(12):
         new = "limb.dat 212" if k < 6 else "chest.dat 16"
         lines[k + 1] = lines[k + 1].replace("rec.dat 16", new)
@@ -93,7 +82,7 @@ def test_slower_channels_are_ignored_but_slower_leads_refused(tmp_path):
     frames = digits().reshape(12, -1, 2).transpose(1, 0, 2).reshape(N // 2, 24)
     stored = np.concatenate([frames, np.arange(N // 2)[:, None] % 7], axis=1)
     path = write(tmp_path, digits(), stored="16x2", first=f"rec 13 {RATE / 2:g} {N // 2}")
-    path.with_suffix(".dat").write_bytes(pack(stored, "16"))
+    path.with_suffix(".dat").write_bytes(stored.astype("<i2").tobytes())
     path.write_text(path.read_text() + f"rec.dat 16 {GAIN}/mmHg 16 0 0 0 0 Resp\n")
     recording = read_recording(path)
     assert recording.ignored == ("Resp",)
@@ -115,16 +104,12 @@ def test_skew_is_undone(tmp_path):
     lines[8] = lines[8].replace(" 16 ", " 16:5 ", 1)
     path.write_text("\n".join(lines))
     assert read_recording(path).signal == pytest.approx(digits()[:, :-5] / GAIN, abs=1e-12)
-    refused(change(path, "16:5", "16:1500"))
 
 
 @pytest.mark.parametrize(
     ("gain", "millivolts", "per_millivolt"),
-    [
-        ("40", 1 / 40, 40), ("40(7)/mV", 1 / 40, 40), ("-40/mV", -1 / 40, 40),
-        ("4e-02/µV", 1 / 40, 40), ("40/V", 25, 0.04),
-    ],
-)  # fmt: skip
+    [("40(7)/mV", 1 / 40, 40), ("-40/mV", -1 / 40, 40), ("40/V", 25, 0.04)],
+)
 def test_gain_baseline_and_unit(tmp_path, gain, millivolts, per_millivolt):
     recording = read_recording(write(tmp_path, digits(), gain=gain))
     baseline = 7 if "(7)" in gain else 0
@@ -159,27 +144,15 @@ def test_wrong_checksums_are_told(tmp_path):
     assert "checksums" not in read_recording(path).provenance
 
 
-@pytest.mark.parametrize(
-    "first",
-    [
-        "rec 12 -500 1500", "rec 12 nan 1500", "rec 12 0 1500",
-        "rec 12 500,5 1500", "rec 12 100 1500", "rec 12 500 -1500", "rec 12 500 10:30:00",
-        "rec 0 500 1500", "rec 13 500 1500", "rec 12 500 900001", "rec 12 500 999999999999",
-        "rec 12 500 " + "9" * 500, "rec 12 500 1500 99:99:99", "rec",
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("first", ["rec 12 nan 1500", "rec 12 500 " + "9" * 500, "rec"])
 def test_first_lines(tmp_path, first):
     refused(write(tmp_path, digits(), first=first))
 
 
 @pytest.mark.parametrize(
     ("new", "words"),
-    [
-        ("/etc/passwd 16", "no file in its folder"), ("~ 16", ""), ("rek.dat 16", "rek.dat"),
-        ("r" * 400 + " 16", ""), ("rec.dat 99", "several formats"), ("rec.dat 16x0", "16x0"),
-        ("rec.dat 16+24:3", "16+24:3"), ("rec.dat 516", "several formats"),
-    ],
-)  # fmt: skip
+    [("~ 16", ""), ("rek.dat 16", "rek.dat"), ("r" * 400 + " 16", ""), ("rec.dat 16x0", "16x0")],
+)
 def test_signal_lines(tmp_path, new, words):
     refused(change(write(tmp_path, digits()), "rec.dat 16", new), words)
 
@@ -215,28 +188,26 @@ class TestSegments:
     @pytest.mark.parametrize(
         "segments",
         [
-            [("s1", 700), ("s3", 800)], [("s1", 700), ("s2", 900)], [("s1", 700), ("rec", 700)],
-            [("s1", 700), ("../s2", 800)], [("~", 700), ("~", 800)], [("s1", 700), ("s2", 10**11)],
+            [("s1", 700), ("s3", 800)], [("s1", 700), ("rec", 700)], [("s1", 700), ("../s2", 800)],
+            [("~", 700), ("~", 800)], [("s1", 700), ("s2", 10**11)],
         ],
     )  # fmt: skip
     def test_refusals(self, parts, segments):
         refused(self.master(parts, *segments))
 
-    @pytest.mark.parametrize(
-        ("old", "new"), [(f"{2 * GAIN}/mV", f"{2 * GAIN}/uV"), (f" {RATE} ", " 1000 ")]
-    )
-    def test_contradictions(self, parts, old, new):
-        change(parts / "s2.hea", old, new)
-        refused(self.master(parts, ("s1", 700), ("s2", 800)), "s2.hea has another rate")
-
-    def test_marks_in_a_segment_of_another_gain(self, parts):
+    def test_contradictions_and_marks_in_a_segment(self, parts):
+        path, said = self.master(parts, ("s1", 700), ("s2", 800)), "s2.hea has another rate"
         samples = 2 * digits()[::-1, 700:]
+        for old, new in ((f"{2 * GAIN}/mV", f"{2 * GAIN}/uV"), (f" {RATE} ", " 1000 ")):
+            change(parts / "s2.hea", old, new)
+            refused(path, said)
+            write(parts, samples, gain=f"{2 * GAIN}/mV", name="s2", names=LEADS[::-1])
         samples[3, 5] = -(2**15)
         write(parts, samples, gain=f"{2 * GAIN}/mV", name="s2", names=LEADS[::-1])
-        refused(self.master(parts, ("s1", 700), ("s2", 800)), "s2.hea", "marked invalid")
+        refused(path, "s2.hea", "marked invalid")
 
 
-@pytest.mark.parametrize("folder", ["[x]*?", "é ü", "http:"])
+@pytest.mark.parametrize("folder", ["[x]*?", "http:"])
 def test_odd_paths(tmp_path, monkeypatch, folder):
     (tmp_path / folder).mkdir()
     path = write(tmp_path / folder, digits())
@@ -252,12 +223,12 @@ def test_odd_paths(tmp_path, monkeypatch, folder):
 
 
 def test_addresses_are_paths():
-    for address in ("http://physionet.org/rec.hea", "s3://bucket/rec", "gs://bucket/rec.hea"):
+    for address in ("http://physionet.org/rec.hea", "s3://bucket/rec"):
         with pytest.raises(InputError, match="no such file"):
             read_recording(address)
 
 
-@pytest.mark.parametrize("name", ["24", "24_common", "23", "119"])
+@pytest.mark.parametrize("name", ["24", "24_common"])
 def test_ludb(data_folder, name):
     """Sample by sample and bit by bit what wfdb reads."""
     path = data_folder / "ecg" / "ludb" / f"{name}.hea"
