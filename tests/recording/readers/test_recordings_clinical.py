@@ -88,7 +88,7 @@ class TestSignal:
         assert recording.digits_per_millivolt[ROWS] == pytest.approx(np.full(8, 1 / scale))
         assert recording.filters == (filters or Filters())
         assert not recording.remarks
-        for share in (0.01, 0.1, 0.5, 0.99):
+        for share in (0.1, 0.99):
             path.write_bytes(content[: int(share * len(content))])
             refused(path)
 
@@ -101,47 +101,26 @@ class TestSignal:
         path.write_bytes(files.ishne(digits, nanovolts=-9))
         refused(path, "unknown amplitude", unit="uV")
 
-    def test_origin_shifts(self, tmp_path, digits):
-        recording = read_recording(saved(tmp_path, files.aecg(digits, origin="100")))
-        assert recording.signal[6] == pytest.approx(digits[2] * 2.5e-3 + 0.1, abs=1e-12)
-
-
-class TestRate:
     @pytest.mark.parametrize(
         ("write", "options", "rate"),
         [
             (files.scp, {"interval": 1024}, 976.5625),
             (files.aecg, {"step": ("1.024", "ms")}, 976.5625),
-            (files.aecg, {"step": ("0.001953125", "s")}, 512),
-            (files.aecg, {"step": ("2000", "us")}, 500),
             (files.muse, {"base": "5", "exponent": "2"}, 500),
-            (files.muse, {"base": "1000", "exponent": ""}, 1000),
-            (files.muse, {"base": "488.2"}, 488.2),
-            (files.muse, {"base": "4882.5", "exponent": "-1"}, 488.25),
             (files.muse, {"base": "4883", "exponent": "-1"}, 488.3),
         ],
-    )  # fmt: skip
-    def test_exact(self, tmp_path, digits, write, options, rate):
+    )
+    def test_exact_rate(self, tmp_path, digits, write, options, rate):
         """The library rounds it, this does not."""
         recording = read_recording(saved(tmp_path, write(digits, **options)))
         assert recording.sampling_rate == pytest.approx(rate, rel=1e-12)
         assert not recording.remarks
 
-    @pytest.mark.parametrize(
-        ("write", "options"),
-        [
-            (files.scp, {"interval": 0}), (files.scp, {"interval": 10_000}),
-            (files.muse, {"base": "0"}), (files.muse, {"base": "nan"}),
-            (files.aecg, {"step": ("0", "s")}), (files.aecg, {"step": ("1e-323", "us")}),
-            (files.aecg, {"step": ("2", "")}),
-        ],
-    )  # fmt: skip
-    def test_unusable(self, tmp_path, digits, write, options):
-        refused(saved(tmp_path, write(digits, **options)))
-
 
 class TestAmplitude:
     def test_unit_serves_only_a_stated_scale(self, tmp_path, digits):
+        recording = read_recording(saved(tmp_path, files.aecg(digits, origin="100")))
+        assert recording.signal[6] == pytest.approx(digits[2] * 2.5e-3 + 0.1, abs=1e-12)
         path = saved(tmp_path, files.aecg(digits, scale=("2.5", "")))
         refused(path, "unknown unit of lead I", "unit=")
         signal = read_recording(path, unit="uV").signal
@@ -154,11 +133,10 @@ class TestAmplitude:
         refused(path, "unknown unit of lead I")
         assert read_recording(path, unit="uV").signal[6] == pytest.approx(digits[2] * 4.88e-3)
         refused(saved(tmp_path, files.muse(digits, unit="FURLONGS")), "unknown unit", "FURLONGS")
-        assert read_recording(
-            saved(tmp_path, files.muse(digits, scale="0,00488", unit="MV"))
-        ).signal[6] == pytest.approx(digits[2] * 4.88e-3)
+        path = saved(tmp_path, files.muse(digits, scale="0,00488", unit="MV"))
+        assert read_recording(path).signal[6] == pytest.approx(digits[2] * 4.88e-3)
 
-    @pytest.mark.parametrize("scale", ["0", "-2.5", "nan", "1e999", ""])
+    @pytest.mark.parametrize("scale", ["-2.5", "nan", ""])
     def test_impossible_scales(self, tmp_path, digits, scale):
         words = "unknown amplitude of lead I"
         refused(saved(tmp_path, files.muse(digits, scale=scale)), words, unit="uV")
@@ -206,9 +184,8 @@ class TestOneRecording:
         refused(saved(tmp_path, content + content), f"{len(content)} bytes follow")
         assert read_recording(saved(tmp_path, content + bytes(9))).duration == 4
 
-    @pytest.mark.parametrize("root", ["restingecgdata", "html", "ECG", "AnnotatedECGs", "a" * 5000])
-    def test_other_xml(self, tmp_path, root):
-        refused(saved(tmp_path, f"<{root}><x>1</x></{root}>"))
+    def test_other_xml(self, tmp_path):
+        refused(saved(tmp_path, "<html><x>1</x></html>"), "of a kind that is not read")
 
 
 class TestDamage:
@@ -225,10 +202,9 @@ class TestDamage:
             read_recording(path)
         assert "ge_muse_xml.py" in info.value.__notes__[0]
 
-    @pytest.mark.parametrize("place", [5000, -50])
-    def test_checksum_of_scp(self, tmp_path, digits, place):
+    def test_checksum_of_scp(self, tmp_path, digits):
         content = bytearray(files.scp(digits))
-        content[place] ^= 0x10
+        content[5000] ^= 0x10
         refused(saved(tmp_path, bytes(content)), "checksum", "CRC mismatch")
 
 
@@ -301,14 +277,13 @@ class TestAveragedBeatOnly:
     def beat(self, digits):
         return digits[:, 50:500]
 
-    def test_muse(self, tmp_path, data_folder):
+    def test_muse(self, data_folder):
         recording = read_recording(data_folder / "cases" / "c30_muse_median_only.xml")
         assert recording.signal.shape == (12, 600)
         assert "averaged beat" in "\n".join(recording.remarks)
         with pytest.raises(MissingMetadataError, match="noise="):
             make_target(recording)
-        target = make_target(recording, noise=0.03)
-        assert target.qrs_duration == pytest.approx(98, abs=5)
+        assert make_target(recording, noise=0.03).qrs_duration == pytest.approx(98, abs=5)
 
     def test_muse_and_aecg(self, tmp_path, beat):
         text = files.muse(beat)
@@ -338,15 +313,10 @@ class TestAveragedBeatOnly:
         assert "averaged beat" in "\n".join(recording.remarks)
 
 
-class TestHostileXml:
+class TestHostile:
     @pytest.mark.parametrize(
         "declaration",
-        [
-            '<!ENTITY a "x"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;"><!ENTITY c "&b;&b;&b;&b;&b;">',
-            '<!ENTITY x SYSTEM "file:///etc/passwd">',
-            '<!ENTITY x SYSTEM "http://127.0.0.1:9/x">',
-            '<!ENTITY % p SYSTEM "http://127.0.0.1:9/x"> %p;',
-        ],
+        ['<!ENTITY a "x"><!ENTITY b "&a;&a;">', '<!ENTITY x SYSTEM "file:///etc/passwd">'],
     )
     def test_entities(self, tmp_path, digits, declaration):
         doctype = '<!DOCTYPE RestingECG SYSTEM "restecg.dtd"'
@@ -361,24 +331,10 @@ class TestHostileXml:
         assert read_recording(saved(tmp_path, text)).duration == 4
         refused(saved(tmp_path, text.replace("annotationSet", "other")))
 
-
-class TestHostileScp:
-    def changed(self, tmp_path, sections, number, at, value):
-        content = bytearray(sections[number])
-        content[at : at + len(value)] = value
-        return saved(tmp_path, files.scp_record(sections | {number: bytes(content)}))
-
-    @pytest.mark.parametrize(
-        ("start", "end", "word"),
-        [
-            (1, 2**32 - 1, "expected 4294967295"),
-            (2**32 - 500, 2**32 - 1, ""),
-            (0, 10, "invalid sample range"),
-            (9, 1, "invalid sample range"),
-        ],
-    )
-    def test_declared_samples(self, tmp_path, digits, start, end, word):
+    @pytest.mark.parametrize("start", [1, 2**32 - 500])
+    def test_declared_samples_of_scp(self, tmp_path, digits, start):
         """Neither four thousand million samples nor their place may cost memory."""
         sections = files.scp_sections(digits, interval=10)
-        place = struct.pack("<II", start, end)
-        refused(self.changed(tmp_path, sections, 3, 2 + 9 * 3, place), word)
+        ranges = bytearray(sections[3])
+        struct.pack_into("<II", ranges, 2 + 9 * 3, start, 2**32 - 1)
+        refused(saved(tmp_path, files.scp_record(sections | {3: bytes(ranges)})))

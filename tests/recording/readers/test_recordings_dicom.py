@@ -5,14 +5,11 @@ import pydicom
 import pytest
 from dicom_files import RATE, N, change_leads, code, digits, group, put, write
 from pydicom.data import get_testdata_file
-from pydicom.dataset import Dataset
 from pydicom.uid import (
     DeflatedExplicitVRLittleEndian,
     EncapsulatedPDFStorage,
     ExplicitVRBigEndian,
-    ExplicitVRLittleEndian,
     ImplicitVRLittleEndian,
-    JPEGBaseline8Bit,
 )
 from refusals import read_as, refused
 
@@ -24,33 +21,20 @@ from fascicle.recording.readers.read import read_recording
 pytestmark = pytest.mark.filterwarnings("ignore:Invalid value for VR:UserWarning")
 
 
-class TestPublished:
-    @pytest.fixture
-    def path(self):
-        return get_testdata_file("waveform_ecg.dcm", download=False)
-
-    def test_rhythm_in_mv(self, path):
-        recording = read_recording(path)
-        raw = pydicom.dcmread(path).waveform_array(0)
-        assert recording.signal == pytest.approx(raw.T / 1000)
-        assert recording.sampling_rate == 1000
-        assert recording.digits_per_millivolt == pytest.approx(np.full(12, 800))
-        assert 0.5 < np.ptp(recording.signal, axis=1).max() < 5
-        assert recording.provenance["multiplex_group"] == "1"
-        assert recording.provenance["multiplex_group_label"] == "RHYTHM"
-        filters = recording.filters
-        assert (filters.highpass, filters.lowpass, filters.notch) == (0.05, 300, None)
-
-    @pytest.mark.parametrize("size", [0, 400, 2000, 240_000])
-    def test_truncated(self, path, tmp_path, size):
-        with open(path, "rb") as file:
-            (tmp_path / "a.dcm").write_bytes(file.read(size))
-        refused(tmp_path / "a.dcm")
+def test_rhythm_in_mv_of_a_published_file():
+    path = get_testdata_file("waveform_ecg.dcm", download=False)
+    recording = read_recording(path)
+    raw = pydicom.dcmread(path).waveform_array(0)
+    assert recording.signal == pytest.approx(raw.T / 1000)
+    assert recording.sampling_rate == 1000
+    assert recording.digits_per_millivolt == pytest.approx(np.full(12, 800))
+    assert recording.provenance["multiplex_group"] == "1"
+    assert recording.provenance["multiplex_group_label"] == "RHYTHM"
+    filters = recording.filters
+    assert (filters.highpass, filters.lowpass, filters.notch) == (0.05, 300, None)
 
 
-@pytest.mark.parametrize(
-    "syntax", [ExplicitVRLittleEndian, ImplicitVRLittleEndian, DeflatedExplicitVRLittleEndian]
-)
+@pytest.mark.parametrize("syntax", [ImplicitVRLittleEndian, DeflatedExplicitVRLittleEndian])
 def test_transfer_syntaxes(tmp_path, syntax):
     recording = read_as(write(tmp_path, group(digits()), syntax=syntax), 0.025 * digits())
     assert recording.sampling_rate == RATE
@@ -71,7 +55,6 @@ def test_sensitivity_correction_baseline_and_gain(tmp_path):
     ("elements", "word"),
     [
         ({"ChannelSensitivity": None}, "unknown unit of lead aVL"),
-        ({"ChannelSensitivity": ""}, "unknown unit of lead aVL"),
         ({"ChannelSensitivity": "0"}, "unknown unit of lead aVL"),
         ({"ChannelSensitivity": ["1", "2"]}, "damaged"),
         ({"ChannelSensitivity": "inf"}, "ChannelSensitivity is inf"),
@@ -107,37 +90,29 @@ def test_filters_are_the_narrowest_of_the_leads(tmp_path):
     assert read_recording(write(tmp_path, group(digits()))).filters.lowpass is None
 
 
-class TestNames:
-    def read(self, folder, k, lead, *sources, **elements):
-        item = group(digits())
-        put(item.ChannelDefinitionSequence[k], ChannelSourceSequence=list(sources), **elements)
-        path = write(folder, item)
-        assert read_recording(path).signal[LEADS.index(lead)] == pytest.approx(0.025 * digits()[k])
-        return path
+@pytest.mark.parametrize(
+    "source",
+    [
+        code("5.6.3-9-5", "SCPECG", "Lead V3"),
+        code("2:5", "mdc", "chest"),
+        code("2:1", "99MAKER", "V3"),  # not of the scheme whose code for lead I it is
+    ],
+)
+def test_codes_and_meanings(tmp_path, source):
+    item = group(digits())
+    put(item.ChannelDefinitionSequence[8], ChannelSourceSequence=[source])
+    assert read_recording(write(tmp_path, item)).signal[8] == pytest.approx(0.025 * digits()[8])
 
-    @pytest.mark.parametrize(
-        "source",
-        [
-            code("5.6.3-9-5", "SCPECG", "Lead V3"),
-            code("2:5", "MDC", ""),
-            code("2:5", "mdc", "chest"),
-            code("MDC_ECG_LEAD_V3", "99MAKER", "Lead V3"),
-            code("2:1", "99MAKER", "V3"),  # not of the scheme whose code for lead I it is
-        ],
-    )
-    def test_codes_and_meanings(self, tmp_path, source):
-        self.read(tmp_path, 8, "V3", source)
 
-    def test_other_leads_are_ignored_and_need_no_calibration(self, tmp_path):
-        samples = np.concatenate([digits(), digits()[:1]])
-        item = group(samples, [*LEADS, "aVR"])
-        put(
-            item.ChannelDefinitionSequence[12], ChannelSensitivity=None, ChannelLabel="aVR",
-            ChannelSourceSequence=[code("2:65", "MDC", "Lead -aVR")],
-        )  # fmt: skip
-        recording = read_recording(write(tmp_path, item))
-        assert recording.ignored == ("Lead -aVR",)
-        assert recording.signal == pytest.approx(0.025 * digits())
+def test_other_leads_are_ignored_and_need_no_calibration(tmp_path):
+    samples = np.concatenate([digits(), digits()[:1]])
+    item = group(samples, [*LEADS, "aVR"])
+    put(
+        item.ChannelDefinitionSequence[12], ChannelSensitivity=None, ChannelLabel="aVR",
+        ChannelSourceSequence=[code("2:65", "MDC", "Lead -aVR")],
+    )  # fmt: skip
+    recording = read_as(write(tmp_path, item), 0.025 * digits())
+    assert recording.ignored == ("Lead -aVR",)
 
 
 class TestGroups:
@@ -240,11 +215,8 @@ class TestGroups:
         refused(path)
         refused(write(tmp_path, *self.thirds(["0", "0", "0", "500"])), "lead I lacks")
 
-
-class TestCases:
     def test_a_rhythm_strip_aligns_the_groups(self, data_folder):
-        recording = read_recording(data_folder / "cases" / "c12_4x3_rhythm.dcm")
-        target = make_target(recording)
+        target = make_target(read_recording(data_folder / "cases" / "c12_4x3_rhythm.dcm"))
         assert target.qrs_onset == pytest.approx(-49, abs=4)
         assert target.qrs_offset == pytest.approx(50, abs=4)
         assert "aligned by lead II" in "\n".join(target.warnings)
@@ -253,13 +225,9 @@ class TestCases:
 @pytest.mark.parametrize(
     "elements",
     [
-        {"SamplingFrequency": "0"}, {"SamplingFrequency": "-500"}, {"SamplingFrequency": "nan"},
-        {"NumberOfWaveformSamples": 0}, {"NumberOfWaveformSamples": None},
-        {"ChannelDefinitionSequence": []},
-        {"ChannelDefinitionSequence": None}, {"WaveformData": None},
-        {"WaveformBitsAllocated": None}, {"WaveformBitsAllocated": 12},
+        {"SamplingFrequency": "nan"}, {"NumberOfWaveformSamples": None},
+        {"ChannelDefinitionSequence": None}, {"WaveformData": None}, {"WaveformBitsAllocated": 12},
         {"WaveformBitsAllocated": 8, "WaveformSampleInterpretation": "MB"},
-        {"WaveformBitsAllocated": 64, "WaveformSampleInterpretation": "SV"},
     ],
 )  # fmt: skip
 def test_groups_that_are_refused(tmp_path, elements):
@@ -269,29 +237,14 @@ def test_groups_that_are_refused(tmp_path, elements):
 
 
 class TestOtherFiles:
-    @pytest.mark.parametrize(
-        "elements",
-        [
-            {"Modality": "CT", "SOPClassUID": "1.2.840.10008.5.1.4.1.1.2"},
-            {"SOPClassUID": EncapsulatedPDFStorage},
-            {"EncryptedAttributesSequence": [Dataset()]},
-        ],
-    )
-    def test_no_waveform(self, tmp_path, elements):
-        path = write(tmp_path, WaveformSequence=None, **elements)
+    def test_no_waveform(self, tmp_path):
+        path = write(tmp_path, WaveformSequence=None, SOPClassUID=EncapsulatedPDFStorage)
         refused(path, "without a waveform", "without encryption")
         refused(write(tmp_path), "without a waveform")
 
-    def test_syntaxes_of_images(self, tmp_path):
+    def test_compressed_and_other_syntaxes(self, tmp_path):
         path = write(tmp_path, group(digits()), syntax=ExplicitVRBigEndian)
         refused(path, "Explicit VR Big Endian", "Explicit VR Little Endian")
-        path = write(tmp_path, group(digits()))
-        dataset = pydicom.dcmread(path)
-        dataset.file_meta.TransferSyntaxUID = JPEGBaseline8Bit
-        dataset.save_as(path)
-        refused(path, "JPEG Baseline")
-
-    def test_encapsulated_waveform(self, tmp_path):
         item = group(digits())
         item["WaveformData"].VR = "OB"
         item["WaveformData"].is_undefined_length = True
