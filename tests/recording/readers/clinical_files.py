@@ -17,25 +17,21 @@ import numpy as np
 from fascicle.core.leads import INDEPENDENT_LEADS, LEADS
 
 # EN 1064, 5.6.3: identification of leads
-SCP_CODES = {
-    "I": 1, "II": 2, "V1": 3, "V2": 4, "V3": 5, "V4": 6, "V5": 7, "V6": 8,
-    "III": 61, "aVR": 62, "aVL": 63, "aVF": 64, "X": 16,
-}  # fmt: skip
+SCP_CODES = {name: code for code, name in enumerate(INDEPENDENT_LEADS, 1)}
 
 
-def heart_beats(leads=8, samples=2000, rate=500, seed=1):
-    """Digits of leads in which a QRS, different in each, beats once a second over noise."""
+def heart_beats(samples=2000, seed=1):
+    """Digits of eight leads in which a QRS, different in each, beats once a second over noise."""
     rng = np.random.default_rng(seed)
-    t = np.arange(samples) / rate
+    t = np.arange(samples) / 500
     qrs = np.exp(-(((t % 1.0 - 0.5) / 0.02) ** 2))
-    amplitude = rng.uniform(-400, 400, leads)
-    return np.rint(amplitude[:, None] * qrs + rng.normal(0, 2, (leads, samples))).astype(int)
+    amplitude = rng.uniform(-400, 400, 8)
+    return np.rint(amplitude[:, None] * qrs + rng.normal(0, 2, (8, samples))).astype(int)
 
 
 def aecg(
-    digits, *, names=INDEPENDENT_LEADS, step=("0.002", "s"), scale=("2.5", "uV"), origin="0",
-    subjects=("SBJ-1",), filters="",
-) -> str:  # fmt: skip
+    digits, *, step=("0.002", "s"), scale=("2.5", "uV"), origin="0", subjects=("SBJ-1",)
+) -> str:
     """HL7 aECG with one rhythm series of one sequence set."""
     people = "".join(
         '<componentOf><timepointEvent><componentOf><subjectAssignment><subject><trialSubject>'
@@ -49,7 +45,7 @@ def aecg(
         f'<value xsi:type="SLIST_PQ"><origin value="{origin}" unit="{unit}"/>'
         f'<scale value="{value}" unit="{unit}"/><digits>{" ".join(map(str, row))}</digits>'
         "</value></sequence></component>"
-        for name, row in zip(names, digits, strict=True)
+        for name, row in zip(INDEPENDENT_LEADS, digits, strict=True)
     )
     time = (
         '<component><sequence><code code="TIME_ABSOLUTE"/><value xsi:type="GLIST_TS">'
@@ -59,22 +55,21 @@ def aecg(
     return (
         '<?xml version="1.0" encoding="utf-8"?>\n<AnnotatedECG xmlns="urn:hl7-org:v3" '
         'xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" type="Observation">'
-        f'{people}<component><series><code code="RHYTHM"/>{filters}<component><sequenceSet>'
+        f'{people}<component><series><code code="RHYTHM"/><component><sequenceSet>'
         f"{time}{leads}</sequenceSet></component></series></component></AnnotatedECG>"
     )
 
 
 def muse(
-    digits, *, names=INDEPENDENT_LEADS, base="500", exponent="0", scale="4.88",
-    unit="MICROVOLTS", checksums=True, extra: Mapping[str, str] | None = None, patient="4711",
-    wrap=72,
+    digits, *, base="500", exponent="0", scale="4.88", unit="MICROVOLTS", checksums=True,
+    extra: Mapping[str, str] | None = None, patient="4711",
 ) -> str:  # fmt: skip
     """GE MUSE XML: a median beat, then the rhythm, digits as little-endian 16 bit in base64."""
 
     def lead(name, row):
         payload = np.asarray(row).astype("<i2").tobytes()
         text = base64.b64encode(payload).decode()
-        lines = "\n".join(text[k : k + wrap] for k in range(0, len(text), wrap))
+        lines = "\n".join(text[k : k + 72] for k in range(0, len(text), 72))
         checksum = zlib.crc32(payload) if checksums else 0
         more = (extra or {}).get(name, "")
         return (
@@ -91,7 +86,7 @@ def muse(
             f"<Waveform>\n<WaveformType>{kind}</WaveformType>\n<SampleBase>{base}</SampleBase>\n"
             f"<SampleExponent>{exponent}</SampleExponent>\n<HighPassFilter>16</HighPassFilter>\n"
             "<LowPassFilter>150</LowPassFilter>\n<ACFilter>60</ACFilter>\n"
-            + "".join(lead(name, row) for name, row in zip(names, rows, strict=True))
+            + "".join(lead(*each) for each in zip(INDEPENDENT_LEADS, rows, strict=True))
             + "</Waveform>\n"
         )
 
@@ -130,22 +125,19 @@ def scp_record(sections: Mapping[int, bytes]) -> bytes:
 
 
 def scp_sections(
-    digits: Sequence, *, names=INDEPENDENT_LEADS, starts=None, nanovolts=4880, interval=2000,
-    flags=None,
-) -> dict[int, bytes]:  # fmt: skip
+    digits: Sequence, *, starts=(1,) * 8, nanovolts=4880, interval=2000, flags=0x04 | 8 << 3
+) -> dict[int, bytes]:
     """Contents of the sections of a 12-lead recording, to be changed by a test."""
-    starts = [1] * len(names) if starts is None else starts
     leads = [
         struct.pack("<IIB", start, start + len(row) - 1, SCP_CODES[name])
-        for name, start, row in zip(names, starts, digits, strict=True)
+        for name, start, row in zip(INDEPENDENT_LEADS, starts, digits, strict=True)
     ]
-    flags = 0x04 | len(names) << 3 if flags is None else flags
     data = [np.asarray(row).astype("<i2").tobytes() for row in digits]
     tags = b"\x1b\x02\x00" + struct.pack("<H", 5) + b"\x1c\x02\x00" + struct.pack("<H", 150)
     tags += b"\x1d\x01\x00\x02" + b"\xff\x00\x00"
     return {
         1: b"\x02\x05\x004711\x00" + tags,
-        3: bytes([len(leads), flags & 0xFF]) + b"".join(leads),
+        3: bytes([len(leads), flags]) + b"".join(leads),
         6: struct.pack(f"<HHBB{len(data)}H", nanovolts, interval, 0, 0, *map(len, data))
         + b"".join(data),
     }
@@ -156,24 +148,24 @@ def scp(digits, **options) -> bytes:
     return scp_record(scp_sections(digits, **options))
 
 
-def mortara(digits, *, names=INDEPENDENT_LEADS) -> bytes:
+def mortara(digits) -> bytes:
     """Mortara ELI XML of 200 digits a mV at 500 Hz."""
     channels = "".join(
         f'<CHANNEL NAME="{name}" SAMPLE_FREQ="500" UNITS_PER_MV="200" DURATION="{len(row)}" '
         f'BITS="16" FORMAT="SIGNED" ENCODING="BASE64" OFFSET="0" '
         f'DATA="{base64.b64encode(np.asarray(row).astype("<i2").tobytes()).decode()}"/>'
-        for name, row in zip(names, digits, strict=True)
+        for name, row in zip(INDEPENDENT_LEADS, digits, strict=True)
     )
     source = '<SOURCE TYPE="RESTING" MANUFACTURER="MORTARA" MODEL="ELI280"/>'
     return f'<?xml version="1.0"?><ECG VENT_RATE="60">{source}{channels}</ECG>'.encode()
 
 
-def philips(beat, *, names=INDEPENDENT_LEADS, rate="") -> str:
+def philips(beat, *, rate="") -> str:
     """Philips XML of representative beats alone, of 5 uV a digit at 500 Hz."""
     beats = "".join(
         f'<repbeat leadname="{name}"><waveform duration="{2 * len(row)}">'
         f"{base64.b64encode(np.asarray(row).astype('<i2').tobytes()).decode()}</waveform></repbeat>"
-        for name, row in zip(names, beat, strict=True)
+        for name, row in zip(INDEPENDENT_LEADS, beat, strict=True)
     )
     return (
         '<?xml version="1.0"?><restingecgdata xmlns="http://www3.medical.philips.com"><documentinfo>'
@@ -184,19 +176,19 @@ def philips(beat, *, names=INDEPENDENT_LEADS, rate="") -> str:
     )
 
 
-def ishne(digits, *, names=INDEPENDENT_LEADS, nanovolts=5000, rate=500) -> bytes:
+def ishne(digits, *, nanovolts=5000) -> bytes:
     """ISHNE Holter file (Badilini 1998): a header of 522 bytes, then the leads in turns."""
-    codes = [5 + LEADS.index(name) for name in names] + [-9] * (12 - len(names))
+    codes = [5 + LEADS.index(name) for name in INDEPENDENT_LEADS] + [-9] * 4
     rows = np.asarray(digits).astype("<i2").T.tobytes()
     header = bytearray(512)
     struct.pack_into("<iiii", header, 0, 0, np.shape(digits)[1], 522, 522)
-    struct.pack_into("<h", header, 146, len(names))
+    struct.pack_into("<h", header, 146, 8)
     struct.pack_into("<12h12h12h", header, 148, *codes, *[0] * 12, *[nanovolts] * 12)
-    struct.pack_into("<h", header, 262, rate)
+    struct.pack_into("<h", header, 262, 500)
     return b"ISHNE1.0" + struct.pack("<H", binascii.crc_hqx(bytes(header), 0xFFFF)) + header + rows
 
 
-def mfer(digits, *, names=INDEPENDENT_LEADS, interval=b"\x0b\x04\x01\xfd\x02\x00") -> bytes:
+def mfer(digits, *, interval=b"\x0b\x04\x01\xfd\x02\x00") -> bytes:
     """MFER file (ISO 22077) of 5 uV a digit; by default at an interval of 2 ms."""
 
     def item(tag: int, content: bytes) -> bytes:
@@ -204,13 +196,12 @@ def mfer(digits, *, names=INDEPENDENT_LEADS, interval=b"\x0b\x04\x01\xfd\x02\x00
         length = bytes([size]) if size < 128 else b"\x84" + struct.pack(">I", size)
         return bytes([tag]) + length + content
 
-    codes = {name: code for name, code in SCP_CODES.items() if name in names}
     samples = np.shape(digits)[1]
     start = item(0x40, b"MFR ") + item(0x01, b"\1") + interval + item(0x0C, b"\0\xfa\5\0")
-    start += item(0x04, struct.pack("<I", samples)) + item(0x05, bytes([len(names)]))
+    start += item(0x04, struct.pack("<I", samples)) + item(0x05, bytes([8]))
     start += item(0x06, struct.pack("<I", 1))
-    for k, name in enumerate(names):
-        attributes = item(0x09, struct.pack("<H", codes[name]))
+    for k, name in enumerate(INDEPENDENT_LEADS):
+        attributes = item(0x09, struct.pack("<H", SCP_CODES[name]))
         start += b"\x3f" + bytes([k, len(attributes)]) + attributes
     return start + item(0x1E, np.asarray(digits).astype("<i2").tobytes()) + b"\x80\0"
 

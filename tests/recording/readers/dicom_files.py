@@ -24,7 +24,7 @@ def code(value, scheme, meaning=""):
     return item
 
 
-def channel(lead, **elements):
+def channel(lead):
     item = Dataset()
     item.ChannelSourceSequence = [code(f"2:{MDC[lead]}", "MDC", f"Lead {lead}")]
     item.ChannelSensitivity = "25"
@@ -33,21 +33,19 @@ def channel(lead, **elements):
     item.ChannelBaseline = "0"
     item.ChannelSampleSkew = "0"
     item.WaveformBitsStored = 16
-    return put(item, **elements)
+    return item
 
 
-def group(samples, leads=LEADS, dtype="<i2", **elements):
+def group(samples, leads=LEADS, **elements):
     """A multiplex group of samples (channels, n)."""
     item = Dataset()
     item.WaveformOriginality = "ORIGINAL"
     item.NumberOfWaveformChannels, item.NumberOfWaveformSamples = samples.shape
     item.SamplingFrequency = str(RATE)
-    item.WaveformBitsAllocated = 8 * np.dtype(dtype).itemsize
-    item.WaveformSampleInterpretation = {"i1": "SB", "u1": "UB", "i2": "SS", "u2": "US",
-                                         "i4": "SL", "u4": "UL"}[dtype[-2:]]  # fmt: skip
+    item.WaveformBitsAllocated, item.WaveformSampleInterpretation = 16, "SS"
     item.ChannelDefinitionSequence = [channel(lead) for lead in leads]
-    item.WaveformData = samples.T.astype(dtype).tobytes()
-    item["WaveformData"].VR = "OB" if dtype[-2:] in ("i1", "u1") else "OW"
+    item.WaveformData = samples.T.astype("<i2").tobytes()
+    item["WaveformData"].VR = "OW"
     return put(item, **elements)
 
 

@@ -93,20 +93,18 @@ def test_isolated_fills_in_steep_waves_are_signal():
 class TestGaps:
     def test_short_ones_are_interpolated_and_told(self, tmp_path, digits):
         """An error of a few digits, where the QRS is 100 to 400 digits high and 40 ms wide."""
-        for gap in (1, 5):  # 2 and 10 ms
-            lost = digits.copy()
-            lost[V2, 740 : 740 + gap] = lost[0, 30 : 30 + gap] = -(2**15)
-            recording = read_recording(save_dicom(tmp_path, lost, -(2**15)))
-            lead_i, lead_ii, lead_iii = recording.signal[:3]
-            assert lead_i + lead_iii == pytest.approx(lead_ii, abs=1e-12)  # computed afterwards
-            error = recording.signal[ROWS] / 5e-3 - digits
-            assert np.abs(error).max() < 20
-            assert np.count_nonzero(np.abs(error) > 1e-9) == pytest.approx(2 * gap, abs=1)
-            s = "s" * (gap > 1)
-            assert "\n".join(recording.remarks) == (
-                f"missing samples were interpolated: {gap} sample{s} of lead I (at 0.060 s), {gap} "
-                f"sample{s} of lead V2 (at 1.480 s)"
-            )
+        lost = digits.copy()
+        lost[V2, 740:745] = lost[0, 30:31] = -(2**15)  # 10 and 2 ms
+        recording = read_recording(save_dicom(tmp_path, lost, -(2**15)))
+        lead_i, lead_ii, lead_iii = recording.signal[:3]
+        assert lead_i + lead_iii == pytest.approx(lead_ii, abs=1e-12)  # computed afterwards
+        error = recording.signal[ROWS] / 5e-3 - digits
+        assert np.abs(error).max() < 20
+        assert np.count_nonzero(np.abs(error) > 1e-9) == pytest.approx(6, abs=1)
+        assert "\n".join(recording.remarks) == (
+            "missing samples were interpolated: 1 sample of lead I (at 0.060 s), 5 samples of lead "
+            "V2 (at 1.480 s)"
+        )
 
     @pytest.mark.parametrize(("samples", "every"), [(6, 1100), (1, 50)])
     def test_long_and_many_ones_are_refused_with_remedies_that_work(
