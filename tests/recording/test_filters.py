@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from quality_recordings import beating, real, synthetic
-from scipy.signal import bessel, butter, ellip, filtfilt, firwin, sosfilt, sosfiltfilt
+from scipy.signal import bessel, butter, ellip, firwin, oaconvolve, sosfilt, sosfiltfilt
 
 from benchmarks.fits import demo_recording
 from benchmarks.synthetic_recordings.rhythms import RHYTHMS
@@ -38,22 +38,16 @@ def test_gain_is_what_the_applied_filter_does(lowpass, mains):
         assert np.interp(lowpass, frequency, spectrum) == pytest.approx(0.5)
 
 
-@pytest.mark.parametrize("order", [1.0, 2.0, 6.5, 20.0])
-def test_low_pass_is_3_db_down_at_its_cut_off_and_falls_by_its_order(order):
-    lowpass = Filter(FilterKind.LOW_PASS, 40.0, RECORDER, order)
-    zero, cutoff, far, farther = lowpass.gain(np.array([0.0, 40.0, 400.0, 800.0]))
-    assert zero == 1.0
-    assert cutoff == pytest.approx(0.5**0.5)
-    assert far / farther == pytest.approx(2**order, rel=0.01)
-
-
-def test_notch_takes_its_middle_away_and_little_else():
+def test_gains_are_3_db_down_where_they_should_and_those_of_several_multiply():
+    for order in (1.0, 6.5, 20.0):
+        lowpass = Filter(FilterKind.LOW_PASS, 40.0, RECORDER, order)
+        zero, cutoff, far, farther = lowpass.gain(np.array([0.0, 40.0, 400.0, 800.0]))
+        assert zero == 1.0
+        assert cutoff == pytest.approx(0.5**0.5)
+        assert far / farther == pytest.approx(2**order, rel=0.01)
     notch = Filter(FilterKind.NOTCH, 50.0, RECORDER, 30.0)
     gain = notch.gain(np.array([0.0, 50.0, 50.0 + 25.0 / 30.0, 40.0, 100.0]))
     np.testing.assert_allclose(gain, [1.0, 0.0, 0.5**0.5, 1.0, 1.0], atol=0.01)
-
-
-def test_gains_of_several_multiply():
     one = Filter(FilterKind.LOW_PASS, 40.0, RECORDER, 2.0)
     other = Filter(FilterKind.LOW_PASS, 100.0, RECORDER, 4.0)
     frequency = np.linspace(0, 200, 21)
@@ -66,8 +60,8 @@ def test_gains_of_several_multiply():
 
 @pytest.mark.parametrize(
     ("frequency", "shape", "rate"),
-    [(0.0, 2.0, None), (np.nan, 2.0, None), (40.0, -1.0, None), (40.0, np.inf, None),
-     (600.0, 2.0, 1000.0), (40.0, 2.5, 1000.0), (40.0, 1e9, 1000.0), (40.0, 2.0, np.nan)],
+    [(np.nan, 2.0, None), (40.0, -1.0, None), (600.0, 2.0, 1000.0), (40.0, 2.5, 1000.0),
+     (40.0, 1e9, 1000.0), (40.0, 2.0, np.nan)],
 )  # fmt: skip
 def test_filters_that_cannot_be(frequency, shape, rate):
     with pytest.raises(ValueError, match="impossible"):
@@ -103,7 +97,6 @@ def test_a_target_knows_what_it_has_passed():
     assert plain.provenance["filters"] == "none known"
     stated = analyse(recording, TargetOptions(recorder_lowpass=50.0)).target
     np.testing.assert_array_equal(stated.beats, plain.beats)  # the recorder has done it already
-    assert stated.response is not None
     assert stated.response(np.array([0.05]))[0] == pytest.approx(0.5**0.5)  # cycles per sample
     assert "low-pass 50 Hz" in stated.provenance["filters"]
     assert target_digest(stated) != target_digest(plain)
@@ -132,7 +125,9 @@ def steep(cutoff, rate):
     return {
         "Butterworth": lambda signal: sosfiltfilt(twice, signal),
         "elliptic": lambda signal: sosfilt(elliptic, signal),
-        "FIR": lambda signal: filtfilt(taps, [1.0], signal, padlen=round(0.5 * rate)),
+        "FIR": lambda signal: oaconvolve(
+            oaconvolve(signal, taps[None], "same", 1), taps[None], "same", 1
+        ),
     }
 
 
@@ -158,30 +153,29 @@ def estimate(signal, rate, peaks):
     return None if found is None else found.frequency
 
 
-@pytest.mark.parametrize("cutoff", [40.0, 100.0])
-def test_steep_filters_on_real_recordings_are_found_and_gentle_ones_not(data_folder, cutoff):
+def test_steep_filters_on_real_recordings_are_found_and_gentle_ones_not(data_folder):
     for name, recording in real(data_folder).items():
         rate = round(recording.sampling_rate)
-        signal = np.nan_to_num(recording.signal)
-        peaks = r_peaks(recording.signal, rate)
-        assert estimated_lowpass(recording.signal, recording.sampling_rate, peaks) is None, name
-        found = {
-            shape: (estimate(apply(signal), rate, peaks), cut_off(apply, rate))
-            for shape, apply in steep(cutoff, rate).items()
-        }
-        # one may be missed, and none may be wrong
-        assert sum(value is not None for value, _ in found.values()) >= 2, (name, found)
-        for shape, (value, truth) in found.items():
-            assert value is None or value == pytest.approx(truth, abs=6.0), (name, shape)
-        for shape, apply in gentle(cutoff, rate).items():
-            assert estimate(apply(signal), rate, peaks) is None, (name, shape)
+        signal = np.nan_to_num(recording.signal[:, : 10 * rate])
+        peaks = r_peaks(signal, rate)
+        assert estimated_lowpass(signal, rate, peaks) is None, name
+        for cutoff in (40.0, 100.0):
+            found = {
+                shape: (estimate(apply(signal), rate, peaks), cut_off(apply, rate))
+                for shape, apply in steep(cutoff, rate).items()
+            }
+            # one may be missed, and none may be wrong
+            assert sum(value is not None for value, _ in found.values()) >= 2, (name, found)
+            for shape, (value, truth) in found.items():
+                assert value is None or value == pytest.approx(truth, abs=6.0), (name, shape)
+            for shape, apply in gentle(cutoff, rate).items():
+                assert estimate(apply(signal), rate, peaks) is None, (name, shape)
 
 
-@pytest.mark.parametrize("noise_db", [10.0, 30.0, 60.0, None])
 @pytest.mark.parametrize("rhythm", RHYTHMS)
-def test_nothing_is_found_in_synthetic_recordings(rhythm, noise_db):
+def test_nothing_is_found_in_synthetic_recordings(rhythm):
     """Their QRS are sums of Gaussians, whose spectra fall faster and faster."""
-    for seed, rate in ((0, 500), (1, 1000)):
+    for seed, rate, noise_db in ((0, 500, 10.0), (1, 1000, 30.0), (0, 500, None)):
         recording, truth = synthetic(seed, rhythm=rhythm, rate=rate, noise_db=noise_db)
         peaks = np.round(truth.r_times * rate).astype(int)
         assert estimate(recording.signal, rate, peaks) is None

@@ -30,14 +30,12 @@ def beat(t, tall_t=1.0):
     )
 
 
-def ecg(rate=500.0, seconds=10.0, interval=850.0, jitter=15.0, seed=0, ectopic=(), tall_t=1.0):
+def ecg(rate=500.0, seconds=10.0, interval=850.0, jitter=15.0, ectopic=(), tall_t=1.0):
     """(12, n) mV and the R times (ms)."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     t = np.arange(round(seconds * rate)) * 1000 / rate
-    times = (
-        np.arange(400.0, t[-1], interval)
-        + rng.uniform(-jitter, jitter, 100)[: len(np.arange(400.0, t[-1], interval))]
-    )
+    times = np.arange(400.0, t[-1], interval)
+    times += rng.uniform(-jitter, jitter, 100)[: len(times)]
     signal = np.zeros((12, len(t)))
     for k, centre in enumerate(times):
         if k in ectopic:
@@ -48,7 +46,17 @@ def ecg(rate=500.0, seconds=10.0, interval=850.0, jitter=15.0, seed=0, ectopic=(
     return signal + 0.004 * rng.normal(size=signal.shape), times
 
 
-def true_window(target, times):
+@pytest.fixture(scope="module")
+def plain():
+    return make_target(Recording(ecg()[0], 500.0, "plain"))
+
+
+@pytest.fixture(scope="module")
+def ectopic():
+    return Recording(ecg(ectopic=(2, 5, 8))[0], 500.0, "ectopic")
+
+
+def true_window(target):
     """Window in the target's own time: its R is not the nominal one, but a constant away."""
     clean = lead_matrix() @ beat(target.time)
     shifts = np.arange(-60, 61)
@@ -58,11 +66,10 @@ def true_window(target, times):
     return ONSET + shift, OFFSET + shift
 
 
-@pytest.mark.parametrize("rate", [250.0, 360.0, 500.0, 977.0, 1000.0, 2000.0])
+@pytest.mark.parametrize("rate", [250.0, 977.0, 2000.0])
 def test_window_is_found_at_every_sampling_rate(rate):
-    signal, times = ecg(rate)
-    target = make_target(Recording(signal, rate, "synthetic"))
-    onset, offset = true_window(target, times)
+    target = make_target(Recording(ecg(rate, seconds=6.0)[0], rate, "synthetic"))
+    onset, offset = true_window(target)
     assert target.qrs_onset == pytest.approx(onset, abs=7)
     assert target.qrs_offset == pytest.approx(offset, abs=7)
     assert target.heart_rate == pytest.approx(60000 / 850, rel=0.02)
@@ -70,9 +77,7 @@ def test_window_is_found_at_every_sampling_rate(rate):
     assert 0.0 in target.time
 
 
-@pytest.mark.parametrize(
-    ("interval", "tall_t"), [(360.0, 1.0), (500.0, 1.0), (1500.0, 1.0), (1200.0, 5.0)]
-)
+@pytest.mark.parametrize(("interval", "tall_t"), [(360.0, 1.0), (1500.0, 1.0), (1200.0, 5.0)])
 def test_slow_and_fast_rhythms_and_tall_t_waves(interval, tall_t):
     signal, times = ecg(interval=interval, jitter=3.0, tall_t=tall_t)
     target = make_target(Recording(signal, 500.0, "synthetic"))
@@ -83,27 +88,33 @@ def test_slow_and_fast_rhythms_and_tall_t_waves(interval, tall_t):
         assert target.qrs_duration == pytest.approx(OFFSET - ONSET, abs=14)
 
 
-def test_drift_is_removed():
+def test_drift_is_removed(plain):
     clean, _ = ecg()
     t = np.arange(clean.shape[1]) / 500.0
     drift = 0.3 * np.sin(2 * np.pi * 0.25 * t) + 0.05 * t
-    target = make_target(Recording(clean, 500.0, "clean"))
     drifting = make_target(Recording(clean + drift, 500.0, "drifting"))
-    inside = target.qrs_samples
-    assert np.abs(drifting.qrs - target.mean[:, drifting.qrs_samples]).max() < 0.02
+    inside = plain.qrs_samples
+    assert np.abs(drifting.qrs - plain.mean[:, drifting.qrs_samples]).max() < 0.02
     assert drifting.standard_deviation[:, inside].max() < 0.1
     assert np.abs(drifting.mean[:, inside.start]).max() < 0.02
 
 
-def test_ectopic_beats_are_left_out():
-    plain = make_target(Recording(ecg()[0], 500.0, "plain"))
-    signal, times = ecg(ectopic=(2, 5, 8))
-    target = make_target(Recording(signal, 500.0, "ectopic"))
-    assert target.provenance["beats_found"] == str(len(times))
+def test_ectopic_beats_are_left_out_unless_they_are_asked_for(plain, ectopic):
+    target = make_target(ectopic)
+    assert target.provenance["beats_found"] == "12"
     assert len(target.beats) == len(plain.beats) - 3
     assert np.abs(target.qrs - plain.mean[:, target.qrs_samples]).max() < 0.03
     many = make_target(Recording(ecg(ectopic=(1, 3, 5, 7))[0], 500.0, "many"))
     assert "only 8 of 12 beats are of class A" in "\n".join(many.warnings)
+    of_class = make_target(ectopic, beat_class="B")
+    named = make_target(ectopic, beats=(3, 6, 9))
+    assert np.array_equal(named.beats, of_class.beats)
+    assert named.provenance["beat_class"] == "B"
+    assert named.provenance["beat_numbers"] == "3, 6, 9"
+    mixed = make_target(ectopic, -60, 60, beats=(2, 3))
+    assert mixed.provenance["beat_class"] == "A, B"
+    with pytest.raises(InputError, match="not both"):
+        make_target(ectopic, beats=(2, 3), beat_class="A")
 
 
 def test_beats_that_alternate_may_be_twice_as_many_as_there_are():
@@ -127,7 +138,7 @@ def test_beats_that_alternate_may_be_twice_as_many_as_there_are():
     assert "alternate" not in "\n".join(chosen.warnings)
 
 
-def test_window_can_be_given():
+def test_window_can_be_given(plain):
     recording = Recording(ecg()[0], 500.0, "synthetic")
     target = make_target(recording, onset=-60, offset=80.5)
     assert (target.qrs_onset, target.qrs_offset, target.qrs_duration) == (-60, 80.5, 140.5)
@@ -135,16 +146,10 @@ def test_window_can_be_given():
     assert target.provenance["qrs_onset_from"] == "given"
     only_one = make_target(recording, offset=90.0)
     assert only_one.qrs_offset == 90.0
-    assert only_one.qrs_onset == make_target(recording).qrs_onset
-
-
-@pytest.mark.parametrize(
-    ("onset", "offset"), [(20, -20), (-10, 5), (-400, 50), (-50, 900), (float("nan"), 50)]
-)
-def test_impossible_windows_are_refused(onset, offset):
-    with pytest.raises(InputError, match=r"QRS window.* ms") as info:
-        make_target(Recording(ecg()[0], 500.0, "synthetic"), onset=onset, offset=offset)
-    assert "\n" not in str(info.value)
+    assert only_one.qrs_onset == plain.qrs_onset
+    for onset, offset in ((20, -20), (-10, 5), (-400, 50), (-50, 900), (float("nan"), 50)):
+        with pytest.raises(InputError, match=r"^.*QRS window.* ms.*$"):
+            make_target(recording, onset=onset, offset=offset)
 
 
 def changed(rows, samples, value):
@@ -160,7 +165,6 @@ def changed(rows, samples, value):
     [
         (changed(7, slice(None), 0.3), 500.0, r"no signal in lead V2; .*leads=\['I', 'II', 'III',"),
         (changed(1, slice(40, 50), np.nan), 500.0, r"lead II lacks 10 samples .*40, at 0.080 s"),
-        (lambda s: s, 0.0, "sampling rate is 0 Hz"),
         (lambda s: s, 125.0, "sampling rate is 125 Hz"),
         (lambda s: s[:, :150], 500.0, "0.30 s long"),
         (lambda s: np.tile(s, 200), 500.0, "2000 s long, .*; cut it to 1800 s"),
@@ -186,51 +190,30 @@ def test_unusable_recordings_are_refused_in_one_line(change, rate, words):
     assert "\n" not in str(info.value)
 
 
-@pytest.mark.parametrize("factor", [0.1, 1.0, 5.0])
-def test_an_implausible_amplitude_is_asked_and_may_be_confirmed(tmp_path, factor):
-    signal, _ = ecg()
-    signal = signal * 1.6 / np.ptp(signal, axis=1).max()  # mV
+@pytest.mark.parametrize(("factor", "size"), [(0.1, "low"), (5.0, "high")])
+def test_an_implausible_amplitude_is_asked_and_may_be_confirmed(tmp_path, factor, size):
+    signal, _ = ecg(seconds=5.0)
+    signal = factor * signal * 1.6 / np.ptp(signal, axis=1).max()  # mV
     table = tmp_path / "ecg.csv"
     header = ",".join(f"{lead} (mV)" for lead in LEADS)
-    np.savetxt(table, factor * signal.T, "%.5f", ",", header=header, comments="")
+    np.savetxt(table, signal.T, "%.5f", ",", header=header, comments="")
 
     def made(unit=None):
         return make_target(read_recording(table, sampling_rate=500.0, unit=unit))
 
-    if factor == 1.0:
-        assert "voltage" not in "\n".join(made().warnings)
-        return
     with pytest.raises(MissingMetadataError, match=r"the QRS spans .* mV .* by unit="):
         made()
-    size = "low" if factor < 1 else "high"
     assert f"{size} voltage: the QRS spans" in "\n".join(made("mV").warnings)
     # a simulated ECG in memory is in mV by definition
-    assert make_target(Recording(factor * signal, 500.0, "simulated")).qrs_duration > 50
+    assert make_target(Recording(signal, 500.0, "simulated")).qrs_duration > 50
 
 
-def test_beats_of_another_class_are_what_they_are():
-    signal, times = ecg(ectopic=(2, 5, 8))
-    recording = Recording(signal, 500.0, "ectopic")
-    ectopic = make_target(recording, beat_class="B")
-    named = make_target(recording, beats=(3, 6, 9))
-    assert np.array_equal(named.beats, ectopic.beats)
-    assert named.provenance["beat_class"] == "B"
-    assert named.provenance["beat_numbers"] == "3, 6, 9"
-    mixed = make_target(recording, -60, 60, beats=(2, 3))
-    assert mixed.provenance["beat_class"] == "A, B"
-    with pytest.raises(InputError, match="not both"):
-        make_target(recording, beats=(2, 3), beat_class="A")
-    assert len(times) == 12
-
-
-@pytest.mark.parametrize("rate", [499.93, 1000.3])
-def test_odd_rates_do_not_drift(rate):
-    """Beats a minute on lie where they were recorded."""
-    signal, times = ecg(rate=rate, seconds=60.0, jitter=0.0)
-    beats = analyse(Recording(signal, rate, "synthetic")).beats
-    interval = np.diff([beat.time for beat in beats])
-    assert (beats[-1].time - beats[0].time) == pytest.approx((len(interval)) * 0.85, abs=0.0015)
+def test_odd_rates_do_not_drift():
+    """Beats half a minute on lie where they were recorded."""
+    signal, times = ecg(rate=499.93, seconds=30.0, jitter=0.0)
+    beats = analyse(Recording(signal, 499.93, "synthetic")).beats
     assert len(times) == len(beats)
+    assert beats[-1].time - beats[0].time == pytest.approx((len(times) - 1) * 0.85, abs=0.0015)
 
 
 @pytest.mark.parametrize(
