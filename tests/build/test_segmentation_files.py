@@ -63,16 +63,17 @@ def test_labels_and_positions_are_read_unchanged(tmp_path, labels, name):
     assert found.name == str(tmp_path / name)
 
 
-@pytest.mark.parametrize("encoding", ["raw", "gzip", "bzip2", "ASCII"])
-@pytest.mark.parametrize(("kind", "name"), [(">i4", "a.nrrd"), (np.float32, "a.nhdr")])
-def test_every_encoding_of_nrrd(tmp_path, labels, encoding, kind, name):
+@pytest.mark.parametrize(
+    ("kind", "encoding", "name"), [(">i4", "ASCII", "a.nrrd"), (np.float32, "bzip2", "a.nhdr")]
+)
+def test_encodings_of_nrrd(tmp_path, labels, kind, encoding, name):
     found = read_segmentation(write_nrrd(tmp_path / name, labels.astype(kind), encoding=encoding))
     np.testing.assert_array_equal(found.labels, labels)
 
 
 @pytest.mark.parametrize(
     ("space", "known_as"),
-    [("LPS", "LPS"), ("right-anterior-superior", "RAS"), ("RAS", "RAS"), ("3D-right-handed", "")],
+    [("LPS", "LPS"), ("right-anterior-superior", "RAS"), ("3D-right-handed", "")],
 )
 def test_nrrd_spaces_are_kept(tmp_path, labels, space, known_as):
     found = read_segmentation(write_nrrd(tmp_path / "a.nrrd", labels, AFFINE, space=space))
@@ -80,7 +81,7 @@ def test_nrrd_spaces_are_kept(tmp_path, labels, space, known_as):
     assert found.space == known_as
 
 
-@pytest.mark.parametrize(("units", "factor"), [("meter", 1e-3), ("micron", 1e3), ("mm", 1)])
+@pytest.mark.parametrize(("units", "factor"), [("meter", 1e-3), ("micron", 1e3)])
 def test_nifti_units_are_honoured(tmp_path, labels, units, factor):
     affine = AFFINE.copy()
     affine[:3] *= factor
@@ -120,27 +121,13 @@ def test_without_position_or_spacing_or_with_an_unknown_space_it_is_refused(tmp_
         assert words in refused(write_nrrd(tmp_path / "b.nrrd", labels, **header))
 
 
-@pytest.mark.parametrize(
-    ("name", "problem"),
-    [("a.mha", "cannot read '.mha'"), ("a.pkl", "cannot read '.pkl'"), ("b.gz", "read '.gz'")],
-)
-def test_other_formats_are_refused(tmp_path, name, problem):
-    (tmp_path / name).write_bytes(b"\x80\x04K\x01.")
-    assert problem in refused(tmp_path / name)
-
-
 @pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.nrrd"])
-def test_truncated_files_are_refused(tmp_path, labels, name):
+def test_other_formats_and_damaged_files_are_refused(tmp_path, labels, name):
     write = write_nifti if ".nii" in name else write_nrrd
     whole = write(tmp_path / name, labels).read_bytes()
-    for share in (0, 0.001, 0.01, 0.1, 0.3, 0.5, 0.8, 0.95):
-        (tmp_path / name).write_bytes(whole[: int(share * len(whole))])
+    for content in (whole[: len(whole) // 2], b"", b"hello\n" * 50):
+        (tmp_path / name).write_bytes(content)
         refused(tmp_path / name)
-
-
-def test_rubbish_is_refused(tmp_path):
-    rubbish = np.random.default_rng(0).bytes(3000)
-    for name in ("a.nii", "a.nii.gz", "a.nrrd", "a.nhdr"):
-        for content in (rubbish, bytes(3000), b"NRRD0005\n" + rubbish, b"hello\n" * 50):
-            (tmp_path / name).write_bytes(content)
-            refused(tmp_path / name)
+    for other in (".mha", ".gz"):
+        (tmp_path / f"a{other}").write_bytes(b"\x80\x04K\x01.")
+        assert f"cannot read '{other}'" in refused(tmp_path / f"a{other}")
