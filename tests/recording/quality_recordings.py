@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from benchmarks.synthetic_recordings.rhythms import Synthesis, Truth, synthetic_recording
 from fascicle.core.leads import LEADS, lead_matrix
+from fascicle.recording.pipeline import Analysis, analyse
 from fascicle.recording.quality import CheckResult, Severity
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Recording
@@ -65,9 +67,16 @@ def row(recording: Recording, lead: str) -> NDArray[np.float64]:
     return recording.signal[LEADS.index(lead)]
 
 
+@cache
 def real(data_folder: Path) -> dict[str, Recording]:
     """Recordings of patients without a known fault."""
     return {name: read_recording(data_folder / "ecg" / file) for name, file in REAL.items()}
+
+
+@cache
+def analysed(data_folder: Path) -> dict[str, Analysis]:
+    """Their analyses, which several modules look at."""
+    return {name: analyse(recording) for name, recording in real(data_folder).items()}
 
 
 def fatal(findings: list[CheckResult] | tuple[CheckResult, ...]) -> list[str]:

@@ -5,21 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from quality_recordings import beating
+from quality_recordings import analysed, beating
 
 from fascicle.cli.options import lead_names
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.prediction.indices import vectorcardiogram
-from fascicle.recording.choices import TargetOptions, invert, share_gain
-from fascicle.recording.pipeline import analyse, make_target
+from fascicle.recording.choices import invert, share_gain
+from fascicle.recording.pipeline import make_target
 from fascicle.recording.readers.names import additional_lead_name
 from fascicle.recording.readers.read import read_recording
 
 
 @pytest.fixture(scope="module")
 def recording():
-    return beating()
+    return beating(seconds=6.0)
 
 
 @pytest.fixture(scope="module")
@@ -45,20 +45,14 @@ def table(recording, tmp_path):
     return read
 
 
-@pytest.mark.parametrize(
-    ("lead", "spellings"),
-    {
-        "V7": ["V7", "v7", "Lead V7", "MDC_ECG_LEAD_V7"],
-        "V4R": ["V4R", "v4r", "lead_V4R"],
-        "X": ["X", "x", "vx", "VX", "Frank X", "Lead X", "MDC_ECG_LEAD_X", "ECG X"],
-        None: ["V6", "I", "VR", "MLII", "V10", "V1R", "vx2", "xyz", "", "acc_x", "E1"],
-    }.items(),
-)
-def test_spellings(lead, spellings):
-    assert {additional_lead_name(spelling) for spelling in spellings} == {lead}
-
-
-def test_lists_of_leads():
+def test_spellings_and_lists_of_leads():
+    for lead, spellings in {
+        "V7": ["v7", "Lead V7", "MDC_ECG_LEAD_V7"],
+        "V4R": ["V4R", "lead_V4R"],
+        "X": ["x", "VX", "Frank X", "MDC_ECG_LEAD_X"],
+        None: ["V6", "VR", "MLII", "V10", "V1R", "vx2", "xyz", "", "acc_x", "E1"],
+    }.items():
+        assert {additional_lead_name(spelling) for spelling in spellings} == {lead}
     assert lead_names("I,II,V1-V3") == ["I", "II", "V1", "V2", "V3"]
     assert lead_names("V6-V9,vx-vz") == ["V6", "V7", "V8", "V9", "X", "Y", "Z"]
     assert lead_names("aVF,E9-E11,n3") == ["aVF", "E9", "E10", "E11", "n3"]
@@ -107,8 +101,8 @@ def test_decide_nothing(recording, more):
     assert target.global_qrs == plain.global_qrs
     np.testing.assert_allclose(target.mean[12], 0.7 * plain.mean[11], atol=1e-6)
     assert np.isfinite(target.beats[:, 13]).all()
-    chosen = TargetOptions(beats=(3,), noise=0.02, lowpass=60.0)
-    single, with_more = analyse(recording, chosen).target, analyse(more, chosen).target
+    chosen = {"beats": (3,), "noise": 0.02, "lowpass": 60.0}
+    single, with_more = make_target(recording, **chosen), make_target(more, **chosen)
     np.testing.assert_array_equal(with_more.beats[:, :12], single.beats)
     assert with_more.onset_sd == single.onset_sd
     np.testing.assert_allclose(with_more.mean[12], 0.7 * single.mean[11], atol=1e-6)
@@ -157,7 +151,7 @@ def test_are_checked_and_corrected(more):
 def test_frank_leads_of_a_recording(data_folder):
     """Of the PTB database: those that Kors' regression makes of the twelve, Z to the back."""
     path = data_folder / "ecg" / "ptb-s0010" / "s0010_re"
-    target = make_target(read_recording(path))
+    target = analysed(data_folder)["infarct"].target
     plain = make_target(read_recording(path, leads=LEADS))
     assert target.leads == (*LEADS, "X", "Y", "Z")
     assert plain.leads == LEADS

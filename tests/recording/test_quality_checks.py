@@ -8,29 +8,41 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from quality_recordings import REAL, beating, fatal, on_paper, real, row, warned, with_lead
+from quality_recordings import (
+    RATE,
+    REAL,
+    analysed,
+    beating,
+    fatal,
+    on_paper,
+    real,
+    row,
+    warned,
+    with_lead,
+)
 
-from fascicle.core.leads import LEADS, LIMB_LEADS
+from fascicle.core.arrays import Floats
+from fascicle.core.leads import CHEST_LEADS, LEADS, LIMB_LEADS
+from fascicle.recording.choices import swap
 from fascicle.recording.detection import r_peaks
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
 from fascicle.recording.limb_leads import check_identities, check_reversal
-from fascicle.recording.pipeline import make_target
+from fascicle.recording.pipeline import Analysis, analyse, make_target
 from fascicle.recording.quality import (
+    CHEST,
+    FASTEST_QRS,
     LEAD_CHECKS,
     CheckResult,
     Severity,
+    check_chest_leads,
     check_leads,
+    check_mean_beat,
     check_recording,
 )
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Recording
 
 GAINS = np.array([1012.0, 1280, 930, 988, 692, 1086, 2834, 2867, 2817, 1715, 2102, 1842])
-# What the six limb leads become when two electrodes are reversed.
-REVERSALS = {
-    "RA-LA": ([0, 2, 1, 4, 3, 5], [-1, 1, 1, 1, 1, 1]),
-    "RA-LL": ([2, 1, 0, 5, 4, 3], [-1, -1, -1, 1, 1, 1]),
-}
 
 
 @pytest.fixture(scope="module")
@@ -144,22 +156,20 @@ def test_resolution(good) -> None:
         assert finding.severity is severity
 
 
-@pytest.mark.parametrize(
-    ("size", "severity"), [(0.02, Severity.FINE), (0.1, Severity.WARNING), (0.5, Severity.FATAL)]
-)
-def test_noise_is_measured_between_the_beats(size: float, severity: Severity) -> None:
+def test_noise_is_measured_between_the_beats() -> None:
     clean = beating(noise=0.0)
     assert one(clean, "noise").value < 1.0
     white = np.random.default_rng(0).standard_normal(clean.signal.shape[1])
-    finding = one(with_lead(clean, "V3", row(clean, "V3") + size * white), "noise")
-    # a moving average of 6 samples leaves 5/6 of the variance
-    assert finding.value == pytest.approx(1e3 * size * np.sqrt(5 / 6), rel=0.1)
-    assert finding.severity is severity
-    assert ("lead V3" in finding.message) == (severity is not Severity.FINE)
-    assert ("--leads I," in finding.message) == (severity is Severity.FATAL)
+    for size, severity in zip((0.02, 0.1, 0.5), Severity, strict=True):
+        finding = one(with_lead(clean, "V3", row(clean, "V3") + size * white), "noise")
+        # a moving average of 6 samples leaves 5/6 of the variance
+        assert finding.value == pytest.approx(1e3 * size * np.sqrt(5 / 6), rel=0.1)
+        assert finding.severity is severity
+        assert ("lead V3" in finding.message) == (severity is not Severity.FINE)
+        assert ("--leads I," in finding.message) == (severity is Severity.FATAL)
 
 
-@pytest.mark.parametrize("frequency", [50.0, 49.8, 60.0])
+@pytest.mark.parametrize("frequency", [49.8, 60.0])
 def test_power_line_interference_and_wander(good, frequency: float) -> None:
     time = np.arange(good.signal.shape[1]) / good.sampling_rate
     name = f"power-line interference, {round(frequency, -1):g} Hz"
@@ -207,8 +217,7 @@ def test_inverted_lead_and_another_gain(good, disturbed, lead: str) -> None:
     )
     figures = [[result.value for result in results] for results in (wrong, more)]
     assert figures[1] == pytest.approx(2 * np.array(figures[0]), rel=1e-6, abs=1e-9)
-    exact = fatal(wrong)
-    assert f"lead {lead} is 1.80 times what the other limb leads say" in exact[0]
+    assert f"lead {lead} is 1.80 times what the other limb leads say" in fatal(wrong)[0]
     found = fatal(check_identities(with_lead(disturbed, lead, 1.8 * row(disturbed, lead))))
     assert f"lead {lead} " in found[0]
     assert f"--leads {','.join(name for name in LIMB_LEADS if name != lead)},V1" in found[0]
@@ -273,40 +282,31 @@ def test_lead_groups_are_compared_where_they_overlap(good) -> None:
     assert [finding.severity for finding in broken] == [Severity.FINE, Severity.FATAL]
 
 
-def reversal(recording: Recording, exchange: str | None = None) -> CheckResult:
-    peaks = r_peaks(recording.signal, recording.sampling_rate)
-    signal = recording.signal.copy()
-    if exchange is not None:
-        order, sign = REVERSALS[exchange]
-        signal[:6] = np.array(sign)[:, None] * signal[order]
-    return check_reversal(replace(recording, signal=signal), peaks)
-
-
-@pytest.mark.parametrize("name", ["made", *REAL])
-def test_reversed_electrodes(good, patients: dict[str, Recording], name: str) -> None:
-    recording = good if name == "made" else patients[name]
-    assert reversal(recording).value > 0.3
-    assert reversal(recording).severity is Severity.FINE
-    arms = reversal(recording, "RA-LA")
-    assert arms.value <= -0.4
-    assert arms.message.endswith("to undo it: --swap RA-LA")
-    assert "the heart lies on the right" in arms.message
-    assert reversal(recording, "RA-LL").message.endswith("--swap RA-LL")
-    assert check_identities(recording)[-1].severity is Severity.FINE  # no law is broken
+def test_reversed_electrodes(good, patients: dict[str, Recording]) -> None:
+    for recording in (good, *patients.values()):
+        peaks = r_peaks(recording.signal, recording.sampling_rate)
+        found = check_reversal(recording, peaks)
+        assert found.value > 0.3
+        assert found.severity is Severity.FINE
+        arms = check_reversal(swap(recording, "RA", "LA"), peaks)
+        assert arms.value <= -0.4
+        assert arms.message.endswith("to undo it: --swap RA-LA")
+        assert "the heart lies on the right" in arms.message
+        legs = check_reversal(swap(recording, "RA", "LL"), peaks)
+        assert legs.message.endswith("--swap RA-LL")
+        assert check_identities(recording)[-1].severity is Severity.FINE  # no law is broken
 
 
 def test_no_reversal_is_advised_for_paced_beats_or_without_p_waves(good) -> None:
-    order, sign = REVERSALS["RA-LA"]
-    signal = good.signal.copy()
-    signal[:6] = np.array(sign)[:, None] * signal[order]
-    reversed_arms = replace(good, signal=signal)
+    reversed_arms = swap(good, "RA", "LA")
+    signal = reversed_arms.signal.copy()
     peaks = r_peaks(signal, good.sampling_rate)
     assert "--swap RA-LA" in check_reversal(reversed_arms, peaks).message
     assert check_reversal(reversed_arms, peaks, paced=True).message.endswith("rhythm is paced")
     for peak in peaks:  # 260 to 100 ms before R
         p_wave = slice(peak - 130, peak - 48)
         signal[:, p_wave] = np.linspace(*signal[:, [p_wave.start, p_wave.stop]].T, 82).T
-    finding = check_reversal(reversed_arms, peaks)
+    finding = check_reversal(replace(good, signal=signal), peaks)
     assert finding.message == "not checked: leads I and II show no P wave"
 
 
@@ -330,3 +330,71 @@ def test_an_axis_to_the_right_is_no_reversal(good) -> None:
     assert finding.severity is Severity.FINE
     without_v6 = with_lead(good, "V6", np.full(good.signal.shape[1], np.nan))
     assert check_reversal(without_v6, peaks).value > 0.8
+
+
+def mean_beat_checks(analysis: Analysis) -> list[CheckResult]:
+    """Both checks of the mean beat."""
+    return [found for found in analysis.findings if found.check in (FASTEST_QRS, CHEST)]
+
+
+@pytest.fixture(scope="module")
+def qrs(good: Recording) -> Floats:
+    return analyse(good).target.qrs
+
+
+def test_nothing_against_real_mean_beats(data_folder: Path) -> None:
+    philips = read_recording(data_folder / "ecg" / "philips" / "129DYPRG.XML")
+    for analysis in (analyse(philips), *analysed(data_folder).values()):
+        speed, chest = mean_beat_checks(analysis)
+        assert speed.severity is chest.severity is Severity.FINE
+        assert speed.value > 2 * FASTEST_QRS.limit
+        assert chest.value < 0.8 * CHEST.limit
+
+
+def test_exchanged_and_inverted_chest_leads(qrs: Floats) -> None:
+    assert check_chest_leads(qrs).severity is Severity.FINE
+    for k, lead in enumerate(CHEST_LEADS):
+        wrong = qrs.copy()
+        wrong[6 + k] *= -1
+        assert check_chest_leads(wrong).message.endswith(f"to undo it: --invert {lead}")
+        assert check_chest_leads(3 * wrong).value == pytest.approx(check_chest_leads(wrong).value)
+    for k in range(3):
+        wrong = qrs.copy()
+        wrong[[6 + k, 7 + k]] = qrs[[7 + k, 6 + k]]
+        assert check_chest_leads(wrong).message.endswith(f"--swap V{k + 1}-V{k + 2}")
+
+
+def test_the_remedy_removes_the_warning_of_a_patient(data_folder: Path) -> None:
+    """As recorded there is none: see the test of all real recordings."""
+    file = data_folder / "ecg" / REAL["RBBB"]
+    recording = read_recording(file)
+    for fault, remedy in (
+        ({"swap": ["V1-V2"]}, "--swap V1-V2"),
+        ({"invert": ["V3"]}, "--invert V3"),
+    ):
+        (warning,) = make_target(read_recording(file, **fault)).warnings
+        assert warning.endswith(f"to undo it: {remedy}")
+        undone = read_recording(file, **{name: 2 * twice for name, twice in fault.items()})
+        assert (undone.signal == recording.signal).all()
+
+
+def test_limb_leads_and_absent_leads_raise_no_alarm(qrs: Floats) -> None:
+    changed = qrs.copy()
+    changed[:6] *= -1
+    assert check_chest_leads(changed).value == check_chest_leads(qrs).value
+    changed[8] = np.nan
+    assert check_chest_leads(changed).severity is Severity.FINE
+    assert np.isnan(check_chest_leads(changed).value)
+
+
+def test_t_waves_alone(good: Recording, qrs: Floats) -> None:
+    signal = good.signal.copy()
+    for peak in r_peaks(signal, RATE):
+        beat = slice(peak - 150, peak + 40)  # P wave and QRS
+        signal[:, beat] = np.linspace(signal[:, beat.start], signal[:, beat.stop], 190, axis=1)
+    speed, chest = mean_beat_checks(analyse(replace(good, signal=signal)))
+    assert speed.value < 0.5 * FASTEST_QRS.limit
+    assert "a T or P wave was probably taken for the beat" in speed.message
+    assert chest.message == "not checked: no QRS"
+    slow = np.repeat(qrs, 3, axis=1)  # as slow as the slowest QRS
+    assert check_mean_beat(slow)[0].severity is Severity.FINE
