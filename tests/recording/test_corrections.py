@@ -31,9 +31,11 @@ def recorded(signal, only=None, **more):
     return Recording(signal, 500.0, "file", derived=derived, **more)
 
 
-@pytest.mark.parametrize(("first", "second"), [("RA", "LA"), ("LL", "RA"), ("LA", "LL")])
-@pytest.mark.parametrize("only", [None, ("I", "aVF", "V1", "V2"), ("II", "III", "V4")])
-def test_reversed_limb_electrodes(potentials, first, second, only):
+@pytest.mark.parametrize(
+    ("first", "second"), [("RA", "LA"), ("LL", "RA"), ("LA", "LL"), ("V1", "V2")]
+)
+@pytest.mark.parametrize("only", [None, ("I", "aVF", "V1", "V2")])
+def test_reversed_electrodes(potentials, first, second, only):
     exchanged = potentials.copy()
     a, b = ELECTRODES.index(first), ELECTRODES.index(second)
     exchanged[[a, b]] = exchanged[[b, a]]
@@ -44,12 +46,6 @@ def test_reversed_limb_electrodes(potentials, first, second, only):
     assert (there == wrong.recorded).all()
     assert len(right.derived) == len(wrong.derived)
     assert right.provenance["swapped"] == f"{first}-{second}"
-
-
-def test_reversed_chest_electrodes(potentials):
-    exchanged = potentials[[0, 1, 2, 4, 3, 5, 6, 7, 8]]
-    right = swap(recorded(lead_matrix() @ exchanged), "V1", "V2")
-    assert right.signal == pytest.approx(lead_matrix() @ potentials, abs=1e-12)
 
 
 def test_inverted_lead_also_mends_those_computed_from_it(potentials):

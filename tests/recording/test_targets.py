@@ -1,6 +1,7 @@
 """Targets to and from netCDF."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from fascicle.recording.target import Target, residual_covariance
 from fascicle.recording.target_files import read_target, write_target
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def target():
     rng = np.random.default_rng(4)
     notes, warnings = {"source": "rec.hea", "none": ""}, ("I + III differs; μV ≠ mV", "noise")
@@ -27,7 +28,7 @@ def load(path):
     return xr.load_dataset(path, engine="h5netcdf")
 
 
-def test_round_trip_is_exact(target, tmp_path):
+def test_round_trip_is_exact_and_the_file_explains_itself(target, tmp_path):
     write_target(target, tmp_path / "new" / "target.nc")
     again = read_target(str(tmp_path / "new" / "target.nc"))
     for name in ("beats", "time"):
@@ -37,11 +38,7 @@ def test_round_trip_is_exact(target, tmp_path):
         "earliest_onset", "global_qrs", "warnings",
     ):  # fmt: skip
         assert getattr(again, name) == getattr(target, name)
-
-
-def test_file_explains_itself(target, tmp_path):
-    write_target(target, tmp_path / "target.nc")
-    dataset = load(tmp_path / "target.nc")
+    dataset = load(tmp_path / "new" / "target.nc")
     assert dataset["beats"].dims == ("beat", "lead", "time")
     assert tuple(dataset["lead"].values) == LEADS
     units = {name: variable.attrs.get("units") for name, variable in dataset.variables.items()}
@@ -121,11 +118,8 @@ def test_failed_write_leaves_the_old_file(target, tmp_path, monkeypatch):
 
 
 def refused(path, word):
-    with pytest.raises(InputError) as info:
+    with pytest.raises(InputError, match=f"^{re.escape(str(path))}: .*{re.escape(word)}.*$"):
         read_target(path)
-    assert str(info.value).startswith(f"{path}: ")
-    assert word in str(info.value)
-    assert "\n" not in str(info.value)
 
 
 def test_files_that_are_not_targets(target, tmp_path):
@@ -133,9 +127,9 @@ def test_files_that_are_not_targets(target, tmp_path):
     refused(tmp_path / "none.nc", "no such file")
     write_target(target, tmp_path / "target.nc")
     content = (tmp_path / "target.nc").read_bytes()
-    for name, bad in (("text", b"not netCDF"), ("empty", b""), ("short", content[:-5000])):
-        (tmp_path / f"{name}.nc").write_bytes(bad)
-        refused(tmp_path / f"{name}.nc", "not a readable netCDF file")
+    for bad in (b"", content[:-5000]):
+        (tmp_path / "bad.nc").write_bytes(bad)
+        refused(tmp_path / "bad.nc", "not a readable netCDF file")
     xr.Dataset({"a": ("x", [1.0])}).to_netcdf(tmp_path / "other.nc", engine="h5netcdf")
     refused(tmp_path / "other.nc", "not a target")
 
@@ -157,20 +151,6 @@ def test_filters_come_back_and_can_be_read_by_others(target, tmp_path):
     }
 
 
-STRANGE = (
-    '[{"kind": "low-pass", "frequency_Hz": NaN, "order": 2, "sampling_rate_Hz": null,'
-    ' "origin": "applied by this program"}]'
-)
-
-
-def without(name):
-    def change(dataset):
-        del dataset.attrs[name]
-        return dataset
-
-    return change
-
-
 @pytest.mark.parametrize(
     ("change", "word"),
     [
@@ -183,8 +163,7 @@ def without(name):
         (lambda d: d.assign_attrs(format_version=2), "format version 2, this fascicle reads 3"),
         (lambda d: d.assign_attrs(filters="40 Hz"), "filters are '40 Hz', not a list of filters"),
         (lambda d: d.assign_attrs(filters='[{"kind": "low-pass"}]'), "not a list of filters"),
-        (lambda d: d.assign_attrs(filters=STRANGE), "not a list of filters"),
-        (without("filters"), "damaged target without filters"),
+        (lambda d: d.attrs.pop("filters") and d, "damaged target without filters"),
         (lambda d: d.assign_attrs(format="fascicle heart"), "not a target"),
     ],
 )

@@ -21,9 +21,9 @@ from fascicle.recording.window import (
 )
 
 
-def depolarisation(start, end, step, length, power=1.0):
-    """(12, n) mV, smooth, nonzero from start to end (ms) only."""
-    t = np.arange(0, length, step)
+def depolarisation(start, end, length, power=1.0):
+    """(12, n) mV, every ms, smooth, nonzero from start to end (ms) only."""
+    t = np.arange(length)
     phase = np.clip((t - start) / (end - start), 0, 1)
     turns = np.array([1, 1.5, 2, 2.5, 3, 3.5, 4, 4.5, 5])[:, None]
     return lead_matrix() @ (np.sin(np.pi * phase) ** power * np.sin(np.pi * turns * phase + turns))
@@ -34,7 +34,7 @@ def beat(start=150, end=250, length=700):
     t = np.arange(length)
     p_wave = 0.12 * np.exp(-(((t - start + 85) / 20.0) ** 2))
     t_wave = 0.3 * np.exp(-(((t - end - 200) / 55.0) ** 2))
-    return depolarisation(start, end, 1.0, length) + p_wave + t_wave
+    return depolarisation(start, end, length) + p_wave + t_wave
 
 
 def outermost(signal, **options):
@@ -47,11 +47,11 @@ BEAT_WINDOW = PLAIN.window
 
 @pytest.mark.parametrize(("start", "end"), [(40, 120), (60, 240), (30, 200)])
 def test_ends_of_a_clean_qrs(start, end):
-    onset, offset = qrs_window(depolarisation(start, end, 1.0, 400))
+    onset, offset = qrs_window(depolarisation(start, end, 400))
     # A kink at the true end is smoothed by a 4 ms Gaussian, so it is seen up to 2.5 widths early.
     assert start - 10 <= onset <= start + 1
     assert end - 1 <= offset <= end + 10
-    assert qrs_window(depolarisation(0, 100, 1.0, 101)) == (0, 100)  # fills the array
+    assert qrs_window(depolarisation(0, 100, 101)) == (0, 100)  # fills the array
 
 
 def test_both_windows_of_one_beat():
@@ -79,7 +79,6 @@ def with_rows(rows, change):
         (beat() + np.linspace(-1, 1, 12)[:, None] * (2 + TIME / 2000), 2),  # level and drift
         *((beat() + 0.2 * np.sin(0.002 * np.pi * hertz * TIME + np.arange(12)[:, None]), 5)
           for hertz in (50, 60)),
-        (with_rows(7, lambda v2: v2 + 0.1 * np.sin(0.1 * np.pi * TIME)), 5),
         *((with_rows(row, lambda lead: lead + NOISE), 6) for row in (0, 1, 7, 11)),
         (with_rows([0, 3, 8, 9], lambda leads: np.nan), 6),
         (with_rows([8, 9, 10], lambda leads: 0.2), 6),
@@ -97,32 +96,32 @@ def short_pr(height):
     p_wave = (
         np.cos(0.3 * np.arange(12))[:, None] * np.sin(np.pi * np.clip((TIME - 70) / 75, 0, 1)) ** 2
     )
-    qrs = np.clip((TIME - 150) / 20.0, 0, 1) * depolarisation(150, 250, 1.0, 700)
+    qrs = np.clip((TIME - 150) / 20.0, 0, 1) * depolarisation(150, 250, 700)
     return qrs + height * p_wave
 
 
 def p_wave_into_low_qrs(height, length):
-    qrs = 0.1 * depolarisation(250, 350, 1.0, 800)  # 0.2 mV in the largest lead
+    qrs = 0.1 * depolarisation(250, 350, 800)  # 0.2 mV in the largest lead
     p_wave = height * hump(np.arange(800.0), 250 - length, 250, 2.0, 2.0)
     return qrs + lead_matrix() @ np.linspace(0.4, 1.0, 9)[:, None] * p_wave
 
 
 def t_wave_from_the_j_point(height):
     t_wave = height * hump(np.arange(800.0), 332, 540, 1.7, 2.0)
-    qrs = 1.5 * depolarisation(250, 330, 1.0, 800)
+    qrs = 1.5 * depolarisation(250, 330, 800)
     return qrs + lead_matrix() @ np.linspace(-1.0, 0.6, 9)[:, None] * t_wave
 
 
 def slurred_upstroke():
     """A delta wave of 40 ms and 0.25 mV."""
     rise = np.clip((TIME - 150) / 40.0, 0, 1) ** 1.3 * np.clip((240 - TIME) / 40.0, 0, 1)
-    return depolarisation(190, 270, 1.0, 700) + 0.25 * COSINES * rise
+    return depolarisation(190, 270, 700) + 0.25 * COSINES * rise
 
 
 def fragmented():
     """A steep start, a slow middle with notches, a steep end."""
-    signal = depolarisation(150, 230, 1.0, 700) + 0.4 * depolarisation(200, 370, 1.0, 700)
-    notches = (depolarisation(start, start + 20, 1.0, 700) for start in (240, 275, 310))
+    signal = depolarisation(150, 230, 700) + 0.4 * depolarisation(200, 370, 700)
+    notches = (depolarisation(start, start + 20, 700) for start in (240, 275, 310))
     return signal + 0.1 * sum(notches)
 
 
@@ -132,7 +131,7 @@ def delta_wave(height, length):
     p_wave = 0.1 * np.sin(np.pi * np.clip((TIME - start + 100) / 80, 0, 1)) ** 2
     delta = np.interp(TIME, [start, 160, 200], [0, height, 0])
     direction = np.cos(0.3 * np.arange(12))[:, None]
-    return 0.4 * depolarisation(150, 250, 1.0, 700) + direction * (p_wave + delta)
+    return 0.4 * depolarisation(150, 250, 700) + direction * (p_wave + delta)
 
 
 def in_digits(digit):
@@ -239,18 +238,17 @@ def lowpass(cutoff, order):
     return Filter(FilterKind.LOW_PASS, cutoff, FilterOrigin.STATED, order)
 
 
-@pytest.mark.parametrize(("cutoff", "order"), [(35.0, 20.0), (40.0, 20.0), (40.0, 10.0)])
-def test_ringing_is_no_qrs(default_model, cutoff, order):
+def test_ringing_is_no_qrs(default_model):
     leads = default_model.simulate(SHORT_BUNDLES).leads
     sharp = np.pad(leads, ((0, 0), (250, 250)))
-    size = sharp.shape[1]
-    filters = (lowpass(cutoff, order),)
-    gain = filters[0].gain(np.fft.rfftfreq(size, 1e-3))
-    blurred = np.fft.irfft(gain * np.fft.rfft(sharp), size)
-    true = qrs_window(sharp)
-    assert np.ptp(qrs_window(blurred)) - np.ptp(true) > 20
-    found = qrs_window(blurred, smoothing=smoothing_against_ringing(filters))
-    assert found == pytest.approx(true, abs=11)
+    size, true = sharp.shape[1], qrs_window(sharp)
+    for cutoff, order in ((35.0, 20.0), (40.0, 20.0), (40.0, 10.0)):
+        filters = (lowpass(cutoff, order),)
+        gain = filters[0].gain(np.fft.rfftfreq(size, 1e-3))
+        blurred = np.fft.irfft(gain * np.fft.rfft(sharp), size)
+        assert np.ptp(qrs_window(blurred)) - np.ptp(true) > 20
+        found = qrs_window(blurred, smoothing=smoothing_against_ringing(filters))
+        assert found == pytest.approx(true, abs=11)
 
 
 def test_gentle_and_fast_filters_need_no_smoothing():
@@ -261,7 +259,7 @@ def test_gentle_and_fast_filters_need_no_smoothing():
 
 
 def noisy_beats(rng, count, noise):
-    clean = depolarisation(200, 300, 1.0, 700, power=1.5)
+    clean = depolarisation(200, 300, 700, power=1.5)
     return clean + noise * rng.standard_normal((count, *clean.shape))
 
 
@@ -269,19 +267,15 @@ def test_noisier_beats_are_less_sure_and_more_beats_are_surer():
     rng = np.random.default_rng(1)
     few, quiet, many, clean = (
         np.array(window_uncertainty(noisy_beats(rng, *case)))
-        for case in ((6, 0.15), (6, 0.02), (96, 0.15), (5, 0.0))
+        for case in ((6, 0.15), (6, 0.02), (48, 0.15), (5, 0.0))
     )
     assert (few > quiet + 0.3).all()
     assert (few > many + 0.3).all()
     assert clean == pytest.approx((ONSET_ERROR, OFFSET_ERROR), abs=0.5)  # of the method
-
-
-def test_one_beat_with_stated_noise():
-    one = noisy_beats(np.random.default_rng(0), 1, 0.0)
-    little = window_uncertainty(one, noise=0.005)
+    one = noisy_beats(rng, 1, 0.0)
+    little, much = (np.array(window_uncertainty(one, noise=noise)) for noise in (0.005, 0.15))
     assert little == pytest.approx((ONSET_ERROR, OFFSET_ERROR), abs=0.5)
-    much = window_uncertainty(one, noise=0.15)
-    assert (np.array(much) > np.array(little) + 0.5).all()
+    assert (much > little + 0.5).all()
 
 
 def test_uncertainty_after_a_spike_and_with_absent_leads():
@@ -302,7 +296,7 @@ def test_noise_of_the_found_ends_is_foreseen():
         beats = noisy_beats(rng, 6, 0.3)
         windows.append(qrs_window(beats.mean(axis=0)))
         variances.append(np.square(window_uncertainty(beats)))
-    assert window_uncertainty(beats) == window_uncertainty(beats.copy())
+    assert window_uncertainty(beats) == window_uncertainty(beats.copy())  # it draws alike
     scatter = np.std(windows, axis=0)
     foreseen = np.sqrt(np.mean(variances, axis=0) - np.square([ONSET_ERROR, OFFSET_ERROR]))
     assert (foreseen > 0.6 * scatter).all()
