@@ -144,11 +144,6 @@ def test_wrong_checksums_are_told(tmp_path):
     assert "checksums" not in read_recording(path).provenance
 
 
-@pytest.mark.parametrize("first", ["rec 12 nan 1500", "rec 12 500 " + "9" * 500, "rec"])
-def test_first_lines(tmp_path, first):
-    refused(write(tmp_path, digits(), first=first))
-
-
 @pytest.mark.parametrize(
     ("new", "words"),
     [("~ 16", ""), ("rek.dat 16", "rek.dat"), ("r" * 400 + " 16", ""), ("rec.dat 16x0", "16x0")],
