@@ -1,18 +1,21 @@
-"""Files of labelled surfaces."""
+"""Files of labelled surfaces, and labels derived from the endocardia alone."""
 
 from __future__ import annotations
 
+import anatomies
+import igl
 import meshio
 import numpy as np
 import pytest
-from anatomies import ventricles, write_surface
+from anatomies import BASE, EPI, LV, RV, ventricles, write_surface
 from shapes import read_labelled_surface
 
-from fascicle.build.labelled_files import has_labels
+from fascicle.build.build_heart import heart_of
+from fascicle.build.labelled_files import Anatomy, has_labels
 from fascicle.core.errors import InputError
-from fascicle.heart.labelled_surface import Label
+from fascicle.heart.labelled_surface import Label, labelled_mesh
 from fascicle.mesh.read import read_mesh
-from fascicle.mesh.topology import boundary_loops, unique_edges
+from fascicle.mesh.topology import boundary_loops, places_in, unique_edges
 
 
 def test_whole_numbers_are_labels_by_name_only(tmp_path):
@@ -93,3 +96,33 @@ def test_labels_of_points_of_the_mean_heart(data_folder):
         for label in (Label.LV_ENDOCARDIUM, Label.EPICARDIUM, Label.RV_ENDOCARDIUM)
     )
     assert not (lv | rv) & outer
+
+
+def test_endocardia_in_register_are_found_exactly():
+    mesh = anatomies.tissue()
+    found = labelled_mesh(heart_of(Anatomy(mesh)))
+    assert len(found.triangles) == len(mesh.triangles)
+    right = mesh.labels[places_in(found.triangles, mesh.triangles)]
+    for label in (LV, RV):
+        np.testing.assert_array_equal(found.labels == label, right == label)
+        assert len(boundary_loops(found.having(label))) == 1
+    area = igl.doublearea(found.vertices, found.triangles)
+    for label in (BASE, EPI):
+        same = (right == label) & (found.labels == label)
+        assert area[same].sum() > 0.97 * area[right == label].sum()
+
+
+@pytest.mark.parametrize("which", ["default_heart", "crtdemo"])
+def test_hearts_of_people(which, request):
+    """Each endocardium has the area that the heart's own surface has, and base is between."""
+    person = request.getfixturevalue(which)
+    found = labelled_mesh(person)
+    area = igl.doublearea(found.vertices, found.triangles) / 2
+    for label, endocardium in ((LV, person.lv), (RV, person.rv)):
+        wall = endocardium.triangles
+        if endocardium.valves is not None:
+            wall = wall[~endocardium.valves]
+        own = igl.doublearea(endocardium.vertices, wall).sum() / 2
+        assert area[found.labels == label].sum() == pytest.approx(own, rel=0.1)
+    share = area[found.labels == BASE].sum() / area.sum()
+    assert 0.01 < share < 0.15

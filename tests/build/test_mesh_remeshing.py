@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from anatomies import circular_fibres, halves, tissue
 
 from fascicle.build.labelled_files import Anatomy
 from fascicle.build.mesh_repair import repaired_edges
@@ -13,7 +14,6 @@ from fascicle.heart.labelled_surface import Label, LabelledMesh
 from fascicle.mesh.checks import check_tetrahedra
 from fascicle.mesh.measures import closed_volume, quality, signed_volumes
 from fascicle.mesh.topology import TETRAHEDRON_EDGES, boundary_triangles, places_in, unique_edges
-from tests.anatomies import circular_fibres, halves, tissue
 
 
 @pytest.fixture(scope="module")
