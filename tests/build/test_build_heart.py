@@ -161,12 +161,14 @@ class TestAdditionalElectrodes:
         assert np.ptp(level) < 40
 
     @pytest.mark.usefixtures("never_solved")
-    def test_leave_the_twelve_leads_alone_and_are_kept(self, in_torso, more, tmp_path):
+    def test_leave_the_twelve_leads_alone_and_are_kept_and_pickled(self, in_torso, more, tmp_path):
         write_heart(more, tmp_path / "more")
         again = load_heart(tmp_path / "more")
         assert again.leads == more.leads
         assert again.digest == more.digest != in_torso.digest
-        found = fascicle.ForwardModel(again).simulate(NETWORK)
+        model = pickle.loads(pickle.dumps(fascicle.ForwardModel(again)))
+        assert model.heart.leads == more.leads
+        found = model.simulate(NETWORK)
         plain = fascicle.ForwardModel(in_torso).simulate(NETWORK)
         assert found.ecg.lead.to_numpy().tolist() == [*more.leads]
         np.testing.assert_array_equal(found.leads[:12], plain.leads)
@@ -175,12 +177,6 @@ class TestAdditionalElectrodes:
         assert np.corrcoef(lead["X"], lead["V6"])[0, 1] > 0.9
         assert np.corrcoef(lead["Y"], lead["aVF"])[0, 1] > 0.9
         assert np.corrcoef(lead["Z"], lead["V2"])[0, 1] < -0.5
-
-    def test_survive_the_way_to_another_process(self, more):
-        model = fascicle.ForwardModel(more)
-        sent = pickle.loads(pickle.dumps(model))
-        assert sent.heart.leads == more.leads
-        np.testing.assert_array_equal(sent.simulate(NETWORK).leads, model.simulate(NETWORK).leads)
 
     def test_of_a_vest_are_lines_of_the_file(self, copied, solved):
         folder = copied

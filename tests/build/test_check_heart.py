@@ -50,14 +50,12 @@ def through(angles, ratio=1.0):
 RATIO = (HALF_AXES[EPI][0] - CENTRE_X[EPI]) / HALF_AXES[LV][0]
 
 
-@pytest.mark.parametrize("asked", [(30.0, -30.0), (60.0, -60.0), (45.0, 10.0)])
-def test_helix_of_the_free_wall_is_as_specified(asked):
-    found = check(heart_with(lv=asked)).helix["LV free wall"].in_layers()
-    np.testing.assert_allclose(found, through(asked, RATIO), atol=4)
-
-
-def test_right_wall_has_the_right_angles_and_the_septum_both():
+def test_helix_of_each_wall_is_as_specified():
+    helix = check(heart_with(lv=(45.0, 10.0))).helix["LV free wall"]
+    np.testing.assert_allclose(helix.in_layers(), through((45.0, 10.0), RATIO), atol=4)
     helix = check(heart_with(lv=(30.0, -30.0), rv=(20.0, -40.0))).helix
+    free_wall = helix["LV free wall"].in_layers()
+    np.testing.assert_allclose(free_wall, through((30.0, -30.0), RATIO), atol=4)
     np.testing.assert_allclose(helix["RV free wall"].in_layers(), through((20, -40)), atol=7)
     # what rises on the septum's right side, seen from there, falls seen from the left
     np.testing.assert_allclose(helix["septum"].in_layers(), through((30, -20)), atol=7)
@@ -99,33 +97,29 @@ def test_figures_are_those_of_the_ellipsoids():
     assert found.warnings == ()
 
 
-def warning(heart, start):
-    """The only warning, which begins with `start`."""
-    warnings = check(heart).warnings
-    assert len(warnings) == 1, warnings
-    assert warnings[0].startswith(start), warnings
-    assert "\n" not in warnings[0]
-    return warnings[0]
+def assert_only_warning(heart, start):
+    """There is one warning, a line that begins with `start`."""
+    (warning,) = check(heart).warnings
+    assert warning.startswith(start)
+    assert "\n" not in warning
 
 
 def test_fibres_of_the_wrong_helix_sense_give_a_warning():
-    found = warning(heart_with(lv=(-60.0, 60.0)), "fibres: the helix angle of the LV free wall")
-    assert "mirrored" in found
+    mirrored = heart_with(lv=(-60.0, 60.0))
+    assert_only_warning(mirrored, "fibres: the helix angle of the LV free wall")
+    assert "mirrored" in check(mirrored).warnings[0]
 
 
-@pytest.mark.parametrize("pair", [["RA", "LA"], ["V3", "V4"]])
-def test_exchanged_electrodes_give_a_warning(pair):
-    places, rows = ELECTRODE_PLACES.copy(), [ELECTRODES.index(name) for name in pair]
-    places[rows] = places[rows[::-1]]
-    warning(replace(heart_with(), electrodes=places), f"electrodes {' and '.join(pair)}")
-
-
-def test_an_electrode_almost_on_the_heart_gives_a_warning():
-    places = ELECTRODE_PLACES.copy()
+def test_electrodes_exchanged_or_almost_on_the_heart_give_a_warning():
     heart = heart_with()
+    for pair in (["RA", "LA"], ["V3", "V4"]):
+        places, rows = ELECTRODE_PLACES.copy(), [ELECTRODES.index(name) for name in pair]
+        places[rows] = places[rows[::-1]]
+        assert_only_warning(replace(heart, electrodes=places), f"electrodes {' and '.join(pair)}")
+    places = ELECTRODE_PLACES.copy()
     nearest = heart.vertices[np.argmin(np.linalg.norm(heart.vertices - places[4], axis=1))]
     places[4] = nearest + 4 * (places[4] - nearest) / np.linalg.norm(places[4] - nearest)
-    warning(replace(heart, electrodes=places), "electrode V2 is 4 mm from the heart")
+    assert_only_warning(replace(heart, electrodes=places), "electrode V2 is 4 mm from the heart")
 
 
 def test_a_small_heart_gives_warnings_with_its_volumes():

@@ -10,8 +10,8 @@ from shapes import in_mesh
 from fascicle.build.endocardia import endocardia
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import oriented_into_cavity
-from fascicle.heart.labelled_surface import Label, LabelledMesh
-from fascicle.mesh.measures import triangle_normals
+from fascicle.heart.labelled_surface import ENDOCARDIA, Label, LabelledMesh
+from fascicle.mesh.measures import triangle_areas
 from fascicle.mesh.topology import boundary_loops
 
 SIZE = 16  # squares along the sides of a box
@@ -20,11 +20,11 @@ SIZE = 16  # squares along the sides of a box
 def box(openings: dict[str, list[tuple[int, int, int, int]]]) -> LabelledMesh:
     """Boundary of two flat boxes, whose tops have openings (rows and columns) labelled base."""
     vertices, triangles, labels = [], [], []
-    for place, (label, side) in enumerate(
-        ((Label.LV_ENDOCARDIUM, "lv"), (Label.RV_ENDOCARDIUM, "rv"))
-    ):
-        points, faces = _cube()
-        middle = points[faces].mean(axis=1)
+    cube = pv.Box((0, 1, 0, 1, 0, 1), level=SIZE - 1, quads=False).clean()
+    points = np.asarray(cube.points, float)
+    faces = np.asarray(cube.regular_faces, np.int64)[:, ::-1]  # inwards, as tissue lies around
+    middle = points[faces].mean(axis=1)
+    for place, (label, side) in enumerate(zip(ENDOCARDIA, ("lv", "rv"), strict=True)):
         given = np.full(len(faces), int(label))
         on_top = middle[:, 2] > 1 - 1e-9
         row, column = (np.floor(middle[:, k] * SIZE).astype(int) for k in (0, 1))
@@ -34,19 +34,8 @@ def box(openings: dict[str, list[tuple[int, int, int, int]]]) -> LabelledMesh:
         triangles.append(faces + sum(map(len, vertices)))
         vertices.append(40 * points + [60 * place, 0, 0])
         labels.append(given)
-    return LabelledMesh(
-        np.concatenate(vertices),
-        np.empty((0, 4), dtype=np.int64),
-        np.concatenate(triangles),
-        np.concatenate(labels),
-        name="box",
-    )
-
-
-def _cube() -> tuple[np.ndarray, np.ndarray]:
-    """A cube's surface of squares split in two, facing inwards (tissue lies around)."""
-    cube = pv.Box((0, 1, 0, 1, 0, 1), level=SIZE - 1, quads=False).clean()
-    return np.asarray(cube.points, float), np.asarray(cube.regular_faces, np.int64)[:, ::-1]
+    tetrahedra = np.empty((0, 4), dtype=np.int64)
+    return LabelledMesh(*map(np.concatenate, (vertices, [tetrahedra], triangles, labels)))
 
 
 ONE = [(4, 12, 4, 12)]
@@ -60,8 +49,8 @@ def test_the_smaller_of_two_openings_is_closed_and_marked():
     loops = boundary_loops(lv.triangles)
     assert [len(loop) for loop in loops] == [2 * (12 + 6)]
     assert lv.valve.sum() == 2 * (5 + 4) - 2  # a polygon of n sides has n - 2 triangles
-    areas = np.linalg.norm(triangle_normals(lv.vertices, lv.triangles[lv.valve]), axis=1)
-    assert areas.sum() == pytest.approx(5 * 4 * (40 / SIZE) ** 2)
+    area = triangle_areas(lv.vertices, lv.triangles[lv.valve]).sum()
+    assert area == pytest.approx(5 * 4 * (40 / SIZE) ** 2)
     assert (lv.vertices == mesh.vertices[in_mesh(mesh, lv)]).all()
     again = oriented_into_cavity(lv.vertices, lv.triangles, "lv")
     assert (again == lv.triangles).all()

@@ -33,15 +33,12 @@ def parts(geo1):
 @pytest.fixture(scope="module")
 def coarse(parts):
     """The parts, each remeshed at its own resolution."""
-    return {
-        label: remeshed(*parts[label], edge)
-        for label, edge in ((EPI, 5.0), (LV, 3.0), (RV, 4.0), (BASE, 2.5))
-    }
-
-
-def remeshed(vertices, triangles, edge):
-    same, sizes = np.zeros(len(triangles), dtype=int), {"hmax": 1.3 * edge, "hmin": 0.6 * edge}
-    return remeshed_triangles(vertices, triangles, same, hausd=0.15, **sizes)[:2]
+    result = {}
+    for label, edge in ((EPI, 5.0), (LV, 3.0), (RV, 4.0), (BASE, 2.5)):
+        sizes = {"hmax": 1.3 * edge, "hmin": 0.6 * edge, "hausd": 0.15}
+        same = np.zeros(len(parts[label][1]), dtype=int)
+        result[label] = remeshed_triangles(*parts[label], same, **sizes)[:2]
+    return result
 
 
 def joined(parts, base=True):
@@ -106,6 +103,5 @@ def test_made_base_keeps_the_parts(parts, geo1):
 def test_gap_is_named_measured_and_placed(coarse):
     away = coarse[BASE][0] + np.array([0, 0, 4.0]), coarse[BASE][1]
     words = r"base\.stl .* that of epicardium\.stl .* are up to [34]\.\d mm apart \(at \(-?\d.* mm"
-    with pytest.raises(InputError, match=words) as raised:
+    with pytest.raises(InputError, match=f"^.*{words}.*$"):
         joined({**coarse, BASE: away})
-    assert "\n" not in str(raised.value)

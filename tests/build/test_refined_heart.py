@@ -84,17 +84,10 @@ def test_the_model_of_the_finer_packaged_heart(default_heart, default_model, tmp
     assert 0.01 < share < 0.07
 
 
-@pytest.fixture(scope="module")
-def cells():
-    return box((20.0, 15.0, 10.0), (4, 3, 3), jitter=0.2)
-
-
-@pytest.fixture(scope="module")
-def cut(cells):
-    return in_eight(cells.vertices, cells.tetrahedra)
-
-
-def test_children_lie_in_their_parent_and_fill_it(cells, cut):
+def test_children_lie_in_their_parent_fill_it_and_conform():
+    """Every face belongs to two tetrahedra, or to one and the boundary, which is the old one's."""
+    cells = box((20.0, 15.0, 10.0), (4, 3, 3), jitter=0.2)
+    cut = in_eight(cells.vertices, cells.tetrahedra)
     volumes = signed_volumes(cut.vertices, cut.tetrahedra)
     np.testing.assert_allclose(volumes, np.repeat(cells.volumes / 8, 8), rtol=1e-11)
     corners = cells.vertices[cells.tetrahedra]
@@ -104,10 +97,6 @@ def test_children_lie_in_their_parent_and_fill_it(cells, cut):
     inner = np.linalg.solve(axes[:, None], offset)[..., 0]
     assert inner.min() > 0
     assert inner.sum(axis=2).max() < 1
-
-
-def test_conforming_with_vertices_at_midpoints(cells, cut):
-    """Every face belongs to two tetrahedra, or to one and the boundary, which is the old one's."""
     faces = np.sort(cut.tetrahedra[:, TETRAHEDRON_FACES].reshape(-1, 3), axis=1)
     _, count = np.unique(faces, axis=0, return_counts=True)
     old, _ = boundary_triangles(cells.tetrahedra)

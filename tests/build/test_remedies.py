@@ -21,7 +21,6 @@ from fascicle.mesh.read import read_mesh
 from fascicle.mesh.topology import boundary_loops, fan
 
 NUMBERS = {"lv": 1, "rv": 2, "myocardium": 3, "scar": 4}
-LABELS = SegmentationLabels(**NUMBERS)
 
 
 def build(file=None, **options):
@@ -29,7 +28,7 @@ def build(file=None, **options):
 
 
 def surface_of_map(file):
-    surface_from_segmentation(read_segmentation(file), LABELS)
+    surface_from_segmentation(read_segmentation(file), SegmentationLabels(**NUMBERS))
 
 
 def refused(words, **options):
@@ -39,13 +38,7 @@ def refused(words, **options):
 
 @pytest.fixture
 def parts(tmp_path):
-    files = write_parts(tmp_path)
-    return {
-        "lv": files["lv-endocardium"],
-        "rv": files["rv-endocardium"],
-        "epicardium": files["epicardium"],
-        "base": files["base"],
-    }
+    return {name.split("-")[0]: file for name, file in write_parts(tmp_path).items()}
 
 
 def test_one_cavity(tmp_path):
@@ -136,16 +129,11 @@ def test_a_part_in_pieces_or_with_several_openings(parts, tmp_path):
     assert len(build(parts=parts | {"lv": tmp_path / "mended.stl"}).tetrahedra)
 
 
-@pytest.mark.parametrize("exchanged", [("lv", "rv"), ("lv", "myocardium"), ("rv", "myocardium")])
-def test_labels_of_a_map_that_are_exchanged(tmp_path, exchanged):
-    one, other = exchanged
-    given = NUMBERS | {one: NUMBERS[other], other: NUMBERS[one]}
-    file = write_nifti(tmp_path / "map.nii")
-    refused(
-        r"map\.nii: .* seem to be (swapped|exchanged).*; (give those|exchange)",
-        file=file,
-        labels=given,
-    )
+@pytest.mark.parametrize("other", ["lv", "myocardium"])
+def test_labels_of_a_map_that_are_exchanged(tmp_path, other):
+    given = NUMBERS | {"rv": NUMBERS[other], other: NUMBERS["rv"]}
+    words = r"map\.nii: .* seem to be (swapped|exchanged).*; (give those|exchange)"
+    refused(words, file=write_nifti(tmp_path / "map.nii"), labels=given)
 
 
 def bridge(points, parts):
