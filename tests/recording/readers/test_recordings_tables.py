@@ -282,7 +282,7 @@ class TestPaper:
     "content",
     [
         b"time_ms,I\n", b'"a,b\n1', b",,,\n,,,\n,,,\n", b"time_ms,I_mV,II_mV\n,,\n,,\n",
-        b"\x00" * 5000, b"# only\n# remarks\n", b"0,1,2\n3,4,5\n6,7,8\n", b"\xfe\xff\xd8",
+        b"I_mV,II_mV\n1,2\n", b"\x00" * 5000, b"# only\n# remarks\n", b"\xfe\xff\xd8",
         b"," * 200_000, b"sep=;\n", b"time_ms,I_mV\n1e308,1\n-1e308,1\n",
     ],
 )  # fmt: skip
