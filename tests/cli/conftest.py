@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import anatomies
 import numpy as np
 import pandas as pd
 import pytest
@@ -184,7 +185,8 @@ def blank_pictures(monkeypatch):
 
     for name in (
         "recording.recording_figure", "heart.check_figure", "heart.labels_figure",
-        "prediction.ecg_figure", "prediction.activation_figure",
+        "prediction.ecg_figure", "prediction.activation_figure", "prediction.spread_figure",
+        "prediction.index_figure", "prediction.sweep_figure",
     ):  # fmt: skip
         monkeypatch.setattr(f"fascicle.reporting.{name}", lambda *_, **__: Figure(figsize=(1, 1)))
 
@@ -242,6 +244,22 @@ def small_heart(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def ventricles(tmp_path_factory):
+    """Folder of a built heart with sheets, a region of scar, and endocardia in register."""
+    from fascicle.build.build_heart import TorsoOptions, build_heart
+    from fascicle.build.read_anatomy import Source
+    from fascicle.heart.folder import write_heart
+
+    work = tmp_path_factory.mktemp("ventricles")
+    source = Source(anatomies.write_vtu(work / "mesh.vtu", labelled=True, scar=True))
+    electrodes = anatomies.write_electrodes(work / "electrodes.csv")
+    around = TorsoOptions("none", electrodes=electrodes)
+    heart = build_heart(source, torso=around, name="ventricles").heart
+    write_heart(replace(heart, example=anatomies.NETWORK), work / "heart")
+    return work / "heart"
+
+
+@pytest.fixture(scope="session")
 def written(small_heart, tmp_path_factory):
     """Outputs of a simulation of the small heart from parameters."""
     folder = tmp_path_factory.mktemp("simulated")
@@ -264,6 +282,24 @@ def parameters(tmp_path):
         return path
 
     return write
+
+
+@pytest.fixture(scope="package", autouse=True)
+def two_tissues():
+    """Average over two tissues in place of five, each of which takes its time to prepare."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fascicle.networks.prior.TISSUES", ({}, {"anisotropy_ratio": 2.0}))
+        yield
+
+
+@pytest.fixture(scope="package", autouse=True)
+def unplaced_pictures():
+    """Leave the parts of figures where they are, which takes longer than to draw them."""
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ConstrainedLayoutEngine, "execute", lambda self, figure: None)
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

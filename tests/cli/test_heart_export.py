@@ -7,35 +7,20 @@ import pytest
 import pyvista as pv
 from anatomies import LV, RV
 
-from fascicle.build.build_heart import TorsoOptions, build_heart
-from fascicle.build.read_anatomy import Source
-from fascicle.heart.folder import load_heart, write_heart
+from fascicle.heart.folder import load_heart
 from fascicle.mesh.mesh_file import TETRAHEDRON
 from fascicle.mesh.read import read_mesh
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A built heart with sheets, a region of scar, and endocardia in register."""
-    work = tmp_path_factory.mktemp("built")
-    source = Source(anatomies.write_vtu(work / "mesh.vtu", labelled=True, scar=True))
-    electrodes = anatomies.write_electrodes(work / "electrodes.csv")
-    heart = build_heart(
-        source, torso=TorsoOptions("none", electrodes=electrodes), name="built"
-    ).heart
-    write_heart(heart, work / "heart")
-    return work / "heart"
+@pytest.fixture
+def heart(ventricles):
+    return load_heart(ventricles)
 
 
 @pytest.fixture
-def heart(folder):
-    return load_heart(folder)
-
-
-@pytest.fixture
-def export(run, folder, outside):
+def export(run, ventricles, outside):
     def call(name, kind):
-        ended = run("heart", "export", folder, "--format", kind, "--out", outside / name)
+        ended = run("heart", "export", ventricles, "--format", kind, "--out", outside / name)
         assert (ended.status, ended.err) == (0, "")
         assert ended.out == f"written to {outside / name}\n"
         return outside / name
@@ -100,9 +85,9 @@ def test_opencarp(export, heart):
         ("heart.vtu", "vtu", "heart.vtu"),  # without labels, which are then found by shape
     ],
 )
-def test_what_went_out_builds_the_same_heart(export, folder, heart, run, outside, name, kind, mesh):
+def test_what_went_out_builds_the_same_heart(export, ventricles, heart, run, outside, name, kind, mesh):
     export(name, kind)
-    around = ["--torso", "none", "--electrodes", folder / "electrodes.csv"]
+    around = ["--torso", "none", "--electrodes", ventricles / "electrodes.csv"]
     ended = run("heart", "build", outside / mesh, *around, "--out", outside / "again")
     assert ended.status == 0, ended
     again = load_heart(outside / "again")
