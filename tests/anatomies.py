@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -325,3 +326,16 @@ def places_on_body() -> dict[str, tuple[float, ...]]:
         way = np.subtract(place, BODY_CENTRE)
         moved[name] = tuple(BODY_CENTRE + way / np.linalg.norm(way / np.array(BODY)))
     return moved
+
+
+def write_built_heart(folder: Path) -> Path:
+    """Folder of a heart built from the ventricles, with a region of scar in which they conduct."""
+    from fascicle.build.build_heart import TorsoOptions, build_heart
+    from fascicle.build.read_anatomy import Source
+    from fascicle.heart.folder import write_heart
+
+    source = Source(write_vtu(folder / "mesh.vtu", labelled=True, scar=True))
+    around = TorsoOptions("none", electrodes=write_electrodes(folder / "electrodes.csv"))
+    heart = build_heart(source, torso=around, name="ventricles").heart
+    write_heart(replace(heart, example=NETWORK), folder / "heart")
+    return folder / "heart"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import anatomies
@@ -246,17 +246,7 @@ def small_heart(tmp_path_factory):
 @pytest.fixture(scope="session")
 def ventricles(tmp_path_factory):
     """Folder of a built heart with sheets, a region of scar, and endocardia in register."""
-    from fascicle.build.build_heart import TorsoOptions, build_heart
-    from fascicle.build.read_anatomy import Source
-    from fascicle.heart.folder import write_heart
-
-    work = tmp_path_factory.mktemp("ventricles")
-    source = Source(anatomies.write_vtu(work / "mesh.vtu", labelled=True, scar=True))
-    electrodes = anatomies.write_electrodes(work / "electrodes.csv")
-    around = TorsoOptions("none", electrodes=electrodes)
-    heart = build_heart(source, torso=around, name="ventricles").heart
-    write_heart(replace(heart, example=anatomies.NETWORK), work / "heart")
-    return work / "heart"
+    return anatomies.write_built_heart(tmp_path_factory.mktemp("ventricles"))
 
 
 @pytest.fixture(scope="session")

@@ -100,13 +100,9 @@ def test_there_are_no_other_commands():
     assert sorted(found) == sorted(COMMANDS)
 
 
-@pytest.fixture(scope="module")
-def heart(tmp_path_factory, default_heart):
-    from fascicle.heart.folder import write_heart
-
-    folder = tmp_path_factory.mktemp("hearts") / "heart"
-    write_heart(default_heart, folder)
-    return folder
+@pytest.fixture
+def heart(ventricles):
+    return ventricles
 
 
 def test_json_is_all_that_is_printed(run, heart, tmp_path):
@@ -120,7 +116,9 @@ def test_json_is_all_that_is_printed(run, heart, tmp_path):
     assert json.loads(run("scenarios", "--json").out)["his-pacing"]
     names = [each["name"] for each in json.loads(run("parameters", "--json").out)]
     assert "cv" in names
-    assert json.loads(run("heart", "check", heart, "--json").out)["warnings"] == []
+    ended = run("heart", "check", heart, "--json", "--picture", tmp_path / "check.png")
+    warnings = json.loads(ended.out)["warnings"]
+    assert len(warnings) == ended.err.count("warning: ") > 0
 
 
 def test_quiet_is_silent(run, heart, tmp_path):
@@ -152,17 +150,20 @@ def test_log_holds_what_was_said_with_times(run, refused, heart, tmp_path):
         ("default t.nc --settings wrong.toml", "wrong.toml: parameter 'cv': unknown key 'low'"),
     ],
 )
-def test_states_refuse_what_cannot_be_used(refused, run, tmp_path, monkeypatch, asked, words):
+def test_states_refuse_what_cannot_be_used(refused, tmp_path, monkeypatch, asked, words):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "notes.txt").write_text("nothing")
     (tmp_path / "t.nc").write_text("nothing")
     (tmp_path / "wrong.toml").write_text("[parameters]\ncv = { low = 1.5 }\n")
     refused(["states", *asked.split()], words)
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["notes.txt", "t.nc", "wrong.toml"]
+
+
+def test_states_refuse_counts_of_none(run):
     for option in ("--prior-simulations", "--workers"):
         ended = run("states", "default", "t.nc", option, 0)
         assert (ended.status, ended.out) == (2, "")
         assert option in ended.err
-    assert [path.name for path in sorted(tmp_path.iterdir())] == ["notes.txt", "t.nc", "wrong.toml"]
 
 
 def test_the_file_of_a_scenario_is_printed(run, refused, tmp_path):
@@ -301,7 +302,8 @@ class TestOutside:
         assert run("heart", "check", copied).status == 2
         assert run("heart", "check", copied, "--allow-outside").status == 0
         (tmp_path / "linked").symlink_to(heart)  # which is a heart
-        assert run("heart", "check", tmp_path / "linked").status == 0
+        picture = "--picture", tmp_path / "a.png"
+        assert run("heart", "check", tmp_path / "linked", *picture).status == 0
 
     def test_of_a_scenario(self, refused, heart, secret, tmp_path):
         (tmp_path / "s").mkdir()

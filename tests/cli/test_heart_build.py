@@ -137,12 +137,9 @@ def test_surfaces(build, tmp_path, kind):
     assert heart.sheets is not None
     assert heart.regions is None
     assert heart.edge_length == pytest.approx(EDGE, rel=0.05)
-
-
-def test_the_same_surface_gives_the_same_mesh_in_another_run(build, tmp_path):
-    heart, _ = build(anatomies.write_labelled(tmp_path / "heart.vtp"))
-    np.testing.assert_array_equal(heart.vertices, anatomies.tissue().vertices)
-    np.testing.assert_array_equal(heart.tetrahedra, anatomies.tissue().tetrahedra)
+    if kind == "labelled":  # another run of the mesher gives the same
+        np.testing.assert_array_equal(heart.vertices, anatomies.tissue().vertices)
+        np.testing.assert_array_equal(heart.tetrahedra, anatomies.tissue().tetrahedra)
 
 
 @pytest.mark.parametrize("name", ["heart.nii.gz", "heart.nrrd"])

@@ -85,7 +85,9 @@ def test_opencarp(export, heart):
         ("heart.vtu", "vtu", "heart.vtu"),  # without labels, which are then found by shape
     ],
 )
-def test_what_went_out_builds_the_same_heart(export, ventricles, heart, run, outside, name, kind, mesh):
+def test_what_went_out_builds_the_same_heart(
+    export, ventricles, heart, run, outside, name, kind, mesh
+):
     export(name, kind)
     around = ["--torso", "none", "--electrodes", ventricles / "electrodes.csv"]
     ended = run("heart", "build", outside / mesh, *around, "--out", outside / "again")

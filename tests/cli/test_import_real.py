@@ -11,6 +11,8 @@ from fascicle.heart.folder import load_heart
 from fascicle.mesh.topology import boundary_loops
 from fascicle.torso.lead_fields import place_electrodes
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
+
 
 @pytest.fixture
 def command(data_folder, outside):

@@ -11,12 +11,6 @@ PROGRAM = Path(sys.executable).with_name("fascicle")
 HEAVY = ("vtkmodules", "pyvista", "matplotlib", "arviz", "numba", "scipy", "meshio")
 
 
-def start(*arguments):
-    return subprocess.run(
-        [sys.executable, "-m", "fascicle.cli", *map(str, arguments)], capture_output=True, text=True
-    )
-
-
 def test_importing_the_command_line_loads_nothing_heavy():
     check = f"import sys, fascicle.cli.commands; print(*[m for m in {HEAVY} if m in sys.modules])"
     ended = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True)
@@ -64,15 +58,13 @@ def test_unknown_options_and_commands(run):
 def test_errors_of_the_real_program(materials, outside):
     spoilt = materials.folder / "cut.vtu"
     spoilt.write_bytes(materials.files["mesh"].read_bytes()[:-3000])
-    for arguments in (
-        materials.command(outside / "heart", mesh=spoilt),
-        materials.command(outside / "heart", electrodes=materials.folder / "e.pkl"),
-        ["heart", "check", outside / "none"],
-    ):
-        ended = start(*arguments)
-        assert (ended.returncode, ended.stdout) == (2, "")
-        assert ended.stderr.startswith("error: ")
-        assert ended.stderr.count("\n") == 1
+    command = materials.command(outside / "heart", mesh=spoilt)  # of which VTK complains, too
+    ended = subprocess.run(
+        [sys.executable, "-m", "fascicle.cli", *map(str, command)], capture_output=True, text=True
+    )
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert ended.stderr.startswith("error: ")
+    assert ended.stderr.count("\n") == 1
     assert list(outside.iterdir()) == []
 
 

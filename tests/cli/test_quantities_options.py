@@ -6,14 +6,11 @@ import re
 import pytest
 import xarray as xr
 
-from fascicle.core.parameters import HUMAN_SPACE, NETWORK_SPACE
+from fascicle.core.parameters import EXAMPLE_PARAMETERS, HUMAN_SPACE, NETWORK_SPACE
 from fascicle.core.quantities import QUANTITIES
 from fascicle.study.study import Study
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")
-SMALL = ("--prior-simulations", 100, "--effective", 20, "--fix", "conduction=normal")
-PAPER = ("--method", "paper", "--initial", 8, "--steps", 2, "--samples", 2, "--draws", 2000,
-         "--rounds", 1)  # fmt: skip
 
 
 def test_every_quantity_is_listed(run):
@@ -28,26 +25,21 @@ def test_every_quantity_is_listed(run):
         assert re.search(rf"{parameter.name} .*{parameter.lower:g} to {parameter.upper:g}\b", usual)
 
 
-def test_fixed_in_a_simulation(run, outside):
-    out = outside / "sim"
-    options = ["--fix", "alpha=0.08", "--fix", "gain=2"]
-    assert run("simulate", "default", *options, "--out", out).status == 0
-    inputs = json.loads((out / "summary.json").read_text())["inputs"]["parameters"]
-    assert (inputs["alpha"], inputs["gain"]) == (0.08, 2.0)
-
-
 @pytest.mark.parametrize(
-    ("name", "other"),
+    ("fixed", "other"),
     [
-        ("interventricular_delay", "root_time"), ("lv_fascicle_direction_1", "lv_fascicle_angle_1"),
+        ({"interventricular_delay": 0.5, "alpha": 0.08, "gain": 2.0}, "root_time"),
+        ({"lv_fascicle_direction_1": 0.5}, "lv_fascicle_angle_1"),
     ],
-)  # fmt: skip
-def test_what_stands_for_another_is_simulated_in_its_place(run, outside, name, other):
+)
+def test_fixed_in_a_simulation(run, ventricles, outside, fixed, other):
+    """What stands for another is simulated in its place."""
     out = outside / "sim"
-    ended = run("simulate", "default", "--fix", f"{name}=0.5", "--out", out)
+    options = [word for name, value in fixed.items() for word in ("--fix", f"{name}={value}")]
+    ended = run("simulate", ventricles, *options, "--out", out)
     assert ended.status == 0, ended.err
     inputs = json.loads((out / "summary.json").read_text())["inputs"]["parameters"]
-    assert inputs[name] == 0.5
+    assert fixed.items() <= inputs.items()
     assert other not in inputs
 
 
@@ -62,8 +54,8 @@ def test_what_stands_for_another_is_simulated_in_its_place(run, outside, name, o
         (["--fix", "alpha=0.1", "--fix", "fibre_speed=0.6"], "say the same; give one"),
     ],
 )
-def test_wrong_fixes_of_a_simulation(refused, outside, options, words):
-    refused(["simulate", "default", *options, "--out", outside / "sim"], words)
+def test_wrong_fixes_of_a_simulation(refused, ventricles, outside, options, words):
+    refused(["simulate", ventricles, *options, "--out", outside / "sim"], words)
 
 
 @pytest.fixture(scope="module")
@@ -73,61 +65,41 @@ def target(tmp_path_factory, default_model):
     from examples.recover_known_network import synthetic_target
     from fascicle.recording.target_files import write_target
 
-    # in the middle of the prior, which the fits of a posterior look at
-    human = HUMAN_SPACE.from_unit(np.full(len(HUMAN_SPACE), 0.5))
-    human |= {"interventricular_delay": 7.5, "rv_source": 0.35, "axial_source": 0.25}
-    leads = default_model.simulate(human).leads
+    leads = default_model.simulate(EXAMPLE_PARAMETERS).leads
     path = tmp_path_factory.mktemp("target") / "target.nc"
     write_target(synthetic_target(leads, np.random.default_rng(0)), path)
     return path
 
 
 class TestFit:
-    def space(self, out):
-        config = json.loads((out / "study.json").read_text())
-        return [p["name"] for p in config["space"]], config
-
-    def test_the_speed_is_learnt_unless_it_is_fixed(self, run, outside, target):
-        options = ["--fix", "fibre_speed=0.6", "--free", "gain"]
-        ended = run("fit", "default", target, "--out", outside / "b", *SMALL, *options)
-        assert ended.status == 0, ended.err
-        names, config = self.space(outside / "b")
-        assert names == [*(n for n in HUMAN_SPACE.names if n != "fibre_speed"), "gain"]
-        assert config["fixed"] == {"fibre_speed": 0.6}
-        assert config["mapped"] is True
-        written = (outside / "b" / "networks" / "best" / "parameters.toml").read_text()
-        assert "fibre_speed = 0.6" in written
-        assert "alpha" not in written
-
-    def test_settings_file_and_options_over_it(self, run, outside, target):
-        settings = outside / "study.toml"
+    def test_options_over_a_settings_file_give_a_population_of_the_paper(
+        self, run, outside, target
+    ):
+        """Which says what it lacks."""
+        settings, out = outside / "study.toml", outside / "a"
         settings.write_text(
             'seed = 5\nmethod = "paper"\n[parameters]\ncv = 2.5\n'
             'alpha = {prior = "log-normal", median = 0.07, sd = 0.2}\n'
         )
-        arguments = ["--settings", settings, "--fix", "cv=2.7", *PAPER]
-        ended = run("fit", "default", target, "--out", outside / "a", *arguments)
+        ended = run(
+            "fit", "default", target, "--out", out, "--settings", settings, "--fix", "cv=2.7",
+            "--free", "gain", "--leads", 8, "--initial", 8, "--steps", 2, "--samples", 2,
+            "--draws", 60, "--rounds", 1,
+        )  # fmt: skip
         assert ended.status == 0, ended.err
-        names, config = self.space(outside / "a")
-        assert "cv" not in names
-        assert config["fixed"] == {"cv": 2.7}
+        config = json.loads((out / "study.json").read_text())
+        learnt = {p["name"]: p["prior"] for p in config["space"]}
+        assert learnt.keys() == {*NETWORK_SPACE.names, "gain", "alpha"} - {"cv"}
+        assert (config["fixed"], learnt["alpha"]) == ({"cv": 2.7}, "log-normal")
         assert (config["seed"], config["method"], config["initial"]) == (5, "paper", 8)
-        assert config["space"][-1]["prior"] == "log-normal"
-
-    def test_the_paper_gives_a_population_and_says_what_it_lacks(self, run, outside, target):
-        arguments = [*PAPER[:-3], 60, "--rounds", 1, "--leads", "8"]
-        ended = run("fit", "default", target, "--out", outside / "a", *arguments)
-        assert ended.status == 0
-        names, config = self.space(outside / "a")
-        assert names == list(NETWORK_SPACE.names)
         assert config["leads"] == "8"
         assert "warning: the recording has 10 beats" in ended.out
         assert re.search(r"warning: \d of 2 networks were accepted of \d+ candidates", ended.out)
         assert re.search(r"result +\d networks, a population and not a posterior\n", ended.out)
-        assert not (outside / "a" / "posterior.nc").exists()
-        with xr.open_dataset(outside / "a" / "population.nc", engine="h5netcdf") as file:
+        assert not (out / "posterior.nc").exists()
+        with xr.open_dataset(out / "population.nc", engine="h5netcdf") as file:
             assert file.attrs["networks_are"].endswith("a population and not a posterior")
-        stages = {r.stage for r in Study.open(outside / "a").records()}
+        stages = {r.stage for r in Study.open(out).records()}
         assert stages == {"initial", "optimisation", "rejection"}
 
     @pytest.mark.parametrize(
@@ -145,12 +117,12 @@ class TestFit:
             (["--steps", 5], "'steps' is 5: the method 'posterior' has no such setting"),
         ],
     )
-    def test_wrong_options(self, refused, outside, target, options, words):
-        refused(["fit", "default", target, "--out", outside / "s", *options], words)
+    def test_wrong_options(self, refused, small_heart, outside, target, options, words):
+        refused(["fit", small_heart, target, "--out", outside / "s", *options], words)
         assert not (outside / "s").exists()
 
-    def test_wrong_settings_files_are_named(self, refused, outside, target):
+    def test_wrong_settings_files_are_named(self, refused, small_heart, outside, target):
         path = outside / "study.toml"
         path.write_text("[parameters]\nkv = 3")
-        arguments = ["fit", "default", target, "--out", outside / "s", "--settings", path]
+        arguments = ["fit", small_heart, target, "--out", outside / "s", "--settings", path]
         refused(arguments, path, "unknown parameter 'kv'")

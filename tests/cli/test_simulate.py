@@ -116,7 +116,7 @@ class TestOutputs:
             inputs = json.loads((folder / "summary.json").read_text())["inputs"]
             assert inputs["action_potential"].startswith(name)
 
-    def test_nothing_but_a_heart_is_needed(self, tmp_path, monkeypatch, run):
+    def test_nothing_but_a_heart_is_needed(self, ventricles, tmp_path, monkeypatch, run):
         monkeypatch.chdir(tmp_path)
         ended = run("simulate", "default")
         assert (ended.status, ended.err) == (0, "")
@@ -130,7 +130,7 @@ class TestOutputs:
         assert v6.max() > -v6.min()
         # pictures in another format take the place of the first
         assert (out / "ecg.png").read_bytes().startswith(b"\x89PNG")
-        ended = run("simulate", "default", "--format", "svg")
+        ended = run("simulate", ventricles, "--format", "svg")
         assert ended.status == 0
         assert "pictures: simulation/ecg.svg, simulation/activation.svg" in ended.out
         assert b"<svg" in (out / "activation.svg").read_bytes()[:2000]

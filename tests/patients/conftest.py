@@ -1,9 +1,11 @@
-"""Two small targets of the packaged heart, and tables that name them."""
+"""Two small targets of small ventricles, and tables that name them."""
 
+import anatomies
 import numpy as np
 import pytest
 
-from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.forward.model import ForwardModel
+from fascicle.heart.folder import load_heart
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import write_target
 
@@ -14,28 +16,41 @@ SMALL = {
 NOISE = 0.3  # mV; so much that any network will do
 
 
-@pytest.fixture(scope="session")
-def targets(default_model, tmp_path_factory):
-    """Folder with two targets and a file that is none."""
+@pytest.fixture(scope="package")
+def ventricles(tmp_path_factory):
+    """Folder of a heart that is prepared in a second."""
+    return anatomies.write_built_heart(tmp_path_factory.mktemp("ventricles"))
+
+
+@pytest.fixture(scope="package")
+def targets(ventricles, tmp_path_factory):
+    """Folder with two targets, a file that is none, and a prior of networks that fit in."""
     folder = tmp_path_factory.mktemp("targets")
-    ecg = default_model.simulate(EXAMPLE_PARAMETERS).leads
+    ecg = ForwardModel(load_heart(ventricles)).simulate(anatomies.NETWORK).leads
     beat = np.pad(ecg, ((0, 0), (40, 40)))
     time = np.arange(beat.shape[1]) - 60.0
     for number, name in enumerate(("anna", "carl")):
         noise = np.random.default_rng(number).normal(size=(5, *beat.shape))
         write_target(Target(beat + NOISE * noise, time, -20.0, 40.0, 60.0), folder / f"{name}.nc")
     (folder / "bert.nc").write_text("nothing")
+    ranges = [
+        f"{name} = {{ lower = {0.8 * value}, upper = {1.2 * value} }}"
+        for name, value in anatomies.NETWORK.items()
+        if "length" in name
+    ]
+    (folder / "small.toml").write_text("\n".join(["[parameters]", *ranges]) + "\n")
     return folder
 
 
 @pytest.fixture
-def table(targets, tmp_path):
+def table(targets, ventricles, tmp_path):
     """Write a table of patients whose recordings are the targets of their names."""
 
-    def write(*patients, name="patients.csv", **settings):
-        settings = settings if "method" in settings else SMALL | settings
+    def write(*patients, name="patients.csv", heart=ventricles, **settings):
+        if "method" not in settings:
+            settings = SMALL | {"settings": targets / "small.toml"} | settings
         columns = ["patient", "heart", "recording", *settings]
-        rows = [[p, "default", targets / f"{p}.nc", *settings.values()] for p in patients]
+        rows = [[p, heart, targets / f"{p}.nc", *settings.values()] for p in patients]
         path = tmp_path / name
         path.write_text("\n".join(",".join(map(str, row)) for row in [columns, *rows]) + "\n")
         return path

@@ -82,12 +82,14 @@ def test_a_bad_file_stops_nobody_and_all_goes_on(table, tmp_path, fits):
     assert fits == ["anna"]
 
 
-def test_what_is_missing_or_impossible_is_said_before_anything_is_fitted(table, tmp_path, fits):
+def test_what_is_missing_or_impossible_is_said_before_anything_is_fitted(
+    table, ventricles, tmp_path, fits
+):
     (tmp_path / "s.toml").write_text("effective = 100\n")
     path = table("anna", "none", settings="")
     text = path.read_text().splitlines()
     text[1] = text[1].removesuffix(",") + ",s.toml"
-    text.append(text[1].replace("anna", "heart", 1).replace("default", "nowhere"))
+    text.append(text[1].replace("anna", "heart", 1).replace(str(ventricles), "nowhere"))
     path.write_text("\n".join(text))
     found = []
     for outcome in cohort_module.outcomes(path, tmp_path / "out"):

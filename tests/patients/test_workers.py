@@ -19,7 +19,7 @@ from tests.dask_processes import LOST, a_local_cluster, a_scheduler, a_worker_of
 
 distributed = pytest.importorskip("distributed")
 # so that a worker can be killed within
-LONGER = {"method": "posterior", "effective": "20", "prior_simulations": "100"}
+LONGER = {"heart": "default", "method": "posterior", "effective": "20", "prior_simulations": "100"}
 
 
 @pytest.fixture(autouse=True)
@@ -103,7 +103,7 @@ def test_a_patient_who_loses_every_worker_is_given_up(address, workers, table, t
     killer.start()
     try:
         (found,) = fascicle.cohort(
-            table("anna"), tmp_path / "out", cluster=fascicle.Cluster(address)
+            table("anna", **LONGER), tmp_path / "out", cluster=fascicle.Cluster(address)
         )
     finally:
         ended.set()

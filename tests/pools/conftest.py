@@ -1,18 +1,36 @@
 """What tests of pools and comparisons evaluate."""
 
+import anatomies
 import numpy as np
 import pytest
+from anatomies import NETWORK
 
-from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
+from fascicle.core.parameters import ParameterSpace, free
+from fascicle.forward.model import ForwardModel
+from fascicle.heart.folder import load_heart
 from fascicle.networks.prior import Prior
 from fascicle.networks.simulator import PointSimulator
 from fascicle.networks.target_comparison import TargetComparison, evaluate
 from fascicle.recording.target import Target
 
+WIDTHS = {"root_time": 20.0} | {name: abs(value) for name, value in NETWORK.items() if value}
+SPACE = ParameterSpace(
+    tuple(
+        free(name, lower=NETWORK[name] - width / 4, upper=NETWORK[name] + width / 4)
+        for name, width in WIDTHS.items()
+    )
+)
+
+
+@pytest.fixture(scope="package")
+def model(tmp_path_factory):
+    """Of a small heart in a folder."""
+    return ForwardModel(load_heart(anatomies.write_built_heart(tmp_path_factory.mktemp("heart"))))
+
 
 @pytest.fixture(scope="module")
-def recordings(default_model):
-    ecg = default_model.simulate(EXAMPLE_PARAMETERS).leads
+def recordings(model):
+    ecg = model.simulate(NETWORK).leads
     beat = np.pad(ecg, ((0, 0), (40, 40)))
     beats = beat + 0.02 * np.random.default_rng(0).normal(size=(5, *beat.shape))
     time = np.arange(beat.shape[1]) - 60.0
@@ -20,15 +38,15 @@ def recordings(default_model):
 
 
 @pytest.fixture(scope="module")
-def simulator(default_model):
-    return PointSimulator(default_model, Prior(NETWORK_SPACE))
+def simulator(model):
+    return PointSimulator(model, Prior(SPACE))
 
 
 @pytest.fixture(scope="module")
 def points():
     """Seven networks, and one that cannot be grown."""
-    longest = NETWORK_SPACE.to_unit(EXAMPLE_PARAMETERS | {"lv_initial_length": 300.0})
-    return [*np.random.default_rng(1).uniform(0.2, 0.6, (7, len(NETWORK_SPACE))), longest]
+    longest = SPACE.to_unit(NETWORK | {"lv_initial_length": 300.0})
+    return [*np.random.default_rng(1).uniform(size=(7, len(SPACE))), longest]
 
 
 @pytest.fixture(scope="module")

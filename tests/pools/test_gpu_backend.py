@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from anatomies import NETWORK
 from builders import case
 
 import fascicle
 from fascicle.cli import main
-from fascicle.core.parameters import EXAMPLE_PARAMETERS, ParameterSpace, free
+from fascicle.core.parameters import ParameterSpace, free
 from fascicle.forward.device import card as card_module
 from fascicle.forward.device.backend import GpuBackend
 from fascicle.forward.device.batch import Simulator
@@ -77,11 +78,11 @@ def test_what_needs_activation_or_other_sources_is_simulated_here(simulator, poi
         replace(simulator, backend=Untouched()).from_backend(points[:2])
 
 
-def test_sources_of_the_ecg_are_not_of_the_card(default_model, backend):
+def test_sources_of_the_ecg_are_not_of_the_card(model, backend):
     for name in ("rv_source", "axial_source"):
-        refusal = backend.refusal(default_model, ["cv", name])
+        refusal = backend.refusal(model, ["cv", name])
         assert refusal == f"parameter '{name}' changes the ECG alone"
-    assert backend.refusal(default_model, ["cv", "interventricular_delay", "fibre_speed"]) == ""
+    assert backend.refusal(model, ["cv", "interventricular_delay", "fibre_speed"]) == ""
 
 
 def test_further_recordings_are_simulated_here(backend, simulator, recordings, points):
@@ -96,7 +97,7 @@ def test_further_recordings_are_simulated_here(backend, simulator, recordings, p
 def test_networks_are_simulated_here(backend, simulator, recordings):
     """With all that a card does not give."""
     of_card = replace(simulator, backend=backend)
-    (network,) = networks(of_card, recordings[0], [EXAMPLE_PARAMETERS])
+    (network,) = networks(of_card, recordings[0], [NETWORK])
     assert network.beat.coupled.retrograde
 
 
@@ -116,12 +117,12 @@ def test_the_command_says_in_one_line_what_is_missing(tmp_path, monkeypatch, cap
 
 
 @pytest.mark.slow
-def test_a_fit_on_a_card_is_opened_without_one(backend, recordings, tmp_path):
+def test_a_fit_on_a_card_is_opened_without_one(backend, model, recordings, tmp_path):
     """What threads find again is close enough to what the card found."""
     settings = {"effective": 20, "prior_simulations": 100}
-    settings |= {"parameters": {"conduction": "normal"}}
+    settings |= {"parameters": {"conduction": "left bundle branch block"}}
     fitted = fascicle.fit(
-        "default", recordings[0].target, tmp_path / "study", backend=backend, **settings
+        model.heart.folder, recordings[0].target, tmp_path / "study", backend=backend, **settings
     )
     opened = fascicle.load_study(tmp_path / "study")
     for name, values in fitted.population.values.items():

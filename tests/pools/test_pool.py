@@ -19,12 +19,12 @@ from dataclasses import replace
 import distributed
 import numpy as np
 import pytest
+from anatomies import NETWORK
 from builders import case
 from distributed.core import Status
 
 import fascicle
 from fascicle.core.errors import FileError, InputError
-from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.core.threads import read_shared, write_shared
 from fascicle.forward import model as model_module
 from fascicle.forward.primitives import His
@@ -58,20 +58,29 @@ def test_threads(simulator, recordings, points, expected):
         assert_same(evaluated(simulator, recordings, points, pool), expected)
 
 
+def refuse(point, model):
+    raise InputError("this is not to be had")
+
+
 def test_processes(simulator, recordings, points, expected):
-    """The model goes to them once, and further recordings do not send it again."""
+    """The model goes to them once, and further recordings do not send it again.
+
+    Errors arrive as themselves.
+    """
     context = multiprocessing.get_context("spawn")
     paced = (replace(recordings[0], scenario=case(his=His())),)
     with ProcessPoolExecutor(2, mp_context=context) as executor:
         pool = ExecutorPool(executor, 2)
         assert_same(evaluated(simulator, recordings, points, pool), expected)
         elsewhere = replace(simulator, pool=pool)
-        assert len(list(networks(elsewhere, recordings[0], [EXAMPLE_PARAMETERS] * 2))) == 2
+        assert len(list(networks(elsewhere, recordings[0], [NETWORK] * 2))) == 2
         found = evaluated(simulator, paced, points[:2], pool)
         assert_same(found, evaluated(simulator, paced, points[:2], Threads(1)))
         shared = simulator.model, simulator.prior, recordings, simulator.memory
         sent = [id(content) for content, _ in pool._sent]
         assert sent == [*map(id, (*shared, recordings[0], paced))]
+        with pytest.raises(InputError, match="not to be had"):
+            list(pool.map(refuse, points, simulator.model))
 
 
 @pytest.mark.parametrize(
@@ -124,19 +133,6 @@ class Touching:
         return self.path.touch, ()
 
 
-def refuse(point, model):
-    raise InputError("this is not to be had")
-
-
-def test_errors_arrive_as_themselves(simulator, points):
-    context = multiprocessing.get_context("spawn")
-    with (
-        ProcessPoolExecutor(1, mp_context=context) as executor,
-        pytest.raises(InputError, match="not to be had"),
-    ):
-        list(ExecutorPool(executor, 1).map(refuse, points, simulator.model))
-
-
 def fill(point, model):
     raise OSError("the disk is full")
 
@@ -183,6 +179,9 @@ class TestCluster:
         assert len(pool._sent) == 4  # the model, its prior, the recordings, and no beats
         with pytest.raises(InputError, match="not to be had"):
             list(pool.map(refuse, points, simulator.model))
+        # of the worker, not of the connection: nothing is tried again
+        with pytest.raises(OSError, match="the disk is full"):
+            list(pool.map(fill, points, simulator.model))
 
     @pytest.mark.slow
     def test_workers_that_are_killed_and_join_late(
@@ -261,12 +260,6 @@ class TestCluster:
             with pytest.raises(InputError, match=LOST):
                 pool._results(futures)
 
-    def test_errors_of_the_system_arrive_as_themselves(self, cluster, connected, simulator, points):
-        """They are of the worker, not of the connection: nothing is tried again."""
-        pool = connected(cluster.scheduler_address)
-        with pytest.raises(OSError, match="the disk is full"):
-            list(pool.map(fill, points, simulator.model))
-
     def test_workers_that_take_no_heart(self, cluster, connected):
         """One line, which does not say that the disk of this machine is full."""
 
@@ -335,16 +328,17 @@ class TestCluster:
 
 
 @pytest.mark.slow
-def test_a_fit_on_a_cluster_is_that_of_one_machine(cluster, recordings, tmp_path):
+def test_a_fit_on_a_cluster_is_that_of_one_machine(cluster, model, recordings, tmp_path):
     """To the last bit, by the command."""
     from fascicle.recording.target_files import write_target
 
     write_target(recordings[0].target, tmp_path / "target.nc")
-    small = ["--effective", "20", "--prior-simulations", "100", "--fix", "conduction=normal"]
+    small = ["--effective", "20", "--prior-simulations", "100"]
+    small += ["--fix", "conduction=left bundle branch block"]
     found = []
     for name, more in (("here", []), ("there", ["--scheduler", cluster.scheduler_address])):
         folder = tmp_path / name
-        asked = ["fit", "default", tmp_path / "target.nc", "--out", folder, *small, *more]
+        asked = ["fit", model.heart.folder, tmp_path / "target.nc", "--out", folder, *small, *more]
         subprocess.run([sys.executable, "-m", "fascicle.cli", *asked], check=True)
         found.append(fascicle.load_study(folder))
     one, other = found
