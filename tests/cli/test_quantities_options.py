@@ -3,11 +3,17 @@
 import json
 import re
 
+import numpy as np
 import pytest
 import xarray as xr
+from anatomies import NETWORK
 
-from fascicle.core.parameters import EXAMPLE_PARAMETERS, HUMAN_SPACE, NETWORK_SPACE
+from examples.recover_known_network import synthetic_target
+from fascicle.core.parameters import HUMAN_SPACE, NETWORK_SPACE
 from fascicle.core.quantities import QUANTITIES
+from fascicle.forward.model import ForwardModel
+from fascicle.heart.folder import load_heart
+from fascicle.recording.target_files import write_target
 from fascicle.study.study import Study
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")
@@ -59,13 +65,8 @@ def test_wrong_fixes_of_a_simulation(refused, ventricles, outside, options, word
 
 
 @pytest.fixture(scope="module")
-def target(tmp_path_factory, default_model):
-    import numpy as np
-
-    from examples.recover_known_network import synthetic_target
-    from fascicle.recording.target_files import write_target
-
-    leads = default_model.simulate(EXAMPLE_PARAMETERS).leads
+def target(tmp_path_factory, ventricles):
+    leads = ForwardModel(load_heart(ventricles)).simulate(NETWORK).leads
     path = tmp_path_factory.mktemp("target") / "target.nc"
     write_target(synthetic_target(leads, np.random.default_rng(0)), path)
     return path
@@ -73,16 +74,18 @@ def target(tmp_path_factory, default_model):
 
 class TestFit:
     def test_options_over_a_settings_file_give_a_population_of_the_paper(
-        self, run, outside, target
+        self, run, ventricles, outside, target
     ):
         """Which says what it lacks."""
         settings, out = outside / "study.toml", outside / "a"
         settings.write_text(
             'seed = 5\nmethod = "paper"\n[parameters]\ncv = 2.5\n'
             'alpha = {prior = "log-normal", median = 0.07, sd = 0.2}\n'
+            "lv_initial_length = {lower = 15, upper = 30}\n"
+            "rv_initial_length = {lower = 15, upper = 30}\n"
         )
         ended = run(
-            "fit", "default", target, "--out", out, "--settings", settings, "--fix", "cv=2.7",
+            "fit", ventricles, target, "--out", out, "--settings", settings, "--fix", "cv=2.7",
             "--free", "gain", "--leads", 8, "--initial", 8, "--steps", 2, "--samples", 2,
             "--draws", 60, "--rounds", 1,
         )  # fmt: skip

@@ -11,7 +11,7 @@ import pytest
 import pyvista as pv
 
 from fascicle.core.leads import LEADS
-from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.forward.model import ForwardModel
 from fascicle.heart.folder import load_heart
 from fascicle.recording.window import qrs_window, qrs_windows
 
@@ -357,7 +357,7 @@ def test_standard_electrodes_need_a_skin(small_heart, outside, refused):
     refused(asked, "lead V1: its electrodes have no standard place")
 
 
-def test_the_picture_shows_every_lead_and_says_when_time_begins(default_model, default_heart):
+def test_the_picture_shows_every_lead_and_says_when_time_begins(ventricles):
     from fascicle.reporting import prediction as drawing
 
     drawn = {}
@@ -366,10 +366,11 @@ def test_the_picture_shows_every_lead_and_says_when_time_begins(default_model, d
         drawn[path.name] = figure
         return path
 
-    simulation = default_model.simulate(EXAMPLE_PARAMETERS)
+    heart = load_heart(ventricles)
+    simulation = ForwardModel(heart).simulate(heart.example)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(drawing, "save", keep)
-        drawing.draw_simulation(default_heart, simulation, Path(), "png", "the stimulus")
+        drawing.draw_simulation(heart, simulation, Path(), "png", "the stimulus")
     figure = drawn["ecg.png"]
     assert figure.get_supxlabel() == "time (ms; 0: the stimulus)"
     assert drawn["activation.png"].axes[-1].get_ylabel() == "activation (ms)\n0: the stimulus"
