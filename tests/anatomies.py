@@ -9,7 +9,6 @@ from pathlib import Path
 import igl
 import meshio
 import nibabel
-import nrrd
 import numpy as np
 import pyvista as pv
 from scipy.spatial import Delaunay, cKDTree
@@ -290,19 +289,6 @@ def write_nifti(path: Path, labels=None, factor: float = 1.0) -> Path:
     image = nibabel.Nifti1Image(np.ascontiguousarray(labels[:, :, ::-1]), turned)
     image.header.set_xyzt_units("mm")
     nibabel.save(image, path)
-    return path
-
-
-def write_nrrd(path: Path, spacing: bool = True) -> Path:
-    """The label map with positions in LPS, as ITK writes it: the heart stays in these."""
-    labels, affine = label_map()
-    fields = {
-        "space": "left-posterior-superior",
-        "space directions": affine[:3, :3].T,
-        "space origin": affine[:3, 3],
-        "encoding": "gzip",
-    }
-    nrrd.write(str(path), labels, fields if spacing else {})
     return path
 
 

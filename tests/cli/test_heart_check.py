@@ -4,8 +4,8 @@ import shutil
 
 import numpy as np
 import pytest
+from anatomies import NETWORK
 
-from fascicle.core.parameters import read_parameters
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.folder import load_heart
 
@@ -102,10 +102,10 @@ def test_odd_file_names(heart, check_refused, name):
     check_refused("error: ", "; ")
 
 
-def test_refined_heart(blank_pictures, run, refused, small_heart, parameters, outside):
-    ended = run("heart", "refine", small_heart, "--out", outside / "fine")
+def test_refined_heart(blank_pictures, run, refused, ventricles, outside):
+    ended = run("heart", "refine", ventricles, "--out", outside / "fine")
     assert ended.well, ended.err
-    coarse, fine = load_heart(small_heart), load_heart(outside / "fine")
+    coarse, fine = load_heart(ventricles), load_heart(outside / "fine")
     assert len(fine.tetrahedra) == 8 * len(coarse.tetrahedra)
     np.testing.assert_allclose(fine.volumes.sum(), coarse.volumes.sum(), rtol=1e-12)
     said = [line.split() for line in ended.out.splitlines()]
@@ -113,8 +113,7 @@ def test_refined_heart(blank_pictures, run, refused, small_heart, parameters, ou
     assert (outside / "fine" / "check.png").is_file()
     again = ["heart", "refine", outside / "fine", "--out", outside / "fine"]
     refused(again, "holds the input heart.toml, which would be lost")
-    network = read_parameters(parameters())
-    one, other = (ForwardModel(heart).simulate(network) for heart in (coarse, fine))
+    one, other = (ForwardModel(heart).simulate(NETWORK) for heart in (coarse, fine))
     for tree, same in zip(one.trees, other.trees, strict=True):
         np.testing.assert_array_equal(tree.nodes, same.nodes)
     samples = min(one.leads.shape[1], other.leads.shape[1])

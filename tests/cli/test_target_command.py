@@ -10,6 +10,8 @@ from pydicom.data import get_testdata_file
 
 from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import LEADS
+from fascicle.recording import filter_estimate, pipeline
+from fascicle.recording import target as target_module
 from fascicle.recording.filters import FilterOrigin
 from fascicle.recording.target_files import read_target
 
@@ -120,7 +122,15 @@ def made(run, outside, recording, *options):
     return read_target(outside / "t.nc"), ended
 
 
-def test_beats_class_and_window(recording, run, outside):
+@pytest.fixture
+def quick(monkeypatch):
+    """Look for no filters, and estimate no uncertainty: most of the time of a target."""
+    monkeypatch.setattr(filter_estimate, "estimated_lowpass", lambda *_: None)
+    for module in (pipeline, target_module):
+        monkeypatch.setattr(module, "window_uncertainty", lambda *_: (4.0, 5.0))
+
+
+def test_beats_class_and_window(quick, recording, run, outside):
     everything, _ = made(run, outside, recording)
     chosen, _ = made(run, outside, recording, "--onset", -40, "--offset", 60)
     assert (chosen.qrs_onset, chosen.qrs_offset) == (-40, 60)
@@ -138,7 +148,7 @@ def test_beats_class_and_window(recording, run, outside):
     assert np.array_equal(same.beats, everything.beats)
 
 
-def test_leads_and_polarity(recording, tmp_path, run, outside):
+def test_leads_and_polarity(quick, recording, tmp_path, run, outside):
     truth, _ = made(run, outside, recording)
     without, ended = made(run, outside, recording, "--leads", "I,II,V1-V4,V6")
     assert [LEADS[k] for k in np.flatnonzero(~without.used)] == ["V5"]
@@ -224,7 +234,7 @@ def test_choices_that_cannot_be(recording, target_refused, options, words):
     target_refused(recording, words, extra=options)
 
 
-def test_what_was_said_of_the_file_is_said_again(tmp_path, outside, run):
+def test_what_was_said_of_the_file_is_said_again(quick, tmp_path, outside, run):
     bare = table(tmp_path / "rec.csv", leads=LEADS[::-1], unit="")
     target, ended = made(run, outside, bare, "--unit", "mV")
     assert target.heart_rate == pytest.approx(75, abs=1)
@@ -234,7 +244,7 @@ def test_what_was_said_of_the_file_is_said_again(tmp_path, outside, run):
     assert (target.provenance["choice_unit"], target.provenance["inverted"]) == ("mV", "V2")
 
 
-def test_gains_per_lead_are_caught_and_repaired(data_folder, outside, run, target_refused):
+def test_gains_per_lead_are_caught_and_repaired(quick, data_folder, outside, run, target_refused):
     folder = data_folder / "ecg" / "ludb"
     target_refused(folder / "24.hea", "24.hea", "gains per lead are wrong", "--shared-gain")
     repaired, _ = made(run, outside, folder / "24.hea", "--shared-gain")
@@ -246,7 +256,7 @@ def test_gains_per_lead_are_caught_and_repaired(data_folder, outside, run, targe
     assert half.beats == pytest.approx(right.beats / 2, abs=3e-3)
 
 
-def test_out(recording, tmp_path, outside, refused, run):
+def test_out(quick, recording, tmp_path, outside, refused, run):
     refused(["target", recording, "--out", outside / "t.png"], "t.png", "such as target.nc")
     refused(["target", recording, "--out", outside], outside, "not an ordinary file")
     (outside / "file").write_text("mine")
