@@ -161,7 +161,7 @@ def test_damaged_copies_are_restored(study, ventricles, run, tmp_path):
         np.testing.assert_array_equal(again.population.values[parameter], values)
 
 
-def test_another_target_or_heart_says_what_differs(study, ventricles, target):
+def test_another_target_heart_or_growth_says_what_differs(study, ventricles, target):
     later = fascicle.make_target(fascicle.read_recording(demo_recording()), onset=-40.0)
     with pytest.raises(fascicle.InputError, match=r"holds another study \(target: there "):
         fascicle.fit(ventricles, later, study.folder, **BUDGET)
@@ -169,9 +169,6 @@ def test_another_target_or_heart_says_what_differs(study, ventricles, target):
     wanted = r"\(heart: there .*conduction alpha: there 0.05, now 0.07\)"
     with pytest.raises(fascicle.InputError, match=wanted):
         fascicle.fit(faster, target, study.folder, **BUDGET)
-
-
-def test_other_rules_of_growth_are_refused(study, ventricles, target):
     longer = GrowthRules(branch_length=10.0)
     wanted = r"holds another study \(growth branch_length: there 8, now 10\)"
     with pytest.raises(fascicle.InputError, match=wanted):
@@ -327,15 +324,6 @@ def test_sweep(blank_pictures, study, tmp_path, run, refused):
     for wrong in (["--delay", "0:1"], [], ["--segments", "middle"]):
         refused([*asked, *wrong, "--out", tmp_path / "w"])
     assert not (tmp_path / "w").exists()
-
-
-def test_pacing_together_undoes_a_delay(study):
-    """Both roots at once: the same trees as before, with nothing but their roots' times changed."""
-    network = study.networks()[0]
-    model, trees, cv = study.simulator.model, network.beat.trees, network.parameters["cv"]
-    late = model.activate(trees, -60.0, cv)
-    together = model.activate(trees, 0.0, cv)
-    assert together.total_activation_time < late.total_activation_time
 
 
 def test_report(study, run):
