@@ -13,8 +13,11 @@ import numpy as np
 import pyvista as pv
 from scipy.spatial import Delaunay, cKDTree
 
+from fascicle.build.endocardia import endocardia
 from fascicle.build.meshing import mesh_surface
 from fascicle.build.surface_repair import prepared_surface
+from fascicle.heart.endocardium import seeded_endocardia
+from fascicle.heart.heart import Heart, VentricularCoordinates
 from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface
 from fascicle.torso.surfaces import Surface
 
@@ -140,6 +143,21 @@ def circular_fibres(mesh: LabelledMesh) -> np.ndarray:
     x, y, _ = (mesh.vertices[mesh.tetrahedra].mean(axis=1) - [CENTRE_X[EPI], 0, 0]).T
     around = np.column_stack([-y, x, np.zeros(len(x))])
     return around / np.linalg.norm(around, axis=1, keepdims=True)
+
+
+def heart_on(
+    mesh: LabelledMesh | None = None, coordinates: VentricularCoordinates | None = None
+) -> Heart:
+    """A heart with the endocardia of a mesh, the coarse ventricles if no other is given."""
+    mesh = tissue() if mesh is None else mesh
+    surfaces = dict(zip(("lv", "rv"), endocardia(mesh), strict=True))
+    named = {side: (side, *surface) for side, surface in surfaces.items()}
+    sides = seeded_endocardia(named, dict.fromkeys(named, (None, None)))
+    electrodes = np.array([*PLACES.values()], dtype=float)
+    fibres = circular_fibres(mesh)
+    return Heart(
+        mesh.vertices, mesh.tetrahedra, fibres, *sides, electrodes, coordinates=coordinates
+    )
 
 
 def halves(mesh: LabelledMesh) -> np.ndarray:

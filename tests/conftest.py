@@ -172,6 +172,22 @@ def default_model(default_heart: Heart) -> ForwardModel:
 
 
 @pytest.fixture(scope="session")
+def small_heart() -> Heart:
+    """Ventricles of 1,000 vertices, on which `anatomies.NETWORK` fits."""
+    from anatomies import heart_on
+
+    return heart_on()
+
+
+@pytest.fixture(scope="session")
+def small_model(small_heart: Heart) -> ForwardModel:
+    """Forward model of the small heart, prepared in a tenth of a second."""
+    from fascicle.forward.model import ForwardModel
+
+    return ForwardModel(small_heart)
+
+
+@pytest.fixture(scope="session")
 def torso_model(default_heart: Heart) -> ForwardModel:
     """Of the packaged heart with one more electrode where LA is, and few torsos solved."""
     from fascicle.forward.model import ForwardModel

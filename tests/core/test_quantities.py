@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from anatomies import NETWORK
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -212,25 +213,26 @@ def test_declarations_that_cannot_be(change):
     assert "drug" not in QUANTITIES
 
 
-def test_the_example_of_the_documentation(monkeypatch, default_model, default_heart):
+def test_the_example_of_the_documentation(monkeypatch, small_model):
     """A quantity that is declared outside the package is one of the model."""
     from fascicle.cli.options import fixed_values
     from fascicle.networks.prior import study_space
 
-    monkeypatch.setattr("fascicle.ForwardModel", lambda heart: default_model)
+    monkeypatch.setattr("fascicle.ForwardModel", lambda heart: small_model)
+    monkeypatch.setattr("fascicle.EXAMPLE_PARAMETERS", NETWORK)
     try:
         found = example("Quantity")
-        space, _ = study_space("paper", {"sodium_block": "free"}, default_heart)
+        space, _ = study_space("paper", {"sodium_block": "free"}, small_model.heart)
         assert space.parameters[-1].name == "sodium_block"
         assert fixed_values(["sodium_block=0.3"]) == {"sodium_block": 0.3}
         with pytest.raises(ValueRefusedError, match="sodium_block"):
             fixed_values(["sodium_block=0.95"])
     finally:
         QUANTITIES.pop("sodium_block", None)
-    slower = default_model.activate(
-        default_model.grow(EXAMPLE_PARAMETERS),
-        root_time=EXAMPLE_PARAMETERS["root_time"],
-        cv=EXAMPLE_PARAMETERS["cv"],
+    slower = small_model.activate(
+        small_model.grow(NETWORK),
+        root_time=NETWORK["root_time"],
+        cv=NETWORK["cv"],
         alpha=Conduction().alpha * math.sqrt(0.7),
     )
     assert found["times"][0.3] == slower.total_activation_time > found["times"][0.0]

@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from anatomies import NETWORK
 from pydicom.data import get_testdata_file
 
 import fascicle
@@ -82,11 +83,11 @@ def test_of_what_is_given_beside_parameters(name):
 
 
 @pytest.mark.parametrize("name", QUANTITIES)
-def test_of_parameters(default_model, name):
+def test_of_parameters(small_model, name):
     for value in WRONG:
         if not (name.endswith("_delay") and isinstance(value, float) and value == np.inf):
-            given = fascicle.EXAMPLE_PARAMETERS | {name: value}
-            assert f"'{name}'" in refusal(default_model.simulate, given)
+            given = NETWORK | {name: value}
+            assert f"'{name}'" in refusal(small_model.simulate, given)
 
 
 def test_of_a_recording():
@@ -137,18 +138,18 @@ def test_texts_and_places():
         dataclasses.replace(Stimulus(0.0, PLACE), time=1e308)
 
 
-@pytest.mark.parametrize("rules", [{"clearance": 0.0}, {"generations": 100, "branch_length": 0.5}])
-def test_trees_of_no_heart_are_refused_before_they_take_all_memory(default_model, rules):
-    parameters = dict(fascicle.EXAMPLE_PARAMETERS) | rules
-    assert "tree grows to more than" in refusal(default_model.simulate, parameters)
+def test_trees_of_no_heart_are_refused_before_they_take_all_memory(small_model):
+    endless = NETWORK | {"generations": 100, "branch_length": 0.5}
+    assert "tree grows to more than" in refusal(small_model.simulate, endless)
 
 
-def test_objects_are_shown_on_one_line_without_arrays(default_model, default_heart):
-    simulation = default_model.simulate(fascicle.EXAMPLE_PARAMETERS)
+def test_objects_are_shown_on_one_line_without_arrays(small_model):
+    simulation = small_model.simulate(NETWORK)
     recording = fascicle.read_recording(get_testdata_file("waveform_ecg.dcm", download=False))
     analysis = fascicle.analyse(recording)
-    for thing in (default_heart, default_heart.lv, default_model, simulation, simulation.trees[0],
-                  recording, analysis, analysis.target):  # fmt: skip
+    heart, tree = small_model.heart, simulation.trees[0]
+    for thing in (heart, heart.lv, small_model, simulation, tree, recording, analysis,
+                  analysis.target):  # fmt: skip
         text = repr(thing)
         assert "\n" not in text
         assert "array" not in text

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from anatomies import NETWORK
 
 import fascicle
-from fascicle.core.parameters import EXAMPLE_PARAMETERS, Infeasible
+from fascicle.core.parameters import Infeasible
 from fascicle.networks.prior_simulations import (
     electrocardiograph_in_body,
     moved_electrodes,
@@ -18,18 +19,16 @@ CHEST = slice(3, 9)
 
 
 @pytest.fixture(scope="module")
-def model(default_heart):
-    """Of the default heart with LA again as an additional electrode, in an unbounded conductor."""
-    more = {"E1": default_heart.electrodes[1]}
-    return fascicle.ForwardModel(
-        replace(default_heart, lead_fields=None, folder=None, additional_electrodes=more)
-    )
+def model(small_heart):
+    """Of the small heart with LA again as an additional electrode, in an unbounded conductor."""
+    more = {"E1": small_heart.electrodes[1]}
+    return fascicle.ForwardModel(replace(small_heart, additional_electrodes=more))
 
 
 @pytest.fixture
-def displaced(default_heart):
+def displaced(small_heart):
     """How far (mm) electrodes move to the left, posteriorly and up, given the heart's centroid."""
-    heart = default_heart
+    heart = small_heart
     places = np.array([*heart.electrodes, [0.0, 100.0, 0.0]])
     centroid = heart.vertices.mean(axis=0)
 
@@ -90,7 +89,7 @@ def test_chest_electrodes_move_at_right_angles_to_the_line_to_the_heart(displace
 
 
 def test_ecgs_in_an_unbounded_conductor(model):
-    beat = model.simulate(EXAMPLE_PARAMETERS)
+    beat = model.simulate(NETWORK)
     neutral = electrocardiograph_in_body(model)({}).leads(beat.activation)
     np.testing.assert_allclose(neutral, beat.leads, atol=1e-6)
     one, again = (random_bodies(model, np.random.default_rng(0), 2) for _ in range(2))

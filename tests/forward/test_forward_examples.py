@@ -4,6 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
+from anatomies import NETWORK
 
 import fascicle
 from fascicle.core.quantities import QUANTITIES
@@ -11,8 +12,11 @@ from tests.test_extending import example
 
 
 @pytest.fixture(autouse=True)
-def elsewhere(tmp_path, monkeypatch):
+def small(small_heart, tmp_path, monkeypatch):
+    """In an empty folder, the small heart in place of the packaged one."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("fascicle.forward.model.as_heart", lambda name: small_heart)
+    monkeypatch.setattr("fascicle.EXAMPLE_PARAMETERS", NETWORK)
 
 
 def test_an_action_potential_from_a_table():
@@ -29,7 +33,7 @@ def test_a_cell_model():
     assert 0.2 < float(abs(names["beat"].ecg).max()) < 5.0
 
 
-def test_a_growth_rule(default_model, monkeypatch, emulated):
+def test_a_growth_rule(small_model, monkeypatch, emulated):
     """Without its own term it is the built-in one; a card leaves it to the processor."""
     from fascicle.forward.device.backend import GpuBackend
 
@@ -38,7 +42,7 @@ def test_a_growth_rule(default_model, monkeypatch, emulated):
     names = example("Growth rule")
     plain = {**fascicle.EXAMPLE_PARAMETERS, "apical_attraction": 0.0}
     for found, expected in zip(
-        names["model"].grow(plain), default_model.grow(fascicle.EXAMPLE_PARAMETERS), strict=True
+        names["model"].grow(plain), small_model.grow(fascicle.EXAMPLE_PARAMETERS), strict=True
     ):
         np.testing.assert_array_equal(found.nodes, expected.nodes)
     assert names["nodes"][0.0] != names["nodes"][0.2]

@@ -7,21 +7,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from anatomies import NETWORK
 from builders import case
 
 import fascicle.forward.model
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import EXAMPLE_PARAMETERS, Infeasible
+from fascicle.core.parameters import Infeasible
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.primitives import SlowConduction, Stimulus
 from fascicle.heart.conduction import Conduction, Region
 
 SMALL_TASK = 20_000  # bytes
 SEVERAL = [
-    EXAMPLE_PARAMETERS,
-    EXAMPLE_PARAMETERS | {"root_time": -30.0},
-    EXAMPLE_PARAMETERS | {"rv_initial_length": 300.0},  # does not fit
-    EXAMPLE_PARAMETERS | {"lv_fascicle_angle_1": 0.2, "cv": 2.2},
+    NETWORK,
+    NETWORK | {"root_time": -30.0},
+    NETWORK | {"rv_initial_length": 300.0},  # does not fit
+    NETWORK | {"lv_fascicle_angle_1": 0.2, "cv": 2.2},
 ]
 
 
@@ -45,15 +46,15 @@ class FarAway(Executor):
 
 
 @pytest.fixture(scope="module")
-def scenario(default_heart):
-    place = tuple(default_heart.vertices[5962].tolist())
+def scenario(small_heart):
+    place = tuple(small_heart.vertices[168].tolist())
     return case((Stimulus(-5.0, place),), (SlowConduction("lv", 0.0, "bundle"),), inactive=("rv",))
 
 
 @pytest.fixture(scope="module")
-def expected(default_model, scenario):
+def expected(small_model, scenario):
     """They differ, or else their order would not show."""
-    simulations = [default_model.simulate(p, scenario) for p in SEVERAL]
+    simulations = [small_model.simulate(p, scenario) for p in SEVERAL]
     assert isinstance(simulations[2], Infeasible)
     assert not np.array_equal(simulations[0].activation, simulations[3].activation)
     assert simulations[0].ecg.time.to_numpy()[0] == -5.0
@@ -74,29 +75,29 @@ def assert_same(found, expected):
             np.testing.assert_array_equal(tree.nodes, same.nodes)
 
 
-def test_threads(default_model, scenario, expected):
+def test_threads(small_model, scenario, expected):
     with ThreadPoolExecutor(3) as executor:
-        assert_same(default_model.simulate_many(SEVERAL, executor, scenario), expected)
+        assert_same(small_model.simulate_many(SEVERAL, executor, scenario), expected)
 
 
-def test_processes(default_model, scenario, expected):
+def test_processes(small_model, scenario, expected):
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(2, mp_context=context) as executor:
-        assert_same(default_model.simulate_many(iter(SEVERAL), executor, scenario), expected)
+        assert_same(small_model.simulate_many(iter(SEVERAL), executor, scenario), expected)
 
 
-def test_an_executor_as_a_cluster_has_it(default_model, scenario, expected):
+def test_an_executor_as_a_cluster_has_it(small_model, scenario, expected):
     executor = FarAway()
-    assert_same(default_model.simulate_many(SEVERAL, executor, scenario), expected)
+    assert_same(small_model.simulate_many(SEVERAL, executor, scenario), expected)
     assert len(executor.sizes) == len(SEVERAL)
     assert max(executor.sizes) < SMALL_TASK
 
 
-def test_settings_of_the_model_go_along(default_heart):
+def test_settings_of_the_model_go_along(small_heart):
     """Conduction with regions, and growth rules, not only the heart."""
-    place = tuple(default_heart.vertices[5962].tolist())
+    place = tuple(small_heart.vertices[168].tolist())
     model = ForwardModel(
-        default_heart,
+        small_heart,
         Conduction(alpha=0.07, regions=(Region(0.0, centre=place, radius=12.0),)),
         fascicle.forward.model.GrowthRules(generations=12),
     )
@@ -105,23 +106,23 @@ def test_settings_of_the_model_go_along(default_heart):
     assert_same(model.simulate_many(SEVERAL[:2], FarAway()), alone)
 
 
-def test_two_models_take_turns_in_one_worker(default_model, default_heart):
+def test_two_models_take_turns_in_one_worker(small_model, small_heart):
     """A worker keeps the last model it read, and must not take it for another."""
-    fast = ForwardModel(default_heart, Conduction(alpha=0.1))
-    for model in (default_model, fast, default_model):
+    fast = ForwardModel(small_heart, Conduction(alpha=0.1))
+    for model in (small_model, fast, small_model):
         assert_same(model.simulate_many(SEVERAL[:1], FarAway()), [model.simulate(SEVERAL[0])])
 
 
-def test_shared_file_is_gone_afterwards(default_model, tmp_path, monkeypatch):
+def test_shared_file_is_gone_afterwards(small_model, tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    default_model.simulate_many(SEVERAL[:1], FarAway())
+    small_model.simulate_many(SEVERAL[:1], FarAway())
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("executor", [FarAway, ThreadPoolExecutor])
-def test_a_wrong_parameter_is_refused_as_by_simulate(default_model, executor):
+def test_a_wrong_parameter_is_refused_as_by_simulate(small_model, executor):
     with pytest.raises(InputError, match="unknown parameter 'rooot_time'"):
-        default_model.simulate_many([EXAMPLE_PARAMETERS | {"rooot_time": 1.0}], executor())
+        small_model.simulate_many([NETWORK | {"rooot_time": 1.0}], executor())
 
 
 class TestRememberedTrees:
@@ -138,26 +139,26 @@ class TestRememberedTrees:
         return sides
 
     @pytest.fixture
-    def model(self, default_model):
+    def model(self, small_model):
         """With nothing remembered yet."""
-        return ForwardModel(default_model.heart, prepared=default_model.prepared)
+        return ForwardModel(small_model.heart, prepared=small_model.prepared)
 
-    def test_speed_and_times_grow_nothing(self, model, grown, default_model):
-        model.simulate(EXAMPLE_PARAMETERS)
+    def test_speed_and_times_grow_nothing(self, model, grown, small_model):
+        model.simulate(NETWORK)
         assert grown == ["lv", "rv"]
-        changed = EXAMPLE_PARAMETERS | {"cv": 2.3, "root_time": -17.0}
+        changed = NETWORK | {"cv": 2.3, "root_time": -17.0}
         again = model.simulate(changed)
         model.simulate(changed, case(inactive=("lv",)))
-        trees = model.grow(EXAMPLE_PARAMETERS)
+        trees = model.grow(NETWORK)
         assert grown == ["lv", "rv"]
         fresh = ForwardModel(model.heart, prepared=model.prepared).simulate(changed)
         assert_same([again], [fresh])
         assert trees[0] is again.trees[0]
 
-    @pytest.mark.parametrize("name", [n for n in EXAMPLE_PARAMETERS if n[:2] in ("lv", "rv")])
+    @pytest.mark.parametrize("name", [n for n in NETWORK if n[:2] in ("lv", "rv")])
     def test_every_other_parameter_grows_anew(self, model, grown, name):
-        model.grow(EXAMPLE_PARAMETERS)
-        model.grow(EXAMPLE_PARAMETERS | {name: EXAMPLE_PARAMETERS[name] + 0.01})
+        model.grow(NETWORK)
+        model.grow(NETWORK | {name: NETWORK[name] + 0.01})
         assert grown == ["lv", "rv"] * 2
 
     def test_what_does_not_fit_is_remembered_too(self, model, grown):
@@ -169,20 +170,20 @@ class TestRememberedTrees:
     def test_a_few_are_remembered(self, model, grown):
         angles = 0.1 * np.arange(ForwardModel.networks_kept + 1)
         for angle in angles:
-            model.grow(EXAMPLE_PARAMETERS | {"lv_fascicle_angle_1": angle})
+            model.grow(NETWORK | {"lv_fascicle_angle_1": angle})
         grown.clear()
-        model.grow(EXAMPLE_PARAMETERS | {"lv_fascicle_angle_1": angles[1]})
+        model.grow(NETWORK | {"lv_fascicle_angle_1": angles[1]})
         assert grown == []
-        model.grow(EXAMPLE_PARAMETERS | {"lv_fascicle_angle_1": angles[0]})
+        model.grow(NETWORK | {"lv_fascicle_angle_1": angles[0]})
         assert grown == ["lv", "rv"]
 
     def test_trees_with_a_scenario_do_not_stay(self, model):
         """An extra tree or stimulus of one call must not be there in the next."""
-        before = model.simulate(EXAMPLE_PARAMETERS)
+        before = model.simulate(NETWORK)
         mine = replace(before.trees[0], side="mine")
-        place = tuple(model.heart.vertices[5962].tolist())
-        model.simulate(EXAMPLE_PARAMETERS, case((Stimulus(0.0, place),), trees=((mine, 0.0),)))
-        after = model.simulate(EXAMPLE_PARAMETERS)
+        place = tuple(model.heart.vertices[168].tolist())
+        model.simulate(NETWORK, case((Stimulus(0.0, place),), trees=((mine, 0.0),)))
+        after = model.simulate(NETWORK)
         assert_same([after], [before])
         assert len(after.trees) == 2
         assert len(after.coupled.stimuli) == 0

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from anatomies import NETWORK
 
 from benchmarks.references import Upstroke
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE, ArrayCache
-from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward import preparation
 from fascicle.forward.eikonal import build as eikonal_build
 from fascicle.forward.model import ForwardModel
@@ -171,15 +171,13 @@ class TestWithoutCache:
 
 class TestRealHeart:
     @pytest.fixture(scope="class")
-    def folder(self, default_heart, tmp_path_factory):
+    def folder(self, small_heart, tmp_path_factory):
         folder = tmp_path_factory.mktemp("hearts") / "adult"
-        write_heart(default_heart, folder)
+        write_heart(small_heart, folder)
         return folder
 
     def test_simulations_are_bitwise_the_same(self, folder, built):
-        simulations = [
-            ForwardModel(load_heart(folder)).simulate(EXAMPLE_PARAMETERS) for _ in range(2)
-        ]
+        simulations = [ForwardModel(load_heart(folder)).simulate(NETWORK) for _ in range(2)]
         assert len(built) == 1
         one, other = simulations
         np.testing.assert_array_equal(one.activation, other.activation)
@@ -188,15 +186,15 @@ class TestRealHeart:
         for tree, same in zip(one.trees, other.trees, strict=True):
             np.testing.assert_array_equal(tree.nodes, same.nodes)
 
-    def test_writing_over_it_is_allowed_and_begins_anew(self, folder, default_heart, built):
+    def test_writing_over_it_is_allowed_and_begins_anew(self, folder, small_heart, built):
         """The cache may be lost; the reader's own files may not."""
         prepare(load_heart(folder), Conduction(), Upstroke())
         assert (folder / DISPOSABLE).is_dir()
-        write_heart(default_heart, folder)
+        write_heart(small_heart, folder)
         assert not (folder / DISPOSABLE).exists()
         (folder / "notes.txt").write_text("mine")
         with pytest.raises(InputError, match=r"notes\.txt"):
-            write_heart(default_heart, folder)
+            write_heart(small_heart, folder)
         (folder / "notes.txt").unlink()
 
 

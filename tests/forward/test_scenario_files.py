@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import pyvista as pv
+from anatomies import NETWORK
 from builders import case
 
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.forward.model import ForwardModel
 from fascicle.forward.primitives import His, InactiveRoot, JunctionDelays, SlowConduction, Stimulus
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenario, scenario_text
@@ -20,7 +22,7 @@ from fascicle.forward.simulation_files import (
     summary,
     write_simulation,
 )
-from fascicle.heart.conduction import Region
+from fascicle.heart.conduction import Conduction, Region
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.purkinje.tree_files import write_tree
 
@@ -311,14 +313,11 @@ class TestTables:
         assert (times[origin] <= np.asarray(mesh["activation"]) + 1e-4).all()
         assert origin[5962] == len(rows) - 2
 
-    def test_a_stimulus_in_scar_does_not_capture(self, default_heart):
-        from fascicle.forward.model import ForwardModel
-        from fascicle.heart.conduction import Conduction
-
-        place = tuple(default_heart.vertices[5962].tolist())
+    def test_a_stimulus_in_scar_does_not_capture(self, small_heart):
+        place = tuple(small_heart.vertices[168].tolist())
         scar = Conduction(regions=(Region(0.0, centre=place, radius=15.0),))
-        simulation = ForwardModel(default_heart, scar).simulate(
-            EXAMPLE_PARAMETERS, case((Stimulus(-50.0, place),))
+        simulation = ForwardModel(small_heart, scar).simulate(
+            NETWORK, case((Stimulus(-50.0, place),))
         )
         assert np.nanmin(simulation.activation) > 0
         assert simulation.coupled.captured.tolist() == [False]

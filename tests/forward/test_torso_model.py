@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from anatomies import NETWORK
 
 import fascicle
 from fascicle.core.errors import InputError
@@ -24,10 +24,9 @@ def with_torso(**values):
     return EXAMPLE_PARAMETERS | values
 
 
-def test_an_unbounded_conductor_has_no_torso(default_heart):
-    unbounded = fascicle.ForwardModel(replace(default_heart, lead_fields=None, folder=None))
+def test_an_unbounded_conductor_has_no_torso(small_model):
     with pytest.raises(InputError, match=r"'heart_up': .* has no torso"):
-        unbounded.simulate(with_torso(heart_up=5.0))
+        small_model.simulate(NETWORK | {"heart_up": 5.0})
 
 
 def test_neutral_torsos_are_the_plain_model(default_model):

@@ -8,9 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
-from fascicle.build.endocardia import endocardia
-from fascicle.heart.endocardium import Endocardium
-from fascicle.heart.heart import Heart, VentricularCoordinates
 from fascicle.heart.labelled_surface import Label, LabelledMesh
 from fascicle.mesh.measures import signed_volumes
 from fascicle.mesh.topology import boundary_triangles
@@ -145,14 +142,3 @@ class Spheroid:
         labels[np.all(layer == 0, axis=1)] = Label.LV_ENDOCARDIUM
         labels[np.all(layer == layers, axis=1)] = Label.EPICARDIUM
         return LabelledMesh(vertices, tetrahedra, triangles, labels, name="spheroid")
-
-
-def heart_on(mesh: LabelledMesh, coordinates: VentricularCoordinates | None = None) -> Heart:
-    """A heart with the endocardia of a mesh, and fibres along z."""
-    sides = [
-        Endocardium(side, surface.vertices, surface.triangles, 0, 1)
-        for side, surface in zip(("lv", "rv"), endocardia(mesh), strict=True)
-    ]
-    fibres = np.tile([0.0, 0.0, 1.0], (len(mesh.tetrahedra), 1))
-    tissue = mesh.vertices, mesh.tetrahedra, fibres
-    return Heart(*tissue, *sides, np.zeros((9, 3)), coordinates=coordinates)

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from anatomies import NETWORK
 
-from fascicle import EXAMPLE_PARAMETERS, ForwardModel, load_heart, read_action_potential
+from fascicle import ForwardModel, load_heart, read_action_potential
 from fascicle.core.errors import InputError
 from fascicle.forward.electrocardiogram import build_electrocardiograph, unbounded_gradients
 from fascicle.forward.template import default_template
@@ -102,23 +103,23 @@ def test_another_table_is_refused(tmp_path, rows, words):
     assert "; give " in str(refused.value)
 
 
-def test_a_heart_brings_its_own(tmp_path, default_model):
+def test_a_heart_brings_its_own(tmp_path, small_model, small_heart):
     """A table named in heart.toml: of every model of the heart, of its digest and of copies."""
-    write_heart(load_heart("default"), tmp_path / "heart")
+    write_heart(small_heart, tmp_path / "heart")
     manifest = tmp_path / "heart" / "heart.toml"
     manifest.write_text('action_potential = "u.csv"\n' + manifest.read_text())
     with pytest.raises(InputError, match=re.escape("u.csv")):
         load_heart(tmp_path / "heart")
     write(tmp_path / "heart" / "u.csv", [(t / 3, u) for t, u in RISE])
     heart = load_heart(tmp_path / "heart")
-    assert heart.digest != load_heart("default").digest
+    assert heart.digest != small_heart.digest
     write_heart(heart, tmp_path / "copy")
     copy = load_heart(tmp_path / "copy")
     assert copy.digest == heart.digest
     assert copy.action_potential.times.tobytes() == heart.action_potential.times.tobytes()
     given = read_action_potential(tmp_path / "heart" / "u.csv")
-    own = ForwardModel(copy).simulate(EXAMPLE_PARAMETERS).ecg
-    same = ForwardModel("default", action_potential=given).simulate(EXAMPLE_PARAMETERS).ecg
-    other = default_model.simulate(EXAMPLE_PARAMETERS).ecg
+    own = ForwardModel(copy).simulate(NETWORK).ecg
+    same = ForwardModel(small_heart, action_potential=given).simulate(NETWORK).ecg
+    other = small_model.simulate(NETWORK).ecg
     np.testing.assert_array_equal(own, same)
     assert own.shape != other.shape or not np.allclose(own, other)

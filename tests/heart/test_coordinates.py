@@ -5,8 +5,8 @@ from dataclasses import replace
 import igl
 import numpy as np
 import pytest
-from anatomies import EDGE, FINER, HALF_AXES, LV, half_ellipsoid, tissue
-from labelled_walls import heart_on, layered, oriented
+from anatomies import EDGE, FINER, HALF_AXES, LV, half_ellipsoid, heart_on, tissue
+from labelled_walls import layered, oriented
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 

@@ -3,34 +3,34 @@
 from dataclasses import replace
 
 import pytest
+from anatomies import NETWORK
 
 import fascicle
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.folder import load_heart, write_heart
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory, default_heart):
+def folder(tmp_path_factory, small_heart):
     path = tmp_path_factory.mktemp("hearts") / "heart"
-    write_heart(replace(default_heart, values={"alpha": 0.08}), path)
+    write_heart(replace(small_heart, values={"alpha": 0.08}), path)
     return path
 
 
-def test_values_come_back_and_count(folder, default_heart):
+def test_values_come_back_and_count(folder, small_heart):
     heart = load_heart(folder)
     assert heart.values == {"alpha": 0.08}
-    assert heart.digest != default_heart.digest
+    assert heart.digest != small_heart.digest
     assert Conduction.of(heart).alpha == 0.08
 
 
-def test_a_heart_may_have_its_own_example_network(tmp_path, default_heart):
-    example = EXAMPLE_PARAMETERS | {"cv": 2.5}
-    write_heart(replace(default_heart, example=example), tmp_path / "heart")
+def test_a_heart_may_have_its_own_example_network(tmp_path, small_heart):
+    example = NETWORK | {"cv": 2.5}
+    write_heart(replace(small_heart, example=example), tmp_path / "heart")
     heart = load_heart(tmp_path / "heart")
     assert fascicle.example_parameters(fascicle.ForwardModel(heart)) == example
-    assert heart.digest == default_heart.digest  # nothing is recomputed
+    assert heart.digest == small_heart.digest  # nothing is recomputed
     manifest = tmp_path / "heart" / "heart.toml"
     manifest.write_text(manifest.read_text().replace("cv = 2.5", "cv = 250"), encoding="utf-8")
     with pytest.raises(InputError, match=r"heart\.toml: parameter 'cv' is 250") as caught:

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from anatomies import FINER, tissue
-from labelled_walls import heart_on
+from anatomies import FINER, heart_on, tissue
 from scipy.spatial.transform import Rotation
 
 from fascicle.core.leads import ELECTRODES

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from anatomies import NETWORK
 from builders import case
 from scipy.spatial import cKDTree
 
@@ -116,16 +117,16 @@ def test_more_stimuli_than_anybody_has():
 
 
 class TestInScenarios:
-    def test_a_radius_fires_all_that_is_near(self, default_model, default_heart):
+    def test_a_radius_fires_all_that_is_near(self, small_model, small_heart):
         stimulus = Stimulus(3.0, site="mid inferior epicardium", radius=8.0)
-        paced = default_model.simulate(EXAMPLE_PARAMETERS, case((stimulus,), inactive=("lv", "rv")))
-        place = default_model.sites.position("mid inferior epicardium")
-        away = np.linalg.norm(default_heart.vertices - place, axis=1)
+        paced = small_model.simulate(NETWORK, case((stimulus,), inactive=("lv", "rv")))
+        place = small_model.sites.position("mid inferior epicardium")
+        away = np.linalg.norm(small_heart.vertices - place, axis=1)
         assert (away <= 8).sum() > 3
         np.testing.assert_allclose(paced.activation[away <= 8], 3.0)
         assert (paced.activation[away > 8] > 3.0).all()
 
-    def test_rays_from_what_is_captured_go_as_far_as_from_junctions(self, default_model):
+    def test_rays_from_what_is_captured_go_as_far_as_from_junctions(self, small_model):
         """From every captured vertex to every other one there would be hundreds of times as many.
 
         What that changes: where a ray of more than 20 mm would have been a little faster.
@@ -135,41 +136,39 @@ class TestInScenarios:
             Stimulus(5.0, site="rv apex", radius=6.0),
         )
         wide = case(stimuli, inactive=("lv", "rv"))
-        beat = wide.excitation(default_model.grow(EXAMPLE_PARAMETERS), 0.0, {}, default_model.sites)
+        beat = wide.excitation(small_model.grow(NETWORK), 0.0, {}, small_model.sites)
         assert beat.capture_groups[:2].tolist() == [0, 1]
         assert set(beat.capture_groups[2:]) == {0, 1}
         fired = zip(beat.point_times, beat.points.tolist(), strict=True)
         each = case([Stimulus(*one) for one in fired], inactive=("lv", "rv"))
-        far, near = (default_model.simulate(EXAMPLE_PARAMETERS, c).activation for c in (each, wide))
+        far, near = (small_model.simulate(NETWORK, c).activation for c in (each, wide))
         later = near - far
         assert later.min() > -1e-9
-        assert 0 < later.max() < 3
-        assert later.mean() < 0.05
+        assert 0 < later.max() < 5  # elements are 8 mm long
+        assert later.mean() < 0.3
 
-    def test_a_radius_in_a_tree_fires_its_nodes(self, default_model):
-        paced = default_model.simulate(
-            EXAMPLE_PARAMETERS,
+    def test_a_radius_in_a_tree_fires_its_nodes(self, small_model):
+        paced = small_model.simulate(
+            NETWORK,
             case(
                 (Stimulus(2.0, site="left bundle", tree="lv", radius=6.0),), inactive=("lv", "rv")
             ),
         )
-        place = default_model.sites.position("left bundle")
+        place = small_model.sites.position("left bundle")
         away = np.linalg.norm(paced.trees[0].nodes - place, axis=1)
         times = paced.coupled.trees[0]
         assert (away <= 6).sum() > 3
         assert (times[away <= 6] == 2.0).all()
         assert (times[away > 6] > 2.0).all()
 
-    def test_a_part_of_a_tree_is_fired_where_branches_lie_nearer(self, default_model):
-        tree, fired = default_model.grow(EXAMPLE_PARAMETERS)[0], {}
-        away = np.linalg.norm(tree.nodes - default_model.sites.position("left septum"), axis=1)
+    def test_a_part_of_a_tree_is_fired_where_branches_lie_nearer(self, small_model):
+        tree, fired = small_model.grow(NETWORK)[0], {}
+        away = np.linalg.norm(tree.nodes - small_model.sites.position("left septum"), axis=1)
         away[tree.parts["bundle"]] = np.inf
         near = tuple(tree.nodes[away.argmin()].tolist())
         for part in (None, "bundle"):
             stimulus = Stimulus(0.0, near, tree="lv", part=part)
-            paced = default_model.simulate(
-                EXAMPLE_PARAMETERS, case((stimulus,), inactive=("lv", "rv"))
-            )
+            paced = small_model.simulate(NETWORK, case((stimulus,), inactive=("lv", "rv")))
             fired[part] = int(np.argmin(paced.coupled.trees[0]))
         assert paced.trees[0].parts["bundle"][fired["bundle"]]
         assert not paced.trees[0].parts["bundle"][fired[None]]
