@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.stats
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fascicle.core.errors import ValueRefusedError
@@ -55,6 +55,7 @@ def test_quantiles_and_density(parameter, distribution):
 
 
 @given(st.lists(st.floats(0, 1), min_size=12, max_size=12))
+@settings(deadline=None)
 def test_a_point_of_the_cube_and_back(point):
     values = NETWORK_SPACE.from_unit(np.array(point))
     np.testing.assert_allclose(NETWORK_SPACE.to_unit(values), point, atol=1e-12)
@@ -64,6 +65,7 @@ THREE = ordered_fascicles(network_space(lv=3))
 
 
 @given(st.lists(st.floats(0.01, 0.99), min_size=14, max_size=14))
+@settings(deadline=None)
 def test_fascicles_in_order(point):
     values = THREE.from_unit(np.array(point))
     angles = [values[f"lv_fascicle_angle_{k}"] for k in (1, 2, 3)]

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from anatomies import NETWORK
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fascicle.core.errors import InputError, ValueRefusedError
@@ -87,6 +87,7 @@ def test_fascicles_of_human_anatomy():
 
 
 @given(st.sampled_from(sorted(QUANTITIES)), ANY)
+@settings(deadline=None)
 def test_anything_gives_a_possible_float_or_one_line(name, value):
     known = QUANTITIES[name]
     try:
@@ -101,11 +102,6 @@ def test_anything_gives_a_possible_float_or_one_line(name, value):
         assert type(found) is float
         assert known.valid_range[0] <= found <= known.valid_range[1] or found == known.also
         assert not known.is_integer or found == int(found)
-
-
-@pytest.mark.parametrize("value", [np.float32(2.5), np.float64(2.5), np.int64(3), 3])
-def test_numbers_of_numpy_are_numbers(value):
-    assert checked({"cv": value}) == {"cv": float(value)}
 
 
 @pytest.mark.parametrize(
