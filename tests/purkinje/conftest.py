@@ -6,7 +6,7 @@ from builders import half_ellipsoid
 from fascicle.purkinje.chart import build_chart
 from fascicle.purkinje.growth import find_seed
 
-SURFACES = ["synthetic", "default_heart lv", "default_heart rv", "crtdemo lv", "crtdemo rv"]
+SURFACES = ["synthetic", "default_heart lv", "crtdemo rv"]
 
 
 @pytest.fixture(scope="session", params=SURFACES)
