@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import fascicle
-from fascicle.build.refinement import in_eight
 from fascicle.core.errors import InputError
 from fascicle.forward.primitives import Stimulus
 from fascicle.forward.scenario import Scenario
@@ -135,25 +134,6 @@ def test_from_apex_to_base(mesh, found):
         for low in np.arange(0, 1, 0.125):  # sectors of the free wall and of the septum
             sector = (found.ventricle == side) & (np.abs(found.rotational - low - 0.0625) < 0.0625)
             assert np.corrcoef(z[sector], found.apicobasal[sector])[0, 1] > 0.9, (side, low)
-
-
-def test_a_finer_mesh_has_the_same():
-    """As far as two elements a wall resolve it; the finer one begins with its vertices."""
-    mesh = tissue(EDGE)
-    finer = in_eight(mesh.vertices, mesh.tetrahedra)
-    triangles, _ = boundary_triangles(finer.tetrahedra)
-    middle = finer.vertices[triangles].mean(axis=1)
-    parent = igl.point_mesh_squared_distance(middle, mesh.vertices, mesh.triangles)[1]
-    coarse = computed_coordinates(mesh)
-    fine = computed_coordinates(
-        LabelledMesh(finer.vertices, finer.tetrahedra, triangles, mesh.labels[parent])
-    )
-    first = slice(len(mesh.vertices))
-    assert (fine.ventricle[first] == coarse.ventricle).mean() > 0.99
-    assert rms(fine.transmural[first] - coarse.transmural) < 0.08
-    assert rms(fine.apicobasal[first] - coarse.apicobasal) < 0.06
-    away = coarse.apicobasal > 0.1
-    assert rms(turned(fine.rotational[first], coarse.rotational)[away]) < 0.04
 
 
 def test_it_does_not_matter_how_the_heart_lies_nor_how_large_it_is(mesh, found):

@@ -73,13 +73,13 @@ def test_of_a_heart_in_its_body(heart):
     assert set(found.segment) == set(range(18))
 
 
-def test_it_does_not_matter_how_the_heart_lies(default_heart):
+def test_it_does_not_matter_how_the_heart_lies(small_heart):
     def moved(vertices):
         turn = Rotation.from_euler("xyz", [40, -110, 75], degrees=True)
         return turn.apply(vertices) + np.array([5, -80, 900.0])
 
-    sides = {e.side: replace(e, vertices=moved(e.vertices)) for e in default_heart.endocardia}
-    other = replace(default_heart, vertices=moved(default_heart.vertices), folder=None, **sides)
-    one, two = places(default_heart), places(other)
+    sides = {e.side: replace(e, vertices=moved(e.vertices)) for e in small_heart.endocardia}
+    other = replace(small_heart, vertices=moved(small_heart.vertices), **sides)
+    one, two = places(small_heart), places(other)
     assert (one.segment == two.segment).mean() > 0.999
     np.testing.assert_allclose(one.depth, two.depth, atol=1e-3)

@@ -24,16 +24,16 @@ def distance(vertices, place):
     return float(cKDTree(vertices).query(place)[0])
 
 
-@pytest.mark.parametrize("name", SEGMENTS)
-def test_of_a_segment(sites, name):
+def test_of_segments(sites):
     """Within the segment, the inner one nearer to the cavity."""
-    inner, outer = (np.array(sites.position(f"{name} {layer}")) for layer in LAYERS)
-    heart, segment = sites.heart, 1 + SEGMENTS.index(name)
+    heart = sites.heart
     centres = cKDTree(heart.vertices[heart.tetrahedra].mean(axis=1))
-    for place in (inner, outer):
-        assert sites.places.segment[centres.query(place)[1]] == segment
-    assert distance(heart.lv.vertices, inner) < distance(heart.lv.vertices, outer)
-    assert sites.position(f"segment {segment} {LAYERS[1]}") == tuple(outer)
+    for segment, name in enumerate(SEGMENTS, 1):
+        inner, outer = (np.array(sites.position(f"{name} {layer}")) for layer in LAYERS)
+        for place in (inner, outer):
+            assert sites.places.segment[centres.query(place)[1]] == segment, name
+        assert distance(heart.lv.vertices, inner) < distance(heart.lv.vertices, outer)
+        assert sites.position(f"segment {segment} {LAYERS[1]}") == tuple(outer)
 
 
 def test_of_the_right_ventricle(sites):
