@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from anatomies import tissue
 from scipy.spatial.transform import Rotation
 
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.electrodes import read_electrodes
-from fascicle.heart.labelled_surface import labelled_mesh
 from fascicle.mesh.read import read_mesh
 from fascicle.torso.electrode_sites import check_not_exchanged
 from fascicle.torso.heart_pose import default_position, torso_frame
@@ -21,8 +21,8 @@ TURN = Rotation.from_rotvec([0.4, -1.1, 2.0]).as_matrix()
 
 
 @pytest.fixture(scope="module")
-def mesh(default_heart):
-    return labelled_mesh(default_heart)
+def mesh():
+    return tissue()
 
 
 def sites(mesh, person):
@@ -37,15 +37,7 @@ def fit(mesh, electrodes, **known):
     return fit_trunk("e.csv", electrodes, heart, centre, frame.rotation, known)
 
 
-@pytest.mark.parametrize(
-    "person",
-    [
-        TrunkSize(),
-        TrunkSize(1.90, 75),
-        TrunkSize(1.58, 90),
-        TrunkSize(1.7, chest=105, shoulders=1.1),
-    ],
-)
+@pytest.mark.parametrize("person", [TrunkSize(1.90, 75), TrunkSize(1.7, chest=105, shoulders=1.1)])
 def test_a_person_is_found_again(mesh, person):
     """From electrodes at their sites; unusual measures are drawn to the usual ones a little."""
     found = fit(mesh, sites(mesh, person))
@@ -120,11 +112,11 @@ def test_electrodes_of_another_frame(mesh):
         ([0, 1, 2, 4, 3, 5, 6, 7, 8], "e.csv: electrodes V1 and V2"),
     ],
 )
-def test_exchanged_electrodes(default_heart, mesh, order, message):
+def test_exchanged_electrodes(small_heart, mesh, order, message):
     electrodes = sites(mesh, TrunkSize())
-    check_not_exchanged("e.csv", replace(default_heart, electrodes=electrodes))
+    check_not_exchanged("e.csv", replace(small_heart, electrodes=electrodes))
     with pytest.raises(InputError, match=message):
-        check_not_exchanged("e.csv", replace(default_heart, electrodes=electrodes[order]))
+        check_not_exchanged("e.csv", replace(small_heart, electrodes=electrodes[order]))
 
 
 def test_a_living_subject(data_folder):
