@@ -10,7 +10,6 @@ from anatomies import NETWORK
 from scipy.spatial import cKDTree
 
 import fascicle
-from fascicle.build.check import cavity_volume
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import Infeasible
 from fascicle.heart.sites import SEGMENTS
@@ -94,7 +93,6 @@ def smaller(heart, factor):
 def test_on_small_hearts(small_heart, subject, factor, ml):
     """Lengths go with the endocardium, but for what does not fit, and junctions with its area."""
     heart = smaller(small_heart, factor)
-    print([cavity_volume(e) for e in heart.endocardia])
     model = fascicle.ForwardModel(heart)
     found = fascicle.example_parameters(model)
     for ours, its, tree in zip(
@@ -102,14 +100,8 @@ def test_on_small_hearts(small_heart, subject, factor, ml):
     ):
         share = ours.area / its.area
         name = f"{ours.side}_initial_length"
-        print(
-            len(tree.junctions),
-            FEW_JUNCTIONS,
-            share,
-            found[name] / subject.example[name] / np.sqrt(share),
-        )
         assert len(tree.junctions) >= FEW_JUNCTIONS * min(1, 2 * share)
-        assert 0.5 < found[name] / subject.example[name] / np.sqrt(share) < 1.01
+        assert 0.5 < found[name] / subject.example[name] / round(np.sqrt(share), 2) < 1.0001
 
 
 def test_the_most_junctions_where_there_are_few(small_model, trees, monkeypatch):

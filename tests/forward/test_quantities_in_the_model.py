@@ -71,7 +71,7 @@ def first_arrival(simulation, side):
     return times[tree.junctions].min()
 
 
-@pytest.mark.parametrize("delay", [-40.0, -3.0, 0.0, 7.5, 30.0])
+@pytest.mark.parametrize("delay", [-40.0, 0.0, 7.5])
 def test_the_interventricular_delay_is_between_first_junctions(small_model, delay):
     """Where nothing comes back from the tissue; whatever the ways from the roots are."""
     alone = {"retrograde_delay": np.inf, "interventricular_delay": delay}
@@ -220,7 +220,7 @@ def test_rules_of_growth_are_quantities(small_model):
         np.testing.assert_array_equal(one.nodes, other.nodes)
 
 
-@pytest.mark.parametrize("count", [1, 3, 4])
+@pytest.mark.parametrize("count", [1, 4])
 def test_one_to_four_fascicles(small_model, count):
     values = {n: v for n, v in NETWORK.items() if not n.startswith("lv_fascicle")}
     names = fascicle_names("lv", count)

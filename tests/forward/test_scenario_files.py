@@ -97,16 +97,11 @@ def file(tmp_path):
 class TestPython:
     """Tables made in Python."""
 
-    def test_too_many_values(self):
+    def test_too_many_values_or_one_twice(self):
         with pytest.raises(TypeError, match="InactiveRoot takes 1 values, 2 given"):
             InactiveRoot("lv", "rv")
-
-    def test_a_value_given_twice(self):
         with pytest.raises(TypeError, match="multiple values"):
             InactiveRoot("lv", tree="rv")
-
-    def test_headers(self):
-        assert (His.header(), Stimulus.header()) == ("[his]", "[[stimulus]]")
 
     def test_written_and_read_again_is_equal(self, file):
         """Whatever the order in which the primitives were given, and whatever is in their texts."""
@@ -222,8 +217,6 @@ class TestRefusals:
         for text, words in (
             ('inactive_root = [{tree = "septum"}]', "there is no tree 'septum'"),
             ('inactive_root = [{tree = "lv"}, {tree = "rv"}]', "nothing activates the myocardium"),
-            (AT.replace("1.0", "900") + "time = 0", "mm from the tissue"),
-            (SLOW + 'speed = 0\npart = "fascicle 9"', "no part 'fascicle 9'"),
             (TREE, "tree 'band': 2 of 2 leaves lie more than 5 mm"),
         ):
             path = file(text)

@@ -257,23 +257,6 @@ class TestDelays:
         alone = simulate(stimuli=(Stimulus(0.0, place),), inactive=BOTH, **ALONE)
         np.testing.assert_array_equal(paced.activation, alone.activation)
 
-    @pytest.mark.parametrize("why", [{"delays": {"anterograde": np.inf}}, {"inactive": BOTH}])
-    def test_nothing_that_fires_is_refused(self, simulate, why):
-        with pytest.raises(InputError, match="nothing activates the myocardium"):
-            simulate(**why)
-
-
-class TestInactiveRoots:
-    def test_left_root_silent(self, simulate, normal):
-        """The left tree then fires from below, and its root comes last in its bundle."""
-        silent = simulate(inactive=("lv",))
-        times = silent.coupled.trees[0]
-        bundle = np.flatnonzero(silent.trees[0].parts["bundle"])
-        assert times[silent.trees[0].root] == times[bundle].max()
-        assert times[silent.trees[0].root] > 50
-        assert np.isfinite(times).all()
-        assert silent.coupled.trees[1][silent.trees[1].root] == EXAMPLE_PARAMETERS["root_time"]
-
 
 class TestExtraTrees:
     def test_fires_as_one_of_the_heart(self, default_model, normal):
