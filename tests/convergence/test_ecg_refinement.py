@@ -9,7 +9,6 @@ from builders import box, solve_without_trees
 from benchmarks import ecg_error
 from fascicle.forward.eikonal.build import build_myocardium
 from fascicle.heart.conduction import Conduction
-from fascicle.mesh.measures import signed_volumes
 
 pytestmark = pytest.mark.slow
 
@@ -38,18 +37,6 @@ def mesh():
     block = box((36.0, 24.0, 24.0), (9, 6, 6), jitter=0.2, fibre=(1.0, 1.0, 0.3))
     activation = 5.0 + solve_without_trees(build_myocardium(block, Conduction()), {0: 0.0})
     return ecg_error.ActivatedMesh(block.vertices, block.tetrahedra, block.fibres, activation)
-
-
-def test_refinement_fills_each_tetrahedron_with_eight_of_equal_volume(mesh):
-    finer = mesh.refined()
-    volumes = np.abs(signed_volumes(mesh.vertices, mesh.corners))
-    parts = np.abs(signed_volumes(finer.vertices, finer.corners)).reshape(-1, 8)
-    np.testing.assert_allclose(parts, np.repeat(volumes[:, None] / 8, 8, axis=1), rtol=1e-9)
-    centres = finer.vertices[finer.corners].mean(axis=1).reshape(-1, 8, 3)
-    expected = mesh.vertices[mesh.corners].mean(axis=1)
-    np.testing.assert_allclose(centres.mean(axis=1), expected, atol=1e-9)
-    times = finer.activation[finer.corners].mean(axis=1).reshape(-1, 8)
-    np.testing.assert_allclose(times.mean(axis=1), mesh.activation[mesh.corners].mean(axis=1))
 
 
 def test_error_of_the_bins_falls_with_the_fourth_power(mesh):

@@ -113,7 +113,7 @@ EARLY = {4.0: (5.2, 0.16, 0.15), 2.0: (4.0, 0.06, 0.12)}
 
 
 @pytest.mark.parametrize("cell", [4.0, 2.0])
-@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_several_sources_are_not_late_and_early_only_where_fronts_collide(cubes, seed, cell):
     """Some fire before a front comes by and some after; the latter must not matter.
 
@@ -136,9 +136,9 @@ def test_several_sources_are_not_late_and_early_only_where_fronts_collide(cubes,
 
 @pytest.mark.parametrize("speeds", [SPEEDS, ISOTROPIC])
 def test_no_vertex_is_late(speeds):
-    """300 times twelve sources in a small coarse cube: none hides another's rays."""
+    """100 times twelve sources in a small coarse cube: none hides another's rays."""
     myocardium = cube(4.0, size=20.0, speeds=speeds, jitter=0.25)
-    for seed in range(300):
+    for seed in range(100):
         points, times = many(seed, size=20.0, latest=20.0)
         activation = activate(myocardium, [], [], 1.0, stimuli=points, times=times)
         late = activation.myocardium - straight_times(myocardium, points, times)

@@ -8,7 +8,6 @@ from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.core.quantities import default_of
 from fascicle.forward.primitives import His, SlowConduction, Stimulus
-from fascicle.forward.scenario_files import read_scenario, scenario_text
 from fascicle.purkinje.tree import PurkinjeTree
 
 HIS_TIME = default_of("his_time")  # ms
@@ -145,13 +144,3 @@ class TestRefusals:
     def test_nothing_that_fires(self, simulate):
         with pytest.raises(InputError, match="nothing activates the myocardium"):
             simulate(his=NEVER)
-
-
-class TestFiles:
-    @pytest.mark.parametrize(
-        "his", [None, His(), NEVER, His(time=-20.0, root_time=0.0, left=0.5, right=0.0)]
-    )
-    def test_come_back_as_they_were(self, his, tmp_path):
-        path = tmp_path / "case.toml"
-        path.write_text(scenario_text(case((Stimulus(0.0, (1.0, 2.0, 3.0)),), his=his)))
-        assert read_scenario(path)[0].of(His) == ([] if his is None else [his])

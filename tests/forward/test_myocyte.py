@@ -83,17 +83,6 @@ def test_durations_of_the_types(paced):
     assert apd["midmyocardial"] == pytest.approx(391.3, abs=0.5)
 
 
-def test_notch_is_where_the_transient_outward_current_is_large(paced):
-    """Phase 1 of an epicardial cell dips below its dome; that of an endocardial cell does not."""
-    dips = {}
-    for cell, run in paced.items():
-        early = run.potential[(run.time > 5) & (run.time < 20)].min()
-        dips[cell] = run.potential[(run.time > 30) & (run.time < 80)].max() - early
-    assert dips["epicardial"] > 8
-    assert dips["midmyocardial"] > 8
-    assert dips["endocardial"] < 4
-
-
 def test_restitution_slope_is_the_published_one():
     """Dynamic restitution, S = 1.1: the paper's name for its standard constants (table 2).
 

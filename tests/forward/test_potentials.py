@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 from builders import box, solve_without_trees
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from benchmarks.references import Upstroke, unbounded
 from fascicle.core.leads import lead_matrix
@@ -61,17 +59,6 @@ def twelve_leads(block, gi=None, additional=()):
     return build_electrocardiograph(
         block.tetrahedra, barycentric, block.volumes, gi, gradients, Upstroke(), names
     )
-
-
-def test_a_front_towards_the_electrode_is_positive_and_away_negative():
-    """Throughout; what rings at the front's sudden start is below 1e-4 mV."""
-    block = box(SIZE, (15, 10, 10))
-    potentials = Potentials(block, [[60.0, 10.0, 10.0], [-30.0, 10.0, 10.0]])
-    towards, away = potentials(block.vertices[:, 0] / 0.6)
-    assert towards.max() > 1.0  # mV
-    assert towards.min() > -1e-4
-    assert away.min() < -1.0
-    assert away.max() < 1e-4
 
 
 def direct_quadrature(block, electrodes, time, instants, levels=5):
@@ -171,32 +158,6 @@ def test_later_or_earlier_by_whole_milliseconds_is_the_same_shifted(shift):
 def test_the_first_sample_is_at_0_or_the_whole_millisecond_before_the_earliest():
     for earliest, start in ((3.7, 0.0), (0.0, 0.0), (-0.2, -1.0), (-7.0, -7.0), (-7.3, -8.0)):
         assert first_sample(np.array([np.inf, 20.0, earliest])) == start
-
-
-def test_result_hardly_depends_on_the_mesh():
-    """No mesh ripple: elements of four times the size change 1 % of the peak."""
-    curves = []
-    for cells in ((6, 4, 4), (24, 16, 16)):
-        block = box(SIZE, cells)
-        potentials = Potentials(block, [[60.0, 12.0, 8.0]])
-        curves.append(potentials(block.vertices @ [1.5, 0.4, 0.7])[0])
-    assert np.abs(curves[0] - curves[1]).max() < 0.015 * np.abs(curves[1]).max()
-
-
-@given(st.sets(st.integers(0, 104), min_size=1, max_size=20))
-@settings(max_examples=30, deadline=None)
-def test_elements_with_a_vertex_never_reached_are_left_out(unreached):
-    """As though those elements were not there; the other elements' times count unchanged."""
-    block = box(SIZE, (6, 4, 2), fibre=(1.0, 1.0, 0.0))
-    time = np.linalg.norm(block.vertices, axis=1) / 0.5
-    partly = time.copy()
-    partly[list(unreached)] = np.inf
-    whole = np.isfinite(partly[block.tetrahedra]).all(axis=1)
-    found = Potentials(block, [[60.0, 10.0, 10.0]])(partly)
-    expected = Potentials(block, [[60.0, 10.0, 10.0]], conducting=whole)(time)
-    n = found.shape[1]
-    np.testing.assert_allclose(found, expected[:, :n], atol=1e-9)
-    assert n == int(np.ceil(partly[np.isfinite(partly)].max() + Upstroke().span[1])) + 1
 
 
 def test_tissue_that_does_not_conduct_contributes_nothing():

@@ -10,7 +10,6 @@ from anatomies import NETWORK
 
 import fascicle
 from fascicle.core.errors import InputError
-from fascicle.core.files import ArrayCache
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, Infeasible
 from fascicle.core.quantities import QUANTITIES, TORSO_QUANTITIES
 from fascicle.networks.prior_simulations import random_bodies
@@ -113,14 +112,6 @@ class TestModel:
         found = torso_model.simulate(with_torso(**corner))
         assert isinstance(found, Infeasible)
         assert "skin" in found.reason
-
-    def test_files(self, torso_model, tmp_path):
-        response = torso_model.torso(["heart_up"]).response
-        cache = ArrayCache(tmp_path, "body")
-        cache.write("it", response.arrays())
-        again = cache.read("it")
-        for name, value in response.arrays().items():
-            np.testing.assert_array_equal(again[name], value)
 
     def test_the_standard_torso_is_that_of_the_lead_fields(self, default_heart):
         """Meshed again, it is no longer the same mesh; its fields differ by two in a hundred."""

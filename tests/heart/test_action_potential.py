@@ -74,13 +74,6 @@ def test_how_fine_a_table_must_be(tmp_path, ecg, every, error):
     assert 0 < difference < error
 
 
-def test_half_the_amplitude_is_half_the_ecg(tmp_path, ecg):
-    built_in = default_template()
-    half = write(tmp_path / "u.csv", rows_of(lambda t: -40.0 + built_in(t) / 2, times_of_the_ecg()))
-    found = ecg(read_action_potential(half))
-    np.testing.assert_allclose(found, ecg(built_in) / 2, rtol=0, atol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("rows", "words"),
     [

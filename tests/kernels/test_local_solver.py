@@ -203,14 +203,6 @@ def test_from_edge_is_the_minimum_inside_an_edge_or_inf(p, q, t):
     assert value >= reference - 1e-3, "earlier than every point of the edge (mesh of 1e-5)"
 
 
-def test_golden_section_reference_finds_a_known_minimum():
-    """From a face at distance h with no spread in τ the path is the perpendicular: h / speed."""
-    gram = gram_of([(3.0, 0, 0), (3.0, 4.0, 0), (3.0, 0, 4.0)], 1.0)
-    gram_shifted = gram_of([(3.0, -1, -1), (3.0, 4.0, -1), (3.0, -1, 4.0)], 1.0)
-    for g in (gram, gram_shifted):
-        assert abs(brute_force(g, np.zeros(3), HALVINGS) - 6.0) < 1e-12  # 3 mm at 0.5 mm/ms
-
-
 @given(corners, st.tuples(coordinate, coordinate, coordinate), st.floats(0.2, 5.0))
 @settings(max_examples=300, deadline=None)
 def test_planar_front_is_exact_where_its_ray_enters_through_the_face(points, normal, ratio):

@@ -144,11 +144,7 @@ def test_sisters_repel_one_another():
     np.testing.assert_allclose(left[1], second, atol=1e-12)
     straight, _ = fork_on_a_plane(repulsion=0.0)
     assert left[-1, 1] > 2 * straight[-1, 1]
-
-
-def test_sisters_are_mirror_images():
-    """One must not see the segment that the other laid a moment ago."""
-    left, right = fork_on_a_plane(repulsion=0.1)
+    # one must not see the segment that the other laid a moment ago
     np.testing.assert_allclose(left, right * [1, -1], atol=1e-11)
 
 

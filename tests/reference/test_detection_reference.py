@@ -117,10 +117,10 @@ def synthetic_outcome(rhythm, noise_db, seeds, **options):
 @pytest.mark.parametrize("noise", [("white",), ("muscle", "mains", "motion", "wander")])
 def test_beats_in_noise_of_15_db(noise):
     by_rhythm = {
-        rhythm: synthetic_outcome(rhythm, 15.0, range(100, 104), noise=noise) for rhythm in RHYTHMS
+        rhythm: synthetic_outcome(rhythm, 15.0, range(100, 102), noise=noise) for rhythm in RHYTHMS
     }
     total = sum(by_rhythm.values())
-    assert total[:2].sum() > 2000
+    assert total[:2].sum() > 1000
     assert_found(total, 0.99, 0.99)
     for found in by_rhythm.values():
         assert_found(found, 0.97, 0.97)
@@ -146,7 +146,7 @@ def test_beats_among_t_waves_higher_than_the_qrs():
     """At 50 to 110 beats per minute; faster ones run into one another."""
     total = np.zeros(3)
     for rhythm in RHYTHMS:
-        for seed in range(100, 120):
+        for seed in range(100, 108):
             recording, truth = synthetic_recording(
                 np.random.default_rng([seed, 11]),
                 Synthesis(rhythm=rhythm, tall_t=6.0, noise_db=20.0),
@@ -155,5 +155,5 @@ def test_beats_among_t_waves_higher_than_the_qrs():
             clean = replace(recording, signal=remove_spikes(recording.signal, spikes))
             (group,) = lead_groups(clean, spikes, TargetOptions())
             total += outcome(group.times, truth)
-    assert total[:2].sum() > 1900
+    assert total[:2].sum() > 700
     assert_found(total, 0.99, 0.99)

@@ -163,15 +163,6 @@ def test_networks_that_are_too_large_are_left(crtdemo_model, emulated, monkeypat
     assert list(on(emulated).beats(crtdemo_model, drawn(11)[8:])) == [None] * 3
 
 
-def test_too_many_junctions_are_left(crtdemo_model, emulated, monkeypatch):
-    monkeypatch.setattr(Simulator, "most_sites", 250)
-    networks = [n for n in drawn(12) if not isinstance(crtdemo_model.grow(n), Infeasible)]
-    many = [sum(len(t.junctions) for t in crtdemo_model.grow(n)) > 250 for n in networks]
-    assert 0 < sum(many) < len(networks)
-    found = on(emulated).beats(crtdemo_model, networks)
-    assert [beat is None for beat in found] == many
-
-
 def test_junctions_without_rays_in_the_table_are_left(crtdemo_model, emulated):
     networks = [n for n in drawn(12) if not isinstance(crtdemo_model.grow(n), Infeasible)]
     junctions = [
