@@ -106,10 +106,9 @@ SLAB_MESH, CYLINDER = (SLAB.vertices, SLAB.tetrahedra), cylinder(12.0, 12.0, (24
     ("mesh", "solid_angle", "gi", "axis", "ends", "places"),
     [
         (SLAB_MESH, square, (3.0, 1.0, 1.0), 10.0, (55.0, -20.0), (8.0, 15.0, 22.0)),
-        (SLAB_MESH, square, (0.3, 1.0, 1.0), 10.0, (55.0, -20.0), (8.0, 15.0, 22.0)),
         (CYLINDER, disc, (1.7, 1.7, 1.7), 0.0, (40.0, -15.0), (4.0, 6.0, 8.0)),
     ],
-    ids=["square along fibres", "square across fibres", "disc"],
+    ids=["square", "disc"],
 )
 def test_a_plane_front_gives_its_solid_angle_in_millivolts(
     mesh, solid_angle, gi, axis, ends, places

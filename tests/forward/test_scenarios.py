@@ -133,22 +133,6 @@ class TestStimuli:
         assert early.ecg.time.to_numpy()[0] == 0.0, "the trees fire earlier, the myocardium not"
         np.testing.assert_allclose(leads(early), leads(normal)[:, 30:], rtol=0, atol=1e-9)
 
-    def test_origin_is_never_what_the_front_came_to(self, simulate, normal, place):
-        """Neither a junction that fired backwards nor a stimulus that came too late."""
-        number = sum(len(tree.junctions) for tree in normal.trees)
-        for time, silent in ((0.0, BOTH), (500.0, ())):
-            paced = simulate(stimuli=(Stimulus(time, place),), inactive=silent)
-            fired = [~backwards for backwards in paced.coupled.retrograde]
-            assert np.concatenate([*fired, paced.coupled.captured])[paced.coupled.origin].all()
-            assert paced.coupled.origin.max() <= number
-
-    def test_that_meets_another_takes_the_earlier(self, simulate, place):
-        twice = simulate(
-            stimuli=(Stimulus(0.0, place), Stimulus(-3.0, place)), inactive=BOTH, **ALONE
-        )
-        assert twice.activation[LATEST] == -3.0
-        assert twice.coupled.captured.tolist() == [False, True]
-
 
 class TestSlowConduction:
     def test_blocked_left_bundle_is_left_bundle_branch_block(self, simulate, normal):
@@ -226,21 +210,6 @@ class TestSlowConduction:
 
 
 class TestDelays:
-    def test_anterograde_delay_shifts_the_myocardium(self, simulate):
-        before = simulate(**ONE_WAY)
-        late = simulate(delays={"anterograde": 7.5, "retrograde": np.inf})
-        np.testing.assert_allclose(late.activation, before.activation + 7.5, atol=1e-9, rtol=0)
-        for one, other in zip(late.coupled.trees, before.coupled.trees, strict=True):
-            np.testing.assert_array_equal(one, other)
-
-    def test_retrograde_delay_shifts_the_trees(self, simulate, place):
-        paced = {"stimuli": (Stimulus(0.0, place),), "inactive": BOTH}
-        before = simulate(**paced, delays={"anterograde": np.inf})
-        late = simulate(**paced, delays={"anterograde": np.inf, "retrograde": 4.0})
-        np.testing.assert_array_equal(late.activation, before.activation)
-        for one, other in zip(late.coupled.trees, before.coupled.trees, strict=True):
-            np.testing.assert_allclose(one, other + 4.0, atol=1e-9)
-
     def test_trees_that_cannot_fire_leave_it_all_to_the_stimulus(self, simulate, place):
         paced = simulate(stimuli=(Stimulus(0.0, place),), delays={"anterograde": np.inf})
         alone = simulate(stimuli=(Stimulus(0.0, place),), inactive=BOTH, **ALONE)

@@ -8,7 +8,7 @@ from grown_trees import BARE, LENGTHS, chord_length, grow, on_triangles, stretch
 
 from fascicle.purkinje.tree import PurkinjeTree
 
-ANGLES = np.linspace(-math.pi / 4, 3 * math.pi / 4, 9)  # rad, the paper's range
+ANGLES = np.linspace(-math.pi / 4, 3 * math.pi / 4, 5)  # rad, the paper's range
 
 
 def edges_of(triangles):

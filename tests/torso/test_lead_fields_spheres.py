@@ -75,25 +75,6 @@ def lead_error(computed, exact, dipoles):
     return np.linalg.norm(potentials - truth) / np.linalg.norm(truth)
 
 
-class TestReference:
-    """The exact solutions themselves."""
-
-    def test_the_series_of_equal_shells_is_the_closed_form(self):
-        points, electrode = rim_points(40, 60.0), np.array([0.0, 60.0, 80.0])
-        closed, _ = homogeneous(points, electrode, RADIUS, 2.0)
-        series = concentric(points, electrode, RADII, [2.0, 2.0, 2.0])
-        assert np.ptp(closed) > 0.01
-        assert np.ptp(series - closed) < 1e-12
-
-    def test_the_closed_gradient_is_that_of_the_closed_form(self):
-        points, electrode = rim_points(40, 60.0), np.array([0.0, 60.0, 80.0])
-        _, slope = homogeneous(points, electrode, RADIUS, 2.0)
-        differences = slopes_by_differences(
-            lambda x: homogeneous(x, electrode, RADIUS, 2.0)[0], points
-        )
-        assert np.abs(slope - differences).max() < 1e-7 * np.abs(slope).max()
-
-
 class TestDipoles:
     """Potentials of eccentric dipoles on six electrodes, by reciprocity."""
 
@@ -111,14 +92,14 @@ class TestDipoles:
             vertices, tetrahedra, isotropic(np.array(sigma)[shell]), rim_points(6, RADIUS)
         )
 
-    @pytest.mark.parametrize("eccentricity", [0.25, 0.4, 0.6])
+    @pytest.mark.parametrize("eccentricity", [0.25, 0.6])
     def test_homogeneous_ball(self, chest, homogeneous_fields, eccentricity):
         def slopes(points, electrode):
             return homogeneous(points, electrode, np.linalg.norm(electrode), 2.0)[1]
 
         assert self.worst(chest, homogeneous_fields, eccentricity, slopes) < 0.03
 
-    @pytest.mark.parametrize("eccentricity", [0.25, 0.4, 0.6])
+    @pytest.mark.parametrize("eccentricity", [0.25, 0.6])
     def test_concentric_balls(self, chest, shells, eccentricity):
         sigma, fields = shells
 
