@@ -157,9 +157,8 @@ def test_what_is_printed_is_no_answer(path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_interruption_ends_the_child(path, monkeypatch):
+def test_interruption_ends_the_child(path):
     """What it says later must not be taken for the answer to the next request."""
-    monkeypatch.setattr(isolated.Limits, "least_seconds", 60.0)
     before = read_isolated(process, path)
     timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
     timer.start()
