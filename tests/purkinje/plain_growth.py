@@ -18,20 +18,18 @@ class LeftError(Exception):
 
 @dataclass
 class PlainTree:
-    """Nodes in the order of growth; `steered_by` is the node each was repelled from, or -1."""
+    """Nodes in the order of growth."""
 
     disk: list = field(default_factory=list)
     triangle: list = field(default_factory=list)
     parents: list = field(default_factory=list)
     branch: list = field(default_factory=list)
-    steered_by: list = field(default_factory=list)
 
-    def add(self, disk, triangle, parent, branch, steered_by=-1):
+    def add(self, disk, triangle, parent, branch):
         self.disk.append(disk)
         self.triangle.append(triangle)
         self.parents.append(parent)
         self.branch.append(branch)
-        self.steered_by.append(steered_by)
         return len(self.disk) - 1
 
 
@@ -128,7 +126,7 @@ def grow_generation(surface, tree, tips, label, step, rules):
         for k in range(len(ends)):
             if not alive[k]:
                 continue
-            own, sister, near = {starts[k], *laid[k]}, laid[k ^ 1], -1
+            own, sister = {starts[k], *laid[k]}, laid[k ^ 1]
             point, t, heading = tree.disk[ends[k]], tree.triangle[ends[k]], headings[k]
             if segment > 0:
                 this_round = sister[segment:]
@@ -146,7 +144,7 @@ def grow_generation(surface, tree, tips, label, step, rules):
             if distance < rules.clearance * step:
                 alive[k] = False
                 continue
-            ends[k] = tree.add(point, t, ends[k], label + k, near)
+            ends[k] = tree.add(point, t, ends[k], label + k)
             laid[k].append(ends[k])
             headings[k] = heading
     lived = [(e, h) for e, h, a in zip(ends, headings, alive, strict=True) if a]

@@ -120,7 +120,7 @@ def test_beats_in_noise_of_15_db(noise):
         rhythm: synthetic_outcome(rhythm, 15.0, range(100, 102), noise=noise) for rhythm in RHYTHMS
     }
     total = sum(by_rhythm.values())
-    assert total[:2].sum() > 1000
+    assert total[:2].sum() > 900
     assert_found(total, 0.99, 0.99)
     for found in by_rhythm.values():
         assert_found(found, 0.97, 0.97)
@@ -155,5 +155,5 @@ def test_beats_among_t_waves_higher_than_the_qrs():
             clean = replace(recording, signal=remove_spikes(recording.signal, spikes))
             (group,) = lead_groups(clean, spikes, TargetOptions())
             total += outcome(group.times, truth)
-    assert total[:2].sum() > 700
+    assert total[:2].sum() > 600
     assert_found(total, 0.99, 0.99)
