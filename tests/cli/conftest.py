@@ -274,7 +274,7 @@ def parameters(tmp_path):
     return write
 
 
-@pytest.fixture(scope="package", autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def two_tissues():
     """Average over two tissues in place of five, each of which takes its time to prepare."""
     with pytest.MonkeyPatch.context() as patch:
@@ -282,7 +282,7 @@ def two_tissues():
         yield
 
 
-@pytest.fixture(scope="package", autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def unplaced_pictures():
     """Leave the parts of figures where they are, which takes longer than to draw them."""
     from matplotlib.layout_engine import ConstrainedLayoutEngine
