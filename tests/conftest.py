@@ -118,9 +118,10 @@ def hearts_prepared_once(own_cache: None) -> Iterator[None]:
         rays = mesh.vertices, mesh.corners, mesh.cells, mesh.neighbours, np.array(mesh.slowness)
         key = digest_of(*rays, surface, owner, triangles)
         if (arrays := tables.read(key)) is None:
-            arrays = trace(mesh, surface, owner, triangles, *options)._asdict()
-            tables.write(key, arrays)
-        return TravelTimeTable(**arrays)
+            table = trace(mesh, surface, owner, triangles, *options)
+            tables.write(key, table._asdict())
+            return table
+        return TravelTimeTable(**{n: a if a.ndim else a.item() for n, a in arrays.items()})
 
     def parts(space: Any, mesh: Any) -> Any:
         return mesh.vertices, mesh.tetrahedra, mesh.triangles, mesh.labels

@@ -103,8 +103,10 @@ def cached(
     cache, key = ArrayCache(heart.folder / DISPOSABLE, kind), f"{heart.digest} {conduction}"
     arrays = cache.read(key)
     if arrays is not None:
+        # numbers as such: kernels would be compiled again for arrays without dimensions
+        values = {name: array if array.ndim else array.item() for name, array in arrays.items()}
         with suppress(KeyError, TypeError, ValueError):  # arrays of another layout: compute again
-            return restored(arrays)
+            return restored(values)
     prepared = make()
     cache.keep(key, arrays_of(prepared), most)
     return prepared
