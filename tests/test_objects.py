@@ -67,6 +67,8 @@ PROGRAM = """
 import sys
 def loaded(*names):
     print([name for name in names if name in sys.modules])
+import fascicle.cli.commands
+loaded("numpy")
 import fascicle.study.study
 loaded("scipy.stats", "fascicle.inference.gaussian_process")
 from fascicle import FittedStudy, Predicted, PurkinjeTree, Beat, load_heart, read_target
@@ -90,8 +92,8 @@ def test_nothing_is_drawn_or_loaded_before_it_is_asked_for():
         [sys.executable, "-c", PROGRAM], env=clean, capture_output=True, text=True
     )
     assert (ended.returncode, ended.stderr) == (0, "")
-    *lists, card = ended.stdout.split("\n", 4)
-    assert lists == ["[]"] * 4
+    *lists, card = ended.stdout.split("\n", 5)
+    assert lists == ["[]"] * 5
     assert facts(card)[1][..., :3].std() > 0.02, "the picture is blank"
 
 

@@ -16,14 +16,15 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import platformdirs
-from numpy.typing import NDArray
 
 from fascicle.core.errors import FileError, InputError, OutputError, printable
 from fascicle.core.ranges import shown
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 PACKAGED = ("default", "camps-dti004")  # hearts: an idealised one, and one subject's
 DISPOSABLE = ".fascicle-cache"  # folder of caches: its files can be recomputed
@@ -271,6 +272,8 @@ class ArrayCache:
 
     def read(self, key: str) -> dict[str, NDArray[Any]] | None:
         """Read the arrays; None if there are none, or their file is damaged."""
+        import numpy as np  # the command line starts without it
+
         try:
             with (
                 self.file(key).open("rb") as stream,
@@ -282,6 +285,8 @@ class ArrayCache:
 
     def write(self, key: str, arrays: Mapping[str, Any], *, compress: bool = False) -> None:
         """Write arrays, whole or not at all; OutputError if that fails."""
+        import numpy as np  # the command line starts without it
+
         save = np.savez_compressed if compress else np.savez
         with atomic_path(self.file(key)) as temporary:
             save(temporary, allow_pickle=False, **arrays)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,12 +18,12 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress
-from fascicle.forward.cable import duration, max_upstroke
-from fascicle.forward.template import CableTemplate, default_template, stored_template
-from fascicle.kernels.ten_tusscher import CELLS
 from fascicle.recording.target import Target
 from fascicle.reporting import style
 from fascicle.reporting.style import Colour
+
+if TYPE_CHECKING:
+    from fascicle.forward.template import CableTemplate
 
 # Looks of a target's parts, in panels and legend
 LOOKS: dict[str, dict[str, Any]] = {
@@ -237,6 +237,10 @@ def template_figure(progress: Progress | None = None) -> tuple[Figure, dict[str,
     ``resting_potential`` and ``overshoot`` (mV), ``max_upstroke`` (V/s), ``apd90`` (ms) and
     ``conduction_velocity`` (m/s).
     """
+    from fascicle.forward.cable import duration, max_upstroke  # loads Numba
+    from fascicle.forward.template import default_template, stored_template
+    from fascicle.kernels.ten_tusscher import CELLS
+
     templates, report = {}, progress if progress is not None else lambda *stage: None
     for done, cell in enumerate(CELLS):
         report("template", done, len(CELLS), cell)
@@ -252,12 +256,14 @@ def template_figure(progress: Progress | None = None) -> tuple[Figure, dict[str,
         }
         for cell, template in templates.items()
     }
-    return _drawn(templates, table), table
+    return _drawn(templates, table, default_template()), table
 
 
 @style.styled
 def _drawn(
-    templates: Mapping[str, CableTemplate], table: Mapping[str, Mapping[str, float]]
+    templates: Mapping[str, CableTemplate],
+    table: Mapping[str, Mapping[str, float]],
+    used: CableTemplate,
 ) -> Figure:
     figure = style.new_figure(9.0, 3.8, "Ten Tusscher–Panfilov 2006 cells in a cable")
     overview, zoom = figure.subplots(1, 2)
@@ -268,7 +274,6 @@ def _drawn(
         overview.plot(long, template.full(long), color=colour, label=f"{cell}, APD90 {apd:.0f} ms")
         overview.plot(apd, template.full(np.array(apd)), "o", color=colour)
         zoom.plot(brief, template.full(brief), color=colour, label=cell)
-    used = default_template()
     zoom.plot(brief, used(brief), "--", color="black", label=f"template ({used.cell})")
     zoom.axvline(used.span[1], color=Colour.GREY, linewidth=0.6, linestyle=":")
     for axes, time in ((overview, long), (zoom, brief)):
