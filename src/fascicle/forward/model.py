@@ -37,7 +37,14 @@ from fascicle.forward.electrocardiogram import (
     axial_projection,
     first_sample,
 )
-from fascicle.forward.preparation import Prepared, as_arrays, cached, from_arrays, prepare
+from fascicle.forward.preparation import (
+    Prepared,
+    as_arrays,
+    cached,
+    from_arrays,
+    prepare,
+    with_numbers,
+)
 from fascicle.forward.primitives import FURTHEST_STIMULUS, in_state
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.template import default_template
@@ -348,7 +355,7 @@ class ForwardModel:
                 "tissue",
                 build,
                 lambda myocardium: myocardium.travel_times._asdict(),  # nine tenths of the work
-                lambda arrays: build(table=TravelTimeTable(**arrays)),
+                lambda arrays: build(table=TravelTimeTable(**with_numbers(arrays))),
                 most=self.tissues_kept,
             )
         else:

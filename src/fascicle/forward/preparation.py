@@ -103,10 +103,8 @@ def cached(
     cache, key = ArrayCache(heart.folder / DISPOSABLE, kind), f"{heart.digest} {conduction}"
     arrays = cache.read(key)
     if arrays is not None:
-        # numbers as such: kernels would be compiled again for arrays without dimensions
-        values = {name: array if array.ndim else array.item() for name, array in arrays.items()}
         with suppress(KeyError, TypeError, ValueError):  # arrays of another layout: compute again
-            return restored(values)
+            return restored(arrays)
     prepared = make()
     cache.keep(key, arrays_of(prepared), most)
     return prepared
@@ -186,15 +184,20 @@ def _attributes(part: object, *names: str) -> dict[str, Any]:
     return {name: getattr(part, name) for name in names}
 
 
+def with_numbers(arrays: Mapping[str, Any]) -> dict[str, Any]:
+    """Arrays by name, those without dimensions as numbers, for which kernels are compiled."""
+    stored = {name: np.asarray(array) for name, array in arrays.items()}
+    return {name: array if array.ndim else array.item() for name, array in stored.items()}
+
+
 def from_arrays(
     arrays: Mapping[str, Any], action_potential: ActionPotential, heart: Heart | None = None
 ) -> tuple[Heart, Prepared]:
     """Heart and preparation from the arrays of `as_arrays`; the heart, too, unless it is given."""
     parts: defaultdict[str, dict[str, Any]] = defaultdict(dict)
-    for key, array in arrays.items():
+    for key, value in with_numbers(arrays).items():
         part, name = key.split(".", 1)  # names of electrodes may hold points
-        value = aligned(array) if name == "solver" else np.asarray(array)
-        parts[part][name] = value if value.ndim else value.item()
+        parts[part][name] = aligned(value) if name == "solver" else value
     if heart is None:
         lv, rv = (Endocardium(side, **parts[f"{side} endocardium"]) for side in ("lv", "rv"))
         additional = parts["additional electrodes"]
