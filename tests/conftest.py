@@ -98,6 +98,7 @@ def hearts_prepared_once(own_cache: None) -> Iterator[None]:
     """
     from fascicle.core.files import ArrayCache, user_cache
     from fascicle.forward.eikonal import build
+    from fascicle.forward.preparation import with_numbers
     from fascicle.heart import folder, sites
     from fascicle.heart.heart import digest_of
     from fascicle.kernels.arrays import TravelTimeTable
@@ -121,7 +122,7 @@ def hearts_prepared_once(own_cache: None) -> Iterator[None]:
             table = trace(mesh, surface, owner, triangles, *options)
             tables.write(key, table._asdict())
             return table
-        return TravelTimeTable(**{n: a if a.ndim else a.item() for n, a in arrays.items()})
+        return TravelTimeTable(**with_numbers(arrays))
 
     def parts(space: Any, mesh: Any) -> Any:
         return mesh.vertices, mesh.tetrahedra, mesh.triangles, mesh.labels
@@ -178,6 +179,14 @@ def small_heart() -> Heart:
     from anatomies import heart_on
 
     return heart_on()
+
+
+@pytest.fixture(scope="session")
+def ventricles(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a built heart with sheets, a region of scar, and endocardia in register."""
+    from anatomies import write_built_heart
+
+    return write_built_heart(tmp_path_factory.mktemp("ventricles"))
 
 
 @pytest.fixture(scope="session")

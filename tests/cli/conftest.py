@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import anatomies
 import numpy as np
 import pandas as pd
 import pytest
@@ -241,12 +240,6 @@ def small_heart(tmp_path_factory):
     folder = tmp_path_factory.mktemp("hearts") / "block"
     write_heart(heart, folder)
     return folder
-
-
-@pytest.fixture(scope="session")
-def ventricles(tmp_path_factory):
-    """Folder of a built heart with sheets, a region of scar, and endocardia in register."""
-    return anatomies.write_built_heart(tmp_path_factory.mktemp("ventricles"))
 
 
 @pytest.fixture(scope="session")

@@ -16,13 +16,7 @@ SMALL = {
 NOISE = 0.3  # mV; so much that any network will do
 
 
-@pytest.fixture(scope="package")
-def ventricles(tmp_path_factory):
-    """Folder of a heart that is prepared in a second."""
-    return anatomies.write_built_heart(tmp_path_factory.mktemp("ventricles"))
-
-
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="session")
 def targets(ventricles, tmp_path_factory):
     """Folder with two targets, a file that is none, and a prior of networks that fit in."""
     folder = tmp_path_factory.mktemp("targets")

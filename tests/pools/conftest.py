@@ -1,6 +1,5 @@
 """What tests of pools and comparisons evaluate."""
 
-import anatomies
 import numpy as np
 import pytest
 from anatomies import NETWORK
@@ -22,10 +21,10 @@ SPACE = ParameterSpace(
 )
 
 
-@pytest.fixture(scope="package")
-def model(tmp_path_factory):
+@pytest.fixture(scope="session")
+def model(ventricles):
     """Of a small heart in a folder."""
-    return ForwardModel(load_heart(anatomies.write_built_heart(tmp_path_factory.mktemp("heart"))))
+    return ForwardModel(load_heart(ventricles))
 
 
 @pytest.fixture(scope="module")
