@@ -108,9 +108,8 @@ from fascicle.pools.pool import Threads
 from fascicle.recording.target import Target, smooth_noise
 from fascicle.recording.target_files import read_target
 from fascicle.reporting.style import new_figure, save
-from fascicle.study import methods
 from fascicle.study.evaluations import Database, Journal
-from fascicle.study.methods import PosteriorFit
+from fascicle.study.methods import PaperFit, PosteriorFit
 from fascicle.study.population import Population, Posterior
 
 LEVELS = (0.5, 0.8, 0.9)
@@ -330,7 +329,7 @@ def fitted(
         objective = partial(evaluate, simulator, [recording])
         journal = Journal(database, objective, simulator.prior.dimension, number, 1)
         if emulator is None:
-            return methods.PaperFit(settings, simulator.prior.learnt, journal).run()
+            return PaperFit(settings, simulator.prior.learnt, journal).run()
         emulated = [EmulatedLikelihood(simulator, emulator, recording.likelihood)]
         return PosteriorFit(settings, simulator.prior, journal, emulated).run()
 

@@ -23,8 +23,7 @@ from fascicle.core.progress import Progress
 from fascicle.core.quantities import Changes, quantity
 from fascicle.core.ranges import check_count
 from fascicle.core.threads import one_thread
-from fascicle.emulation.ecg_emulator import SOONER, EcgEmulator, learn
-from fascicle.emulation.ecg_emulator import refined as refined_by
+from fascicle.emulation.ecg_emulator import SOONER, EcgEmulator, learn, refined
 from fascicle.emulation.likelihood import RUNS, EmulatedLikelihood, of_all, sampled
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
@@ -39,7 +38,6 @@ from fascicle.pools.pool import Pool, Threads, check_pool
 
 REFINING_NETWORKS = 500  # simulated in a round, at most
 MOST_ROUNDS = 3  # of sampling, simulation and training
-
 
 # What a file holds that was learnt from simulations
 Kind = Literal["emulator", "classifier", "origin"]
@@ -210,11 +208,11 @@ def refined_emulators(
         runs = sample(likelihoods, prior.dimension, rng.spawn(RUNS), particles, message, progress)
         run_points = np.concatenate([run.points for run in runs])
         points = rng.permutation(run_points)[:network_count]
-        prior_points, refined = prior.sample(rng, number * len(points)), {}
+        prior_points, trained = prior.sample(rng, number * len(points)), {}
         for emulator, likelihood, scenario, key in zip(
             emulators, likelihoods, scenarios, keys, strict=True
         ):
-            if key in refined:
+            if key in trained:
                 continue
             simulations = PriorSimulations(
                 simulator.model, replace(prior, mapped=False), cache, scenario, points
@@ -226,8 +224,8 @@ def refined_emulators(
             )
             training_sets[key].append((inputs, new_examples.ecgs))
             examples = map(np.concatenate, zip(*training_sets[key], strict=True))
-            refined[key] = refined_by(emulator, *examples, prior_inputs, rng, latest=len(inputs))
-        previous, likelihoods = likelihoods, emulated_by([refined[key] for key in keys])
+            trained[key] = refined(emulator, *examples, prior_inputs, rng, latest=len(inputs))
+        previous, likelihoods = likelihoods, emulated_by([trained[key] for key in keys])
         log_weights = of_all(likelihoods, run_points) - of_all(previous, run_points)
         # where fewer than 2 % of a round's draws are effective, the posterior has moved
         if effective_size(log_weights - log_weights.max()) > 0.02 * len(run_points):

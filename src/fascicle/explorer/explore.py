@@ -255,7 +255,8 @@ class Application:
         for task in running:
             task.cancel()  # the page is closed
         self.pages -= 1
-        asyncio.get_running_loop().call_later(self.reloaded_within, self.end_without_pages)
+        loop = asyncio.get_running_loop()
+        loop.call_later(self.reloaded_within, lambda: self.pages or self.end())
         for task in ended:
             task.result()  # raises the exception of a failed task
 
@@ -279,8 +280,3 @@ class Application:
         while True:
             work = partial(self.session.answer, await messages.get(), report)
             await page.send_bytes(await in_thread(work))
-
-    def end_without_pages(self) -> None:
-        """End the server if no page is open."""
-        if self.pages == 0:
-            self.end()

@@ -21,7 +21,6 @@ from fascicle.kernels.growth import NODE
 OPTIONS = ("-std=c++17", "-fmad=false")
 THREADS = {"grow": 128, "attach": 256, "solve": 512, "electrocardiogram": 512}  # of a block
 
-
 Bytes = NDArray[np.uint8]
 
 # The members of the two structures that every kernel gets. Each takes eight bytes, so that the
