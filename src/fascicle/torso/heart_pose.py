@@ -80,18 +80,27 @@ def surface_middle(surface: Surface) -> Floats:
     return np.asarray(np.average(centres, axis=0, weights=triangle_areas(*surface)))
 
 
-def standard_axes() -> Floats:
+def standard_axes(azimuth: float = 48.0, elevation: float = 38.0, roll: float = 0.0) -> Floats:
     """The axes of `heart_axes` in the torso frame, for a heart in the standard pose; (3, 3).
 
     The long axis points to the left, to the front and down, at about 45 degrees to the three planes
     of the torso (common anatomical knowledge; these figures are those of the packaged heart). The
     LV and the RV lie side by side: the axis from one to the other is horizontal.
+
+    Parameters
+    ----------
+    azimuth, elevation : float
+        Angles of the long axis: from straight ahead to the patient's left, and below the horizontal
+        plane (degrees).
+    roll : float
+        Rotation about the long axis, right-handed from apex to base (degrees).
     """
-    azimuth = np.radians(48)  # long axis: from straight ahead to the patient's left
-    elevation = np.radians(38)  # long axis: below the horizontal plane
-    ce, se, ca, sa = np.cos(elevation), np.sin(elevation), np.cos(azimuth), np.sin(azimuth)
+    ce, se = np.cos(np.radians(elevation)), np.sin(np.radians(elevation))
+    ca, sa = np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))
     apex_to_base = np.array([-ce * sa, ce * ca, se])
-    lv_to_rv = np.array([-ca, -sa, 0.0])
+    across = np.array([-ca, -sa, 0.0])
+    turn = np.radians(roll)
+    lv_to_rv = np.cos(turn) * across + np.sin(turn) * np.cross(apex_to_base, across)
     return np.stack([lv_to_rv, np.cross(apex_to_base, lv_to_rv), apex_to_base], axis=1)
 
 

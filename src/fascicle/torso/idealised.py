@@ -64,16 +64,16 @@ FARTHEST_ELECTRODE = 60.0  # mm from the fitted skin, the most that the deformat
 
 
 def idealised_torso(
-    mesh: LabelledMesh, size: TrunkSize | None = None, pose: Pose = "standard"
+    mesh: LabelledMesh, size: TrunkSize | None = None, pose: Pose | TorsoFrame = "standard"
 ) -> TorsoSurfaces:
     """Put an idealised adult torso around a heart (mm), which does not move.
 
     The trunk is that of a standard adult if none is given; the pose is that of
-    `fascicle.torso.heart_pose.torso_frame`. An error if the heart does not fit into that torso,
+    `fascicle.torso.heart_pose.torso_frame`, or a frame of your own. An error if the heart does not fit into that torso,
     leaves no room for the lungs, or is not closed.
     """
     size = size if size is not None else TrunkSize()
-    frame = torso_frame(mesh, size, pose)
+    frame = pose if isinstance(pose, TorsoFrame) else torso_frame(mesh, size, pose)
     skin = trunk(size)
     return _with_lungs(mesh, size, frame, skin, frame.to_heart(standard_electrodes(size, skin)))
 

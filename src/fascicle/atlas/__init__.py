@@ -1,0 +1,1 @@
+"""Hearts of the population, for recordings of people of whom there is no image."""

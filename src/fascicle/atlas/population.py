@@ -1,0 +1,159 @@
+"""Hearts, torsos and poses of the adult population, from which the atlas is drawn.
+
+The figures are those of docs/quantities.md, which gives their sources.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import exp, sqrt
+from typing import Literal
+
+import numpy as np
+from scipy.special import ndtri
+
+from fascicle.atlas.shapes import HeartSize
+from fascicle.core.arrays import Floats
+from fascicle.torso.trunk import TrunkSize
+
+Sex = Literal["f", "m"]
+RESIDUAL = 0.15  # SD of the logarithm of volumes and mass between people of one sex and build
+
+
+@dataclass(frozen=True)
+class Build:
+    """Sex, age (years), height (cm) and weight (kg) of an adult."""
+
+    sex: Sex
+    age: float
+    height: float
+    weight: float
+
+    @property
+    def surface(self) -> float:
+        """Body surface area (m²), by Mosteller."""
+        return sqrt(self.height * self.weight / 3600)
+
+    @property
+    def mass_index(self) -> float:
+        """Body mass index (kg/m²)."""
+        return self.weight / (self.height / 100) ** 2
+
+    @property
+    def expected(self) -> HeartSize:
+        """Median volumes and mass of healthy ventricles."""
+        volume, mass, ratio = (85.0, 53.0, 1.10) if self.sex == "m" else (74.0, 42.0, 1.05)
+        older = exp(-0.004 * (self.age - 60))
+        lv_volume = volume * self.surface * older
+        return HeartSize(lv_volume, mass * self.surface, ratio * lv_volume)
+
+    @property
+    def elevation(self) -> float:
+        """Median angle of the long axis below the horizontal plane (degrees)."""
+        vertical = 2.0 if self.sex == "f" else 0.0
+        return 28.0 + vertical - (self.mass_index - 25) - 0.1 * (self.age - 50)
+
+
+@dataclass(frozen=True)
+class AtlasHeart:
+    """Description of a heart of the atlas, and of the torso that it lies in.
+
+    Attributes
+    ----------
+    build : Build
+        The person.
+    size : HeartSize
+        Ventricles.
+    axis : (3,) array
+        Azimuth, elevation and roll of the heart, as in
+        `fascicle.torso.heart_pose.standard_axes` (degrees).
+    shift : (3,) array
+        Shift of the heart to the left, back and up from its default position (mm).
+    trunk : (3,) array
+        Factors on depth, shoulders and hips of the standard adult.
+    tissue : int
+        Number of the tissue, of `fascicle.networks.prior.TISSUES`.
+    """
+
+    build: Build
+    size: HeartSize
+    axis: Floats
+    shift: Floats
+    trunk: Floats
+    tissue: int
+
+    @property
+    def trunk_size(self) -> TrunkSize:
+        """Measures of the torso."""
+        depth, shoulders, hips = self.trunk
+        return TrunkSize(
+            self.build.height / 100, self.build.weight, None, depth, shoulders, hips
+        )
+
+
+def drawn_hearts(seed: int, tissues: int) -> Iterator[AtlasHeart]:
+    """Draw hearts of the population without end, evenly spread (Sobol points).
+
+    Dilated and hypertrophied hearts are more frequent than among people (three in ten), so that
+    there are some of them; ages are spread evenly from 18 to 90 years.
+    """
+    from scipy.stats import qmc  # takes long to load
+
+    points = qmc.Sobol(20, rng=np.random.default_rng(seed))
+    number = 0
+    while True:
+        for point in points.random(64):
+            yield _heart_at(np.clip(point, 1e-4, 1 - 1e-4), number % tissues)
+            number += 1
+
+
+def _heart_at(point: Floats, tissue: int) -> AtlasHeart:
+    """Heart at a point (20,) of the unit cube."""
+    normal = np.clip(ndtri(point), -2.5, 2.5)
+    build = _build_at(point[0], point[1], normal[2], normal[3])
+    expected = build.expected
+    with_volume = normal[4]
+    with_mass = 0.65 * normal[4] + sqrt(1 - 0.65**2) * normal[5]
+    lv_volume = expected.lv_volume * exp(RESIDUAL * with_volume)
+    lv_mass = expected.lv_mass * exp(RESIDUAL * with_mass)
+    rv_volume = lv_volume * expected.rv_volume / expected.lv_volume * exp(0.10 * normal[6])
+    elongation, rv_wall = exp(0.07 * normal[7]), exp(0.15 * normal[8])
+    severity, kind = point[9], point[10]
+    if kind < 0.09:  # eccentric hypertrophy
+        lv_mass *= exp(0.20 + 0.30 * severity)
+        lv_volume *= exp(0.05 + 0.20 * severity)
+    elif kind < 0.18:  # concentric hypertrophy
+        lv_mass *= exp(0.20 + 0.40 * severity)
+        lv_volume *= exp(-0.10 * severity)
+    elif kind < 0.28:  # dilated
+        lv_volume *= exp(0.25 + 0.55 * severity)
+        lv_mass *= exp(0.20 + 0.40 * severity)
+        rv_volume *= exp(0.40 * severity)
+        elongation *= exp(-0.05 - 0.10 * severity)
+    elif kind < 0.31:  # right ventricle dilated or hypertrophied
+        rv_volume *= exp(0.20 + 0.40 * severity)
+        rv_wall *= exp(0.10 + 0.40 * severity)
+    # the spread of the heart's pose includes that of the torsos in which each heart is simulated
+    axis = np.array(
+        [45.0 + 7.0 * normal[11], build.elevation + 7.0 * normal[12], 8.0 * normal[13]]
+    )
+    axis[1] = np.clip(axis[1], 5.0, 60.0)
+    shift = np.array([7.0, 8.0, 12.0]) * normal[14:17]
+    trunk = np.exp([0.06, 0.05, 0.05] * normal[17:20])
+    size = HeartSize(lv_volume, lv_mass, rv_volume, elongation, rv_wall)
+    return AtlasHeart(build, size, axis, shift, trunk, tissue)
+
+
+def _build_at(sex: float, age: float, height: float, mass_index: float) -> Build:
+    """Build at quantiles of sex and age, and normal scores of height and body mass index."""
+    years = 18.0 + 72.0 * age
+    older = 0.015 * (min(years, 65.0) - 50) / 10
+    if sex < 0.5:
+        centimetres = 165.0 - 0.08 * (years - 50) + 6.3 * height
+        index = 25.3 * exp(older + 0.19 * mass_index)
+    else:
+        centimetres = 178.0 - 0.10 * (years - 50) + 7.0 * height
+        index = 26.3 * exp(older + 0.15 * mass_index)
+    weight = index * (centimetres / 100) ** 2
+    return Build("f" if sex < 0.5 else "m", years, centimetres, weight)
