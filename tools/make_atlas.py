@@ -2,6 +2,7 @@
 
     python tools/make_atlas.py template --surface heart.vtp --out FOLDER
     python tools/make_atlas.py simulate --out FOLDER [--hearts 64] [--processes 2]
+    python tools/make_atlas.py learn --out FOLDER
 
 The surface is the mean of more than 1000 healthy hearts, `examples/geo1/heart.vtp` of Cobiveco
 (Apache-2.0). Hearts are independent of each other; those that are there are not made again.
@@ -12,15 +13,20 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from make_packaged_emulators import put
+from numpy.typing import NDArray
 
-from fascicle.atlas.population import AtlasHeart, drawn_hearts
-from fascicle.atlas.shapes import HeartFamily
+import fascicle
+from fascicle.atlas.population import AtlasHeart, Build, drawn_hearts
+from fascicle.atlas.shapes import HeartFamily, HeartSize
 from fascicle.atlas.torsos import heart_in_torso, lead_fields_in_torsos
 from fascicle.build.build_heart import TorsoOptions, heart_of, in_torso
 from fascicle.build.labelled_files import Anatomy, labelled_surface
@@ -29,7 +35,18 @@ from fascicle.build.surface_repair import prepared_surface
 from fascicle.core.conduction_states import told_apart
 from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_ROWS
+from fascicle.emulation.ecg_classifier import (
+    EcgClassifier,
+    Recorder,
+    RecordingSet,
+    in_cosines,
+    in_leads,
+)
+from fascicle.emulation.ecg_classifier import learn as learn_classifier
+from fascicle.emulation.ecg_emulator import learn as learn_emulator
+from fascicle.emulation.ecg_emulator import tissue_inputs
 from fascicle.emulation.heart_emulator import usual_prior
+from fascicle.emulation.state_classifier import classifier_key, simulations_of_states
 from fascicle.forward.beat import Beat
 from fascicle.forward.electrocardiogram import build_electrocardiograph, nodal_gradients
 from fascicle.forward.loss import placed
@@ -39,18 +56,26 @@ from fascicle.forward.template import default_template
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.coordinates import with_coordinates
 from fascicle.heart.folder import load_heart, write_heart
-from fascicle.heart.heart import LeadFields
+from fascicle.heart.heart import Atlas, Components, LeadFields
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.mesh.read import read_mesh
 from fascicle.networks.prior import TISSUES, AveragedOver
-from fascicle.networks.prior_simulations import BEFORE
+from fascicle.networks.prior_simulations import BEFORE, HELD_OUT, Examples
+from fascicle.networks.settings import FitSettings
 from fascicle.torso.lead_fields import key_of, torso_key
 
 EDGE_LENGTH = 4.0  # mm
 TORSOS = 8  # variations of each torso
-NORMAL, MOST, OTHERS = 400, 1400, 150  # networks wanted, tried at most, and of each other state
+NORMAL, MOST, OTHERS = 250, 900, 100  # networks wanted, tried at most, and of each other state
+RAYS = 60  # a vertex, in the table of ray travel times: ECGs change by 0.7 %
 LENGTH = 300  # samples (ms) of an ECG
 SEED = 20261129
+FIELD_COMPONENTS = 80  # of the lead fields
+INPUTS = 16  # numbers that stand for a heart in the emulators
+EPOCHS = 6  # of the emulators' training
+PLAIN_RATIO = float(np.divide(*Conduction().speeds))
+COUNT = int(FitSettings.model_fields["prior_simulations"].default)
+PACKAGE = Path(fascicle.__file__).parent / "data"
 
 
 def template(surface: Path, out: Path) -> None:
@@ -82,14 +107,14 @@ def simulate(number: int, out: Path, described: AtlasHeart) -> str:
     standard = LeadFields(fields[0], key_of(heart, conduction), torso_key(heart.torso))
     heart = replace(heart, lead_fields=standard)
     potential = default_template()
-    prepared = build(heart, conduction, potential)
+    prepared = build(heart, conduction, potential, rays=RAYS)
     model = ForwardModel(heart, conduction, prepared=prepared)
     gradients = barycentric_gradients(heart.vertices, heart.tetrahedra)
+    mesh = heart.tetrahedra, gradients, heart.volumes, conduction.intracellular(heart.fibres)
     torsos = [
         build_electrocardiograph(
-            heart.tetrahedra, gradients, heart.volumes, conduction.intracellular(heart.fibres),
-            nodal_gradients(field, heart.tetrahedra, gradients), potential, [],
-        )  # fmt: skip
+            *mesh, nodal_gradients(field, heart.tetrahedra, gradients), potential, []
+        )
         for field in fields[1:]
     ]
     arrays: dict[str, np.ndarray] = {
@@ -128,8 +153,14 @@ def simulate(number: int, out: Path, described: AtlasHeart) -> str:
             f"{index} times": np.array(times),
         }  # fmt: skip
         counts[state.name] = f"{sum(kept)}/{sum(feasible)}/{len(points)}"
-    text = json.dumps({**asdict(described), "axis": [*described.axis], "shift": [*described.shift],
-                       "trunk": [*described.trunk]})
+    text = json.dumps(
+        {
+            **asdict(described),
+            "axis": [*described.axis],
+            "shift": [*described.shift],
+            "trunk": [*described.trunk],
+        }
+    )
     part = out / f".{number:03d}.npz"
     np.savez_compressed(part, described=np.array(text), **arrays)
     part.rename(path)
@@ -137,9 +168,160 @@ def simulate(number: int, out: Path, described: AtlasHeart) -> str:
     return f"{number}: torso {meshed:.0f} s, whole {whole:.0f} s, {counts}"
 
 
+@dataclass(frozen=True)
+class Simulated:
+    """Simulated hearts of the atlas, as `simulate` has written them."""
+
+    hearts: list[AtlasHeart]
+    arrays: list[dict[str, NDArray[Any]]]
+
+    @classmethod
+    def read(cls, folder: Path) -> Simulated:
+        """Read all hearts that are finished."""
+        hearts, arrays = [], []
+        for path in sorted(folder.glob("[0-9]*.npz")):
+            with np.load(path, allow_pickle=False) as content:
+                arrays.append({name: content[name] for name in content.files})
+            fields = json.loads(str(arrays[-1].pop("described")))
+            fields |= {"build": Build(**fields["build"]), "size": HeartSize(**fields["size"])}
+            fields |= {name: np.array(fields[name]) for name in ("axis", "shift", "trunk")}
+            hearts.append(AtlasHeart(**fields))
+        return cls(hearts, arrays)
+
+    def of(self, name: str) -> list[NDArray[Any]]:
+        """Arrays of this name, one for each heart."""
+        return [arrays[name] for arrays in self.arrays]
+
+    @property
+    def atlas(self) -> Atlas:
+        """Atlas of these hearts, which are equally probable."""
+        count, names = len(self.hearts), ("azimuth", "elevation", "roll")
+        measures: dict[str, list[float]] = {}
+        for heart in self.hearts:
+            build = asdict(heart.build)
+            build["sex"] = float(heart.build.sex == "m")
+            values = {**build, **asdict(heart.size), **dict(zip(names, heart.axis, strict=True))}
+            for name, value in values.items():
+                measures.setdefault(name, []).append(float(value))
+        fields = np.array([fields[0] for fields in self.of("fields")], dtype=float)
+        fields = fields.reshape(9 * count, -1)
+        return Atlas(
+            Components.of(np.array(self.of("vertices"), dtype=float).reshape(count, -1), 24),
+            np.array(self.of("electrodes")),
+            Components.of(fields - fields.mean(axis=1, keepdims=True), FIELD_COMPONENTS),
+            tuple(TISSUES[heart.tissue] for heart in self.hearts),
+            {name: np.array(values) for name, values in measures.items()},
+            np.full(count, 1 / count),
+        )
+
+    def inputs(self) -> NDArray[np.float64]:
+        """Inputs (k, p) that stand for each heart: of its mean ECG, and its tissue."""
+        means = []
+        for feasible, kept, ecgs in zip(
+            self.of("0 feasible"), self.of("0 kept"), self.of("0 in torsos"), strict=True
+        ):
+            means.append(in_cosines(ecgs[kept[feasible]].astype(float)).mean(axis=0).ravel())
+        centred = np.array(means) - np.mean(means, axis=0)
+        left, sizes, _ = np.linalg.svd(centred, full_matrices=False)
+        count = min(INPUTS, len(sizes))
+        tissues = tissue_inputs(AveragedOver(tissues=TISSUES), PLAIN_RATIO)
+        return np.column_stack(
+            [
+                left[:, :count] * np.sqrt(len(left) * sizes[:count] / sizes[0]),
+                tissues[[heart.tissue for heart in self.hearts]],
+            ]
+        )
+
+    def examples(self, state: int) -> Examples:
+        """Prior simulations of a conduction state, in all hearts."""
+        count = len(self.hearts)
+        points, torsos = [], []
+        for number, (of_heart, which) in enumerate(
+            zip(self.of(f"{state} points"), self.of(f"{state} torsos"), strict=True)
+        ):
+            place = np.full((len(of_heart), 1), (number + 0.5) / count)
+            points.append(np.hstack([of_heart, place]))
+            torsos.append(TORSOS * number + which)
+        feasible = np.concatenate(self.of(f"{state} feasible"))
+        held_out = (np.arange(len(feasible)) % HELD_OUT == HELD_OUT - 1)[feasible]
+        return Examples(
+            np.concatenate(points), feasible, np.concatenate(self.of(f"{state} kept")),
+            np.concatenate(self.of(f"{state} ecgs")).astype(np.float32),
+            np.concatenate(self.of(f"{state} in torsos"))[held_out].astype(np.float32),
+            np.concatenate(torsos)[held_out],
+        )  # fmt: skip
+
+
+def learn(out: Path) -> None:
+    """Write the atlas into the package, and train its emulators and its classifier."""
+    simulated = Simulated.read(out)
+    heart = load_heart(out / "template")
+    assert heart.lead_fields is not None
+    fields = replace(heart.lead_fields, torso="")  # the standard torso, which can be meshed again
+    packaged = replace(heart, torso=None, lead_fields=fields, atlas=simulated.atlas, sheets=None)
+    write_heart(packaged, PACKAGE / "hearts" / "atlas")
+    heart = load_heart("atlas")
+    model, inputs = ForwardModel(heart), simulated.inputs()
+    states = simulations_of_states(model, usual_prior(heart), out, COUNT)
+    for index, (name, of_state) in enumerate(states.items()):
+        began = time.perf_counter()
+        simulations, examples = of_state.simulations, simulated.examples(index)
+        emulator = learn_emulator(
+            examples, simulations.prior, PLAIN_RATIO, np.random.default_rng(simulations.seed),
+            hearts=inputs, epochs=EPOCHS,
+        )  # fmt: skip
+        report = {**emulator.report, "networks": float(COUNT)}
+        arrays = replace(emulator, report=report).arrays()
+        put("emulator", simulations.content, {k: np.asarray(v) for k, v in arrays.items()})
+        print(f"{name}: {emulator.summary}; {time.perf_counter() - began:.0f} s", flush=True)
+    classifier = learn_states(simulated, len(states))
+    print(f"classifier: {classifier.accuracy:.0%} of held-out recordings told right")
+    arrays = {**classifier.arrays(), "networks": np.array(COUNT)}
+    put("classifier", classifier_key(states, np.array(INDEPENDENT_ROWS)), arrays)
+
+
+def learn_states(
+    simulated: Simulated, states: int, held_out_hearts: Sequence[int] = (), count: int = 40_000
+) -> EcgClassifier:
+    """Classifier of conduction states, with hearts held out to tell how good it is."""
+    rng, rows = np.random.default_rng(SEED), np.array(INDEPENDENT_ROWS)
+    recorder = Recorder.of(simulated.examples(0).of_the_prior)
+    sets: dict[bool, list[tuple[NDArray[np.float32], int]]] = {False: [], True: []}
+    for state in range(states):
+        for held_out in (False, True):
+            ecgs = []
+            for number, arrays in enumerate(simulated.arrays):
+                kept = np.flatnonzero(arrays[f"{state} kept"][arrays[f"{state} feasible"]])
+                # a tenth of the networks, or whole hearts, are held out
+                if held_out_hearts:
+                    chosen = kept if (number in held_out_hearts) == held_out else kept[:0]
+                else:
+                    chosen = kept[(np.arange(len(kept)) % 10 == 9) == held_out]
+                ecgs.append(arrays[f"{state} in torsos"][chosen])
+            of_state = np.concatenate(ecgs).astype(np.float32)
+            if not held_out:
+                of_state = of_state[np.resize(rng.permutation(len(of_state)), count)]
+            parts = np.array_split(of_state, max(1, len(of_state) // 4000))
+            recorded = [recorder.recorded(part, rng, in_torsos=True) for part in parts]
+            sets[held_out].append((in_leads(rows) @ np.concatenate(recorded), state))
+    training, testing = (
+        RecordingSet(
+            np.concatenate([recordings for recordings, _ in sets[held_out]]),
+            np.concatenate(
+                [
+                    np.tile(np.eye(states, dtype=np.float32)[k], (len(recordings), 1))
+                    for recordings, k in sets[held_out]
+                ]
+            ),
+        )
+        for held_out in (False, True)
+    )
+    return learn_classifier(training, testing, rows, rng, steps=16_000)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("step", choices=("template", "simulate"))
+    parser.add_argument("step", choices=("template", "simulate", "learn"))
     parser.add_argument("--surface", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--hearts", type=int, default=64)
@@ -147,6 +329,9 @@ def main() -> None:
     options = parser.parse_args()
     if options.step == "template":
         template(options.surface, options.out)
+        return
+    if options.step == "learn":
+        learn(options.out)
         return
     hearts = zip(range(options.hearts), drawn_hearts(SEED, len(TISSUES)), strict=False)
     with ProcessPoolExecutor(options.processes, get_context("spawn")) as pool:

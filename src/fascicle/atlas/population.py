@@ -5,19 +5,24 @@ The figures are those of docs/quantities.md, which gives their sources.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from math import exp, sqrt
-from typing import Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from scipy.special import ndtri
 
 from fascicle.atlas.shapes import HeartSize
 from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError
+from fascicle.core.ranges import shown, within
+from fascicle.heart.heart import Atlas, Heart
 from fascicle.torso.trunk import TrunkSize
 
 Sex = Literal["f", "m"]
+KNOWN = ("sex", "age", "height", "weight")  # what may be known of a person
+DISEASED = 0.65  # dilated and hypertrophied hearts: frequency among people, over the atlas's
 RESIDUAL = 0.15  # SD of the logarithm of volumes and mass between people of one sex and build
 
 
@@ -87,9 +92,7 @@ class AtlasHeart:
     def trunk_size(self) -> TrunkSize:
         """Measures of the torso."""
         depth, shoulders, hips = self.trunk
-        return TrunkSize(
-            self.build.height / 100, self.build.weight, None, depth, shoulders, hips
-        )
+        return TrunkSize(self.build.height / 100, self.build.weight, None, depth, shoulders, hips)
 
 
 def drawn_hearts(seed: int, tissues: int) -> Iterator[AtlasHeart]:
@@ -108,10 +111,15 @@ def drawn_hearts(seed: int, tissues: int) -> Iterator[AtlasHeart]:
             number += 1
 
 
-def _heart_at(point: Floats, tissue: int) -> AtlasHeart:
-    """Heart at a point (20,) of the unit cube."""
+def _heart_at(
+    point: Floats, tissue: int, known: Mapping[str, float] | None = None, diseased: float = 1.0
+) -> AtlasHeart:
+    """Heart at a point (20,) of the unit cube, of a person of whom some of the build is `known`.
+
+    `diseased` is a factor on the frequency of dilated and hypertrophied hearts.
+    """
     normal = np.clip(ndtri(point), -2.5, 2.5)
-    build = _build_at(point[0], point[1], normal[2], normal[3])
+    build = _build_at(point[0], point[1], normal[2], normal[3], known or {})
     expected = build.expected
     with_volume = normal[4]
     with_mass = 0.65 * normal[4] + sqrt(1 - 0.65**2) * normal[5]
@@ -119,7 +127,7 @@ def _heart_at(point: Floats, tissue: int) -> AtlasHeart:
     lv_mass = expected.lv_mass * exp(RESIDUAL * with_mass)
     rv_volume = lv_volume * expected.rv_volume / expected.lv_volume * exp(0.10 * normal[6])
     elongation, rv_wall = exp(0.07 * normal[7]), exp(0.15 * normal[8])
-    severity, kind = point[9], point[10]
+    severity, kind = point[9], point[10] / diseased
     if kind < 0.09:  # eccentric hypertrophy
         lv_mass *= exp(0.20 + 0.30 * severity)
         lv_volume *= exp(0.05 + 0.20 * severity)
@@ -135,9 +143,7 @@ def _heart_at(point: Floats, tissue: int) -> AtlasHeart:
         rv_volume *= exp(0.20 + 0.40 * severity)
         rv_wall *= exp(0.10 + 0.40 * severity)
     # the spread of the heart's pose includes that of the torsos in which each heart is simulated
-    axis = np.array(
-        [45.0 + 7.0 * normal[11], build.elevation + 7.0 * normal[12], 8.0 * normal[13]]
-    )
+    axis = np.array([45.0 + 7.0 * normal[11], build.elevation + 7.0 * normal[12], 8.0 * normal[13]])
     axis[1] = np.clip(axis[1], 5.0, 60.0)
     shift = np.array([7.0, 8.0, 12.0]) * normal[14:17]
     trunk = np.exp([0.06, 0.05, 0.05] * normal[17:20])
@@ -145,15 +151,119 @@ def _heart_at(point: Floats, tissue: int) -> AtlasHeart:
     return AtlasHeart(build, size, axis, shift, trunk, tissue)
 
 
-def _build_at(sex: float, age: float, height: float, mass_index: float) -> Build:
-    """Build at quantiles of sex and age, and normal scores of height and body mass index."""
-    years = 18.0 + 72.0 * age
+def _build_at(
+    sex: float, age: float, height: float, mass_index: float, known: Mapping[str, float]
+) -> Build:
+    """Build at quantiles of sex and age, and normal scores of height and body mass index.
+
+    What is `known` replaces these: age, height (cm), weight (kg), and sex (0 female, 1 male).
+    """
+    female = known.get("sex", float(sex >= 0.5)) == 0
+    years = known.get("age", 18.0 + 72.0 * age)
     older = 0.015 * (min(years, 65.0) - 50) / 10
-    if sex < 0.5:
+    if female:
         centimetres = 165.0 - 0.08 * (years - 50) + 6.3 * height
         index = 25.3 * exp(older + 0.19 * mass_index)
     else:
         centimetres = 178.0 - 0.10 * (years - 50) + 7.0 * height
         index = 26.3 * exp(older + 0.15 * mass_index)
-    weight = index * (centimetres / 100) ** 2
-    return Build("f" if sex < 0.5 else "m", years, centimetres, weight)
+    centimetres = known.get("height", centimetres)
+    weight = known.get("weight", index * (centimetres / 100) ** 2)
+    return Build("f" if female else "m", years, centimetres, weight)
+
+
+def for_person(heart: Heart, person: Mapping[str, Any]) -> Heart:
+    """Atlas with prior probabilities of its hearts for a person.
+
+    Parameters
+    ----------
+    heart : Heart
+        The atlas.
+    person : mapping of str to value
+        `KNOWN` by name: sex (``"f"`` or ``"m"``), age (years), height (cm), weight (kg); None where
+        it is not known.
+
+    Raises
+    ------
+    InputError
+        If the heart is no atlas, or a value is not an adult's.
+    """
+    if heart.atlas is None:
+        given = next(name for name, value in person.items() if value is not None)
+        raise InputError(
+            f"{given}: {heart.name} is one heart, and only the hearts of 'atlas' depend on it; "
+            "leave it out"
+        )
+    known = {}
+    for name, value in person.items():
+        if value is None:
+            continue
+        if name == "sex":
+            if value not in get_args(Sex):
+                raise InputError(f"sex is {shown(value)}; give f or m")
+            known["sex"] = float(value == "m")
+        else:
+            known[name] = within(name, value, name)
+    weights = weights_for(heart.atlas, known)
+    return replace(heart, atlas=replace(heart.atlas, weights=weights, person=known))
+
+
+def weights_for(atlas: Atlas, known: Mapping[str, float], fewest: float = 24.0) -> Floats:
+    """Prior probabilities (k,) of the hearts of an atlas for a person of known build.
+
+    The density of the ventricles' volumes, the left mass, the elevation of the heart and the
+    person's height and girth among such people, over that among the hearts that were drawn, both
+    taken for normal distributions (of logarithms). It is raised to the largest power up to 1 that
+    leaves at least `fewest` hearts effective: a library has no more of one kind.
+    """
+    rng = np.random.default_rng(0)
+    points = np.clip(rng.random((2000, 20)), 1e-4, 1 - 1e-4)
+    drawn = _descriptors(_heart_at(point, 0) for point in points)
+    wanted = _descriptors(_heart_at(point, 0, known, DISEASED) for point in points)
+    m = atlas.measures
+    hearts = (
+        AtlasHeart(
+            Build("m" if sex else "f", age, height, weight),
+            HeartSize(lv_volume, lv_mass, rv_volume),
+            np.array([0.0, elevation, 0.0]), np.zeros(3), np.ones(3), 0,
+        )
+        for sex, age, height, weight, lv_volume, lv_mass, rv_volume, elevation in zip(
+            *(m[name] for name in (*KNOWN, "lv_volume", "lv_mass", "rv_volume", "elevation")),
+            strict=True,
+        )
+    )  # fmt: skip
+    described = _descriptors(hearts)
+    # a floor for what is known exactly, as height: hearts of the library differ in it
+    floor = np.diag((0.5 * drawn.std(axis=0)) ** 2)
+    logs = _log_density(described, wanted, floor) - _log_density(described, drawn, 0 * floor)
+    logs -= logs.max()
+
+    def weights(power: float) -> Floats:
+        unnormalised = np.exp(power * logs)
+        return np.asarray(unnormalised / unnormalised.sum())
+
+    fewest = min(fewest, 0.9 * len(logs))
+    powers = np.linspace(1, 0, 101)
+    enough = (power for power in powers if 1 / (weights(power) ** 2).sum() >= fewest)
+    return weights(next(enough))
+
+
+def _descriptors(hearts: Iterable[AtlasHeart]) -> Floats:
+    """Logarithms of volumes, mass, height and girth, and the elevation (n, 6)."""
+    return np.array(
+        [
+            [
+                np.log(h.size.lv_volume), np.log(h.size.lv_mass), np.log(h.size.rv_volume),
+                h.axis[1] / 60, np.log(h.build.height), np.log(h.build.weight / h.build.height) / 2,
+            ]
+            for h in hearts
+        ]
+    )  # fmt: skip
+
+
+def _log_density(points: Floats, sample: Floats, floor: Floats) -> Floats:
+    """Log-density (n,) of points under the normal distribution of a sample."""
+    covariance = np.cov(sample, rowvar=False) + floor
+    apart = points - sample.mean(axis=0)
+    squares = (apart * np.linalg.solve(covariance, apart.T).T).sum(axis=1)
+    return np.asarray(-0.5 * (squares + np.linalg.slogdet(covariance)[1]))

@@ -136,16 +136,18 @@ class HeartFamily:
         else:
             off = wanted - np.log(self.volumes(vertices))
         if np.abs(off).max() > 0.01 or signed_volumes(vertices, tetrahedra).min() <= 0:
-            raise InputError(f"atlas: no heart of the family has {size}; choose less extreme volumes")
+            raise InputError(
+                f"atlas: no heart of the family has {size}; choose less extreme volumes"
+            )
         fibres = rule_based_fibres(replace(self.mesh, vertices=vertices))
         lv, rv = (
             replace(e, vertices=vertices[numbers])
             for e, numbers in zip(self.template.endocardia, self.endocardial, strict=True)
         )
         return replace(
-            self.template, vertices=vertices, fibres=fibres.fibre, sheets=fibres.sheet, lv=lv, rv=rv,
-            electrodes=np.full_like(self.template.electrodes, np.nan), torso=None, lead_fields=None,
-            folder=None,
+            self.template, vertices=vertices, fibres=fibres.fibre, sheets=fibres.sheet, lv=lv,
+            rv=rv, electrodes=np.full_like(self.template.electrodes, np.nan), torso=None,
+            lead_fields=None, folder=None,
         )  # fmt: skip
 
     def _fields(self, vertices: Floats) -> Floats:
@@ -155,7 +157,8 @@ class HeartFamily:
             np.unique(mesh.having(label))
             for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM)
         )
-        right, left = epicardium[self.taper[epicardium] > 0], epicardium[self.taper[epicardium] == 0]
+        of_free_wall = self.taper[epicardium] > 0
+        right, left = epicardium[of_free_wall], epicardium[~of_free_wall]
         # Surfaces move away from the left ventricle's long axis, the apical cap from its centre: a
         # smooth field, unlike that of the normals, turns no flat tetrahedron over.
         base, axis = opening(Surface(*mesh.part(Label.LV_ENDOCARDIUM))), self.axes[:, 2]

@@ -60,5 +60,5 @@ def lead_fields_in_torsos(
         if conductor.is_possible(state):
             states.append(state)
     vertices = len(heart.vertices)
-    fields = [solve_torso(conductor, places, state, 1e-4, 100)[:vertices].T for state in states]
+    fields = [solve_torso(conductor, places, state, 1e-3, 80)[:vertices].T for state in states]
     return np.array(fields)

@@ -13,14 +13,18 @@ import fascicle
 from fascicle.cli import resumable
 from fascicle.cli.hearts import heart_app
 from fascicle.cli.options import (
+    AgeOption,
     FixOption,
     FormatOption,
     FreeOption,
     HeartArgument,
+    HeightOption,
     IndexOption,
     OutOption,
     SchedulerOption,
+    SexOption,
     StudyArgument,
+    WeightOption,
     WorkersOption,
     explicit,
     fit_options,
@@ -178,6 +182,10 @@ def fit(
         str | None,
         Option(help="NVIDIA GPU to simulate on: cuda, cuda:1 the second ('fascicle docs gpu')."),
     ] = None,
+    sex: SexOption = None,
+    age: AgeOption = None,
+    height: HeightOption = None,
+    weight: WeightOption = None,
     **settings: Any,
 ) -> Result:
     """Learn the Purkinje networks that explain a target, and how well the ECG constrains them.
@@ -224,9 +232,11 @@ def fit(
         if device is not None:
             fit_settings["backend"] = fascicle.GpuBackend(device)
         pool = pool_at(scheduler, progress)
+        of_person = fascicle.load_heart(heart, sex=sex, age=age, height=height, weight=weight)
         fitted = fascicle.fit(
-            heart, recordings, out, parameters=learnt, progress=progress, pool=pool, **fit_settings
-        )
+            of_person, recordings, out, parameters=learnt, progress=progress, pool=pool,
+            **fit_settings,
+        )  # fmt: skip
     summary = written_summary(out)
     print_fit(fitted, summary)
     print(f"study in {out}; figures: fascicle report {out}")
@@ -244,6 +254,10 @@ def locate(
     ] = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
+    sex: SexOption = None,
+    age: AgeOption = None,
+    height: HeightOption = None,
+    weight: WeightOption = None,
 ) -> Result:
     """Say where an ectopic or paced beat comes from, with a probability of every place.
 
@@ -262,8 +276,9 @@ def locate(
 
     check_folder(out)
     with TerminalProgress() as progress:
+        of_person = fascicle.load_heart(heart, sex=sex, age=age, height=height, weight=weight)
         origin = fascicle.locate(
-            heart, target, prior_simulations=prior_simulations, workers=workers,
+            of_person, target, prior_simulations=prior_simulations, workers=workers,
             progress=progress, pool=pool_at(scheduler, progress),
         )  # fmt: skip
         origin.save(out)
@@ -294,6 +309,10 @@ def states(
     ] = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
+    sex: SexOption = None,
+    age: AgeOption = None,
+    height: HeightOption = None,
+    weight: WeightOption = None,
 ) -> Result:
     """Say how probable each conduction state is, without a fit, in seconds.
 
@@ -308,8 +327,9 @@ def states(
 
     file_settings = read_settings(settings_file) if settings_file is not None else {}
     with TerminalProgress() as progress:
+        of_person = fascicle.load_heart(heart, sex=sex, age=age, height=height, weight=weight)
         probabilities = fascicle.state_probabilities(
-            heart, target, parameters=file_settings.get("parameters"),
+            of_person, target, parameters=file_settings.get("parameters"),
             prior_simulations=prior_simulations, workers=workers, progress=progress,
             pool=pool_at(scheduler, progress),
         )  # fmt: skip

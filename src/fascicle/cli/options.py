@@ -20,8 +20,19 @@ from fascicle.prediction.index_names import COMPARED, INDICES
 
 HeartArgument = Annotated[
     str,
-    Argument(metavar="HEART", help="Heart folder, or one of the package: camps-dti004 or default."),
+    Argument(
+        metavar="HEART",
+        help="Heart folder, or one of the package: camps-dti004, default, or atlas, hearts of the "
+        "population for a person of whom there is no image.",
+    ),
 ]
+SexOption = Annotated[
+    Literal["f", "m"] | None,
+    Option(help="Of the person, for the heart 'atlas'.", show_default=False),
+]
+AgeOption = Annotated[float | None, Option(help="Of the person (years), for 'atlas'.")]
+HeightOption = Annotated[float | None, Option(help="Of the person (cm), for 'atlas'.")]
+WeightOption = Annotated[float | None, Option(help="Of the person (kg), for 'atlas'.")]
 StudyArgument = Annotated[Path, Argument(help="Finished study folder.")]
 OutOption = Annotated[Path, Option("--out", help="Folder to write.")]
 FormatOption = Annotated[Literal["png", "svg", "pdf"], Option("--format", help="Picture format.")]

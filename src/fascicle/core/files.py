@@ -26,7 +26,8 @@ from fascicle.core.ranges import shown
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-PACKAGED = ("default", "camps-dti004")  # hearts: an idealised one, and one subject's
+# hearts: an idealised one, one subject's, and those of the population
+PACKAGED = ("default", "camps-dti004", "atlas")
 DISPOSABLE = ".fascicle-cache"  # folder of caches: its files can be recomputed
 _unfinished: set[Path] = set()  # temporary files and folders that are being written
 _outside_allowed = ContextVar("files may name files outside their folder", default=False)

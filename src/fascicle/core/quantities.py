@@ -25,6 +25,7 @@ class Changes(StrEnum):
     """Part to be computed again when a quantity changes, from the most to the least."""
 
     STUDY = "which parameters there are"
+    HEART = "all of it"
     TREES = "trees"
     TISSUE = "speeds of the tissue"
     BLOCKS = "what is blocked"
@@ -128,6 +129,15 @@ def _of_trees() -> Iterator[Quantity]:
     yield Quantity("clearance", "1", 0.9, (0.0, 10.0), (0.5, 1.5), meaning, trees)
 
 
+def _of_hearts() -> Iterator[Quantity]:
+    """Heart of an atlas."""
+    numbers = (0, 999)
+    yield Quantity(
+        "atlas_heart", "1", None, numbers, numbers, "number of the heart, of those of the atlas",
+        Changes.HEART, is_integer=True,
+    )  # fmt: skip
+
+
 def _of_conduction() -> Iterator[Quantity]:
     """Conduction velocities and delays, and the size of the ECG."""
     times, tissue = Changes.TIMES, Changes.TISSUE
@@ -224,7 +234,7 @@ def _of_torso() -> Iterator[Quantity]:
 
 
 QUANTITIES: dict[str, Quantity] = {
-    q.name: q for q in (*_of_trees(), *_of_conduction(), *_of_torso())
+    q.name: q for q in (*_of_trees(), *_of_hearts(), *_of_conduction(), *_of_torso())
 }
 TORSO_QUANTITIES = tuple(q.name for q in QUANTITIES.values() if q.changes is Changes.LEAD_FIELDS)
 # Names of groups of quantities that can be freed together

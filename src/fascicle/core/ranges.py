@@ -78,6 +78,9 @@ RANGES = {
     "threshold": Range("", -1e6, 1e6, "a gain that matters, in the unit of its index"),
     "delay": Range("ms", 0.0, 10_000.0, "delay of a junction; inf blocks", math.inf),
     "fraction": Range("", 0.0, 1.0, "a ventricular coordinate of a site"),
+    "age": Range("years", 18.0, 100.0, "an adult's age"),
+    "height": Range("cm", 130.0, 220.0, "an adult's height"),
+    "weight": Range("kg", 30.0, 200.0, "an adult's weight"),
     "label": Range("", -(2.0**31), 2.0**31 - 1, "number of a region of a mesh"),
 }
 

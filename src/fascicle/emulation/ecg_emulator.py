@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
 from typing import Any, ClassVar
 
@@ -80,6 +80,8 @@ class EcgEmulator:
         emulator and torso modes leave unexplained, over the norm of the emulated ECG.
     torso_residual_factor : (q, q) array
         Residual covariance factor of the torso modes alone, applied to simulated ECGs.
+    hearts : (k, p) array
+        Inputs that stand for each heart of an atlas; empty for a single heart.
     report : mapping of str to float
         Quality for held-out networks: explained share of the variance; root mean square error over
         that of the ECGs, in the plain torso, by lead, and in random torsos; share of points whose
@@ -99,6 +101,7 @@ class EcgEmulator:
     residual_factor: Floats
     torso_residual_factor: Floats
     report: Mapping[str, float]
+    hearts: Floats = field(default_factory=partial(np.empty, (0, 0)))
     # names in files of the attributes that are stored in single precision
     stored: ClassVar[Mapping[str, str]] = {
         "mean": "mean",
@@ -180,17 +183,19 @@ class EcgEmulator:
     def arrays(self) -> dict[str, Any]:
         """Arrays of all attributes, for a file; weights of networks in half precision."""
         arrays: dict[str, Any] = {}
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name in ("networks", "validity"):
-                group = value if field.name == "networks" else (value,)
-                arrays |= weight_arrays(field.name, group)
-            elif field.name == "report":
+        for attribute in fields(self):
+            value = getattr(self, attribute.name)
+            if attribute.name in ("networks", "validity"):
+                group = value if attribute.name == "networks" else (value,)
+                arrays |= weight_arrays(attribute.name, group)
+            elif attribute.name == "report":
                 arrays |= {f"report {name}": number for name, number in value.items()}
-            elif field.name in self.stored:
-                arrays[self.stored[field.name]] = value.astype(np.float32)
+            elif attribute.name == "hearts":
+                arrays |= {"hearts": value.astype(np.float32)} if len(value) else {}
+            elif attribute.name in self.stored:
+                arrays[self.stored[attribute.name]] = value.astype(np.float32)
             else:
-                arrays[field.name] = value
+                arrays[attribute.name] = value
         return arrays
 
     @classmethod
@@ -205,6 +210,7 @@ class EcgEmulator:
             length=int(arrays["length"]),
             networks=networks_from("networks", arrays),
             validity=validity,
+            hearts=np.asarray(arrays.get("hearts", np.empty((0, 0))), float),
             report={
                 name.removeprefix("report "): float(arrays[name])
                 for name in arrays
@@ -260,6 +266,7 @@ def learn(
     progress: Progress | None = None,
     epochs: int = 12,
     fewest: int = 50,
+    hearts: Floats | None = None,
 ) -> EcgEmulator:
     """Train an emulator on the examples that are not held out.
 
@@ -273,11 +280,14 @@ def learn(
         Number of times that every example is used in training.
     fewest : int
         Least number of Purkinje networks to learn from.
+    hearts : (k, p) array, optional
+        Inputs that stand for each heart of an atlas.
     """
     points, averaged = examples.points, prior.averaged
     values = {n: column for n, column in prior.columns(points).items() if n not in prior.fixed}
     values.pop("gain", None)  # a factor on the ECG
-    tissues, names = tissue_inputs(averaged, plain_ratio)[prior.tissue(points)], tuple(values)
+    table = tissue_inputs(averaged, plain_ratio) if hearts is None else hearts
+    tissues, names = table[prior.tissue(points)], tuple(values)
     raw = _raw_inputs(names, values, tissues)
     _check_examples(examples, names, raw, fewest)
     feasible, count = examples.feasible, max(2, round(2 * HIGHEST * examples.ecgs.shape[2]))
@@ -292,7 +302,7 @@ def learn(
     emulator = EcgEmulator(
         names, raw.mean(axis=0), raw.std(axis=0) + 1e-9, (), NeuralNetwork(()), mean,
         components.reshape(-1, *mean.shape), unit, examples.ecgs.shape[2], np.empty(0),
-        np.empty(0), np.empty(0), {},
+        np.empty(0), np.empty(0), {}, np.empty((0, 0)) if hearts is None else hearts,
     )  # fmt: skip
 
     def example(values: Mapping[str, Floats], ecgs: Floats) -> tuple[Singles, Floats]:
@@ -494,7 +504,8 @@ def torso_modes_of(plain: Floats, in_torsos: Floats, numbers: Integers) -> tuple
     all_ecgs = plain.transpose(1, 0, 2).reshape(rows, -1)
     power = all_ecgs @ all_ecgs.T / all_ecgs.shape[1]
     power += 1e-3 * np.trace(power) / rows * np.eye(rows)  # ridge, as leads may be dependent
-    torsos, root = PriorSimulations.torsos, np.linalg.cholesky(power)
+    torsos = max(PriorSimulations.torsos, int(numbers.max(initial=0)) + 1)
+    root = np.linalg.cholesky(power)
     differences = np.zeros((torsos, rows, rows))
     for number in np.unique(numbers):
         plain_ecgs = plain[numbers == number].transpose(1, 0, 2).reshape(rows, -1)

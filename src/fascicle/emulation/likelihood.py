@@ -136,6 +136,8 @@ class EmulatedLikelihood:
 
     @cached_property
     def _tissues(self) -> Floats:
+        if len(self.emulator.hearts):
+            return self.emulator.hearts
         ratio = float(np.divide(*self.simulator.model.conduction.speeds))
         return tissue_inputs(self.simulator.prior.averaged, ratio)
 
@@ -173,6 +175,9 @@ def sampled(
     progress: Progress | None,
 ) -> list[SamplingRun]:
     """Sample the posterior of recordings by runs of `count` particles, one with each generator."""
+    first, edges = emulated[0], None
+    if isinstance(first, EmulatedLikelihood) and first.simulator.prior.averaged.weights:
+        edges = first.simulator.prior.averaged.edges
     states: dict[int, State] = {}
 
     def run(number: int, rng: np.random.Generator) -> SamplingRun:
@@ -187,7 +192,9 @@ def sampled(
             progress("sampling", max(1, done), 100, f"{message}, log evidence {evidences}")
 
         try:
-            sample: SamplingRun = temper(partial(of_all, emulated), dimension, rng, count, report)
+            sample: SamplingRun = temper(
+                partial(of_all, emulated), dimension, rng, count, report, edges
+            )
         except ValueError as error:  # hardly any point has a likelihood, as by a user's own
             raise InputError(f"{error}, and the likelihood") from None
         return sample

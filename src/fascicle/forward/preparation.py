@@ -130,8 +130,12 @@ def build(
     conduction: Conduction,
     action_potential: ActionPotential,
     progress: Progress | None = None,
+    rays: int = 150,
 ) -> Prepared:
-    """Compute the preparation of a heart without its cache; parameters as for `prepare`."""
+    """Compute the preparation of a heart without its cache; parameters as for `prepare`.
+
+    `rays` is that of `fascicle.forward.eikonal.build.build_myocardium`.
+    """
     charts = {e.side: build_chart(e) for e in heart.endocardia}
     barycentric = barycentric_gradients(heart.vertices, heart.tetrahedra)
     fields = resolve_lead_fields(heart, conduction, stage_progress(progress, "lead fields", ONCE))
@@ -147,7 +151,7 @@ def build(
         gradients, action_potential, [*heart.additional_electrodes],
     )  # fmt: skip
     report = stage_progress(progress, "preparation", ONCE)
-    myocardium = build_myocardium(heart, conduction, report, barycentric)
+    myocardium = build_myocardium(heart, conduction, report, barycentric, rays=rays)
     return Prepared(charts, _seeds(heart, charts), myocardium, electrocardiograph)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
+from fascicle.core import above
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, given_in
 from fascicle.core.files import (
@@ -29,6 +30,7 @@ from fascicle.core.parameters import complete
 from fascicle.core.quantities import SPEED, check_not_twice, checked, region_labels
 from fascicle.heart.action_potential import read_action_potential, write_action_potential
 from fascicle.heart.assembly import assemble_heart
+from fascicle.heart.atlas import read_atlas, write_atlas
 from fascicle.heart.conduction import Conduction, Region
 from fascicle.heart.electrodes import write_electrodes
 from fascicle.heart.heart import Heart, LeadFields, Torso, TorsoTissue
@@ -48,6 +50,7 @@ HEART_FILES = {
     "electrodes": "electrodes.csv",
     "torso": "torso.vtu",
     "action_potential": "action_potential.csv",
+    "atlas": "atlas.npz",
     "check": "check.png",
     "labels": "labels.png",
 }
@@ -79,6 +82,7 @@ class Manifest(BaseModel, extra="forbid"):
     electrodes: str
     torso: str | None = None
     action_potential: str | None = None
+    atlas: str | None = None
     lead_fields: LeadFieldKeys | None = None
     lv: Seeds
     rv: Seeds
@@ -93,21 +97,38 @@ def as_heart(heart: Heart | Path | str) -> Heart:
     return load_heart(as_path(heart, "heart", "a heart, its folder, or 'default'"))
 
 
-def load_heart(path: Path | str) -> Heart:
+def load_heart(
+    path: Path | str,
+    *,
+    sex: str | None = None,
+    age: float | None = None,
+    height: float | None = None,
+    weight: float | None = None,
+) -> Heart:
     """Load and validate a heart folder.
 
     Parameters
     ----------
     path : path
-        The folder, or the name of a packaged heart: ``"default"``, an idealised one, or
+        The folder, or the name of a packaged heart: ``"default"``, an idealised one,
         ``"camps-dti004"``, one subject's (Camps et al. 2024, Med Image Anal,
-        doi:10.1016/j.media.2024.103361) with coarser elements.
+        doi:10.1016/j.media.2024.103361) with coarser elements, or ``"atlas"``, hearts of the
+        population for a person of whom there is no image.
+    sex : str, optional
+        ``"f"`` or ``"m"``. This and the following are what is known of the person; only the atlas
+        uses it.
+    age, height, weight : float, optional
+        Age (years), height (cm) and weight (kg).
 
     Raises
     ------
     InputError
         If anything about it would make the physics wrong; the message names file and remedy.
     """
+    person = {"sex": sex, "age": age, "height": height, "weight": weight}
+    if any(value is not None for value in person.values()):
+        of_person: Heart = above("atlas.population").for_person(load_heart(path), person)
+        return of_person
     folder = as_path(path, "heart")
     if (packaged := packaged_heart(path)) is not None:
         heart = load_heart(packaged)
@@ -140,6 +161,9 @@ def load_heart(path: Path | str) -> Heart:
     table = None
     if manifest.action_potential is not None:
         table = read_action_potential(named_by(path, manifest.action_potential))
+    atlas = None
+    if manifest.atlas is not None:
+        atlas = read_atlas(named_by(path, manifest.atlas))
     values = _patient_values(path, manifest.values, heart)
     with given_in(path):
         example = complete(manifest.example) if manifest.example else {}
@@ -150,6 +174,7 @@ def load_heart(path: Path | str) -> Heart:
         values=values,
         action_potential=table,
         example=example,
+        atlas=atlas,
         folder=folder,
     )
 
@@ -260,6 +285,8 @@ def write_heart(heart: Heart, folder: Path) -> None:
             write_torso(files["torso"], heart.torso)
         if heart.action_potential is not None:
             write_action_potential(files["action_potential"], heart.action_potential)
+        if heart.atlas is not None:
+            write_atlas(heart.atlas, files["atlas"])
         files["manifest"].write_text(_manifest_text(heart), encoding="utf-8")
 
 
@@ -271,7 +298,7 @@ def _manifest_text(heart: Heart) -> str:
         "units": "mm",
         **{key: file for key, file in HEART_FILES.items() if key in Manifest.model_fields},
     }
-    for optional in ("torso", "action_potential"):
+    for optional in ("torso", "action_potential", "atlas"):
         if getattr(heart, optional) is None:
             del content[optional]
     if heart.lead_fields is not None:

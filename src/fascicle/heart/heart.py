@@ -66,6 +66,79 @@ class LeadFields:
 
 
 @dataclass(frozen=True)
+class Components:
+    """Rows (n, m) by their mean (m,), principal components (q, m) and coefficients (n, q)."""
+
+    mean: NDArray[np.float32]
+    components: NDArray[np.float16]
+    coefficients: NDArray[np.float32]
+
+    __repr__ = short_repr
+
+    @classmethod
+    def of(cls, rows: NDArray[Any], count: int) -> Components:
+        """First `count` principal components of rows, in half precision."""
+        mean = rows.mean(axis=0, dtype=float)
+        left, sizes, components = np.linalg.svd(rows - mean, full_matrices=False)
+        scale = np.abs(components[:count]).max(axis=1)
+        coefficients = left[:, :count] * sizes[:count] * scale
+        return cls(
+            mean.astype(np.float32),
+            (components[:count] / scale[:, None]).astype(np.float16),
+            coefficients.astype(np.float32),
+        )
+
+    def rows(self, chosen: slice) -> Floats:
+        """Some of the rows."""
+        return np.asarray(self.mean + self.coefficients[chosen] @ self.components.astype(float))
+
+
+@dataclass(frozen=True)
+class Atlas:
+    """Hearts of the population on the mesh of one heart, each in a torso of its own.
+
+    Attributes
+    ----------
+    shapes : Components
+        Positions (mm) of the mesh's vertices, a row (3 n,) for each heart.
+    electrodes : (k, 9, 3) array
+        Electrodes of each heart (mm).
+    fields : Components
+        Lead fields at the vertices (kΩ), up to a constant, nine rows (n,) for each heart.
+    tissues : tuple of mappings
+        Quantities of the tissue of each heart.
+    measures : mapping of str to (k,) array
+        Size and pose of each heart, and the build of the person, by name.
+    weights : (k,) array
+        Prior probability of each heart.
+    person : mapping of str to float
+        What is known of the person: sex (0 female, 1 male), age, height (cm), weight (kg).
+    """
+
+    shapes: Components
+    electrodes: Floats
+    fields: Components
+    tissues: tuple[Mapping[str, float], ...]
+    measures: Mapping[str, Floats]
+    weights: Floats
+    person: Mapping[str, float] = field(default_factory=dict)
+
+    __repr__ = short_repr
+
+    def __len__(self) -> int:
+        """Number of hearts."""
+        return len(self.electrodes)
+
+    def vertices(self, number: int) -> Floats:
+        """Positions (n, 3) of the vertices of a heart (mm)."""
+        return self.shapes.rows(slice(number, number + 1)).reshape(-1, 3)
+
+    def lead_fields(self, number: int) -> Floats:
+        """Lead fields (9, n) of a heart (kΩ)."""
+        return self.fields.rows(slice(9 * number, 9 * number + 9))
+
+
+@dataclass(frozen=True)
 class VentricularCoordinates:
     """Ventricular coordinates of each vertex (n,), as `fascicle.heart.coordinates` defines them.
 
@@ -133,6 +206,8 @@ class Heart:
     example : mapping of name to float
         Parameters of the example network, if the heart has its own; see
         `fascicle.example_parameters`.
+    atlas : Atlas, optional
+        Hearts of the population on this heart's mesh, for a person of whom there is no image.
     folder : Path, optional
         Folder of the cache of results for this heart, usually that which it was read from.
     """
@@ -153,6 +228,7 @@ class Heart:
     action_potential: TabulatedPotential | None = None
     coordinates: VentricularCoordinates | None = None
     example: Mapping[str, float] = field(default_factory=dict)
+    atlas: Atlas | None = None
     folder: Path | None = None
 
     __repr__ = short_repr
@@ -234,6 +310,10 @@ class Heart:
             arrays.append(np.array([repr(sorted(self.values.items()))]))
         if self.action_potential is not None:
             arrays += [self.action_potential.times, self.action_potential.potentials]
+        if self.atlas is not None:  # its weights are a prior
+            for part in (self.atlas.shapes, self.atlas.fields):
+                arrays += [part.mean, part.components, part.coefficients]
+            arrays += [self.atlas.electrodes, np.array([repr(self.atlas.tissues)])]
         return digest_of(*(array for array in arrays if array is not None))
 
 

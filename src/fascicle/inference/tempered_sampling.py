@@ -25,13 +25,13 @@ free inference in Bayesian inverse problems", Phys. Sci. Forum 9(1), 2023; A. Le
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import brentq
-from scipy.special import logsumexp, ndtr
+from scipy.special import logsumexp, ndtr, ndtri
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.threads import one_thread
@@ -92,6 +92,7 @@ def temper(
     rng: np.random.Generator,
     particles: int = 1000,
     progress: Callable[[State], None] = lambda state: None,
+    edges: Floats | None = None,
 ) -> SamplingRun:
     """Sample the posterior under a uniform prior on the unit cube.
 
@@ -101,6 +102,9 @@ def temper(
         Log-likelihoods (m,) of points (m, d); -inf where there is none.
     progress : callable
         Called after every stage.
+    edges : (k + 1,) array, optional
+        Ends of the intervals of the last coordinate that stand for k categories. Particles then
+        change their category by steps of their own, since neighbours have nothing in common.
 
     Raises
     ------
@@ -126,7 +130,7 @@ def temper(
         if remembered < FORGOTTEN:  # kin have become independent
             families = np.arange(particles)
         families = families[chosen]
-        remembered = _move(population, of_scores, temperature, rng)
+        remembered = _move(population, of_scores, temperature, rng, edges)
         progress(State(temperature, log_evidence, evaluations))
     points = _points(population.scores)
     return SamplingRun(
@@ -198,7 +202,11 @@ def _effective(points: Floats, families: Integers) -> float:
 
 
 def _move(
-    population: _Particles, of_scores: LogLikelihoods, temperature: float, rng: np.random.Generator
+    population: _Particles,
+    of_scores: LogLikelihoods,
+    temperature: float,
+    rng: np.random.Generator,
+    edges: Floats | None = None,
 ) -> float:
     """Move the particles until they are hardly correlated with their start, or a ceiling is met.
 
@@ -213,14 +221,23 @@ def _move(
     start = population.scores.copy()
     middle = len(start) // 2
     halves = slice(middle), slice(middle, None)
-    fits = [_Fit.to(start[other]) for other in reversed(halves)]
+    moved = slice(None) if edges is None else slice(start.shape[1] - 1)
+    fits = [_Fit.to(start[other, moved]) for other in reversed(halves)]
+    jumps = []
+    if edges is not None:
+        jumps = [_Jump.to(start[other, -1], edges) for other in reversed(halves)]
     remembered = 1.0
     for step in range(ceiling):
+        if jumps:
+            _jump(population, of_scores, temperature, rng, zip(halves, jumps, strict=True))
         pairs = zip(halves, fits, strict=True)
         proposals = [
-            fit.proposals(population.scores[half], population.length, rng) for half, fit in pairs
+            fit.proposals(population.scores[half, moved], population.length, rng)
+            for half, fit in pairs
         ]
         proposed, log_ratio = (np.concatenate(parts) for parts in zip(*proposals, strict=True))
+        if jumps:
+            proposed = np.column_stack([proposed, population.scores[:, -1]])
         values = of_scores(proposed)
         log_ratio += temperature * (values - population.values)
         log_ratio += 0.5 * ((population.scores**2).sum(axis=1) - (proposed**2).sum(axis=1))
@@ -236,6 +253,51 @@ def _move(
         if step + 1 >= fewest and remembered < forgotten:
             break
     return remembered
+
+
+def _jump(
+    population: _Particles,
+    of_scores: LogLikelihoods,
+    temperature: float,
+    rng: np.random.Generator,
+    halves: Iterable[tuple[slice, _Jump]],
+) -> None:
+    """Propose another category for every particle, the other coordinates unchanged."""
+    proposed, log_ratio = population.scores.copy(), np.empty(len(population.values))
+    for half, jump in halves:
+        proposed[half, -1], log_ratio[half] = jump.proposals(population.scores[half, -1], rng)
+    values = of_scores(proposed)
+    log_ratio += temperature * (values - population.values)
+    accepted = np.log(rng.random(len(values))) < log_ratio
+    population.scores[accepted], population.values[accepted] = proposed[accepted], values[accepted]
+
+
+@dataclass(frozen=True)
+class _Jump:
+    """Probabilities (k,) of proposed categories, and the ends (k + 1,) of their intervals."""
+
+    probabilities: Floats
+    edges: Floats
+
+    @classmethod
+    def to(cls, scores: Floats, edges: Floats) -> _Jump:
+        """Proposals that are as frequent as among particles, or, one in four, in the prior."""
+        counts = np.bincount(_categories(scores, edges), minlength=len(edges) - 1)
+        return cls(0.75 * counts / counts.sum() + 0.25 * np.diff(edges), edges)
+
+    def proposals(self, scores: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        """Proposed scores (n,) of the category's coordinate, and log q(x)/q(x')."""
+        new = rng.choice(len(self.probabilities), len(scores), p=self.probabilities)
+        width = np.diff(self.edges)
+        inside = rng.uniform(1e-6, 1 - 1e-6, len(scores))  # not on an edge
+        log_density = np.log(self.probabilities) - np.log(width)
+        old = _categories(scores, self.edges)
+        return ndtri(self.edges[new] + inside * width[new]), log_density[old] - log_density[new]
+
+
+def _categories(scores: Floats, edges: Floats) -> Integers:
+    """Category (n,) of scores of the last coordinate."""
+    return np.asarray(np.searchsorted(edges[1:-1], ndtr(scores), side="right"))
 
 
 @dataclass(frozen=True)

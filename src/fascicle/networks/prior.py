@@ -120,17 +120,23 @@ class AveragedOver:
     space : ParameterSpace
         Quantities with their priors.
     tissues : tuple of mappings
-        Quantities of the tissues, which are equally probable.
+        Quantities of the tissues; or, of an atlas, the hearts.
+    weights : tuple of float
+        Prior probabilities of the tissues; empty if they are equally probable.
     """
 
     space: ParameterSpace = field(default_factory=partial(ParameterSpace, ()))
     tissues: tuple[Mapping[str, float], ...] = ({},)
+    weights: tuple[float, ...] = field(default=(), repr=False)  # simulations do not depend on it
 
     @classmethod
     def of(cls, space: ParameterSpace, fixed: Mapping[str, float], heart: Heart) -> AveragedOver:
         """Quantities to average over: neither learnt, nor fixed, nor given by the heart."""
         settled = {*space.names, *fixed, *heart.values}
         unsettled = tuple(p for p in NOT_KNOWN if p.name not in settled)
+        if heart.atlas is not None:
+            hearts = tuple({"atlas_heart": float(k)} for k in range(len(heart.atlas)))
+            return cls(ParameterSpace(unsettled), hearts, tuple(map(float, heart.atlas.weights)))
         varied = {name for tissue in TISSUES for name in tissue}
         return cls(ParameterSpace(unsettled), ({},) if settled & varied else TISSUES)
 
@@ -142,8 +148,15 @@ class AveragedOver:
         """Index (n,) of the tissue at points (n, d) of the unit cube."""
         if len(self.tissues) == 1:
             return np.zeros(len(points), np.intp)
+        if self.weights:
+            return np.asarray(np.searchsorted(self.edges[1:-1], points[:, -1], side="right"))
         number = (points[:, -1] * len(self.tissues)).astype(np.intp)
         return np.minimum(number, len(self.tissues) - 1)
+
+    @property
+    def edges(self) -> Floats:
+        """Ends (n + 1,) of the intervals of the last coordinate that stand for weighted tissues."""
+        return np.concatenate([[0.0], np.cumsum(self.weights) / np.sum(self.weights)])
 
     def columns(self, points: Floats) -> dict[str, Floats]:
         """Quantities (n,) at points (n, d) of the unit cube, without those of the tissues."""

@@ -228,6 +228,12 @@ class PriorSimulations:
         missing = [number for number in range(end) if not self._file(number).is_file()]
         if not missing:
             return
+        if self.model.heart.atlas is not None:
+            raise InputError(
+                f"{self.model.heart.name}: it comes with simulations of intrinsic beats in all "
+                "leads with the usual priors, and no others can be made; free or fix less, give a "
+                "recording of all leads, or a heart of your own"
+            )
         kind, total = (
             ("prior", end * self.part_size)
             if self.drawn is None

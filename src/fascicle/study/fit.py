@@ -261,9 +261,9 @@ def refine(
     """Likelihoods of the recordings by emulators that are refined near the posterior.
 
     Refined emulators are kept in the study's folder. Emulators are not refined if the user gives
-    the likelihood.
+    the likelihood, or the heart is an atlas: simulations would be too few for each of its hearts.
     """
-    if problem.inputs.likelihoods is not None:
+    if problem.inputs.likelihoods is not None or problem.inputs.heart.atlas is not None:
         return problem.likelihoods(emulators)
     config, cache = problem.config, ArrayCache(folder / DISPOSABLE, "refined")
     configuration = config.model_dump_json(exclude={*StudyConfig.may_change})

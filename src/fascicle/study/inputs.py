@@ -222,6 +222,7 @@ def read_inputs(
         mapped=prior.mapped,
         averaged=prior.averaged.space.parameters,
         tissues=prior.averaged.tissues,
+        tissue_weights=prior.averaged.weights,
         likelihood=constants,
         **growth_and_conduction(heart, rules),
         **settings.model_dump(),

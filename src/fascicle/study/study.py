@@ -72,7 +72,8 @@ class StudyConfig(FitSettings):
     conduction: dict[str, float | None]  # of the tissues, likewise; None: derived from others
     likelihood: dict[str, float | str] = Field(default_factory=dict)  # constants, of a posterior
     averaged: tuple[Parameter, ...] = ()  # quantities averaged over
-    tissues: tuple[dict[str, float], ...] = ({},)  # tissues averaged over, equally probable
+    tissues: tuple[dict[str, float], ...] = ({},)  # tissues, or hearts, averaged over
+    tissue_weights: tuple[float, ...] = ()  # their prior probabilities; empty: all the same
     states: dict[str, float] = Field(default_factory=dict)  # priors of conduction states, if learnt
     mapped: bool = False  # whether intrinsic beats are activated like mapped human hearts
     share: float = 1.0  # of this conduction state in the draws of the whole study
@@ -83,7 +84,7 @@ class StudyConfig(FitSettings):
     @property
     def prior(self) -> Prior:
         """Prior of the study, a mixture of its conduction states."""
-        averaged = AveragedOver(ParameterSpace(self.averaged), self.tissues)
+        averaged = AveragedOver(ParameterSpace(self.averaged), self.tissues, self.tissue_weights)
         return Prior(ParameterSpace(self.space), self.fixed, averaged, self.states, self.mapped)
 
 

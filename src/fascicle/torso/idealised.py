@@ -69,8 +69,8 @@ def idealised_torso(
     """Put an idealised adult torso around a heart (mm), which does not move.
 
     The trunk is that of a standard adult if none is given; the pose is that of
-    `fascicle.torso.heart_pose.torso_frame`, or a frame of your own. An error if the heart does not fit into that torso,
-    leaves no room for the lungs, or is not closed.
+    `fascicle.torso.heart_pose.torso_frame`, or a frame of your own. An error if the heart does not
+    fit into that torso, leaves no room for the lungs, or is not closed.
     """
     size = size if size is not None else TrunkSize()
     frame = pose if isinstance(pose, TorsoFrame) else torso_frame(mesh, size, pose)

@@ -41,6 +41,7 @@ def build_myocardium(
     gradients: Floats | None = None,
     table: TravelTimeTable | None = None,
     like: Myocardium | None = None,
+    rays: int = 150,
 ) -> Myocardium:
     """Precompute metric, squared travel times, adjacency and ray travel times of a heart.
 
@@ -48,7 +49,8 @@ def build_myocardium(
     memory; `Myocardium.order` leads back. `progress` counts the triangles from which rays are
     traced, if that takes a while. `gradients` (m, 4, 3) are those of the barycentric coordinates in
     the heart's tetrahedra (1/mm), `table` the ray travel times, if at hand; `like` is
-    the myocardium of the same heart with another conduction.
+    the myocardium of the same heart with another conduction. `rays` is the number of rays a vertex
+    of the mesh in the table, at most: fewer are faster, and activation is later.
     """
     if gradients is None:
         gradients = barycentric_gradients(heart.vertices, heart.tetrahedra)
@@ -95,7 +97,8 @@ def build_myocardium(
     if table is None:
         endocardia = _triangles_at(heart, vertices, surface, tree)
         endocardia = endocardia[conducts[owner[endocardia]]]
-        table = build_travel_time_table(mesh, surface, owner, endocardia, progress)
+        most = rays * len(vertices)
+        table = build_travel_time_table(mesh, surface, owner, endocardia, progress, most)
     return Myocardium(mesh, table, order, conducts, surface, owner, tree, candidates)
 
 
@@ -276,6 +279,7 @@ def build_travel_time_table(
     owner: Integers,
     triangles: Integers,
     progress: StageProgress = no_progress,
+    most: int = 8_000_000,
     longest: float = 50.0,
 ) -> TravelTimeTable:
     """Trace rays from boundary triangles to the vertices around them.
@@ -290,6 +294,8 @@ def build_travel_time_table(
         Boundary triangles to trace rays from.
     progress : callable
         Called with the triangles done and their number, once it is clear that it takes a while.
+    most : int
+        Largest number of rays, about; 8 million at most.
     longest : float
         Longer travel times along rays (ms) are left to the elements.
     """
@@ -297,7 +303,7 @@ def build_travel_time_table(
     opposite = missing.argmax(axis=1)
     vertices = KDTree(mesh.vertices)
     centres = mesh.vertices[surface[triangles]].mean(axis=1)
-    reach = _how_far(centres, vertices)
+    reach = _how_far(centres, vertices, most)
     none = np.zeros(1, np.int64), np.empty(0, np.int32), np.empty((0, len(POINTS)), np.float32)
     parts_of_rows = [none]
     begin, done = time.monotonic(), 0
@@ -319,11 +325,11 @@ def build_travel_time_table(
     return TravelTimeTable(row, opposite, start, vertex, square, reach, longest)
 
 
-def _how_far(centres: Floats, vertices: KDTree) -> float:
+def _how_far(centres: Floats, vertices: KDTree, most: int) -> float:
     """Reach of the table (mm), from the triangles' centres."""
     some = centres[:: max(1, len(centres) // 500)]  # sample that estimates the number of rays
     # limits the time to trace rays, and their memory (28 bytes each); 20 mm at most
-    most, reach = min(8_000_000, 150 * vertices.n), 20.0
+    most, reach = min(8_000_000, most), 20.0
     for _ in range(3 if len(some) else 0):  # as their number is not exactly cubic in the reach
         around = vertices.query_ball_point(some, reach, return_length=True)
         rays = len(centres) * float(np.mean(around))

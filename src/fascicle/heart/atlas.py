@@ -1,0 +1,93 @@
+"""Hearts of the atlas, for recordings of people of whom there is no image.
+
+The hearts have the mesh of one template, so that a vertex is the same place in each. Each lies in a
+torso of its own, and has its own size, shape, position and electrodes (`fascicle.atlas`).
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from dataclasses import fields as dataclass_fields
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.core.errors import InputError
+from fascicle.heart.fibres import rule_based_fibres
+from fascicle.heart.heart import Atlas, Components, Heart, LeadFields
+from fascicle.heart.labelled_surface import labelled_mesh
+
+
+def atlas_heart(heart: Heart, number: int) -> Heart:
+    """One heart of an atlas, with fibres by rule, its electrodes and its lead fields."""
+    atlas = heart.atlas
+    assert atlas is not None
+    vertices = atlas.vertices(number)
+    fibres = rule_based_fibres(replace(labelled_mesh(heart), vertices=vertices))
+    lv, rv = (
+        replace(e, vertices=vertices[numbers])
+        for e, numbers in zip(heart.endocardia, endocardial_vertices(heart), strict=True)
+    )
+    return replace(
+        heart, vertices=vertices, fibres=fibres.fibre, sheets=fibres.sheet, lv=lv, rv=rv,
+        electrodes=atlas.electrodes[number], name=f"{heart.name} {number}", torso=None, atlas=None,
+        lead_fields=LeadFields(atlas.lead_fields(number), "", ""), folder=None,
+    )  # fmt: skip
+
+
+def endocardial_vertices(heart: Heart) -> list[NDArray[np.integer[Any]]]:
+    """Vertices of the mesh that are those of the left and the right endocardium."""
+    from scipy.spatial import cKDTree
+
+    tree, numbers = cKDTree(heart.vertices), []
+    for e in heart.endocardia:
+        distance, nearest = tree.query(e.vertices)
+        if distance.max() > 1e-3:  # mm; room for single precision
+            raise InputError(f"{heart.name}: the endocardia are not parts of the mesh")
+        numbers.append(nearest)
+    return numbers
+
+
+def write_atlas(atlas: Atlas, path: Path) -> None:
+    """Write an atlas."""
+    parts = {"shapes": atlas.shapes, "fields": atlas.fields}
+    arrays = {f"{name} {key}": a for name, part in parts.items() for key, a in vars(part).items()}
+    arrays |= {f"measure {name}": values for name, values in atlas.measures.items()}
+    arrays |= {f"person {name}": np.array(value) for name, value in atlas.person.items()}
+    tissues = np.array(json.dumps([dict(tissue) for tissue in atlas.tissues]))
+    arrays |= {"electrodes": atlas.electrodes, "tissues": tissues, "weights": atlas.weights}
+    np.savez_compressed(path, allow_pickle=False, **arrays)
+
+
+def read_atlas(path: Path) -> Atlas:
+    """Read an atlas from the file in a heart's folder; an error if it is none."""
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as content:
+            arrays = {name: content[name] for name in content.files}
+        shapes, fields = (
+            Components(*(arrays[f"{name} {part.name}"] for part in dataclass_fields(Components)))
+            for name in ("shapes", "fields")
+        )
+        measures, person = (
+            {
+                name.removeprefix(prefix): values
+                for name, values in arrays.items()
+                if name.startswith(prefix)
+            }
+            for prefix in ("measure ", "person ")
+        )
+        return Atlas(
+            shapes,
+            arrays["electrodes"],
+            fields,
+            tuple(json.loads(str(arrays["tissues"]))),
+            measures,
+            arrays["weights"],
+            {name: float(value) for name, value in person.items()},
+        )
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        raise InputError(f"{path}: not an atlas of hearts; install fascicle again") from None
