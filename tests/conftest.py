@@ -109,15 +109,15 @@ def hearts_prepared_once(own_cache: None) -> Iterator[None]:
     read_packaged = cache(read)
     tables = ArrayCache(user_cache(), "table")
 
-    def load_heart(path: Path | str) -> Heart:
+    def load_heart(path: Path | str, **person: Any) -> Heart:
         known = isinstance(path, Path) and path.is_relative_to(packaged)
-        return read_packaged(path) if known else read(path)
+        return read_packaged(path) if known else read(path, **person)
 
     def traced(mesh: Any, surface: Any, owner: Any, triangles: Any, *options: Any) -> Any:
-        if len(mesh.corners) < 20_000 or len(options) > 1:
+        if len(mesh.corners) < 20_000 or len(options) > 2:
             return trace(mesh, surface, owner, triangles, *options)
         rays = mesh.vertices, mesh.corners, mesh.cells, mesh.neighbours, np.array(mesh.slowness)
-        key = digest_of(*rays, surface, owner, triangles)
+        key = digest_of(*rays, surface, owner, triangles, np.array(options[1:], dtype=np.int64))
         if (arrays := tables.read(key)) is None:
             table = trace(mesh, surface, owner, triangles, *options)
             tables.write(key, table._asdict())

@@ -31,6 +31,7 @@ from fascicle.atlas.torsos import heart_in_torso, lead_fields_in_torsos
 from fascicle.build.build_heart import TorsoOptions, heart_of, in_torso
 from fascicle.build.labelled_files import Anatomy, labelled_surface
 from fascicle.build.meshing import filled
+from fascicle.build.surface_checks import wall_thickness
 from fascicle.build.surface_repair import prepared_surface
 from fascicle.core.conduction_states import told_apart
 from fascicle.core.errors import InputError
@@ -57,6 +58,7 @@ from fascicle.heart.conduction import Conduction
 from fascicle.heart.coordinates import with_coordinates
 from fascicle.heart.folder import load_heart, write_heart
 from fascicle.heart.heart import Atlas, Components, LeadFields
+from fascicle.heart.labelled_surface import LabelledMesh, labelled_mesh
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.mesh.read import read_mesh
 from fascicle.networks.prior import TISSUES, AveragedOver
@@ -172,6 +174,7 @@ def simulate(number: int, out: Path, described: AtlasHeart) -> str:
 class Simulated:
     """Simulated hearts of the atlas, as `simulate` has written them."""
 
+    mesh: LabelledMesh  # of the template
     hearts: list[AtlasHeart]
     arrays: list[dict[str, NDArray[Any]]]
 
@@ -186,7 +189,7 @@ class Simulated:
             fields |= {"build": Build(**fields["build"]), "size": HeartSize(**fields["size"])}
             fields |= {name: np.array(fields[name]) for name in ("axis", "shift", "trunk")}
             hearts.append(AtlasHeart(**fields))
-        return cls(hearts, arrays)
+        return cls(labelled_mesh(load_heart(folder / "template")), hearts, arrays)
 
     def of(self, name: str) -> list[NDArray[Any]]:
         """Arrays of this name, one for each heart."""
@@ -197,10 +200,12 @@ class Simulated:
         """Atlas of these hearts, which are equally probable."""
         count, names = len(self.hearts), ("azimuth", "elevation", "roll")
         measures: dict[str, list[float]] = {}
-        for heart in self.hearts:
+        for heart, vertices in zip(self.hearts, self.of("vertices"), strict=True):
             build = asdict(heart.build)
             build["sex"] = float(heart.build.sex == "m")
+            wall = wall_thickness(replace(self.mesh, vertices=vertices.astype(float))).lv
             values = {**build, **asdict(heart.size), **dict(zip(names, heart.axis, strict=True))}
+            values["lv_wall"] = float(np.median(wall))
             for name, value in values.items():
                 measures.setdefault(name, []).append(float(value))
         fields = np.array([fields[0] for fields in self.of("fields")], dtype=float)

@@ -145,3 +145,31 @@ def test_runs_of_one_density_agree_and_others_do_not(runs):
     less = replace(runs[0], log_evidence=runs[0].log_evidence - 2)
     assert not agreement(runs[0], less).within()
     assert agreement(runs[0], less).within(0.01)
+
+
+def test_categories_have_their_posterior_and_the_evidence_is_exact():
+    """Ten categories with unequal priors, each with a mode of its own in two other coordinates."""
+    rng = np.random.default_rng(5)
+    prior = rng.dirichlet(np.ones(10))
+    edges = np.concatenate([[0.0], np.cumsum(prior)])
+    edges[-1] = 1.0
+    centres, heights, sd = rng.standard_normal((10, 2)), rng.normal(0, 2, 10), 0.3
+
+    def likelihood(points):
+        category = np.searchsorted(edges[1:-1], points[:, -1], side="right")
+        apart = ndtri(points[:, :2]) - centres[category]
+        return heights[category] - 0.5 * (apart**2).sum(axis=1) / sd**2
+
+    runs = [
+        temper(likelihood, 3, np.random.default_rng(seed), 2000, edges=edges) for seed in range(2)
+    ]
+    variance = 1 + sd**2
+    log_each = heights + np.log(sd**2 / variance) - 0.5 * (centres**2).sum(axis=1) / variance
+    joint = prior * np.exp(log_each)
+    counts = np.zeros(10)
+    for run in runs:
+        assert run.log_evidence == pytest.approx(np.log(joint.sum()), abs=0.15)
+        category = np.searchsorted(edges[1:-1], run.points[:, -1], side="right")
+        counts += np.bincount(category, minlength=10)
+    assert counts / counts.sum() == pytest.approx(joint / joint.sum(), abs=0.03)
+    assert agreement(*runs).log_evidence < 0.3

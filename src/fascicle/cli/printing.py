@@ -105,6 +105,8 @@ def _print_posterior(posterior: Posterior, fitted: FittedStudy) -> None:
     if not posterior.converged:
         print_row("parameters", "not reported: the runs do not agree")
         return
+    for statement in fitted.statements.hearts:
+        print_row(statement.name, statement)
     for line in fitted.statements.sequence:
         print_row("activation", line)
     if len(fitted.recordings) > 1 and posterior.first_alone is None:

@@ -28,6 +28,15 @@ from fascicle.purkinje.tree import FEW_JUNCTIONS
 from fascicle.study.population import Population, Posterior
 
 INTERVAL = (5, 95)  # percentiles of a 90 % credible interval
+# Measures of the hearts of an atlas that are reported, and their units
+HEART_MEASURES = {
+    "lv_volume": ("left ventricular cavity", "ml"),
+    "lv_mass": ("left ventricular mass", "g"),
+    "lv_wall": ("left free wall", "mm"),
+    "rv_volume": ("right ventricular cavity", "ml"),
+    "elevation": ("long axis below the horizontal", "°"),
+    "azimuth": ("long axis to the left of straight ahead", "°"),
+}
 
 
 class Result(Protocol):
@@ -169,10 +178,37 @@ class Statements:
                 ends = ", ".join(map(parameter_name, _crowded(self._result)))
                 failures = checks.failures + ([f"at the end of its range: {ends}"] if ends else [])
                 fit = f"poor fit: {'; '.join(failures)}"
-            parts = [self.unmapped, self.diagnosis, _convergence(population), fit]
+            parts = [self.no_image, self.unmapped, self.diagnosis, _convergence(population), fit]
             parts.append(checks.emulator_off)
             return "; ".join(part for part in parts if part)
         return self.networks_called
+
+    @property
+    def no_image(self) -> str:
+        """Statement that no image of the heart was used; empty if one was."""
+        atlas = self._result.simulator.model.heart.atlas
+        return (
+            ""
+            if atlas is None
+            else f"no image: averaged over {len(atlas)} hearts of the population"
+        )
+
+    @cached_property
+    def hearts(self) -> tuple[ParameterStatement, ...]:
+        """Statements on size and pose of the heart, averaged over an atlas; else empty."""
+        population, atlas = self._result.population, self._result.simulator.model.heart.atlas
+        if atlas is None or not (isinstance(population, Posterior) and population.converged):
+            return ()
+        numbers = population.averaged["atlas_heart"].astype(int)
+        statements = []
+        for name, (title, unit) in HEART_MEASURES.items():
+            values = atlas.measures[name]
+            mean = np.average(values, weights=atlas.weights)
+            prior_variance = np.average((values - mean) ** 2, weights=atlas.weights)
+            contraction = 1 - min(float(values[numbers].var() / prior_variance), 1.0)
+            interval = _median_and_interval(values[numbers])
+            statements.append(ParameterStatement(title, unit, *interval, contraction))
+        return tuple(statements)
 
     @property
     def diagnosis(self) -> str:
@@ -312,6 +348,11 @@ class Statements:
                 asdict(statement) | {"constrained": statement.constrained}
                 for statement in self.parameters
             ],
+            **(
+                {"heart": [asdict(s) | {"constrained": s.constrained} for s in self.hearts]}
+                if self.hearts
+                else {}
+            ),
             "strongly_correlated": [asdict(pair) for pair in self.correlated],
         }
 
