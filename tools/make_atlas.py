@@ -2,6 +2,7 @@
 
     python tools/make_atlas.py template --surface heart.vtp --out FOLDER
     python tools/make_atlas.py simulate --out FOLDER [--hearts 64] [--processes 2]
+    python tools/make_atlas.py ectopic --out FOLDER [--hearts 64] [--processes 2]
     python tools/make_atlas.py learn --out FOLDER
 
 The surface is the mean of more than 1000 healthy hearts, `examples/geo1/heart.vtp` of Cobiveco
@@ -47,18 +48,28 @@ from fascicle.emulation.ecg_classifier import learn as learn_classifier
 from fascicle.emulation.ecg_emulator import learn as learn_emulator
 from fascicle.emulation.ecg_emulator import tissue_inputs
 from fascicle.emulation.heart_emulator import usual_prior
+from fascicle.emulation.origin import classifier_key as origin_key
+from fascicle.emulation.origin import ectopic_beats
+from fascicle.emulation.origin import learnt as learn_origins
 from fascicle.emulation.state_classifier import classifier_key, simulations_of_states
 from fascicle.forward.beat import Beat
-from fascicle.forward.electrocardiogram import build_electrocardiograph, nodal_gradients
+from fascicle.forward.electrocardiogram import (
+    Electrocardiograph,
+    build_electrocardiograph,
+    nodal_gradients,
+)
 from fascicle.forward.loss import placed
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.preparation import build
+from fascicle.forward.primitives import His, Stimulus
+from fascicle.forward.scenario import Scenario
 from fascicle.forward.template import default_template
+from fascicle.heart.atlas import atlas_heart
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.coordinates import with_coordinates
 from fascicle.heart.folder import load_heart, write_heart
-from fascicle.heart.heart import Atlas, Components, LeadFields
-from fascicle.heart.labelled_surface import LabelledMesh, labelled_mesh
+from fascicle.heart.heart import Atlas, Components, Heart, LeadFields
+from fascicle.heart.labelled_surface import labelled_mesh
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.mesh.read import read_mesh
 from fascicle.networks.prior import TISSUES, AveragedOver
@@ -69,7 +80,7 @@ from fascicle.torso.lead_fields import key_of, torso_key
 EDGE_LENGTH = 4.0  # mm
 TORSOS = 8  # variations of each torso
 NORMAL, MOST, OTHERS = 250, 900, 100  # networks wanted, tried at most, and of each other state
-RAYS = 60  # a vertex, in the table of ray travel times: ECGs change by 0.7 %
+ECTOPIC = 160  # beats from anywhere in a heart
 LENGTH = 300  # samples (ms) of an ECG
 SEED = 20261129
 FIELD_COMPONENTS = 80  # of the lead fields
@@ -89,6 +100,33 @@ def template(surface: Path, out: Path) -> None:
     write_heart(heart, out / "template")
 
 
+def forward_model(
+    heart: Heart, tissue: int, fields: NDArray[Any]
+) -> tuple[ForwardModel, list[Electrocardiograph]]:
+    """Forward model of a heart with a tissue, and ECG integrals in the variations of its torso."""
+    conduction = Conduction.of(heart).with_values(TISSUES[tissue])
+    standard = LeadFields(
+        fields[0].astype(float), key_of(heart, conduction), torso_key(heart.torso)
+    )
+    heart, potential = replace(heart, lead_fields=standard), default_template()
+    prepared = build(heart, conduction, potential, rays=ForwardModel.atlas_rays)
+    gradients = barycentric_gradients(heart.vertices, heart.tetrahedra)
+    mesh = heart.tetrahedra, gradients, heart.volumes, conduction.intracellular(heart.fibres)
+    torsos = [
+        build_electrocardiograph(
+            *mesh, nodal_gradients(field.astype(float), heart.tetrahedra, gradients), potential, []
+        )
+        for field in fields[1:]
+    ]
+    return ForwardModel(heart, conduction, prepared=prepared), torsos
+
+
+def kept_leads(leads: NDArray[Any], beat: Beat) -> NDArray[np.float16]:
+    """Independent leads (8, LENGTH) from `BEFORE` the first activation."""
+    begin = beat.first_activation - BEFORE
+    return placed(leads[[*INDEPENDENT_ROWS]], begin, LENGTH).astype(np.float16)
+
+
 def simulate(number: int, out: Path, described: AtlasHeart) -> str:
     """Make a heart of the atlas and simulate networks in it."""
     path = out / f"{number:03d}.npz"
@@ -102,23 +140,9 @@ def simulate(number: int, out: Path, described: AtlasHeart) -> str:
     except InputError as error:
         path.with_suffix(".txt").write_text(f"{error}\n", encoding="utf-8")
         return f"{number}: {error}"
-    conduction = Conduction.of(heart).with_values(TISSUES[described.tissue])
-    conduction = replace(conduction, alpha=Conduction.of(heart).alpha)
-    fields = lead_fields_in_torsos(heart, conduction, rng, TORSOS)
+    fields = lead_fields_in_torsos(heart, Conduction.of(heart), rng, TORSOS)
     meshed = time.perf_counter() - began
-    standard = LeadFields(fields[0], key_of(heart, conduction), torso_key(heart.torso))
-    heart = replace(heart, lead_fields=standard)
-    potential = default_template()
-    prepared = build(heart, conduction, potential, rays=RAYS)
-    model = ForwardModel(heart, conduction, prepared=prepared)
-    gradients = barycentric_gradients(heart.vertices, heart.tetrahedra)
-    mesh = heart.tetrahedra, gradients, heart.volumes, conduction.intracellular(heart.fibres)
-    torsos = [
-        build_electrocardiograph(
-            *mesh, nodal_gradients(field, heart.tetrahedra, gradients), potential, []
-        )
-        for field in fields[1:]
-    ]
+    model, torsos = forward_model(heart, described.tissue, fields)
     arrays: dict[str, np.ndarray] = {
         "vertices": heart.vertices.astype(np.float32),
         "fields": fields.astype(np.float32),
@@ -145,8 +169,7 @@ def simulate(number: int, out: Path, described: AtlasHeart) -> str:
             which.append(int(rng.integers(TORSOS)))
             torso = model.with_sources(torsos[which[-1]], values)
             for leads, to in ((beat.leads, ecgs), (torso.leads(beat.activation), in_torsos)):
-                begin = beat.first_activation - BEFORE
-                to.append(placed(leads[[*INDEPENDENT_ROWS]], begin, LENGTH).astype(np.float16))
+                to.append(kept_leads(leads, beat))
             times.append(float(beat.total_activation_time))
         arrays |= {
             f"{index} points": np.array(points), f"{index} feasible": np.array(feasible),
@@ -170,26 +193,71 @@ def simulate(number: int, out: Path, described: AtlasHeart) -> str:
     return f"{number}: torso {meshed:.0f} s, whole {whole:.0f} s, {counts}"
 
 
+def ectopic(number: int, out: Path) -> str:
+    """Simulate beats from anywhere in a heart of the atlas that `simulate` has made."""
+    path, part = out / f"ectopic-{number:03d}.npz", out / f".ectopic-{number:03d}.npz"
+    simulated = Simulated.read(out, [number])
+    if path.exists() or not simulated.hearts:
+        return f"{number}: nothing to do"
+    began, rng = time.perf_counter(), np.random.default_rng([SEED, number, 1])
+    (described,), (arrays,) = simulated.hearts, simulated.arrays
+    model, torsos = forward_model(simulated.heart(0), described.tissue, arrays["fields"])
+    prior = ectopic_beats(model, out).prior
+    prior = replace(prior, averaged=replace(prior.averaged, tissues=(TISSUES[described.tissue],)))
+    volumes = model.heart.volumes
+    points, feasible, origins, ecgs, in_torsos, which = [], [], [], [], [], []
+    for k in range(ECTOPIC):
+        # three beats from one place, since finding the rays from it takes long; the tenth, which
+        # is held out, has one of its own
+        if k % HELD_OUT in (0, 3, 6, HELD_OUT - 1):
+            origin = int(rng.choice(len(volumes), p=volumes / volumes.sum()))
+        x, y, z = model.heart.vertices[model.heart.tetrahedra[origin]].mean(axis=0)
+        scenario = Scenario((His(time=np.inf), Stimulus(time=0.0, position=(x, y, z))))
+        point = prior.sample(rng, 1)[0]
+        beat = model.simulate(prior.from_unit(point), scenario)
+        points.append(point)
+        origins.append(origin)
+        feasible.append(isinstance(beat, Beat))
+        if not isinstance(beat, Beat):
+            continue
+        which.append(int(rng.integers(TORSOS)))
+        leads = torsos[which[-1]].leads(beat.activation)
+        ecgs.append(kept_leads(beat.leads, beat))
+        in_torsos.append(kept_leads(leads, beat))
+    np.savez_compressed(
+        part, points=np.array(points), feasible=np.array(feasible), origins=np.array(origins),
+        ecgs=np.array(ecgs), in_torsos=np.array(in_torsos), torsos=np.array(which),
+    )  # fmt: skip
+    part.rename(path)
+    return f"{number}: {sum(feasible)} beats, {time.perf_counter() - began:.0f} s"
+
+
 @dataclass(frozen=True)
 class Simulated:
     """Simulated hearts of the atlas, as `simulate` has written them."""
 
-    mesh: LabelledMesh  # of the template
+    template: Heart
     hearts: list[AtlasHeart]
     arrays: list[dict[str, NDArray[Any]]]
 
     @classmethod
-    def read(cls, folder: Path) -> Simulated:
-        """Read all hearts that are finished."""
+    def read(cls, folder: Path, numbers: Sequence[int] | None = None) -> Simulated:
+        """Read all hearts that are finished, or those of these numbers."""
         hearts, arrays = [], []
         for path in sorted(folder.glob("[0-9]*.npz")):
+            if numbers is not None and int(path.stem) not in numbers:
+                continue
             with np.load(path, allow_pickle=False) as content:
                 arrays.append({name: content[name] for name in content.files})
             fields = json.loads(str(arrays[-1].pop("described")))
             fields |= {"build": Build(**fields["build"]), "size": HeartSize(**fields["size"])}
             fields |= {name: np.array(fields[name]) for name in ("axis", "shift", "trunk")}
             hearts.append(AtlasHeart(**fields))
-        return cls(labelled_mesh(load_heart(folder / "template")), hearts, arrays)
+        return cls(load_heart(folder / "template"), hearts, arrays)
+
+    def heart(self, number: int) -> Heart:
+        """One of the hearts, without a torso."""
+        return replace(atlas_heart(replace(self.template, atlas=self.atlas), number), atlas=None)
 
     def of(self, name: str) -> list[NDArray[Any]]:
         """Arrays of this name, one for each heart."""
@@ -200,10 +268,11 @@ class Simulated:
         """Atlas of these hearts, which are equally probable."""
         count, names = len(self.hearts), ("azimuth", "elevation", "roll")
         measures: dict[str, list[float]] = {}
+        mesh = labelled_mesh(self.template)
         for heart, vertices in zip(self.hearts, self.of("vertices"), strict=True):
             build = asdict(heart.build)
             build["sex"] = float(heart.build.sex == "m")
-            wall = wall_thickness(replace(self.mesh, vertices=vertices.astype(float))).lv
+            wall = wall_thickness(replace(mesh, vertices=vertices.astype(float))).lv
             values = {**build, **asdict(heart.size), **dict(zip(names, heart.axis, strict=True))}
             values["lv_wall"] = float(np.median(wall))
             for name, value in values.items():
@@ -279,10 +348,41 @@ def learn(out: Path) -> None:
         arrays = replace(emulator, report=report).arrays()
         put("emulator", simulations.content, {k: np.asarray(v) for k, v in arrays.items()})
         print(f"{name}: {emulator.summary}; {time.perf_counter() - began:.0f} s", flush=True)
+    learn_ectopic(out, model, simulated)
     classifier = learn_states(simulated, len(states))
     print(f"classifier: {classifier.accuracy:.0%} of held-out recordings told right")
     arrays = {**classifier.arrays(), "networks": np.array(COUNT)}
     put("classifier", classifier_key(states, np.array(INDEPENDENT_ROWS)), arrays)
+
+
+def learn_ectopic(out: Path, model: ForwardModel, simulated: Simulated) -> None:
+    """Train the classifier of origins on beats from anywhere in all hearts, if they are there."""
+    count = len(simulated.hearts)
+    paths = sorted(out.glob("ectopic-*.npz"))
+    if len(paths) < count:
+        print(f"origins: beats of {len(paths)} of {count} hearts; not learnt")
+        return
+    parts: dict[str, list[NDArray[Any]]] = {}
+    for number, path in enumerate(paths):
+        with np.load(path, allow_pickle=False) as content:
+            arrays = {name: content[name] for name in content.files}
+        place = np.full((len(arrays["points"]), 1), (number + 0.5) / count)
+        arrays["points"] = np.hstack([arrays["points"], place])
+        arrays["torsos"] = arrays["torsos"] + TORSOS * number
+        for name, values in arrays.items():
+            parts.setdefault(name, []).append(values)
+    joined = {name: np.concatenate(values) for name, values in parts.items()}
+    feasible = joined["feasible"]
+    held_out = (np.arange(len(feasible)) % HELD_OUT == HELD_OUT - 1)[feasible]
+    examples = Examples(
+        joined["points"], feasible, feasible, joined["ecgs"].astype(np.float32),
+        joined["in_torsos"][held_out].astype(np.float32), joined["torsos"][held_out],
+    )  # fmt: skip
+    rng, rows = np.random.default_rng(SEED), np.array(INDEPENDENT_ROWS)
+    arrays = learn_origins(model.heart, examples, joined["origins"], rows, rng)
+    print(f"origins: {arrays['distance']:.1f} mm, {arrays['region']:.0%} in the 90 % region")
+    key = origin_key(ectopic_beats(model, out), rows)
+    put("origin", key, {**arrays, "networks": np.array(COUNT)})
 
 
 def learn_states(
@@ -326,7 +426,7 @@ def learn_states(
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("step", choices=("template", "simulate", "learn"))
+    parser.add_argument("step", choices=("template", "simulate", "ectopic", "learn"))
     parser.add_argument("--surface", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--hearts", type=int, default=64)
@@ -338,9 +438,13 @@ def main() -> None:
     if options.step == "learn":
         learn(options.out)
         return
-    hearts = zip(range(options.hearts), drawn_hearts(SEED, len(TISSUES)), strict=False)
+    numbers = range(options.hearts)
+    hearts = zip(numbers, drawn_hearts(SEED, len(TISSUES)), strict=False)
     with ProcessPoolExecutor(options.processes, get_context("spawn")) as pool:
-        runs = [pool.submit(simulate, number, options.out, heart) for number, heart in hearts]
+        if options.step == "simulate":
+            runs = [pool.submit(simulate, number, options.out, heart) for number, heart in hearts]
+        else:
+            runs = [pool.submit(ectopic, number, options.out) for number in numbers]
         for run in runs:
             print(run.result(), flush=True)
 

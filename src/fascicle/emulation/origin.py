@@ -49,7 +49,7 @@ from fascicle.inference.emulator import Singles
 from fascicle.mesh.mesh_file import TETRAHEDRON
 from fascicle.mesh.vtk import write_grid
 from fascicle.networks.prior import AveragedOver, Prior
-from fascicle.networks.prior_simulations import HELD_OUT, PriorSimulations
+from fascicle.networks.prior_simulations import HELD_OUT, Examples, PriorSimulations
 from fascicle.pools.pool import Pool
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import as_target
@@ -328,7 +328,12 @@ def classifier_of(
 
     def make() -> Mapping[str, Any]:
         beats.simulate(count, pool, progress)
-        return _learnt(beats, rows, count, progress)
+        numbers = range(-(-count // beats.part_size))
+        origins = np.concatenate([beats.origins(number) for number in numbers])
+        rng = np.random.default_rng(beats.seed)
+        return learnt(
+            beats.model.heart, beats.examples(count, LENGTH), origins, rows, rng, progress
+        )
 
     folder = beats.cache.folder.parent
     stored = learnt_or_made("origin", classifier_key(beats, rows), count, folder, make)
@@ -346,21 +351,21 @@ def classifier_key(beats: EctopicBeats, rows: Integers) -> str:
     return f"{rows} of {beats.content}"
 
 
-def _learnt(
-    beats: EctopicBeats,
+def learnt(
+    heart: Heart,
+    examples: Examples,
+    origins: Integers,
     rows: Integers,
-    count: int,
-    progress: Progress | None,
+    rng: np.random.Generator,
+    progress: Progress | None = None,
     recording_count: int = 240_000,
     steps: int = 4000,
 ) -> dict[str, Any]:
-    """Arrays of an `OriginClassifier`, trained on `recording_count` recordings."""
-    heart, rng = beats.model.heart, np.random.default_rng(beats.seed)
-    centres, volumes = _centres(heart), heart.volumes
-    examples, leads = beats.examples(count, LENGTH), in_leads(rows)
-    origins = np.concatenate(
-        [beats.origins(number) for number in range(-(-count // beats.part_size))]
-    )
+    """Arrays of an `OriginClassifier`, trained on `recording_count` recordings.
+
+    The examples are of beats that begin in the tetrahedra `origins` of the heart, one a point.
+    """
+    centres, volumes, leads = _centres(heart), heart.volumes, in_leads(rows)
     feasible, held_out = examples.feasible, examples.held_out
     training_origins, held_out_origins = origins[feasible & ~held_out], origins[feasible & held_out]
     # patches of about 600 mm³: clusters of points that are uniform in the tissue
