@@ -16,9 +16,11 @@ from scipy.spatial import Delaunay, cKDTree
 from fascicle.build.endocardia import endocardia
 from fascicle.build.meshing import mesh_surface
 from fascicle.build.surface_repair import prepared_surface
+from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import seeded_endocardia
-from fascicle.heart.heart import Heart, VentricularCoordinates
+from fascicle.heart.heart import Atlas, Components, Heart, LeadFields, VentricularCoordinates
 from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface
+from fascicle.torso.lead_fields import key_of
 from fascicle.torso.surfaces import Surface
 
 EPI, BASE = Label.EPICARDIUM, Label.BASE
@@ -343,3 +345,24 @@ def write_built_heart(folder: Path) -> Path:
     heart = build_heart(source, torso=around, name="ventricles").heart
     write_heart(replace(heart, example=NETWORK), folder / "heart")
     return folder / "heart"
+
+
+def atlas_on(heart: Heart) -> Heart:
+    """A heart as template of an atlas of two: larger and smaller, each elsewhere, in free space."""
+    scales, shifts = (1.06, 0.95), np.array([(30.0, 0.0, 10.0), (0.0, -20.0, 0.0)])
+    of_hearts = [heart.vertices * s + shift for s, shift in zip(scales, shifts, strict=True)]
+    electrodes = np.array(
+        [heart.electrodes * s + shift for s, shift in zip(scales, shifts, strict=True)]
+    )
+    fields = np.concatenate([_fields(*pair) for pair in zip(of_hearts, electrodes, strict=True)])
+    shapes = Components.of(np.array([vertices.ravel() for vertices in of_hearts]), 1)
+    tissues, sizes = ({}, {"anisotropy_ratio": 2.0}), {"size": np.array(scales)}
+    atlas = Atlas(shapes, electrodes, Components.of(fields, 18), tissues, sizes, np.full(2, 0.5))
+    key = key_of(heart, Conduction.of(heart))
+    template = LeadFields(_fields(heart.vertices, heart.electrodes), key, "")
+    return replace(heart, name="atlas", example=NETWORK, lead_fields=template, atlas=atlas)
+
+
+def _fields(vertices: np.ndarray, electrodes: np.ndarray) -> np.ndarray:
+    """Potentials (9, n) of point sources, of any size."""
+    return 10 / np.linalg.norm(vertices - electrodes[:, None], axis=2)

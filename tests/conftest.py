@@ -198,6 +198,16 @@ def small_model(small_heart: Heart) -> ForwardModel:
 
 
 @pytest.fixture(scope="session")
+def atlas_model(small_heart: Heart) -> ForwardModel:
+    """Forward model of an atlas of two hearts, whose template is the small heart."""
+    from anatomies import atlas_on
+
+    from fascicle.forward.model import ForwardModel
+
+    return ForwardModel(atlas_on(small_heart))
+
+
+@pytest.fixture(scope="session")
 def torso_model(default_heart: Heart) -> ForwardModel:
     """Of the packaged heart with one more electrode where LA is, and few torsos solved."""
     from fascicle.forward.model import ForwardModel

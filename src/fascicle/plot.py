@@ -17,6 +17,7 @@ from pathlib import Path
 from types import NoneType
 from typing import Any
 
+import numpy as np
 from matplotlib import pyplot
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -72,6 +73,13 @@ def beat(beat: Beat, heart: Heart | Path | str | None = None) -> list[Axes]:
         return _shown(simulated_ecg_figure, beat)
     heart = as_heart(heart)
     _check_vertices(heart, "the beat", beat.activation)
+    roots = {tree.side: tree.nodes[tree.root] for tree in beat.trees}
+    for e in heart.endocardia if heart.atlas is not None else ():
+        if e.side in roots and np.linalg.norm(e.vertices - roots[e.side], axis=1).min() > 0.1:  # mm
+            raise InputError(
+                f"{heart.name}: the beat is on another heart of the atlas; give that heart, "
+                "model.of_heart(parameters).heart"
+            )
     return _shown(simulated_activation_figure, heart, beat)
 
 
@@ -119,10 +127,14 @@ def activation(
 ) -> list[Axes]:
     """Activation by the networks with the least, median and largest total activation time.
 
-    The intrinsic beat's median network stands above, in the same colours.
+    The intrinsic beat's median network stands above, in the same colours. Of hearts of an atlas
+    give the study, which knows the heart of each network.
     """
     _check_predicted(predicted)
-    return _shown(scenario_activation_figure, _heart(heart, predicted), predicted, name)
+    template, heart_of = _heart(heart, predicted), None
+    if template.atlas is not None:
+        heart_of = _study(heart).heart_of
+    return _shown(scenario_activation_figure, template, predicted, name, heart_of)
 
 
 def activation_spread(heart: Heart | StudyLike, predicted: Mapping[str, Predicted]) -> list[Axes]:
@@ -184,6 +196,13 @@ def _heart(source: Heart | StudyLike, predicted: Mapping[str, Predicted]) -> Hea
     for name, prediction in predicted.items():
         _check_vertices(heart, f"'{name}'", prediction.beats[0].activation)
     return heart
+
+
+def _study(source: Heart | StudyLike) -> FittedStudy:
+    """The study of networks with hearts of an atlas."""
+    if isinstance(source, Heart):
+        raise InputError(f"{source.name}: each network has a heart of its own; give the study")
+    return as_study(source)
 
 
 def _check_vertices(heart: Heart, name: str, activation: Floats | Singles) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import pyvista as pv
+from anatomies import NETWORK
 from builders import block_of_random_tissue, case, conduction_for
 
 from benchmarks.fuzzing import seeds
@@ -226,6 +227,46 @@ def test_tables(written, simulation, default_heart, default_model):
         table = pd.read_csv(written / "csv" / "000" / f"{tree.side}_tree.csv")
         assert table["parent"].tolist() == tree.parents.tolist()
         np.testing.assert_allclose(table["time_ms"], times, atol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def of_atlas(atlas_model):
+    """A network on each heart of an atlas, by name, and the hearts."""
+    parameters = [NETWORK | {"atlas_heart": number} for number in (0.0, 1.0)]
+    beats = [atlas_model.simulate(each) for each in parameters]
+    networks = {
+        f"{k:03d}": Network(each, beat, beat.leads, 1.0, 1.0)
+        for k, (each, beat) in enumerate(zip(parameters, beats, strict=True))
+    }
+    models = [atlas_model.of_heart(each) for each in parameters]
+    return networks, dict(zip(networks, models, strict=True))
+
+
+def test_hearts_of_an_atlas_are_with_their_networks(of_atlas, atlas_model, tmp_path):
+    networks, models = of_atlas
+    for kind in ("opencarp", "vtu", "csv"):
+        (tmp_path / kind).mkdir()
+        write_networks(tmp_path / kind, atlas_model, networks, kind)
+        assert {path.name for path in (tmp_path / kind).iterdir()} == {*networks}
+    for name, model in models.items():
+        heart, folder = model.heart, tmp_path / "opencarp" / name
+        par = read_par(folder / "eikonal.par")
+        mesh = read_opencarp_mesh(folder / f"{par['meshname']}.pts")
+        np.testing.assert_allclose(mesh.points, heart.vertices, atol=1e-6)
+        np.testing.assert_allclose(mesh.cell_data[TETRAHEDRON]["fibre"], heart.fibres, atol=1e-5)
+        along, across = model.conduction.speeds
+        for side, speed in zip("lt", (along, across), strict=True):
+            written = float(par[f"gregion[0].dream.vel_{side}"])
+            assert written == pytest.approx(1000 * speed, rel=1e-5)
+        mesh = pv.read(tmp_path / "vtu" / name / "activation.vtu")
+        np.testing.assert_array_equal(mesh.points, heart.vertices)
+        np.testing.assert_array_equal(mesh["fibre"], heart.fibres)
+        nodes = pd.read_csv(tmp_path / "csv" / name / "activation.csv")
+        np.testing.assert_allclose(nodes[["x_mm", "y_mm", "z_mm"]], heart.vertices, atol=1e-6)
+        fibres = pd.read_csv(tmp_path / "csv" / name / "elements.csv").filter(like="fibre")
+        np.testing.assert_allclose(fibres, heart.fibres, atol=1e-6)
+    first, second = (model.conduction.speeds for model in models.values())
+    assert first != second  # each heart has its tissue
 
 
 def test_tissues_of_several_networks_share_tags():

@@ -138,15 +138,17 @@ def simulate(
                 loaded, conduction, action_potential=template, progress=progress
             )
 
-        simulation, inputs = simulate_inputs(make_model, params, lv_tree, rv_tree, overrides, case)
+        simulation, inputs, simulated = simulate_inputs(
+            make_model, params, lv_tree, rv_tree, overrides, case
+        )
     if scenario is not None:
         inputs["scenario"] = str(scenario)
     brought = loaded.action_potential is not None
     default = "heart.toml" if brought else "built-in (ten Tusscher-Panfilov)"
     inputs["action_potential"] = default if action_potential is None else str(action_potential)
-    summary = write_simulation(loaded, simulation, out, inputs)
+    summary = write_simulation(simulated, simulation, out, inputs)
     zero = "firing of the first root" if case is None else "time 0 of the scenario"
-    pictures = draw_simulation(loaded, simulation, out, kind, zero)
+    pictures = draw_simulation(simulated, simulation, out, kind, zero)
     print_simulation(simulation, summary)
     print(f"written to {out}: activation.vtu, *_tree.vtu, sites.csv, ecg.csv, summary.json")
     print(f"pictures: {', '.join(map(str, pictures))}")

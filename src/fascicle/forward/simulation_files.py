@@ -13,14 +13,14 @@ import numpy as np
 import xarray as xr
 from scipy.spatial import cKDTree
 
-from fascicle.core.arrays import Floats
+from fascicle.core.arrays import Floats, Singles
 from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_folder, write_text
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, Infeasible, read_parameters
 from fascicle.core.quantities import checked, overridden
 from fascicle.core.ranges import check_kind
 from fascicle.forward.beat import Beat
-from fascicle.forward.model import ForwardModel
+from fascicle.forward.model import ForwardModel, without_heart
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.folder import cell_arrays, heart_mesh, load_heart
 from fascicle.heart.heart import Heart
@@ -94,12 +94,13 @@ def simulate_inputs(
     rv_tree: Path | None = None,
     overrides: Mapping[str, float] | None = None,
     scenario: Scenario | None = None,
-) -> tuple[Beat, dict[str, object]]:
+) -> tuple[Beat, dict[str, object], Heart]:
     """Run the forward model on the user's parameter file or two trees.
 
     Without either, the example network is simulated, scaled to the heart. `overrides` replace
     quantities of the file. Parameters are checked before the model is made, since a large heart
-    takes a while. Returns the simulation and its inputs, for the summary.
+    takes a while. Returns the simulation, its inputs, for the summary, and the heart, which is one
+    of an atlas if the parameters name it.
 
     Raises
     ------
@@ -118,14 +119,14 @@ def simulate_inputs(
             outcome = model.simulate(parameters, scenario)
         if isinstance(outcome, Infeasible):
             raise InputError(f"{source}: {outcome.reason}; {outcome.remedy}")
-        return outcome, {"parameters": parameters}
+        return outcome, {"parameters": parameters}, model.of_heart(parameters).heart
     if params is not None:
         raise InputError("--params and --lv-tree/--rv-tree exclude each other; give one kind")
     if lv_tree is None or rv_tree is None:
         raise InputError("only one tree is given; give both --lv-tree and --rv-tree")
     physics = {name: EXAMPLE_PARAMETERS[name] for name in ("root_time", "cv")}
     physics = overridden(physics, overrides)
-    trees, model = [], make_model()
+    trees, model = [], make_model().of_heart(physics)
     for path, endocardium in zip((lv_tree, rv_tree), model.heart.endocardia, strict=True):
         root = endocardium.vertices[endocardium.root]
         tree = read_tree(path, endocardium.side, root, file_first=True)
@@ -135,8 +136,8 @@ def simulate_inputs(
     files: dict[str, object] = {"lv_tree": str(lv_tree), "rv_tree": str(rv_tree)}
     with _naming(scenario):
         _check_trees(scenario, model)
-        simulation = model.activate(trees, scenario=scenario, **physics)
-    return simulation, files | physics
+        simulation = model.activate(trees, scenario=scenario, **without_heart(physics))
+    return simulation, files | physics, model.heart
 
 
 @contextmanager
@@ -247,14 +248,27 @@ def write_beat(folder: Path, heart: Heart, simulation: Beat) -> None:
     retrograde, 0 not activated) and ``site``, their row in `sites.csv`.
     """
     coupled = simulation.coupled
-    points: dict[str, Any] = {"activation": simulation.activation, "origin": coupled.origin}
-    cells = cell_arrays(heart)
-    file = folder / "activation.vtu"
-    write_grid(file, heart.vertices, heart.tetrahedra, TETRAHEDRON, points, cells)
+    origin = {"origin": coupled.origin}
+    write_activation(folder / "activation.vtu", heart, simulation.activation, origin)
     for tree, times in zip(simulation.trees, coupled.trees, strict=True):
         write_tree(folder / f"{tree.side}_tree.vtu", tree, times)
     write_grid(folder / "junctions.vtu", *_junction_points(simulation))
     write_text(folder / "sites.csv", sites_table(simulation))
+
+
+def write_activation(
+    path: Path, heart: Heart, activation: Floats | Singles, others: Mapping[str, Any] | None = None
+) -> None:
+    """Write activation times (n,) (ms), and other point arrays, on a heart with its fibres."""
+    points = {"activation": activation, **(others or {})}
+    cells = cell_arrays(heart)
+    write_grid(path, heart.vertices, heart.tetrahedra, TETRAHEDRON, points, cells)
+
+
+def write_maps(path: Path, heart: Heart, maps: Mapping[str, Any]) -> None:
+    """Write maps (n,) over networks as point arrays; of an atlas on its template, as it notes."""
+    note = "" if heart.atlas is None else "maps over networks with other hearts, on the template"
+    write_grid(path, heart.vertices, heart.tetrahedra, TETRAHEDRON, maps, note=note)
 
 
 def beat_blocks(simulation: Beat, heart: Heart | None = None) -> Any:

@@ -167,11 +167,12 @@ def write_grid(
     kind: int,
     point_data: Mapping[str, NDArray[Any]] | None = None,
     cell_data: Mapping[str, NDArray[Any]] | None = None,
+    note: str = "",
 ) -> None:
     """Write cells of one kind, such as `TETRAHEDRON`, as VTU, whole or not at all.
 
     Points (n, 3) are in mm, cells (m, k) their indices; arrays have one row a point, or a cell.
-    Triangles may be a VTP file, by its suffix.
+    Triangles may be a VTP file, by its suffix. A note is a text in the field data.
     """
     import pyvista as pv
     from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
@@ -184,6 +185,8 @@ def write_grid(
     writer: Any = {".vtp": vtkXMLPolyDataWriter}.get(path.suffix, vtkXMLUnstructuredGridWriter)()
     data.point_data.update(point_data or {})
     data.cell_data.update(cell_data or {})
+    if note:
+        data.field_data["note"] = [note]
     # written in memory first: on a full disk VTK crashes, but Python raises an error
     writer.SetInputData(data)
     writer.SetDataModeToBinary()  # as base64, so the output is text

@@ -6,7 +6,8 @@ Definitions and sources stand in docs/predictions.md, which a test holds to the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -20,6 +21,7 @@ from fascicle.forward.electrocardiogram import SAMPLE_STEP
 from fascicle.heart.fibres import Wall
 from fascicle.heart.heart import Heart
 from fascicle.heart.sites import APEX, RIGHT, Places, places
+from fascicle.mesh.measures import signed_volumes
 from fascicle.prediction.index_names import INDICES
 from fascicle.recording.window import qrs_window
 
@@ -42,6 +44,13 @@ class Territories:
         vertices = (np.unique(heart.tetrahedra[chosen]) for chosen in (~right, right))
         free = places.wall == Wall.LV
         return cls(heart.tetrahedra, heart.volumes, places.segment, free, *vertices)
+
+    def of_network(self, heart: Heart, parameters: Mapping[str, float]) -> Territories:
+        """Territories in the heart of a network, which on an atlas has its own volumes."""
+        if heart.atlas is None or "atlas_heart" not in parameters:
+            return self
+        vertices = heart.atlas.vertices(int(parameters["atlas_heart"]))
+        return replace(self, volumes=signed_volumes(vertices, self.tetrahedra))
 
     def times(self, activation: Floats) -> Floats:
         """Mean activation time of each element (ms); inf where a corner is never activated."""

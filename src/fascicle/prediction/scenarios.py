@@ -166,6 +166,7 @@ def _simulate(
         beat = model.activate(beat.trees, scenario=new, **network.parameters)
     gain = network.gain if network.drawn_gain is None else network.drawn_gain
     beat = replace(beat, leads=gain * beat.leads)
+    territories = territories.of_network(model.heart, network.parameters)
     return beat.in_single_precision(), indices(beat, territories, scenario.first_stimulus)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import matplotlib
@@ -27,6 +27,7 @@ from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import triangle_normals
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.reporting import style
+from fascicle.reporting.names import on_template
 from fascicle.reporting.style import Colour
 from fascicle.reporting.surfaces import (
     DrawnSurface,
@@ -47,18 +48,20 @@ class ActivationRow:
     label: str
     activation: Floats  # (n,) ms, of each vertex of the heart; inf or NaN if it is not activated
     trees: tuple[tuple[PurkinjeTree, Floats], ...] = ()  # with times (n_nodes,) of their nodes (ms)
+    heart: Heart | None = None  # None: that of the figure
 
     @classmethod
-    def of(cls, label: str, beat: Beat) -> ActivationRow:
+    def of(cls, label: str, beat: Beat, heart: Heart | None = None) -> ActivationRow:
         """Tissue and Purkinje networks of a beat."""
         times = [node_times.astype(float) for node_times in beat.coupled.trees]
-        return cls(label, beat.activation.astype(float), tuple(zip(beat.trees, times, strict=True)))
+        trees = tuple(zip(beat.trees, times, strict=True))
+        return cls(label, beat.activation.astype(float), trees, heart)
 
     def since_first(self) -> ActivationRow:
         """Row with times from the first activation of the heart on."""
         first = self.activation.min()
         trees = tuple((tree, times - first) for tree, times in self.trees)
-        return ActivationRow(self.label, since_first(self.activation), trees)
+        return replace(self, activation=since_first(self.activation), trees=trees)
 
 
 def total_time(value: float) -> str:
@@ -70,31 +73,35 @@ def total_time(value: float) -> str:
 def activation_figure(
     heart: Heart, rows: Sequence[ActivationRow], label: str = "time since the first activation (ms)"
 ) -> Figure:
-    """Draw activations of one heart, or other times, as isochrone bands, one row each.
+    """Draw activations, or other times, as isochrone bands, one row each.
 
-    In each row are the views of `heart_views`, then each side's Purkinje network on its
-    endocardium, seen from that side through the near wall. All rows share the colours; all hearts
-    share one spatial scale, all Purkinje networks another. The colour bar, labelled `label`, spans
-    the times of the hearts; other times of the Purkinje networks have the colours of its ends.
+    In each row are the views of `heart_views` of the heart, or of the row's own, then each side's
+    Purkinje network on its endocardium, seen from that side through the near wall. All rows share
+    the colours; all hearts share one spatial scale, all Purkinje networks another. The colour bar,
+    labelled `label`, spans the times of the hearts; other times of the Purkinje networks have the
+    colours of its ends.
     """
-    views = heart_views(heart)
+    hearts = [row.heart if row.heart is not None else heart for row in rows]
+    seen = [(h, heart_views(h)) for h in hearts]
+    size = largest([view.box(h.vertices) for h, views in seen for view in views.values()])
     sides = {tree.side for row in rows for tree, _ in row.trees}
-    cavities = [e for e in heart.endocardia if e.side in sides]
-    boxes = {name: view.box(heart.vertices) for name, view in views.items()}
-    size = largest(list(boxes.values()))
-    cavity_views = [(e, views[f"{e.side.upper()} side"]) for e in cavities]
-    columns, shape = len(views) + len(cavities), float(size[1] / size[0])
+    cavities = [
+        [(e, views[f"{e.side.upper()} side"]) for e in h.endocardia if e.side in sides]
+        for h, views in seen
+    ]
+    first = len(seen[0][1])  # column of the Purkinje networks
+    columns, shape = first + len(cavities[0]), float(size[1] / size[0])
     figure = style.new_figure(1.95 * columns + 1.8, 1.95 * shape * len(rows) + 0.8)
     panels = figure.subplots(len(rows), columns, squeeze=False)
     norm = _bands(rows)
-    for line, row in zip(panels, rows, strict=True):
-        surfaces = _coloured(heart, row.activation, norm)
-        for axes, (name, view) in zip(line, views.items(), strict=False):
-            draw_surfaces(axes, view, *surfaces, box=boxes[name], size=size)
-        if cavities:
-            width, height = largest([view.box(e.vertices) for e, view in cavity_views])
+    for k, (line, row, (of_row, views)) in enumerate(zip(panels, rows, seen, strict=True)):
+        surfaces = _coloured(of_row, row.activation, norm)
+        for axes, view in zip(line, views.values(), strict=False):
+            draw_surfaces(axes, view, *surfaces, box=view.box(of_row.vertices), size=size)
+        if sides:
+            width, height = largest([view.box(e.vertices) for h in cavities for e, view in h])
             cavity_size = np.array([1, shape]) * max(width, height / shape)
-            for axes, (cavity, view) in zip(line[len(views) :], cavity_views, strict=True):
+            for axes, (cavity, view) in zip(line[first:], cavities[k], strict=True):
                 walls, colour = (cavity.vertices, cavity.triangles), {"color": "#F1E9E4"}
                 far = DrawnSurface(*walls, colour)
                 near = DrawnSurface(walls[0], walls[1][:, ::-1], colour | {"opacity": 0.3})
@@ -110,7 +117,7 @@ def activation_figure(
         )  # fmt: skip
     for axes in panels[1:].flat:
         axes.set_title("")
-    for axes in (panels[-1][0], *panels[-1][len(views) : len(views) + 1]):
+    for axes in (panels[-1][0], *panels[-1][first : first + 1]):
         scale_bar(axes, 20)
     levels = norm.boundaries
     bar = figure.colorbar(
@@ -124,7 +131,7 @@ def activation_figure(
 def spread_figure(heart: Heart, spreads: Mapping[str, Floats]) -> Figure:
     """Draw standard deviations (n,) of activation (ms), a row each, in the same colours."""
     rows = [ActivationRow(textwrap.fill(name, 22), spread) for name, spread in spreads.items()]
-    return activation_figure(heart, rows, "standard deviation (ms)")
+    return activation_figure(heart, rows, f"standard deviation (ms){on_template(heart)}")
 
 
 def draw_tree(axes: Any, tree: PurkinjeTree) -> None:

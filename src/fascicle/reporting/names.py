@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from fascicle.core.quantities import in_words, parameter_name
 from fascicle.forward.scenario_files import library
+from fascicle.heart.heart import Heart
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.scenarios import INTRINSIC
 
@@ -48,6 +49,11 @@ def index_name(index: str) -> str:
 def index_label(index: str) -> str:
     """Name and unit of an index, for an axis or the head of a column."""
     return _with_unit(index_name(index), INDICES[index])
+
+
+def on_template(heart: Heart) -> str:
+    """Note on a map over networks, which is drawn on an atlas's template; else empty."""
+    return "" if heart.atlas is None else ", drawn on the template heart of the atlas"
 
 
 def _with_unit(name: str, unit: str) -> str:

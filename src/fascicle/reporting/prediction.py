@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +23,9 @@ from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.ranges import check_text
 from fascicle.forward.activation_sequence import since_first
 from fascicle.forward.beat import Beat
+from fascicle.forward.simulation_files import write_activation, write_maps
 from fascicle.heart.heart import Heart
 from fascicle.heart.sites import SEGMENTS
-from fascicle.mesh.mesh_file import TETRAHEDRON
-from fascicle.mesh.vtk import write_grid
 from fascicle.prediction.comparison import SIGNED, Swept, Varied
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import Predicted
@@ -63,7 +62,8 @@ def write_prediction(
     ``indices.png``, and a folder for each scenario: ``ecgs.nc``, ``ecg.png``, ``activation.vtu``
     (of the networks with the least, median and largest total activation time; mean, standard
     deviation, and how probably each vertex is in the latest-activated 20 %), ``activation.png`` and
-    ``activation-spread.png``. Pictures are of one of the `KINDS`.
+    ``activation-spread.png``. Of an atlas, ``activation-minimum.vtu`` and so on have these
+    networks on their own hearts. Pictures are of one of the `KINDS`.
     """
     report = stage_progress(progress, "pictures")
     heart, caution = fitted.simulator.model.heart, fitted.statements.caution_text
@@ -78,11 +78,11 @@ def write_prediction(
         save(mark(index_figure(predicted), caution), folder / f"indices.{kind}")
         for number, (name, prediction) in enumerate(predicted.items()):
             report(number, len(predicted))
-            _write_scenario(folder / name, prediction, heart)
+            _write_scenario(folder / name, prediction, fitted)
             both = {key: predicted[key].maps["activation_sd"] for key in (INTRINSIC, name)}
             figures = (
                 scenario_ecg_figure(predicted, name),
-                scenario_activation_figure(heart, predicted, name),
+                scenario_activation_figure(heart, predicted, name, fitted.heart_of),
                 spread_figure(heart, both),  # on one scale
             )
             for stem, figure in zip(pictures, figures, strict=True):
@@ -179,12 +179,15 @@ def _percentiles(values: Floats) -> dict[str, float] | None:
     return {"5 %": round(low, 2), "median": round(middle, 2), "95 %": round(high, 2)}
 
 
-def _write_scenario(folder: Path, prediction: Predicted, heart: Heart) -> None:
-    maps = prediction.maps | {
-        f"activation_{which}": since_first(prediction.beats[k].activation)
-        for which, k in prediction.extremes().items()
-    }
-    write_grid(folder / "activation.vtu", heart.vertices, heart.tetrahedra, TETRAHEDRON, maps)
+def _write_scenario(folder: Path, prediction: Predicted, fitted: FittedStudy) -> None:
+    heart, maps = fitted.simulator.model.heart, dict(prediction.maps)
+    for which, k in prediction.extremes().items():
+        activation = since_first(prediction.beats[k].activation)
+        if heart.atlas is None:
+            maps[f"activation_{which}"] = activation
+        else:
+            write_activation(folder / f"activation-{which}.vtu", fitted.heart_of(k), activation)
+    write_maps(folder / "activation.vtu", heart, maps)
     time, (ecgs,) = qrs_aligned(prediction)
     array = xr.DataArray(
         ecgs, {"lead": list(heart.leads), "time": time}, ("network", "lead", "time"), "ecg",
@@ -235,16 +238,21 @@ def prediction_ecg_figure(shown: Mapping[str, Predicted]) -> Figure:
 
 
 def scenario_activation_figure(
-    heart: Heart, predicted: Mapping[str, Predicted], name: str
+    heart: Heart,
+    predicted: Mapping[str, Predicted],
+    name: str,
+    heart_of: Callable[[int], Heart] | None = None,
 ) -> Figure:
     """Draw a scenario in the networks with the least, median and largest total activation time.
 
-    The intrinsic beat in its median network stands above, in the same colours.
+    The intrinsic beat in its median network stands above, in the same colours. `heart_of` gives
+    the heart of each network, if it is not the `heart`.
     """
     intrinsic, prediction = _with_intrinsic(predicted, name)
-    rows = [_row(prediction, which, k) for which, k in prediction.extremes().items()]
+    shown = [(prediction, which, k) for which, k in prediction.extremes().items()]
     if prediction is not intrinsic:
-        rows.insert(0, _row(intrinsic, f"{INTRINSIC}: median", intrinsic.extremes()["median"]))
+        shown.insert(0, (intrinsic, f"{INTRINSIC}: median", intrinsic.extremes()["median"]))
+    rows = [_row(*row, heart if heart_of is None else heart_of(row[2])) for row in shown]
     return activation_figure(heart, rows)
 
 
@@ -257,10 +265,10 @@ def _with_intrinsic(predicted: Mapping[str, Predicted], name: str) -> tuple[Pred
     return predicted[INTRINSIC], predicted[name]
 
 
-def _row(prediction: Predicted, label: str, number: int) -> ActivationRow:
-    """Row of a network, with times from its first activation."""
+def _row(prediction: Predicted, label: str, number: int, heart: Heart) -> ActivationRow:
+    """Row of a network on its heart, with times from its first activation."""
     beat, total = prediction.beats[number], prediction.indices["total_activation_time"][number]
-    return ActivationRow.of(f"{label}\n{total_time(total)}", beat).since_first()
+    return ActivationRow.of(f"{label}\n{total_time(total)}", beat, heart).since_first()
 
 
 def sweep_figure(swept: Swept, index: str, name: str) -> Figure:

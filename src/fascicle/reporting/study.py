@@ -22,7 +22,7 @@ from fascicle.recording.target import Target
 from fascicle.reporting.activation import ActivationRow, activation_figure, spread_figure
 from fascicle.reporting.ecg import EcgGroup, ecg_figure, target_figure
 from fascicle.reporting.heart import check_figure
-from fascicle.reporting.names import MEASURES
+from fascicle.reporting.names import MEASURES, on_template
 from fascicle.reporting.parameters import draw_convergence, pair_figure, prior_figure
 from fascicle.reporting.prediction import index_figure
 from fascicle.reporting.style import Colour, mark, new_figure, one_axes, save
@@ -50,7 +50,8 @@ def drawings(
     check_population(fitted)
     model, population = fitted.simulator.model, fitted.population
     space, heart = fitted.simulator.prior.learnt, model.heart
-    best = ActivationRow.of("best network", fitted.best_network.beat).since_first()
+    best = fitted.best_model
+    row = ActivationRow.of("best network", fitted.best_network.beat, best.heart)
     activations = np.array([network.beat.activation for network in networks])
     spread = {"all networks": activation_maps(activations)["activation_sd"]}
     # how file names and captions number the recordings
@@ -74,12 +75,12 @@ def drawings(
             "How probable each conduction state is: before the ECG is seen (grey) and given it.",
         )
     drawn["activation"] = Drawing(
-        activation_figure(heart, [best]),
+        activation_figure(heart, [row.since_first()]),
         "Activation of the best network, which has the lowest mismatch.",
     )
     drawn["activation-spread"] = Drawing(
         spread_figure(heart, spread),
-        f"Standard deviation of the activation over {len(networks)} networks.",
+        f"Standard deviation of the activation over {len(networks)} networks{on_template(heart)}.",
     )
     if predicted:
         text = "Medians, with the range of half (thick) and of 90 % (thin) of the networks."
@@ -110,9 +111,10 @@ def drawings(
         "Mismatch of every evaluation, in order. A network on the broken line matches the "
         "recording no better than a flat line.",
     )
+    whose = "The heart" if heart.atlas is None else "The heart of the best network"
     drawn["heart"] = Drawing(
-        check_figure(heart, check_heart(heart, model.prepared.charts)),
-        "The heart: walls, fibres, roots of the bundles, and the torso with its electrodes.",
+        check_figure(best.heart, check_heart(best.heart, best.prepared.charts)),
+        f"{whose}: walls, fibres, roots of the bundles, and the torso with its electrodes.",
     )
     return drawn
 

@@ -38,26 +38,47 @@ STIMULUS_STEP = 0.5  # ms; vertices that are stimulated within one step share a 
 def write_networks(
     folder: Path, model: ForwardModel, networks: Mapping[str, Network], kind: Format
 ) -> None:
-    """Write a heart, and a folder for each network by its name, as `FittedStudy.export` says."""
+    """Write a heart, and a folder for each network by its name, as `FittedStudy.export` says.
+
+    Of an atlas, each network's own heart is in the network's folder.
+    """
+    for name in networks:
+        (folder / name).mkdir()
+    if model.heart.atlas is None:
+        _write_on_heart(folder, folder, model, networks, kind)
+        return
+    for name, network in networks.items():
+        own = model.of_heart(network.parameters)
+        _write_on_heart(folder / name, folder, own, {name: network}, kind)
+
+
+def _write_on_heart(
+    heart_folder: Path,
+    folder: Path,
+    model: ForwardModel,
+    networks: Mapping[str, Network],
+    kind: Format,
+) -> None:
+    """Write the heart of a model into its folder, and networks on it into theirs."""
     heart = model.heart
     conductions = {n: model.conduction.with_values(k.parameters) for n, k in networks.items()}
     if kind != "vtu":
         tags = tissue_tags(heart, conductions.values())
         if kind == "opencarp":
             tagged = replace(heart, regions=tags)
-            write_opencarp(tagged, labelled_mesh(heart), folder / "heart")
+            write_opencarp(tagged, labelled_mesh(heart), heart_folder / "heart")
         else:
-            _write_elements(folder / "elements.csv", heart, tags)
+            _write_elements(heart_folder / "elements.csv", heart, tags)
     for name, network in networks.items():
-        (network_folder := folder / name).mkdir()
-        simulation = network.beat
+        network_folder, simulation = folder / name, network.beat
         if kind == "vtu":
             write_beat(network_folder, heart, simulation)
             continue
         write_text(network_folder / "sites.csv", sites_table(simulation))
         tissues = tissue_table(heart, tags, conductions[name])
         if kind == "opencarp":
-            _write_opencarp_network(network_folder, model, simulation, tissues)
+            mesh = "heart" if heart_folder == network_folder else "../heart"
+            _write_opencarp_network(network_folder, model, simulation, tissues, mesh)
         else:
             _write_tables(network_folder, heart, simulation, tissues)
 
@@ -117,9 +138,9 @@ def fired_vertices(model: ForwardModel, simulation: Beat) -> tuple[Integers, Flo
 
 
 def _write_opencarp_network(
-    folder: Path, model: ForwardModel, simulation: Beat, tissues: DataFrame
+    folder: Path, model: ForwardModel, simulation: Beat, tissues: DataFrame, mesh: str
 ) -> None:
-    """Write openCARP's input for one network, with times shifted so that none is negative."""
+    """Write openCARP's input for one network on a mesh, with times from 0 on."""
     vertices, times = fired_vertices(model, simulation)
     start = min(0.0, float(times.min()))
     steps, which = np.unique(np.rint((times - start) / STIMULUS_STEP), return_inverse=True)
@@ -137,7 +158,7 @@ def _write_opencarp_network(
     end = float(np.ceil(activation[np.isfinite(activation)].max() + 20.0))
     conducting = tissues[tissues["g_il_S_per_m"] > 0]
     for kind in ("eikonal", "monodomain"):
-        values = _parameters(kind == "eikonal", conducting, stimuli, end)
+        values = _parameters(kind == "eikonal", mesh, conducting, stimuli, end)
         lines = [
             f"# The {kind} model of one network. Run it in this folder: openCARP +F {kind}.par",
             f"# Time 0 is {start:g} ms in sites.csv.",
@@ -147,10 +168,10 @@ def _write_opencarp_network(
 
 
 def _parameters(
-    eikonal: bool, tissues: DataFrame, stimuli: Mapping[str, float], end: float
+    eikonal: bool, mesh: str, tissues: DataFrame, stimuli: Mapping[str, float], end: float
 ) -> Iterator[tuple[str, object]]:
     """Names and values of openCARP's parameters; units follow as comments."""
-    yield "meshname", '"../heart"'
+    yield "meshname", f'"{mesh}"'
     yield "simID", '"eikonal"' if eikonal else '"monodomain"'
     yield "tend", f"{end:g}  # ms"
     yield "dt", "20  # us"

@@ -22,7 +22,9 @@ from fascicle.core.ranges import check_count, short_repr, shown
 from fascicle.emulation.predictive import Checks
 from fascicle.forward.activation_sequence import nearest_to_median
 from fascicle.forward.beat import Beat
+from fascicle.forward.model import ForwardModel
 from fascicle.heart.folder import load_heart
+from fascicle.heart.heart import Heart
 from fascicle.inference.evaluation import Evaluation, best_of
 from fascicle.networks.prior import growth_and_conduction
 from fascicle.networks.settings import FitSettings
@@ -159,6 +161,16 @@ class FittedStudy:
     def best_network(self) -> Network:
         """Network with the least mismatch, simulated for the first recording."""
         return next(networks(self.simulator, self.recordings[0], [self.population.best]))
+
+    def heart_of(self, k: int) -> Heart:
+        """Heart of network `k`: that of the study, or of an atlas the network's own."""
+        parameters = {**self.simulator.prior.fixed, **self.population.parameters(k)}
+        return self.simulator.model.of_heart(parameters).heart
+
+    @property
+    def best_model(self) -> ForwardModel:
+        """Forward model of the heart of the best network."""
+        return self.simulator.model.of_heart(self.best_network.parameters)
 
     def best_in(self, recording: int) -> Network:
         """Best network in the scenario of a recording, counted from 0."""

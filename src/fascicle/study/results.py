@@ -13,8 +13,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.files import atomic_folder, write_text
 from fascicle.emulation.predictive import Prediction
 from fascicle.forward.activation_sequence import activation_maps, since_first
-from fascicle.mesh.mesh_file import TETRAHEDRON
-from fascicle.mesh.vtk import write_grid
+from fascicle.forward.simulation_files import write_activation, write_maps
 from fascicle.networks.agreement import Agreement
 from fascicle.networks.target_comparison import Network
 from fascicle.purkinje.tree_files import write_tree
@@ -49,16 +48,12 @@ def write_results(
         {"best": fitted.best_network} | {f"{k:02d}": networks[k] for k in shown},
     )
     activations = np.stack([network.beat.activation for network in networks])
-    write_grid(
-        folder / "activation.vtu",
-        heart.vertices,
-        heart.tetrahedra,
-        TETRAHEDRON,
-        point_data={
-            "activation": since_first(fitted.best_network.beat.activation),
-            **activation_maps(activations),
-        },
-    )
+    maps, best = activation_maps(activations), since_first(fitted.best_network.beat.activation)
+    if heart.atlas is None:
+        maps = {"activation": best, **maps}
+    else:
+        write_activation(folder / "networks/best/activation.vtu", fitted.best_model.heart, best)
+    write_maps(folder / "activation.vtu", heart, maps)
     summary = _summary(fitted, networks, agreements) | {"emulators": list(emulators)}
     write_text(folder / "summary.json", json.dumps(summary, indent=2) + "\n")
     predicted = np.stack([network.predicted for network in networks])[: len(population)]
