@@ -358,3 +358,32 @@ def test_a_port_that_is_taken_is_said(session, url, monkeypatch, capsys):
     port = url[: url.index("/", 8)].rpartition(":")[2]
     assert exit_status("explore", "default", "--port", port) == 2
     assert f"port {port}" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_the_heart_follows_its_number(atlas_model, explore):
+    """What was clicked in one heart of an atlas is no part of another."""
+    session = Session(atlas_model)
+    thread, url = served(session)
+    page = explore(url)
+    vertices = np.unique(atlas_model.heart.boundary[0])
+    place = atlas_model.heart.vertices[vertices[0]].tolist()
+    change(page, lambda: page.evaluate(f"explorer.change((s) => s.stimuli.push({place}))"))
+    for number in (1, 0):
+
+        def choose(number=number):
+            page.locator("[data-name=atlas_heart] input").evaluate(
+                "(e, v) => { e.value = v; e.dispatchEvent(new Event('change')) }", number
+            )
+
+        change(page, choose)
+        assert page.evaluate("explorer.state.stimuli") == []
+        drawn = page.evaluate(
+            "Array.from(explorer.heart.mesh.geometry.getAttribute('position').array)"
+        )
+        own = atlas_model.of_heart({"atlas_heart": float(number)}).heart.vertices[vertices]
+        np.testing.assert_allclose(np.reshape(drawn, (-1, 3)), own, rtol=1e-5)
+        middle = page.evaluate("explorer.stage.centre.toArray()")
+        assert np.linalg.norm(middle - own.mean(axis=0)) < 20  # mm; the hearts are 30 apart
+        assert page.evaluate("explorer.status.textContent") == ""
+    page.close()
+    thread.join(60)

@@ -13,7 +13,7 @@ from builders import recorded
 
 import fascicle
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import HUMAN_SPACE, read_parameters
+from fascicle.core.parameters import HUMAN_SPACE, ParameterSpace, free, read_parameters
 from fascicle.explorer.explore import serve, session_of
 from fascicle.explorer.session import PageState, Session, _spoken
 from fascicle.forward.scenario_files import read_scenario
@@ -198,7 +198,7 @@ def test_a_scar_is_never_activated_and_simulated_again_from_its_file(session, tm
     files = session.files(PageState(values=session.start, scars=[place]))
     (tmp_path / "scenario.toml").write_text(files["scenario.toml"])
     scenario, regions = read_scenario(tmp_path / "scenario.toml")
-    again = session._scarred(regions)  # prepared above, if these are the same regions
+    again = session._scarred(session.model, regions)  # prepared above, if these are the same regions
     assert again.conduction.regions == regions
     expected = again.simulate(session.start, scenario)
     assert said["total"] == pytest.approx(expected.total_activation_time)
@@ -279,3 +279,61 @@ def test_a_page_is_announced_when_it_can_be_opened(session):
 
     with pytest.raises(InterruptedError):
         serve(session, opened=opened)
+
+
+class TestHeartsOfAnAtlas:
+    @pytest.fixture(scope="class")
+    def session(self, atlas_model):
+        return Session(atlas_model)
+
+    def test_an_answer_is_on_the_heart_of_its_values(self, session):
+        shown = np.unique(session.model.heart.boundary[0])
+        said, arrays = opened(session.description())
+        np.testing.assert_allclose(arrays["vertices"], session.model.heart.vertices[shown], 1e-6)
+        groups = {group["name"]: group["sliders"] for group in said["groups"]}
+        assert "torso" not in groups
+        (slider,) = groups["heart"]
+        assert [slider[key] for key in ("name", "low", "high", "step")] == ["atlas_heart", 0, 1, 1]
+        for number in (0.0, 1.0):
+            values = session.start | {"atlas_heart": number}
+            said, arrays = ask(session, values=values)
+            own = session.model.of_heart(values)
+            np.testing.assert_allclose(arrays["vertices"], own.heart.vertices[shown], rtol=1e-5)
+            np.testing.assert_allclose(arrays["electrodes"], own.heart.electrodes, rtol=1e-6)
+            expected = session.model.simulate(values)
+            assert said["total"] == pytest.approx(expected.total_activation_time)
+            np.testing.assert_allclose(arrays["lv_nodes"], expected.trees[0].nodes, rtol=1e-5)
+
+    def test_a_scar_lies_in_the_heart_that_was_clicked(self, session):
+        values = session.start | {"atlas_heart": 1.0}
+        heart = session.model.of_heart(values).heart
+        place = heart.vertices[np.unique(heart.boundary[0])[0]].tolist()
+        _, arrays = ask(session, values=values, scars=[place])
+        unreached = ~np.isfinite(arrays["activation"])
+        assert 0 < unreached.sum() < 0.2 * len(unreached)
+        away = np.linalg.norm(arrays["vertices"] - place, axis=1)
+        assert away[unreached].max() < 16  # mm, of a scar of 8 mm in elements of 8 mm
+
+    def test_no_other_heart_is_there(self, session):
+        for number, reason in (
+            (2.0, "has hearts 0 to 1"),
+            (-1.0, "atlas_heart"),
+            (0.5, "whole number"),
+        ):
+            said, _ = ask(session, values=session.start | {"atlas_heart": number})
+            assert reason in said["error"]
+
+    def test_a_study_begins_with_the_heart_of_its_best_network(self, session):
+        values = {"cv": np.array([2.2, 3.0])}
+        best = session.start | {"atlas_heart": 1.0}
+        population = Population(values | {"atlas_heart": np.array([0.0, 1.0])}, np.ones(2), best, 1)
+        prior = Prior(ParameterSpace((free("cv"),)))
+        study = SimpleNamespace(
+            population=population, verdict="", gains=None, torsos=None,
+            simulator=SimpleNamespace(prior=prior),
+        )  # fmt: skip
+        said, arrays = opened(Session(session.model, None, study).description())
+        own = session.model.of_heart(best).heart
+        shown = np.unique(own.boundary[0])
+        np.testing.assert_allclose(arrays["vertices"], own.vertices[shown], rtol=1e-5)
+        assert [network["atlas_heart"] for network in said["networks"]] == [0, 1]

@@ -20,6 +20,7 @@ const SCALE = { speed: 100, gain: 10 }; // mm/s, mm/mV
 const GRASP = 14; // pixels about an electrode
 const NOTES = {
   tissue: "Each change prepares the tissue again when you release the slider: some seconds.",
+  heart: "Hearts of the population. Each is prepared when it is first shown: some seconds.",
   torso: "The first change computes the lead fields of other torsos: a few minutes, once per heart.",
 };
 const SIMULATED = "#b34700";
@@ -119,8 +120,7 @@ export class Explorer {
       this.stage.draw();
     });
     this.electrodes = check("electrodes", false, () => {
-      const places = this.electrodes.box.checked ? this.chest().flatMap(({ place }) => place.toArray()) : [];
-      this.stage.hold(Float32Array.from([...this.fixed.vertices, ...places]));
+      this.hold();
       this.mark();
     });
     this.electrodes.box.disabled = true; // they come with the first beat
@@ -141,6 +141,21 @@ export class Explorer {
       make("div", { class: "fv-row" },
         ...Object.keys(this.stage.views).map((name) => button(name, `view: ${name}`, () => this.stage.view(name))),
         this.opaque.row, this.electrodes.row));
+  }
+
+  // Shows the heart, with its electrodes if they are asked for.
+  hold() {
+    const places = this.electrodes.box.checked ? this.chest().flatMap(({ place }) => place.toArray()) : [];
+    this.stage.hold(Float32Array.from([...this.fixed.vertices, ...places]));
+  }
+
+  // The surface of another heart of an atlas.
+  place(vertices) {
+    if (vertices.every((x, k) => x === this.fixed.vertices[k])) return;
+    this.fixed.vertices = vertices;
+    this.heart.place(vertices);
+    if (this.electrodes.box.checked) this.hold();
+    else this.stage.centreOn(vertices);
   }
 
   timeRow() {
@@ -164,7 +179,10 @@ export class Explorer {
     this.whichSaid = make("span", {});
     this.which.addEventListener("input", () => {
       const k = Number(this.which.value);
-      this.change((state) => Object.assign(state, { values: { ...networks[k - 1] }, network: k - 1 }));
+      this.change((state) => {
+        this.leave(state, networks[k - 1].atlas_heart);
+        Object.assign(state, { values: { ...networks[k - 1] }, network: k - 1 });
+      });
     });
     return make("div", { class: "fv-row" }, "networks of the study", this.which, this.whichSaid);
   }
@@ -179,22 +197,26 @@ export class Explorer {
   }
 
   // A parameter of a group: its slider, with the distribution in the study above it.
-  parameter({ name, low, high, label, unit, meaning, posterior, value: own }, group) {
+  parameter({ name, low, high, label, unit, meaning, posterior, value: own, step }, group) {
     const input = make("input", {
-      type: "range", min: low, max: high, step: (high - low) / 400, "aria-label": label,
+      type: "range", min: low, max: high, step: step ?? (high - low) / 400, "aria-label": label,
       title: meaning,
     });
     const value = make("output", {});
-    const digits = high - low > 20 ? 0 : high - low > 1 ? 2 : 3;
+    const digits = step || high - low > 20 ? 0 : high - low > 1 ? 2 : 3;
+    const slow = ["tissue", "heart"].includes(group);
     this.inputs[name] = { input, value, unit, digits, own };
     input.addEventListener("input", () => {
-      if (group !== "tissue") this.slide(name, { [name]: Number(input.value) });
+      if (!slow) this.slide(name, { [name]: Number(input.value) });
       else value.textContent = `${Number(input.value).toFixed(digits)} ${unit}`;
     });
     input.addEventListener("change", () => {
-      if (group !== "tissue") return this.rest();
-      this.say("The tissue is being prepared …");
-      this.change((state) => (state.values[name] = Number(input.value)));
+      if (!slow) return this.rest();
+      this.say(`The ${group} is being prepared …`);
+      this.change((state) => {
+        if (group === "heart") this.leave(state, Number(input.value));
+        state.values[name] = Number(input.value);
+      });
     });
     return make("div", { class: "fx-slider", "data-name": name },
       make("span", {}, label), value, density(posterior), input);
@@ -206,6 +228,13 @@ export class Explorer {
         button("begin", `begin: ${name}`, () => this.change((state) =>
           Object.assign(state, begun({ ...this.said.start, conduction }))))));
     return make("section", { "aria-label": "exercises" }, make("h2", {}, "Five exercises"), ...rows);
+  }
+
+  // Places that were clicked are of one heart: another one of an atlas has none of them.
+  leave(state, heart) {
+    if (state.values.atlas_heart === heart) return;
+    Object.assign(state, { stimuli: [], blocks: [], scars: [] });
+    this.say("The heart is being prepared …");
   }
 
   // One entry of the history for a whole movement; meanwhile the picture is coarse.
@@ -275,7 +304,8 @@ export class Explorer {
   showBeat(said, arrays) {
     this.beat = { said, arrays };
     this.electrodes.box.disabled = false;
-    const { activation } = arrays;
+    const { activation, vertices } = arrays;
+    if (vertices) this.place(vertices);
     const end = Math.ceil(activation.reduce((a, b) => (b > a && b < Infinity ? b : a), 0));
     this.end = end;
     const field = {

@@ -141,6 +141,16 @@ export class Heart {
     });
   }
 
+  // Moves the vertices to the positions (x, y, z, x, …) of another heart.
+  place(points) {
+    const { geometry } = this.mesh;
+    const attribute = geometry.getAttribute("position");
+    attribute.array.set(points);
+    attribute.needsUpdate = true;
+    geometry.computeVertexNormals();
+    geometry.computeBoundingSphere();
+  }
+
   // A field {values, low, high, kind}, of which the values are in base64 or a Float32Array.
   show(field) {
     this.field = field;

@@ -249,6 +249,7 @@ class Viewer {
       if (other === panel) return;
       other.marker.visible = panel.marker.visible;
       other.marker.position.copy(panel.marker.position);
+      other.picked = vertex;
     });
     this.picked = vertex;
     this.readPicked();

@@ -6,7 +6,7 @@ import { make } from "./controls.js";
 import { positions, segments, times } from "./data.js";
 import { Heart, Tree } from "./heart.js";
 import { isochrones, Overlay } from "./overlay.js";
-import { Stage } from "./stage.js";
+import { enclosing, Stage } from "./stage.js";
 
 const ISOCHRONES = 20; // ms between those with a label
 
@@ -20,9 +20,13 @@ export class Panel {
     this.picture = make("div", { class: "fv-picture" }, this.canvas);
     this.root = make("div", { class: "fv-panel" }, this.title, this.picture);
     this.heart = new Heart(data.surfaces[0], data.box);
+    this.template = this.heart.mesh.geometry.getAttribute("position").array.slice();
+    this.hearts = (data.hearts ?? []).map((packed) => positions(packed, data.box));
+    this.placed = this.template; // which of them is shown
+    const reach = (points) => enclosing(points).reach;
     this.stage = new Stage(this.canvas, this.picture, {
       up: data.up, front: data.front, base: data.base,
-      points: this.heart.mesh.geometry.getAttribute("position").array,
+      points: this.hearts.reduce((a, b) => (reach(b) > reach(a) ? b : a), this.template),
     });
     this.overlay = new Overlay(this.stage, data);
     this.bullsEye = new BullsEye(); // where the page puts it
@@ -38,6 +42,9 @@ export class Panel {
   show(scenario, network, field) {
     this.scenario = scenario;
     this.title.textContent = scenario.title;
+    // of hearts of an atlas, what is of all networks is shown on the template, without theirs
+    this.ofAll = Boolean(field && this.data.hearts);
+    this.place(this.data.hearts && !field ? this.hearts[this.data.heart[network]] : this.template);
     const { low, high, top } = this.data.times;
     this.heart.show(field ?? {
       kind: "time", low: 0, high: top, values: times(scenario.activations[network], 0, high),
@@ -46,7 +53,7 @@ export class Panel {
     const known = scenario.tree_times[network].map((text) => times(text, low, high));
     if (String(numbers) === this.drawn) this.trees.forEach((tree, k) => tree.update(known[k]));
     else this.drawTrees(numbers, known);
-    this.marks = (scenario.marks[network] ?? []).map((mark) => ({
+    this.marks = (this.ofAll ? [] : scenario.marks[network] ?? []).map((mark) => ({
       ...mark, place: new Vector3(...mark.place),
     }));
     const levels = Array.from({ length: top / ISOCHRONES }, (_, k) => ISOCHRONES * (k + 1));
@@ -55,6 +62,15 @@ export class Panel {
     const first = begins ? `first activation: ${begins}` : "first activation";
     this.isochrones = timed ? isochrones(this.heart, levels, this.stage.reach, first) : [];
     this.label();
+  }
+
+  // Shows the surface at the positions of a heart, with the marker on the same vertex.
+  place(points) {
+    if (points === this.placed) return;
+    this.placed = points;
+    this.heart.place(points);
+    this.stage.centreOn(points);
+    if (this.picked != null) this.marker.position.fromArray(points, 3 * this.picked);
   }
 
   drawTrees(numbers, known) {
@@ -102,7 +118,7 @@ export class Panel {
     this.heart.seeThrough(!opaque);
     this.overlay.opaque = opaque;
     this.heart.onlyEndocardia(only);
-    this.trees.forEach(({ mesh }) => (mesh.visible = networks));
+    this.trees.forEach(({ mesh }) => (mesh.visible = networks && !this.ofAll));
     this.stage.cut = cut;
     this.heart.cutBy(cut ? this.stage.clip : null);
     this.label();
@@ -120,7 +136,8 @@ export class Panel {
     this.marker.visible = Boolean(hit);
     if (hit) this.marker.position.copy(hit.point);
     this.stage.draw();
-    return hit ? hit.vertex : null;
+    this.picked = hit ? hit.vertex : null;
+    return this.picked;
   }
 
   dispose() {

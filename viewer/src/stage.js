@@ -15,7 +15,7 @@ const STEPS = 50; // towards the centre of the smallest sphere
 
 // A sphere about points (x, y, z, x, …) that is hardly larger than the smallest: the centre goes
 // towards the point that is furthest away, by smaller and smaller steps (Badoiu and Clarkson 2003).
-function enclosing(points) {
+export function enclosing(points) {
   const centre = new Vector3().fromArray(points);
   const point = new Vector3();
   const furthest = new Vector3();
@@ -105,6 +105,18 @@ export class Stage {
     this.turned();
   }
 
+  // Looks at the middle of other points, from the same side and as far away.
+  centreOn(points) {
+    const { centre } = enclosing(points);
+    this.camera.position.add(centre).sub(this.centre);
+    this.centre = centre;
+    this.orbit.target.copy(centre);
+    this.following = true; // other pictures do so themselves
+    this.orbit.update();
+    this.following = false;
+    this.draw();
+  }
+
   listen() {
     const when = (target, kind, heard) =>
       target.addEventListener(kind, heard, { signal: this.ended.signal });
@@ -152,7 +164,7 @@ export class Stage {
   follow(other) {
     this.following = true;
     this.camera.up.copy(other.camera.up);
-    this.camera.position.copy(other.camera.position);
+    this.camera.position.copy(other.camera.position).sub(other.centre).add(this.centre);
     this.camera.lookAt(this.centre);
     this.orbit.update();
     this.following = false;

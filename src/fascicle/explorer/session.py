@@ -31,9 +31,16 @@ from fascicle.core.parameters import (
     free,
 )
 from fascicle.core.progress import ProgressLines
-from fascicle.core.quantities import SPEED, TORSO_QUANTITIES, parameter_name, quantity, torso_values
+from fascicle.core.quantities import (
+    SPEED,
+    TORSO_QUANTITIES,
+    checked,
+    parameter_name,
+    quantity,
+    torso_values,
+)
 from fascicle.forward.electrocardiogram import SAMPLE_STEP
-from fascicle.forward.model import ForwardModel
+from fascicle.forward.model import ForwardModel, without_heart
 from fascicle.forward.primitives import His, SlowConduction, Stimulus
 from fascicle.forward.scenario import Primitive, Scenario
 from fascicle.forward.scenario_files import library, read_scenarios, scenario_text
@@ -154,13 +161,13 @@ class Session:
     def description(self) -> bytes:
         """Description of the session: surface, sliders, scenarios, recording, networks."""
         triangles, shown, endocardial = self.surface
-        heart, networks = self.model.heart, []
+        heart, networks = self.model.of_heart(self.start).heart, []
         if self.study is not None:
             population, fixed = self.study.population, self.study.simulator.prior.fixed
             values = (population.parameters(k) for k in range(len(population)))
             networks = [_spoken({**fixed, **parameters}) for parameters in values]
         content: dict[str, Any] = {
-            "heart": heart.name,
+            "heart": self.model.heart.name,
             **body_axes(heart),
             "endocardial": endocardial,
             "leads": list(LEADS),
@@ -189,9 +196,12 @@ class Session:
             # a tissue is prepared in seconds
             "tissue": ("anisotropy_ratio", "endocardial_layer", "endocardial_speed"),
         }
-        if self.model.heart.has_torso:
+        atlas = self.model.heart.atlas
+        if self.model.heart.has_torso and atlas is None:
             more["torso"] = TORSO_QUANTITIES
         groups = {"network": list(self.space.parameters)}
+        if atlas is not None and len(atlas) > 1:
+            groups["heart"] = [Parameter("atlas_heart", "1", 0.0, len(atlas) - 1.0)]
         learnt = {parameter.name for parameter in self.space.parameters}
         for group, names in more.items():
             groups[group] = [free(name) for name in names if name not in learnt]
@@ -226,14 +236,16 @@ class Session:
                 return packed({"id": number, "files": self.files(state)}, {})
             lines = ProgressLines(note)
             try:
-                torso, model = torso_values(state.values), self.model
+                named = {n: v for n, v in state.values.items() if n == "atlas_heart"}
+                torso, model = torso_values(state.values), self.model.of_heart(checked(named))
+                state = state.model_copy(update={"values": without_heart(state.values)})
                 if torso and state.scars:
                     problem = "scar cannot be combined with a changed torso; undo one of them"
                     raise InputError(problem)
                 if torso:
                     model.torso([*torso], lines)
                 if state.scars:
-                    model = self._scarred(state.regions)
+                    model = self._scarred(model, state.regions)
                 content, arrays = self._simulated(model, state, bool(message.get("moving")))
             finally:
                 lines.end()
@@ -283,6 +295,8 @@ class Session:
             }
         content["trees"] = [tree.side for tree in beat.trees]
         arrays["electrodes"] = _electrodes(model, state).astype("<f4")
+        if self.model.heart.atlas is not None:
+            arrays["vertices"] = model.heart.vertices[self.surface[1]].astype("<f4")
         content["ecg_start"] = beat.onset - begin
         arrays["simulated"] = beat.leads[: len(LEADS)].astype("<f4")
         if self.recording is not None:
@@ -307,13 +321,12 @@ class Session:
         return gain, plain if study.torsos is None else study.torsos[k]
 
     @cached_property
-    def _scarred(self) -> Callable[[tuple[Region, ...]], ForwardModel]:
+    def _scarred(self) -> Callable[[ForwardModel, tuple[Region, ...]], ForwardModel]:
         """Forward model with scars; it takes seconds to prepare, so the last ones are cached."""
-        model = self.model
-        heart = replace(model.heart, folder=None)  # not to fill its folder with trials
 
-        def with_scars(regions: tuple[Region, ...]) -> ForwardModel:
+        def with_scars(model: ForwardModel, regions: tuple[Region, ...]) -> ForwardModel:
             plain = model.conduction
+            heart = replace(model.heart, folder=None)  # not to fill its folder with trials
             conduction = replace(plain, regions=(*plain.regions, *regions))
             return ForwardModel(heart, conduction, model.rules, model.action_potential)
 
@@ -333,6 +346,7 @@ class Session:
         numbers = {**self.model.rules.numbers, **vars(self.model.conduction)}
         value = numbers.get(name, quantity(name).default)
         return {
+            **({"step": 1} if quantity(name).is_integer else {}),
             "name": name, "label": parameter_name(name), "unit": unit, "low": low, "high": high,
             "posterior": drawn, "value": along / across if name == "anisotropy_ratio" else value,
             "meaning": quantity(name).meaning,

@@ -140,6 +140,20 @@ def recordings(fitted: FittedStudy) -> list[tuple[str, str]]:
     return [(name, value) for name, value in rows if value]
 
 
+def hearts(fitted: FittedStudy) -> list[tuple[str, str]]:
+    """Hearts of an atlas in the networks, the most probable first; empty for one heart."""
+    atlas = fitted.simulator.model.heart.atlas
+    numbers = getattr(fitted.population, "averaged", {}).get("atlas_heart")
+    if atlas is None or numbers is None:
+        return []
+    which, counts = np.unique(numbers.astype(int), return_counts=True)
+    ranked = np.argsort(-counts, kind="stable")
+    shares = [f"number {which[k]} in {counts[k] / len(numbers):.0%}" for k in ranked[:5]]
+    more = ["…"] if len(which) > len(shares) else []
+    text = f"{len(which)} of the {len(atlas)} of the atlas: {', '.join(shares + more)}"
+    return [("hearts of the networks", text)]
+
+
 def _prior_text(parameter: Parameter) -> str:
     within = _with_unit(f"{parameter.lower:.4g} to {parameter.upper:.4g}", parameter.unit)
     if parameter.median is None or parameter.sd is None:

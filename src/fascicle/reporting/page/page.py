@@ -193,6 +193,7 @@ def _content(
         "inputs": [
             *words.settings(config).items(),
             *words.recordings(fitted),
+            *words.hearts(fitted),
             ("heart (SHA-256)", config.heart),
             ("target (SHA-256)", ", ".join((config.target, *config.other_targets))),
         ],

@@ -27,7 +27,7 @@ from fascicle.networks.target_comparison import Network, TargetComparison
 from fascicle.prediction.indices import Territories
 from fascicle.prediction.predicted import RINGING, Predicted
 from fascicle.purkinje.tree import PurkinjeTree
-from fascicle.reporting.names import capitals, scenario_name
+from fascicle.reporting.names import capitals, on_template, scenario_name
 from fascicle.reporting.surfaces import heart_views
 from fascicle.study.population import evenly_spread
 from fascicle.torso.conductor import torso_axes
@@ -106,12 +106,14 @@ def scene(
     """Surface of a heart with scenarios in some of the networks, JSON for ``fascicleViewer``.
 
     All times are counted from the first activation of the ventricles. The networks shown are
-    evenly spread over the order of total activation time, the median one among them.
+    evenly spread over the order of total activation time, the median one among them. Of an atlas,
+    ``hearts`` are the positions of the surface in their hearts, and ``heart`` the number among
+    these of each network; maps over all networks are shown on the template.
 
     Parameters
     ----------
     heart : Heart
-        The heart.
+        The heart, or the atlas of the networks' hearts.
     predicted : mapping of name to Predicted
         Scenarios, the intrinsic beat first.
     networks : sequence of Network, optional
@@ -119,11 +121,15 @@ def scene(
     recording : TargetComparison, optional
         The recording, and its comparison with simulated networks.
     model : ForwardModel, optional
-        Forward model, which has the sites, the blocks and the scar.
+        Forward model, which has the sites, the blocks, the scar, and the hearts of an atlas.
     """
     first = next(iter(predicted.values()))
     triangles, shown, endocardial = boundary(heart)
-    chosen = _chosen(first, len(shown), len(predicted))
+    chosen = _chosen(first, len(shown), len(predicted), heart.atlas is not None)
+    models, distinct = [model] * len(chosen), list[ForwardModel]()
+    if model is not None and heart.atlas is not None:
+        own = [model.of_heart(networks[k].parameters) for k in chosen]
+        models, distinct = [*own], [*dict.fromkeys(own)]
     beats = {name: [prediction.beats[k] for k in chosen] for name, prediction in predicted.items()}
     all_beats = [beat for scenario_beats in beats.values() for beat in scenario_beats]
     # trees by hash, so that each is stored once
@@ -135,7 +141,8 @@ def scene(
     torsos = [networks[k].torso if len(networks) else None for k in chosen]
     times = {name: [_tree_times(b, drawn) for b in of_name] for name, of_name in beats.items()}
     # roots may lie outside the mesh
-    points = np.concatenate([heart.vertices, *(tree.nodes for tree in trees)])
+    hearts = [heart.vertices, *(other.heart.vertices for other in distinct)]
+    points = np.concatenate([*hearts, *(tree.nodes for tree in trees)])
     low, high = points.min(axis=0), points.max(axis=0)
     fired = (of_tree for of_name in times.values() for of_beat in of_name for of_tree in of_beat)
     begin = min([0.0, *(float(np.nanmin(of_tree, initial=0.0)) for of_tree in fired)])
@@ -144,9 +151,10 @@ def scene(
     start, end = 10 * np.floor((begin - 5) / 10), 10 * np.ceil((last + 30) / 10)
     step = 2  # ms, of the ECG
     window = np.arange(start, end + 1, step)
-    fields, scar = _fields(predicted, shown), _scar(heart, model)[shown]
+    fields, scar = _fields(predicted, shown, on_template(heart)), _scar(heart, model)[shown]
     territories = Territories.of(heart, model.sites.places if model is not None else places(heart))
-    return {
+    of_networks = [territories.of_network(heart, network.parameters) for network in networks]
+    content: dict[str, Any] = {
         "surfaces": [
             {
                 "name": "heart",
@@ -180,7 +188,7 @@ def scene(
                 "title": scenario_name(name),
                 "label": prediction.scenario.description or name,
                 "fields": scenario_fields,
-                "segments": _segments(territories, prediction, chosen),
+                "segments": _segments(territories, prediction, chosen, of_networks),
                 "activations": [
                     _bytes(since_first(beat.activation)[shown], 0.0, last) for beat in beats[name]
                 ],
@@ -193,10 +201,10 @@ def scene(
                     for k, torso in zip(chosen, torsos, strict=True)
                 ],
                 "marks": [
-                    marks(prediction.scenario, networks[k].parameters, beat.trees, model.sites)
-                    if model is not None and len(networks)
+                    marks(prediction.scenario, networks[k].parameters, beat.trees, of_heart.sites)
+                    if of_heart is not None and len(networks)
                     else []
-                    for k, beat in zip(chosen, beats[name], strict=True)
+                    for k, beat, of_heart in zip(chosen, beats[name], models, strict=True)
                 ],
                 "first": [
                     where(int(beat.activation.argmin()), model.sites) if model is not None else ""
@@ -206,6 +214,10 @@ def scene(
             for (name, prediction), scenario_fields in zip(predicted.items(), fields, strict=True)
         ],
     }
+    if distinct:
+        content["hearts"] = [_positions(vertices[shown], low, high) for vertices in hearts[1:]]
+        content["heart"] = [distinct.index(of_heart) for of_heart in models if of_heart is not None]
+    return content
 
 
 def body_axes(heart: Heart) -> dict[str, list[float]]:
@@ -233,12 +245,12 @@ def _scar(heart: Heart, model: ForwardModel | None) -> NDArray[np.bool_]:
     return scar
 
 
-def _chosen(first: Predicted, vertices: int, scenarios: int) -> Integers:
+def _chosen(first: Predicted, vertices: int, scenarios: int, own_hearts: bool) -> Integers:
     """Networks evenly spread over total activation time, as many as the page has room for."""
     order = np.argsort(first.indices["total_activation_time"], kind="stable")
     nodes = sum(len(tree.nodes) for tree in first.beats[order[0]].trees) // 2
     ecg = 2 * len(LEADS) * 125  # bytes of an ECG of about 250 ms
-    size = scenarios * (vertices + nodes + ecg) + 8 * nodes
+    size = scenarios * (vertices + nodes + ecg) + 8 * nodes + 6 * vertices * own_hearts
     count = int(np.clip(3_000_000 // size, 3, 40))  # compressed they are little more than half
     ranks = {*evenly_spread(len(order), count - 1), (len(order) - 1) // 2}
     return np.asarray(order[sorted(ranks)])
@@ -274,17 +286,24 @@ def _orders(
     ]
 
 
-def _fields(predicted: Mapping[str, Predicted], shown: Integers) -> list[list[dict[str, Any]]]:
-    """Maps over all networks, of each scenario. Fields of one name share one scale.
+def _fields(
+    predicted: Mapping[str, Predicted], shown: Integers, note: str
+) -> list[list[dict[str, Any]]]:
+    """Maps over all networks, of each scenario, with a note in their labels.
+
+    Fields of one name share one scale.
 
     Times end with the latest of the mean maps and of the median networks, in any scenario: one
     slow network does not stretch the scale.
     """
-    keys = ("name", "label", "unit", "kind")
     fields = [
-        [dict(zip(keys, row, strict=True), values=prediction.maps[row[0]][shown]) for row in MAPS]
+        [
+            {"name": name, "label": label + note, "unit": unit, "kind": kind,
+             "values": prediction.maps[name][shown]}
+            for name, label, unit, kind in MAPS
+        ]
         for prediction in predicted.values()
-    ]
+    ]  # fmt: skip
     slow = [since_first(e.beats[e.extremes()["median"]].activation) for e in predicted.values()]
     for alike in zip(*fields, strict=True):
         values = [field["values"] for field in alike]
@@ -295,7 +314,12 @@ def _fields(predicted: Mapping[str, Predicted], shown: Integers) -> list[list[di
     return fields
 
 
-def _segments(territories: Territories, predicted: Predicted, chosen: Integers) -> dict[str, Any]:
+def _segments(
+    territories: Territories,
+    predicted: Predicted,
+    chosen: Integers,
+    of_networks: Sequence[Territories],
+) -> dict[str, Any]:
     """Mean activation of the 17 LV segments in the chosen networks, and `MAPS` of the segments.
 
     Over all networks these are the mean activation of a segment with its 90 % interval, its
@@ -303,10 +327,16 @@ def _segments(territories: Territories, predicted: Predicted, chosen: Integers) 
     interval where one of the networks activates none.
     """
 
-    def means(values: Floats) -> Floats:
-        return territories.segment_means(territories.times(values))[1:]
+    def means(values: Floats, within: Territories = territories) -> Floats:
+        return within.segment_means(within.times(values))[1:]
 
-    activations = np.array([means(since_first(beat.activation)) for beat in predicted.beats])
+    within = of_networks or [territories] * len(predicted.beats)
+    activations = np.array(
+        [
+            means(since_first(beat.activation), of_network)
+            for beat, of_network in zip(predicted.beats, within, strict=True)
+        ]
+    )
     low, high = np.percentile(activations, (5, 95), axis=0)
     maps = {name: {"values": means(predicted.maps[name])} for name, *_ in MAPS}
     maps["activation_mean"] |= {"low": low, "high": high}
