@@ -198,7 +198,7 @@ def test_a_scar_is_never_activated_and_simulated_again_from_its_file(session, tm
     files = session.files(PageState(values=session.start, scars=[place]))
     (tmp_path / "scenario.toml").write_text(files["scenario.toml"])
     scenario, regions = read_scenario(tmp_path / "scenario.toml")
-    again = session._scarred(session.model, regions)  # prepared above, if these are the same regions
+    again = session._scarred(session.model, regions)  # prepared above, if the regions are the same
     assert again.conduction.regions == regions
     expected = again.simulate(session.start, scenario)
     assert said["total"] == pytest.approx(expected.total_activation_time)

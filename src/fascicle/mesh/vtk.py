@@ -172,7 +172,8 @@ def write_grid(
     """Write cells of one kind, such as `TETRAHEDRON`, as VTU, whole or not at all.
 
     Points (n, 3) are in mm, cells (m, k) their indices; arrays have one row a point, or a cell.
-    Triangles may be a VTP file, by its suffix. A note is a text in the field data.
+    Triangles may be a VTP file, by its suffix. A note is the name of
+    an array of the field data: not all readers take texts.
     """
     import pyvista as pv
     from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
@@ -186,7 +187,7 @@ def write_grid(
     data.point_data.update(point_data or {})
     data.cell_data.update(cell_data or {})
     if note:
-        data.field_data["note"] = [note]
+        data.field_data[note] = [1.0]
     # written in memory first: on a full disk VTK crashes, but Python raises an error
     writer.SetInputData(data)
     writer.SetDataModeToBinary()  # as base64, so the output is text
