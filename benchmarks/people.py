@@ -31,7 +31,7 @@ import csv
 import os
 import re
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -53,10 +53,12 @@ from fascicle.forward.loss import align
 from fascicle.heart.folder import write_heart
 from fascicle.networks.prior_simulations import random_bodies
 from fascicle.recording.criteria import frontal_axis
+from fascicle.recording.target import Target
 
 Array = NDArray[np.float64]
 HEARTS = ("camps-dti004", "default")
 DATA = Path(os.environ.get("FASCICLE_TEST_DATA", "../shared/data"))
+PTBXL = DATA / "ecg" / "ptbxl"
 NETWORKS = 600  # that are drawn
 TORSOS = 12
 # The slow onset of the QRS of dog007 is lost in power-line interference and baseline wander.
@@ -221,16 +223,8 @@ def dogs() -> None:
 
 def ptbxl(half: str) -> None:
     """Print the states of labelled people on hearts that are not theirs."""
-    folder = DATA / "ecg" / "ptbxl"
-    with (folder / "labels.csv").open(encoding="utf-8") as file:
-        rows = [row for row in csv.DictReader(file) if is_of(half, row)]
-    targets = []
-    for row in rows:
-        try:
-            recording = fascicle.read_recording(folder / f"{int(row['ecg_id']):05d}_hr.hea")
-            targets.append((labels(row), fascicle.make_target(recording)))
-        except InputError as error:
-            print(f"  {row['ecg_id']}: {error}")
+    rows = [row for row in label_rows() if is_of(half, row)]
+    targets = [(labels(row), target) for row, target in labelled_targets(rows)]
     print(f"{len(targets)} of {len(rows)} recordings ({half})")
     for name in HEARTS:
         answers = [
@@ -255,6 +249,22 @@ def ptbxl(half: str) -> None:
                 f"  {side} bundle branch, complete or incomplete: AUC {auc(scores, labelled):.2f} "
                 f"({labelled.sum()}), complete: {whole:.2f} ({complete.sum()})"
             )
+
+
+def label_rows() -> list[dict[str, str]]:
+    """Rows of the table of the recordings of PTB-XL."""
+    with (PTBXL / "labels.csv").open(encoding="utf-8") as file:
+        return [*csv.DictReader(file)]
+
+
+def labelled_targets(rows: Iterable[dict[str, str]]) -> Iterator[tuple[dict[str, str], Target]]:
+    """Rows with the targets of their recordings; those that cannot be used are printed."""
+    for row in rows:
+        try:
+            recording = fascicle.read_recording(PTBXL / f"{int(row['ecg_id']):05d}_hr.hea")
+            yield row, fascicle.make_target(recording)
+        except InputError as error:
+            print(f"  {row['ecg_id']}: {error}")
 
 
 def is_of(half: str, row: dict[str, str]) -> bool:

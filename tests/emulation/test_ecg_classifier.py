@@ -18,6 +18,7 @@ from fascicle.emulation.ecg_classifier import (
     learn,
     most_alike,
 )
+from fascicle.emulation.recalibration import packaged_recalibration
 from fascicle.emulation.state_classifier import unlike
 from fascicle.networks.prior_simulations import BEFORE
 from fascicle.recording.target import Target
@@ -81,6 +82,18 @@ def test_what_lies_outside_the_components(classifier):
     assert familiar == pytest.approx(0.98, abs=0.01)
 
 
+def test_the_distance_from_the_training_set_is_that_of_mahalanobis(classifier):
+    """Along a component, and outside, where the variance is that of the last; of any size."""
+    sds = np.linspace(3.0, 0.5, 80)
+    axes = np.eye(8 * COSINES)
+    simple = replace(
+        classifier, mean=0 * axes[0], components=axes[:80], scale=np.sqrt(sds * sds.max())
+    )
+    recordings = 7 * axes[[0, 40, 100]].reshape(3, 8, COSINES)
+    expected = (sds**2).sum() / sds[[0, 40, 79]] ** 2
+    np.testing.assert_allclose(simple.distance(recordings), expected)
+
+
 def target_of(cosines):
     """A recording whose independent leads are these, in silence before and after."""
     ecg = np.zeros((12, LENGTH))
@@ -96,6 +109,11 @@ def test_what_is_unlike_all_simulated_recordings_is_said(classifier):
     assert unlike(of_few, target_of(like)) == ""
     strange = target_of(3 * np.random.default_rng(8).normal(size=(8, COSINES)))
     (outside,) = of_few.unexplained(of_few.cosines(strange))
+    (distance,) = of_few.distance(of_few.cosines(strange))
+    people = replace(packaged_recalibration(), farthest=distance + 1)
+    assert unlike(of_few, strange, people) == ""
+    refused = unlike(of_few, strange, replace(people, farthest=distance - 1))
+    assert f"(squared distance {distance:.0f}, in 99% of people {distance - 1:.0f}" in refused
     assert unlike(of_few, strange) == (
         f"the recording is unlike all simulated ones of this heart ({outside:.0%} of its QRS, "
         "10% at most expected)"

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 Ranges = Mapping[str, tuple[float, float]]
 
 NORMAL = "normal"
+FASCICULAR_BLOCKS = "left anterior fascicular block", "left posterior fascicular block"
 # Parts of the conduction system that a state may block
 BLOCKABLE = (
     "left bundle branch",

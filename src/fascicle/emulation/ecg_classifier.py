@@ -175,6 +175,20 @@ class EcgClassifier:
         inside = ((flat @ self.components.T) ** 2).sum(axis=1)
         return np.asarray(1 - inside / (flat**2).sum(axis=1))
 
+    def distance(self, recordings: NDArray[Any]) -> Floats:
+        """Squared Mahalanobis distance (n,) of recordings (n, r, COSINES) from the training set.
+
+        Recordings are scaled to the root mean square size of the training set. Outside the
+        components its variance is taken to be that of the last one.
+        """
+        variances = (self.scale**2 / self.scale.max()) ** 2  # scale: root of the SD, see `learn`
+        flat = recordings.reshape(len(recordings), -1).astype(float)
+        size = np.sqrt(variances.sum() + (self.mean**2).sum())
+        flat = flat * (size / np.linalg.norm(flat, axis=1, keepdims=True)) - self.mean
+        along = (flat @ self.components.T) ** 2
+        outside = (flat**2).sum(axis=1) - along.sum(axis=1)
+        return np.asarray((along / variances).sum(axis=1) + outside / variances[-1])
+
     def arrays(self) -> dict[str, Any]:
         """Arrays of all attributes, for a file; weights of networks in half precision."""
         arrays = {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)[:4]}

@@ -39,6 +39,12 @@ from fascicle.emulation.heart_emulator import (
     simulations_of,
     usual_prior,
 )
+from fascicle.emulation.recalibration import (
+    Recalibration,
+    features_of,
+    recalibration_of,
+    simulated_state,
+)
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.preparation import compile_kernels
 from fascicle.heart.heart import Heart
@@ -89,11 +95,28 @@ class StateSimulations:
 
 
 def probabilities(
-    classifier: EcgClassifier, states: Iterable[str], priors: Mapping[str, float], target: Target
+    classifier: EcgClassifier,
+    states: Iterable[str],
+    priors: Mapping[str, float],
+    target: Target,
+    recalibration: Recalibration | None = None,
 ) -> dict[str, float]:
-    """Posterior probabilities of states by a classifier that was trained on `states`."""
-    by_classifier = zip(states, classifier.probabilities(target), strict=True)
-    products = {name: p * priors[name] for name, p in by_classifier if name in priors}
+    """Posterior probabilities of states by a classifier that was trained on `states`.
+
+    A recalibration, which has learnt how common states are, names fascicular blocks, too. It is
+    weighted by the priors over the default ones; that of a fascicular block is that of normal.
+    """
+    likely = dict(zip(states, classifier.probabilities(target), strict=True))
+    if recalibration is not None:
+        features = features_of(target, likely)
+        likely = {name: p[0] for name, p in recalibration.probabilities(features).items()}
+        default = {state.name: state.probability for state in told_apart()}
+        priors = {name: p / default[name] for name, p in priors.items()}
+    products = {
+        name: p * priors[simulated_state(name)]
+        for name, p in likely.items()
+        if simulated_state(name) in priors
+    }
     total = sum(products.values())
     return {name: float(p / total) for name, p in products.items()}
 
@@ -138,7 +161,9 @@ def state_probabilities(
         A recording of the intrinsic beat.
     priors : mapping of str to float, optional
         Prior probabilities of the states; by default their prevalence in adults who are referred
-        for an ECG (`fascicle.core.conduction_states`).
+        for an ECG (`fascicle.core.conduction_states`). Of the heart ``"atlas"`` states are named as
+        cardiologists do, fascicular blocks among them (`fascicle.emulation.recalibration`), and the
+        prior of normal is that of these, too.
     parameters : mapping of name to value, optional
         Quantities with other priors, or fixed, as in `fascicle.fit`; its ``"conduction"`` replaces
         `priors`. Prior simulations of these are made once for each heart.
@@ -181,14 +206,29 @@ def state_probabilities(
         simulations = simulations_of_states(model, prior, folder, count)
         rows = classified_rows(target)
         classifier = classifier_of(simulations, rows, folder, count, pool, shown)
-    probable = probabilities(classifier, simulations, state_priors, target)
-    if reason := unlike(classifier, target):
+    recalibration = recalibration_of(heart, target, simulations)
+    probable = probabilities(classifier, simulations, state_priors, target, recalibration)
+    if reason := unlike(classifier, target, recalibration):
         return NoStateNamed(reason, probable)
-    return {state_label(name): p for name, p in probable.items()}
+    return {state_label(name, probable): p for name, p in probable.items()}
 
 
-def unlike(classifier: EcgClassifier, target: Target) -> str:
-    """Reason why a recording is unlike the training set of a classifier; empty if it is not."""
+def unlike(
+    classifier: EcgClassifier, target: Target, recalibration: Recalibration | None = None
+) -> str:
+    """Reason why a recording is unlike the training set of a classifier; empty if it is not.
+
+    A recalibration says how far people's recordings are; without one, the share of energy outside
+    the components must not be more than in simulated recordings.
+    """
+    if recalibration is not None:
+        (distance,) = classifier.distance(classifier.cosines(target))
+        if distance <= recalibration.farthest:
+            return ""
+        return (
+            f"the recording is unlike all simulated ones (squared distance {distance:.0f}, in 99% "
+            f"of people {recalibration.farthest:.0f} at most)"
+        )
     assert classifier.most_unexplained is not None
     (unexplained,) = classifier.unexplained(classifier.cosines(target))
     if unexplained <= classifier.most_unexplained:

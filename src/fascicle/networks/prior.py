@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -13,7 +13,13 @@ from typing import Any, get_args
 import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.core.conduction_states import CONDUCTION_STATES, NORMAL, ConductionState, told_apart
+from fascicle.core.conduction_states import (
+    CONDUCTION_STATES,
+    FASCICULAR_BLOCKS,
+    NORMAL,
+    ConductionState,
+    told_apart,
+)
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file, read_toml
 from fascicle.core.parameters import (
@@ -438,9 +444,10 @@ def narrowed(
     return ParameterSpace(tuple(learnt.values()))
 
 
-def state_label(name: str) -> str:
-    """Name of a state for people, who must know that fascicular blocks are not told apart."""
-    return "normal or fascicular block" if name == NORMAL else name
+def state_label(name: str, names: Collection[str]) -> str:
+    """Name of one of the states `names` for people, who must know if fascicular blocks are none."""
+    untold = name == NORMAL and not {*FASCICULAR_BLOCKS} & {*names}
+    return "normal or fascicular block" if untold else name
 
 
 def states_of(priors: Mapping[str, float]) -> tuple[ConductionState, ...]:

@@ -141,7 +141,7 @@ def states_figure(states: Mapping[str, float], priors: Mapping[str, float]) -> F
     figure = new_figure(6.0, 0.6 + 0.24 * len(ranked))
     axes = figure.subplots()
     axes.barh(ranked, [states[name] for name in ranked], color=Colour.ORANGE, label="given the ECG")
-    prior = [priors[name] for name in ranked]
+    prior = [priors.get(name, np.nan) for name in ranked]  # none of fascicular blocks
     axes.plot(prior, ranked, "|", color=Colour.GREY, markersize=10, label="before the ECG")
     axes.set_xlim(0, 1)
     axes.set_xlabel("probability")

@@ -17,6 +17,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.progress import Progress
 from fascicle.emulation.ecg_classifier import classified_rows
 from fascicle.emulation.likelihood import RUNS
+from fascicle.emulation.recalibration import as_simulated, recalibration_of
 from fascicle.emulation.state_classifier import (
     StateSimulations,
     classifier_of,
@@ -36,7 +37,7 @@ class Diagnosis:
     Attributes
     ----------
     probable : mapping of str to float
-        Probability of each state.
+        Probability of each state that is named; networks of a fascicular block are those of normal.
     unnamed : str
         Reason why no state is named despite these probabilities; else empty.
     simulations : mapping of str to StateSimulations
@@ -50,7 +51,7 @@ class Diagnosis:
     @cached_property
     def shares(self) -> dict[str, float]:
         """Fewest states whose probabilities add up to 0.9, with their shares of the draws."""
-        probable = self.probable
+        probable = as_simulated(self.probable)
         ranked = sorted(probable, key=lambda name: -probable[name])
         before = np.cumsum([0.0, *(probable[name] for name in ranked)])
         fitted = [name for name, covered in zip(ranked, before, strict=False) if covered < 0.9]
@@ -72,8 +73,9 @@ def classified(problem: InverseProblem, place: Path, progress: Progress | None) 
     simulations = simulations_of_states(simulator.model, problem.config.prior, place, count)
     rows = classified_rows(target)
     classifier = classifier_of(simulations, rows, place, count, simulator.pool, progress)
-    probable = probabilities(classifier, simulations, problem.config.states, target)
-    return Diagnosis(probable, unlike(classifier, target), simulations)
+    recalibration = recalibration_of(simulator.model.heart, target, simulations)
+    probable = probabilities(classifier, simulations, problem.config.states, target, recalibration)
+    return Diagnosis(probable, unlike(classifier, target, recalibration), simulations)
 
 
 def mixture(

@@ -26,6 +26,7 @@ from fascicle.emulation.ecg_emulator import EcgEmulator
 from fascicle.emulation.heart_emulator import emulator_of, refined_emulators, simulations_for
 from fascicle.emulation.likelihood import RUNS, EmulatedLikelihood, checked
 from fascicle.emulation.predictive import Checks, Prediction, predict_recording
+from fascicle.emulation.recalibration import as_simulated
 from fascicle.forward.activation_sequence import SequenceSummary
 from fascicle.forward.likelihood import Likelihood
 from fascicle.forward.model import Backend
@@ -197,7 +198,7 @@ def fit_states(problem: InverseProblem, folder: Path, progress: Progress | None)
         emulated: dict[float, Sequence[EmulatedLikelihood]] = {}
         stage = "conduction states"
         for (name, share), draws in zip(shares.items(), counts, strict=True):
-            message = f"{name}, probability {diagnosis.probable[name]:.2f}"
+            message = f"{name}, probability {as_simulated(diagnosis.probable)[name]:.2f}"
             stage_progress(progress, stage, message)(len(posteriors), len(shares))
             state, count = diagnosis.simulations[name].state, diagnosis.simulations[name].count
             # 20: the least effective sample size that a study may have

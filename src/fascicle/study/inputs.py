@@ -21,6 +21,7 @@ from fascicle.core.ranges import check_kind
 from fascicle.emulation.ecg_emulator import TORSO_MODES, EcgEmulator
 from fascicle.emulation.heart_emulator import MOST_ROUNDS, REFINING_NETWORKS
 from fascicle.emulation.likelihood import EmulatedLikelihood, likelihood_of
+from fascicle.emulation.recalibration import as_simulated
 from fascicle.forward.beat import Beat
 from fascicle.forward.likelihood import Likelihood, QrsLikelihood
 from fascicle.forward.model import Backend, ForwardModel, usable
@@ -132,7 +133,7 @@ class InverseProblem:
 
     def with_states(self, probable: Mapping[str, float]) -> InverseProblem:
         """Problem whose prior mixes the conduction states by their posterior probabilities."""
-        prior = replace(self.simulator.prior, states=probable)
+        prior = replace(self.simulator.prior, states=as_simulated(probable))
         simulator = replace(self.simulator, prior=prior, memory=BeatMemory(kept=True))
         return replace(self, simulator=simulator)
 

@@ -240,7 +240,7 @@ class Statements:
             for side in ("left", "right")
             if {f"{side} bundle branch block", f"{side} bundle branch delay"} <= {*named}
         ]
-        probabilities = (f"{state_label(name)}: {named[name]:.2f}" for name in ranked)
+        probabilities = (f"{state_label(name, states)}: {named[name]:.2f}" for name in ranked)
         ranking = ", ".join([*probabilities, *less_probable])
         return ranking + "".join(alike)
 
