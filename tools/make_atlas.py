@@ -85,7 +85,7 @@ LENGTH = 300  # samples (ms) of an ECG
 SEED = 20261129
 FIELD_COMPONENTS = 80  # of the lead fields
 INPUTS = 16  # numbers that stand for a heart in the emulators
-EPOCHS = 6  # of the emulators' training
+EPOCHS = {True: 10, False: 40}  # of the emulators' training: of mapped states, and of others
 PLAIN_RATIO = float(np.divide(*Conduction().speeds))
 COUNT = int(FitSettings.model_fields["prior_simulations"].default)
 PACKAGE = Path(fascicle.__file__).parent / "data"
@@ -342,7 +342,7 @@ def learn(out: Path) -> None:
         simulations, examples = of_state.simulations, simulated.examples(index)
         emulator = learn_emulator(
             examples, simulations.prior, PLAIN_RATIO, np.random.default_rng(simulations.seed),
-            hearts=inputs, epochs=EPOCHS,
+            hearts=inputs, epochs=EPOCHS[simulations.prior.mapped],
         )  # fmt: skip
         report = {**emulator.report, "networks": float(COUNT)}
         arrays = replace(emulator, report=report).arrays()

@@ -202,14 +202,13 @@ class ForwardModel:
 
     def _made_atlas_model(self, number: int) -> ForwardModel:
         """Forward model of a heart of the atlas, with its tissue."""
-        assert self.heart.atlas is not None
-        heart = atlas_heart(self.heart, number)
-        tissue = self.conduction.with_values(self.heart.atlas.tissues[number])
-        fields = LeadFields(heart.lead_fields.values, key_of(heart, tissue), "")
+        atlas, heart = self.heart.atlas, atlas_heart(self.heart, number)
+        assert atlas is not None
+        tissue = self.conduction.with_values(atlas.tissues[number])
+        fields = LeadFields(atlas.lead_fields(number), key_of(heart, tissue), "")
         heart = replace(heart, lead_fields=fields)
         prepared = build(heart, tissue, self.action_potential, rays=self.atlas_rays)
-        model = ForwardModel(heart, tissue, self.rules, self.action_potential, prepared)
-        return model
+        return ForwardModel(heart, tissue, self.rules, self.action_potential, prepared)
 
     @cached_property
     def surfaces(self) -> VentricularSurfaces:

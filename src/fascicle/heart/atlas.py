@@ -18,12 +18,15 @@ from numpy.typing import NDArray
 
 from fascicle.core.errors import InputError
 from fascicle.heart.fibres import rule_based_fibres
-from fascicle.heart.heart import Atlas, Components, Heart, LeadFields
+from fascicle.heart.heart import Atlas, Components, Heart
 from fascicle.heart.labelled_surface import labelled_mesh
 
 
 def atlas_heart(heart: Heart, number: int) -> Heart:
-    """One heart of an atlas, with fibres by rule, its electrodes and its lead fields."""
+    """One heart of an atlas, with fibres by rule and its electrodes, without lead fields.
+
+    `Atlas.lead_fields` are those of the heart with its tissue.
+    """
     atlas = heart.atlas
     assert atlas is not None
     vertices = atlas.vertices(number)
@@ -35,7 +38,7 @@ def atlas_heart(heart: Heart, number: int) -> Heart:
     return replace(
         heart, vertices=vertices, fibres=fibres.fibre, sheets=fibres.sheet, lv=lv, rv=rv,
         electrodes=atlas.electrodes[number], name=f"{heart.name} {number}", torso=None, atlas=None,
-        lead_fields=LeadFields(atlas.lead_fields(number), "", ""), folder=None,
+        lead_fields=None, folder=None,
     )  # fmt: skip
 
 

@@ -140,7 +140,7 @@ class AveragedOver:
         """Quantities to average over: neither learnt, nor fixed, nor given by the heart."""
         settled = {*space.names, *fixed, *heart.values}
         unsettled = tuple(p for p in NOT_KNOWN if p.name not in settled)
-        if heart.atlas is not None:
+        if heart.atlas is not None and "atlas_heart" not in settled:
             hearts = tuple({"atlas_heart": float(k)} for k in range(len(heart.atlas)))
             return cls(ParameterSpace(unsettled), hearts, tuple(map(float, heart.atlas.weights)))
         varied = {name for tissue in TISSUES for name in tissue}
