@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
@@ -45,8 +45,14 @@ from fascicle.emulation.ecg_classifier import (
     in_leads,
 )
 from fascicle.emulation.ecg_classifier import learn as learn_classifier
-from fascicle.emulation.ecg_emulator import learn as learn_emulator
-from fascicle.emulation.ecg_emulator import tissue_inputs
+from fascicle.emulation.ecg_emulator import (
+    EcgEmulator,
+    emulated_quantities,
+    learn_quantities,
+    ranges_of,
+    tissue_inputs,
+    with_residuals,
+)
 from fascicle.emulation.heart_emulator import usual_prior
 from fascicle.emulation.origin import classifier_key as origin_key
 from fascicle.emulation.origin import ectopic_beats
@@ -72,7 +78,7 @@ from fascicle.heart.heart import Atlas, Components, Heart, LeadFields
 from fascicle.heart.labelled_surface import labelled_mesh
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.mesh.read import read_mesh
-from fascicle.networks.prior import TISSUES, AveragedOver
+from fascicle.networks.prior import TISSUES, AveragedOver, Prior
 from fascicle.networks.prior_simulations import BEFORE, HELD_OUT, Examples
 from fascicle.networks.settings import FitSettings
 from fascicle.torso.lead_fields import key_of, torso_key
@@ -85,7 +91,7 @@ LENGTH = 300  # samples (ms) of an ECG
 SEED = 20261129
 FIELD_COMPONENTS = 80  # of the lead fields
 INPUTS = 16  # numbers that stand for a heart in the emulators
-EPOCHS = {True: 10, False: 40}  # of the emulators' training: of mapped states, and of others
+EPOCHS = 10  # of the emulators' training
 PLAIN_RATIO = float(np.divide(*Conduction().speeds))
 COUNT = int(FitSettings.model_fields["prior_simulations"].default)
 PACKAGE = Path(fascicle.__file__).parent / "data"
@@ -306,10 +312,9 @@ class Simulated:
             ]
         )
 
-    def examples(self, state: int) -> Examples:
-        """Prior simulations of a conduction state, in all hearts."""
-        count = len(self.hearts)
-        points, torsos = [], []
+    def examples(self, state: int, rng: np.random.Generator) -> Examples:
+        """Prior simulations of a conduction state in all hearts, in random order."""
+        count, points, torsos = len(self.hearts), [], []
         for number, (of_heart, which) in enumerate(
             zip(self.of(f"{state} points"), self.of(f"{state} torsos"), strict=True)
         ):
@@ -317,13 +322,17 @@ class Simulated:
             points.append(np.hstack([of_heart, place]))
             torsos.append(TORSOS * number + which)
         feasible = np.concatenate(self.of(f"{state} feasible"))
-        held_out = (np.arange(len(feasible)) % HELD_OUT == HELD_OUT - 1)[feasible]
+        order = rng.permutation(len(feasible))
+        ecg = (np.cumsum(feasible) - 1)[order][feasible[order]]
+        held_out = ecg[(np.arange(len(order)) % HELD_OUT == HELD_OUT - 1)[feasible[order]]]
         return Examples(
-            np.concatenate(points), feasible, np.concatenate(self.of(f"{state} kept")),
-            np.concatenate(self.of(f"{state} ecgs")).astype(np.float32),
+            np.concatenate(points)[order],
+            feasible[order],
+            np.concatenate(self.of(f"{state} kept"))[order],
+            np.concatenate(self.of(f"{state} ecgs"))[ecg].astype(np.float32),
             np.concatenate(self.of(f"{state} in torsos"))[held_out].astype(np.float32),
             np.concatenate(torsos)[held_out],
-        )  # fmt: skip
+        )
 
 
 def learn(out: Path) -> None:
@@ -335,24 +344,90 @@ def learn(out: Path) -> None:
     packaged = replace(heart, torso=None, lead_fields=fields, atlas=simulated.atlas, sheets=None)
     write_heart(packaged, PACKAGE / "hearts" / "atlas")
     heart = load_heart("atlas")
-    model, inputs = ForwardModel(heart), simulated.inputs()
+    model = ForwardModel(heart)
     states = simulations_of_states(model, usual_prior(heart), out, COUNT)
-    for index, (name, of_state) in enumerate(states.items()):
-        began = time.perf_counter()
-        simulations, examples = of_state.simulations, simulated.examples(index)
-        emulator = learn_emulator(
-            examples, simulations.prior, PLAIN_RATIO, np.random.default_rng(simulations.seed),
-            hearts=inputs, epochs=EPOCHS[simulations.prior.mapped],
-        )  # fmt: skip
+    priors = {name: of_state.simulations.prior for name, of_state in states.items()}
+    for name, emulator in emulators_of(simulated, priors).items():
         report = {**emulator.report, "networks": float(COUNT)}
         arrays = replace(emulator, report=report).arrays()
-        put("emulator", simulations.content, {k: np.asarray(v) for k, v in arrays.items()})
-        print(f"{name}: {emulator.summary}; {time.perf_counter() - began:.0f} s", flush=True)
+        content = states[name].simulations.content
+        put("emulator", content, {k: np.asarray(v) for k, v in arrays.items()})
+        print(f"{name}: {emulator.summary}", flush=True)
     learn_ectopic(out, model, simulated)
     classifier = learn_states(simulated, len(states))
     print(f"classifier: {classifier.accuracy:.0%} of held-out recordings told right")
     arrays = {**classifier.arrays(), "networks": np.array(COUNT)}
     put("classifier", classifier_key(states, np.array(INDEPENDENT_ROWS)), arrays)
+
+
+def emulators_of(simulated: Simulated, priors: Mapping[str, Prior]) -> dict[str, EcgEmulator]:
+    """Emulators of the states: one that has the state as an input, with that input fixed.
+
+    States share what hearts do to the ECG, and the rarer ones have few networks of each heart.
+    """
+    rng, hearts, one_hot = np.random.default_rng(SEED), simulated.inputs(), np.eye(len(priors))
+    parts = [simulated.examples(index, rng) for index in range(len(priors))]
+    pairs = [*zip(priors.values(), parts, strict=True)]
+    values = [emulated_quantities(prior, part.points) for prior, part in pairs]
+    tissues = [hearts[prior.tissue(part.points)] for prior, part in pairs]
+    examples, order = joined_examples(parts, rng)
+    states = np.repeat(one_hot, [len(part.points) for part in parts], axis=0)
+    ranges = [ranges_of(prior) for prior in priors.values()]
+    began = time.perf_counter()
+
+    def progress(stage: str, done: int, total: int, message: str = "") -> None:
+        if done % 1000 < 50:
+            print(f"  {stage} {done}/{total}, {time.perf_counter() - began:.0f} s", flush=True)
+
+    emulator = learn_quantities(
+        examples,
+        {name: np.concatenate([v[name] for v in values])[order] for name in values[0]},
+        np.hstack([np.concatenate(tissues), states])[order],
+        {
+            name: (min(r[name][0] for r in ranges), max(r[name][1] for r in ranges))
+            for name in values[0]
+        },
+        rng,
+        progress=progress,
+        epochs=EPOCHS,
+    )
+    emulators = {}
+    for name, part, of_state, of_heart, state in zip(
+        priors, parts, values, tissues, one_hot, strict=True
+    ):
+        fixed = replace(emulator.with_last_inputs(state), hearts=hearts)
+        emulators[name] = with_residuals(fixed, part.of_the_prior, fixed.inputs(of_state, of_heart))
+    return emulators
+
+
+def joined_examples(
+    parts: Sequence[Examples], rng: np.random.Generator
+) -> tuple[Examples, NDArray[np.intp]]:
+    """Examples of all parts in random order, and that order; the same ones are held out."""
+    begins = np.cumsum([0, *(len(part.points) for part in parts)])
+    # rows of ten, of which the last is held out; what is left at the end of a part is left out
+    rows = [
+        begin + np.arange(len(part.points) // HELD_OUT * HELD_OUT).reshape(-1, HELD_OUT)
+        for begin, part in zip(begins, parts, strict=False)
+    ]
+    order = rng.permutation(np.concatenate(rows)).ravel()
+    feasible = np.concatenate([part.feasible for part in parts])
+    held_out = np.concatenate([part.held_out for part in parts])
+    ecg, torso = np.cumsum(feasible) - 1, np.cumsum(feasible & held_out) - 1
+    chosen = order[feasible[order]]
+    in_torsos = torso[chosen[held_out[chosen]]]
+    ecgs, of_torsos, torsos = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("ecgs", "in_torsos", "torsos")
+    )
+    return Examples(
+        np.concatenate([part.points for part in parts])[order],
+        feasible[order],
+        np.concatenate([part.kept for part in parts])[order],
+        ecgs[ecg[chosen]],
+        of_torsos[in_torsos],
+        torsos[in_torsos],
+    ), order
 
 
 def learn_ectopic(out: Path, model: ForwardModel, simulated: Simulated) -> None:
@@ -390,7 +465,7 @@ def learn_states(
 ) -> EcgClassifier:
     """Classifier of conduction states, with hearts held out to tell how good it is."""
     rng, rows = np.random.default_rng(SEED), np.array(INDEPENDENT_ROWS)
-    recorder = Recorder.of(simulated.examples(0).of_the_prior)
+    recorder = Recorder.of(simulated.examples(0, rng).of_the_prior)
     sets: dict[bool, list[tuple[NDArray[np.float32], int]]] = {False: [], True: []}
     for state in range(states):
         for held_out in (False, True):

@@ -5,6 +5,8 @@
 The classifier of conduction states is one for all packaged hearts, and learns from recordings of
 all of them: a patient has another heart, and a classifier that knows a single one is too sure.
 
+Those of the atlas go as well, and `tools/make_atlas.py learn` makes them again.
+
 Their prior simulations are kept in the user's cache, as those of any fit of this heart, and made if
 they are missing, which takes an hour. To be run again whenever they change: the heart,
 the forward model, the priors of what is learnt or averaged over, or the version of the package.
@@ -49,7 +51,8 @@ def main() -> None:
     FOLDER.mkdir(exist_ok=True)
     for old in FOLDER.glob("*.npz"):  # else an old file could be taken for a new one
         old.unlink()
-    make_classifier([make_those_of(fascicle.load_heart(name)) for name in PACKAGED])
+    single = [name for name in PACKAGED if name != "atlas"]
+    make_classifier([make_those_of(fascicle.load_heart(name)) for name in single])
 
 
 def make_those_of(heart: Heart) -> dict[str, StateSimulations]:

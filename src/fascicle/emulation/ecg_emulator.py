@@ -141,6 +141,23 @@ class EcgEmulator:
         raw = _raw_inputs(self.names, values, tissues)
         return np.asarray((raw - self.centre) / self.scale, dtype=np.float32)
 
+    def with_last_inputs(self, last: Floats) -> EcgEmulator:
+        """Emulator whose last inputs (k,) are fixed, before they are standardised."""
+        kept = len(self.centre) - len(last)
+        standardised = ((last - self.centre[kept:]) / self.scale[kept:]).astype(np.float32)
+
+        def fixed(network: NeuralNetwork) -> NeuralNetwork:
+            first, offset, *others = network.weights
+            return NeuralNetwork((first[:kept], offset + standardised @ first[kept:], *others))
+
+        return replace(
+            self,
+            centre=self.centre[:kept],
+            scale=self.scale[:kept],
+            networks=tuple(map(fixed, self.networks)),
+            validity=fixed(self.validity),
+        )
+
     def cosines(self, scores: NDArray[Any]) -> Floats:
         """ECGs (n, 8 + k, f), in cosines, that have scores (n, q)."""
         return np.asarray(self.mean + np.tensordot(self.unit * scores, self.components, 1))
@@ -266,7 +283,6 @@ def learn(
     progress: Progress | None = None,
     epochs: int = 12,
     fewest: int = 50,
-    hearts: Floats | None = None,
 ) -> EcgEmulator:
     """Train an emulator on the examples that are not held out.
 
@@ -280,16 +296,54 @@ def learn(
         Number of times that every example is used in training.
     fewest : int
         Least number of Purkinje networks to learn from.
-    hearts : (k, p) array, optional
-        Inputs that stand for each heart of an atlas.
     """
-    points, averaged = examples.points, prior.averaged
+    tissues = tissue_inputs(prior.averaged, plain_ratio)[prior.tissue(examples.points)]
+    values = emulated_quantities(prior, examples.points)
+    _check_examples(examples, tuple(values), _raw_inputs(tuple(values), values, tissues), fewest)
+    return learn_quantities(
+        examples, values, tissues, ranges_of(prior), rng,
+        time_scaling=time_scaling, progress=progress, epochs=epochs,
+    )  # fmt: skip
+
+
+def emulated_quantities(prior: Prior, points: Floats) -> dict[str, Floats]:
+    """Quantities (n,) at points (n, d), by name, on which an ECG of the prior depends."""
     values = {n: column for n, column in prior.columns(points).items() if n not in prior.fixed}
     values.pop("gain", None)  # a factor on the ECG
-    table = tissue_inputs(averaged, plain_ratio) if hearts is None else hearts
-    tissues, names = table[prior.tissue(points)], tuple(values)
+    return values
+
+
+def ranges_of(prior: Prior) -> dict[str, tuple[float, float]]:
+    """Ranges of the quantities that are learnt or averaged over."""
+    parameters = (*prior.learnt.parameters, *prior.averaged.space.parameters)
+    return {p.name: (p.lower, p.upper) for p in parameters}
+
+
+@one_thread
+def learn_quantities(
+    examples: Examples,
+    values: Mapping[str, Floats],
+    tissues: Floats,
+    ranges: Mapping[str, tuple[float, float]],
+    rng: np.random.Generator,
+    *,
+    time_scaling: bool = True,
+    progress: Progress | None = None,
+    epochs: int = 12,
+) -> EcgEmulator:
+    """Train an emulator, as `learn` does, on quantities instead of points of a prior.
+
+    Parameters
+    ----------
+    values : mapping of str to (n,) array
+        Quantities of each example (`emulated_quantities`).
+    tissues : (n, p) array
+        Further inputs: tissue (`tissue_inputs`), or heart of an atlas.
+    ranges : mapping of str to (float, float)
+        Ranges of the quantities, beyond which no copy is scaled in time.
+    """
+    names = tuple(values)
     raw = _raw_inputs(names, values, tissues)
-    _check_examples(examples, names, raw, fewest)
     feasible, count = examples.feasible, max(2, round(2 * HIGHEST * examples.ecgs.shape[2]))
     training = np.flatnonzero(~examples.held_out[feasible])
     cosines = cosines_of(examples.ecgs, count)
@@ -302,7 +356,7 @@ def learn(
     emulator = EcgEmulator(
         names, raw.mean(axis=0), raw.std(axis=0) + 1e-9, (), NeuralNetwork(()), mean,
         components.reshape(-1, *mean.shape), unit, examples.ecgs.shape[2], np.empty(0),
-        np.empty(0), np.empty(0), {}, np.empty((0, 0)) if hearts is None else hearts,
+        np.empty(0), np.empty(0), {},
     )  # fmt: skip
 
     def example(values: Mapping[str, Floats], ecgs: Floats) -> tuple[Singles, Floats]:
@@ -310,9 +364,6 @@ def learn(
         return emulator.inputs(values, tissues[feasible][training]), centred @ components.T / unit
 
     plain_values = {name: value[feasible][training] for name, value in values.items()}
-    ranges = {
-        p.name: (p.lower, p.upper) for p in (*prior.learnt.parameters, *averaged.space.parameters)
-    }
     pairs = [example(plain_values, cosines[training])]
     scalable = "cv" in names and {*DELAY} & {*names} and {*FASTER[:2]} & {*names}
     for _ in range(4 if time_scaling and scalable else 0):  # copies of all examples
@@ -336,7 +387,7 @@ def learn(
         trainings, rng, lambda done: report(done, steps * len(trainings))
     )
     emulator = replace(emulator, networks=tuple(networks), validity=validity)
-    return _with_residuals(emulator, examples.of_the_prior, count, all_inputs)
+    return with_residuals(emulator, examples.of_the_prior, all_inputs)
 
 
 def _check_examples(examples: Examples, names: tuple[str, ...], raw: Floats, fewest: int) -> None:
@@ -389,11 +440,17 @@ def _scaled_in_time(
     return scaled, early * (1 - fraction) + late * fraction
 
 
-def _with_residuals(
-    emulator: EcgEmulator, examples: Examples, count: int, inputs: Singles
-) -> EcgEmulator:
-    """Add torso modes, residual covariance factors and report, by the held-out ECGs."""
-    held_out = examples.held_out
+def with_residuals(emulator: EcgEmulator, examples: Examples, inputs: Singles) -> EcgEmulator:
+    """Add torso modes, residual covariance factors and report, by the held-out ECGs.
+
+    Parameters
+    ----------
+    examples : Examples
+        Examples of the prior.
+    inputs : (n, p) array
+        Standardised inputs of all examples.
+    """
+    held_out, count = examples.held_out, emulator.mean.shape[1]
     emulated = emulator.cosines(emulator.scores(inputs[held_out & examples.feasible]))
     in_torsos = cosines_of(examples.in_torsos, count)
     true = cosines_of(examples.ecgs[held_out[examples.feasible]], count)

@@ -190,6 +190,11 @@ def read_inputs(
     rules = checked_rules(rules)
     heart = as_heart(heart)
     recordings = given_recordings(target)
+    if settings.method == "paper" and heart.atlas is not None:
+        raise InputError(
+            f"the method 'paper' fits one heart, and {heart.name} is many; use the method "
+            "'posterior', or a heart of your own"
+        )
     if settings.method == "paper" and (len(recordings) > 1 or recordings[0][1] is not None):
         raise InputError(
             "the method 'paper' fits one recording of an intrinsic beat; give one without a "

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.core.conduction_states import NORMAL
+from fascicle.core.conduction_states import FASCICULAR_BLOCKS, NORMAL
 from fascicle.core.parameters import Parameter
 from fascicle.core.quantities import parameter_name, region_labels
 from fascicle.emulation.predictive import Checks
@@ -216,20 +216,27 @@ class Statements:
         population = self._result.population
         if getattr(population, "states", {}):
             unnamed = getattr(population, "unnamed", "")
-            reason = unnamed if self.caution is None else self.caution.brief
+            reason = unnamed if self._caution_of_states is None else self._caution_of_states.brief
             if reason:
                 return f"no conduction state is named ({reason})"
         return self.states
 
     @property
+    def _caution_of_states(self) -> Caution | None:
+        """Caution for the states' probabilities; None if they are calibrated on people."""
+        states = getattr(self._result.population, "states", {})
+        return None if {*FASCICULAR_BLOCKS} & {*states} else self.caution
+
+    @property
     def states(self) -> str:
         """Probability of each conduction state, the most probable first.
 
-        Empty if the state is not learnt, or the result is not to be relied on.
+        Empty if the state is not learnt, or the result is not to be relied on; probabilities that
+        are calibrated on people do not depend on the fit.
         """
         states = getattr(self._result.population, "states", {})
         unnamed = getattr(self._result.population, "unnamed", "")
-        if not states or self.caution is not None or unnamed:
+        if not states or self._caution_of_states is not None or unnamed:
             return ""
         least = 0.02  # probability of a conduction state that is named
         named = {name: p for name, p in states.items() if p >= least}
