@@ -7,6 +7,7 @@ torso of its own, and has its own size, shape, position and electrodes (`fascicl
 from __future__ import annotations
 
 import json
+import os
 import zipfile
 from dataclasses import fields as dataclass_fields
 from dataclasses import replace
@@ -16,7 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
+from fascicle.core.files import DISPOSABLE, ArrayCache
 from fascicle.heart.fibres import rule_based_fibres
 from fascicle.heart.heart import Atlas, Components, Heart
 from fascicle.heart.labelled_surface import labelled_mesh
@@ -30,16 +33,30 @@ def atlas_heart(heart: Heart, number: int) -> Heart:
     atlas = heart.atlas
     assert atlas is not None
     vertices = atlas.vertices(number)
-    fibres = rule_based_fibres(replace(labelled_mesh(heart), vertices=vertices))
+    fibre, sheet = _fibres(heart, number, vertices)
     lv, rv = (
         replace(e, vertices=vertices[numbers])
         for e, numbers in zip(heart.endocardia, endocardial_vertices(heart), strict=True)
     )
     return replace(
-        heart, vertices=vertices, fibres=fibres.fibre, sheets=fibres.sheet, lv=lv, rv=rv,
+        heart, vertices=vertices, fibres=fibre, sheets=sheet, lv=lv, rv=rv,
         electrodes=atlas.electrodes[number], name=f"{heart.name} {number}", torso=None, atlas=None,
         lead_fields=None, folder=None,
     )  # fmt: skip
+
+
+def _fibres(heart: Heart, number: int, vertices: Floats) -> tuple[Floats, Floats]:
+    """Fibres and sheets (m, 3) of a heart of an atlas, by rule; kept in the cache of the atlas."""
+    cache = None
+    if heart.folder is not None and os.access(heart.folder, os.W_OK):
+        cache = ArrayCache(heart.folder / DISPOSABLE, "fibres")
+    arrays = None if cache is None else cache.read(f"{heart.digest} {number}")
+    if arrays is None:
+        ruled = rule_based_fibres(replace(labelled_mesh(heart), vertices=vertices))
+        arrays = {"fibre": ruled.fibre, "sheet": ruled.sheet}
+        if cache is not None:
+            cache.keep(f"{heart.digest} {number}", arrays)
+    return arrays["fibre"], arrays["sheet"]
 
 
 def endocardial_vertices(heart: Heart) -> list[NDArray[np.integer[Any]]]:

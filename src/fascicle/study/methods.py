@@ -52,6 +52,7 @@ class PosteriorFit:
 
     least_particles: ClassVar[int] = 600  # in a batch
     most_batches: ClassVar[int] = 16  # batches that are pooled, until the runs agree
+    fewest_draws: ClassVar[int] = 10  # feasible ones of a run
 
     def run(self) -> Posterior:
         """Sample and simulate all that is not stored yet, and return the posterior."""
@@ -68,11 +69,12 @@ class PosteriorFit:
         """Sample the posterior given the first recordings, and simulate draws of both runs."""
         runs = self._sample(recordings)
         draws_per_run = -(-self.settings.effective // RUNS)
-        draws = [
-            draw
+        by_run = [
+            self._simulated(run, draws_per_run, number, recordings)
             for number, run in enumerate(runs)
-            for draw in self._simulated(run, draws_per_run, number, recordings)
         ]
+        fewest = min(map(len, by_run))  # of either run, if the emulator is wrong about feasibility
+        draws = [draw for of_run in by_run for draw in of_run[:fewest]]
         return Posterior.of(
             self.prior,
             draws,
@@ -85,7 +87,11 @@ class PosteriorFit:
     def _simulated(
         self, run: SamplingRun, count: int, number: int, recordings: int
     ) -> list[Evaluation]:
-        """Simulate draws of a run in random order, without infeasible points."""
+        """Simulate draws of a run in random order, without infeasible points.
+
+        There are fewer than `count` if most points are infeasible; an error if hardly any is
+        feasible.
+        """
         points = [*self._rng(RUNS + number, recordings).permutation(run.points)]
         feasible: list[Evaluation] = []
         total = RUNS * count
@@ -98,7 +104,7 @@ class PosteriorFit:
             batch, points = points[: count - len(feasible)], points[count - len(feasible) :]
             evaluations = self.journal.evaluate(Stage.SAMPLING, batch, 50, report)
             feasible += [evaluation for evaluation in evaluations if evaluation.feasible]
-        if len(feasible) < count:
+        if len(feasible) < max(self.fewest_draws, count // 5):
             mapped = (
                 " that is activated like mapped hearts: conduction may not be normal; leave out "
                 "conduction where it is fixed, or"
