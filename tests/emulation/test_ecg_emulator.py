@@ -318,3 +318,25 @@ def test_likelihoods_are_those_of_emulated_ecgs(emulator, target):
         known = likelihood_of(given, emulator[0], 0.3).covariance
         seen = np.trace(known - beat_noise(given)) / energy
         assert 0.75 < seen / (emulator[0].residual_factor ** 2).sum() < 1
+
+
+def test_last_inputs_that_are_fixed(emulator):
+    """An emulator whose tissue is fixed gives what it gave with that tissue."""
+    emulator, _ = emulator
+    points = np.random.default_rng(4).random((20, 6))
+    values = SPACE.columns(points[:, :4]) | AVERAGED.space.columns(points[:, 4:5])
+    tissue = np.array([np.log(2.2), 0.0])
+    inputs = emulator.inputs(values, np.tile(tissue, (20, 1)))
+    fixed = emulator.with_last_inputs(tissue)
+    fewer = fixed.inputs(values, np.empty((20, 0)))
+    assert fewer.shape[1] == inputs.shape[1] - 2
+    assert_allclose(fixed.scores(fewer), emulator.scores(inputs), rtol=1e-4, atol=1e-4)
+    assert_allclose(fixed.log_validity(fewer), emulator.log_validity(inputs), atol=1e-4)
+
+
+def test_inputs_of_hearts_are_kept_in_files(emulator):
+    emulator, _ = emulator
+    hearts = np.array([[0.5, -1.0], [2.0, 0.25], [0.0, 1.5]])
+    back = EcgEmulator.from_arrays(replace(emulator, hearts=hearts).arrays())
+    assert_array_equal(back.hearts, hearts)
+    assert not len(EcgEmulator.from_arrays(emulator.arrays()).hearts)
