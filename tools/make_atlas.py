@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -78,7 +79,7 @@ from fascicle.heart.heart import Atlas, Components, Heart, LeadFields
 from fascicle.heart.labelled_surface import labelled_mesh
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.mesh.read import read_mesh
-from fascicle.networks.prior import TISSUES, AveragedOver, Prior
+from fascicle.networks.prior import TISSUES, AveragedOver, Prior, chances, late_enough
 from fascicle.networks.prior_simulations import BEFORE, HELD_OUT, Examples
 from fascicle.networks.settings import FitSettings
 from fascicle.torso.lead_fields import key_of, torso_key
@@ -258,6 +259,13 @@ class Simulated:
             fields = json.loads(str(arrays[-1].pop("described")))
             fields |= {"build": Build(**fields["build"]), "size": HeartSize(**fields["size"])}
             fields |= {name: np.array(fields[name]) for name in ("axis", "shift", "trunk")}
+            # the prior of an atlas prefers late last activations (`Prior.keeps`)
+            points = arrays[-1]["0 points"][arrays[-1]["0 feasible"]]
+            late = [
+                chances(point)[1] < late_enough(time)
+                for point, time in zip(points, arrays[-1]["0 times"], strict=True)
+            ]
+            arrays[-1]["0 kept"][arrays[-1]["0 feasible"]] &= np.array(late)
             hearts.append(AtlasHeart(**fields))
         return cls(load_heart(folder / "template"), hearts, arrays)
 
@@ -342,7 +350,10 @@ def learn(out: Path) -> None:
     assert heart.lead_fields is not None
     fields = replace(heart.lead_fields, torso="")  # the standard torso, which can be meshed again
     packaged = replace(heart, torso=None, lead_fields=fields, atlas=simulated.atlas, sheets=None)
-    write_heart(packaged, PACKAGE / "hearts" / "atlas")
+    write_heart(packaged, out / "atlas")
+    for file in (out / "atlas").iterdir():  # beside a file that says where the mesh is from
+        if file.is_file():
+            shutil.copy(file, PACKAGE / "hearts" / "atlas" / file.name)
     heart = load_heart("atlas")
     model = ForwardModel(heart)
     states = simulations_of_states(model, usual_prior(heart), out, COUNT)

@@ -38,7 +38,7 @@ from fascicle.forward.loss import placed
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.mesh.measures import barycentric_gradients, solid_centroid, unit
-from fascicle.networks.prior import UNMAPPED, Prior, growth_and_conduction
+from fascicle.networks.prior import EARLIER, LATE, UNMAPPED, Prior, growth_and_conduction
 from fascicle.pools.pool import Pool
 from fascicle.torso.conductor import SkinMotion, TorsoState, torso_axes
 from fascicle.torso.electrode_sites import Electrode
@@ -184,6 +184,7 @@ class PriorSimulations:
         scenario = "" if self.scenario is None else repr(self.scenario)
         drawn = "" if self.drawn is None else hashlib.sha256(self.drawn.tobytes()).hexdigest()
         mapped = f" {MAPPED} {UNMAPPED}" if prior.mapped else ""
+        mapped += f" {LATE} {EARLIER}" if prior.mapped and prior.averaged.weights else ""
         return (
             f"{self.model.heart.digest} {varied} {sorted(constants.items())} "
             f"{scenario}{drawn}{mapped}"

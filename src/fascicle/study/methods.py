@@ -53,6 +53,8 @@ class PosteriorFit:
     least_particles: ClassVar[int] = 600  # in a batch
     most_batches: ClassVar[int] = 16  # batches that are pooled, until the runs agree
     fewest_draws: ClassVar[int] = 10  # feasible ones of a run
+    # share of the draws, in the fewest hearts of an atlas that hold it: each takes seconds
+    hearts_share: ClassVar[float] = 0.95
 
     def run(self) -> Posterior:
         """Sample and simulate all that is not stored yet, and return the posterior."""
@@ -70,8 +72,8 @@ class PosteriorFit:
         runs = self._sample(recordings)
         draws_per_run = -(-self.settings.effective // RUNS)
         by_run = [
-            self._simulated(run, draws_per_run, number, recordings)
-            for number, run in enumerate(runs)
+            self._simulated(points, draws_per_run, number, recordings)
+            for number, points in enumerate(self._in_probable_hearts(runs))
         ]
         fewest = min(map(len, by_run))  # of either run, if the emulator is wrong about feasibility
         draws = [draw for of_run in by_run for draw in of_run[:fewest]]
@@ -84,15 +86,29 @@ class PosteriorFit:
             self._agree(runs),
         )
 
+    def _in_probable_hearts(self, runs: Sequence[SamplingRun]) -> list[Floats]:
+        """Points of each run; of an atlas, those in the most probable hearts (`hearts_share`)."""
+        averaged = self.prior.averaged
+        if not averaged.weights:
+            return [run.points for run in runs]
+        hearts = [averaged.tissue(run.points[:, len(self.prior.space) :]) for run in runs]
+        counts = np.bincount(np.concatenate(hearts), minlength=len(averaged.weights))
+        ranked = np.argsort(-counts, kind="stable")
+        before = np.cumsum(counts[ranked]) - counts[ranked]
+        probable = ranked[before < self.hearts_share * counts.sum()]
+        return [
+            run.points[np.isin(of_run, probable)] for run, of_run in zip(runs, hearts, strict=True)
+        ]
+
     def _simulated(
-        self, run: SamplingRun, count: int, number: int, recordings: int
+        self, run_points: Floats, count: int, number: int, recordings: int
     ) -> list[Evaluation]:
         """Simulate draws of a run in random order, without infeasible points.
 
         There are fewer than `count` if most points are infeasible; an error if hardly any is
         feasible.
         """
-        points = [*self._rng(RUNS + number, recordings).permutation(run.points)]
+        points = [*self._rng(RUNS + number, recordings).permutation(run_points)]
         feasible: list[Evaluation] = []
         total = RUNS * count
 
@@ -110,7 +126,7 @@ class PosteriorFit:
                 "conduction where it is fixed, or"
             )
             raise InputError(
-                f"only {len(feasible)} of {len(run.points)} draws give a network of this heart"
+                f"only {len(feasible)} of {len(run_points)} draws give a network of this heart"
                 f"{mapped if self.prior.mapped else ';'} make more prior simulations "
                 "(prior_simulations), or narrow the ranges of the lengths"
             )
