@@ -170,7 +170,8 @@ def test_draws_that_are_no_networks(tmp_path, likelihood, mapped, words):
 
 def said_of(posterior, checks=None):
     settings = SimpleNamespace(method="posterior", effective=60)
-    simulator = SimpleNamespace(prior=Prior(SPACE))
+    model = SimpleNamespace(heart=SimpleNamespace(atlas=None))
+    simulator = SimpleNamespace(prior=Prior(SPACE), model=model)
     return Statements(
         SimpleNamespace(population=posterior, checks=checks, settings=settings, simulator=simulator)
     )
@@ -290,7 +291,8 @@ def test_what_the_ecg_constrains(done):
     values = {"alpha": np.linspace(0.056, 0.066, 60)}
     said = said_of(replace(done[1], values=values))
     said._result.simulator = SimpleNamespace(
-        prior=Prior(space), model=SimpleNamespace(conduction=Conduction())
+        prior=Prior(space),
+        model=SimpleNamespace(conduction=Conduction(), heart=SimpleNamespace(atlas=None)),
     )
     (alpha,) = said.parameters
     assert alpha.along_fibre == pytest.approx((0.747, 0.692, 0.802), abs=2e-3)

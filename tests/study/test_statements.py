@@ -26,7 +26,7 @@ def fitted(
 ):  # fmt: skip
     """A study of which only what decides the warnings is there."""
     regions = None if regions is None else np.array(regions)
-    heart = SimpleNamespace(regions=regions, has_torso=lead_fields)
+    heart = SimpleNamespace(regions=regions, has_torso=lead_fields, atlas=None)
     conduction = Conduction().with_values(values or {})
     model = SimpleNamespace(heart=heart, conduction=conduction)
     trees = [

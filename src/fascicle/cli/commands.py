@@ -29,6 +29,7 @@ from fascicle.cli.options import (
     explicit,
     fit_options,
     fixed_values,
+    heart_of,
     pool_at,
     wanted_parameters,
     with_scenario,
@@ -234,7 +235,7 @@ def fit(
         if device is not None:
             fit_settings["backend"] = fascicle.GpuBackend(device)
         pool = pool_at(scheduler, progress)
-        of_person = fascicle.load_heart(heart, sex=sex, age=age, height=height, weight=weight)
+        of_person = heart_of(heart, sex=sex, age=age, height=height, weight=weight)
         fitted = fascicle.fit(
             of_person, recordings, out, parameters=learnt, progress=progress, pool=pool,
             **fit_settings,
@@ -278,7 +279,7 @@ def locate(
 
     check_folder(out)
     with TerminalProgress() as progress:
-        of_person = fascicle.load_heart(heart, sex=sex, age=age, height=height, weight=weight)
+        of_person = heart_of(heart, sex=sex, age=age, height=height, weight=weight)
         origin = fascicle.locate(
             of_person, target, prior_simulations=prior_simulations, workers=workers,
             progress=progress, pool=pool_at(scheduler, progress),
@@ -330,7 +331,7 @@ def states(
 
     file_settings = read_settings(settings_file) if settings_file is not None else {}
     with TerminalProgress() as progress:
-        of_person = fascicle.load_heart(heart, sex=sex, age=age, height=height, weight=weight)
+        of_person = heart_of(heart, sex=sex, age=age, height=height, weight=weight)
         probabilities = fascicle.state_probabilities(
             of_person, target, parameters=file_settings.get("parameters"),
             prior_simulations=prior_simulations, workers=workers, progress=progress,
