@@ -300,10 +300,11 @@ def learn(
     tissues = tissue_inputs(prior.averaged, plain_ratio)[prior.tissue(examples.points)]
     values = emulated_quantities(prior, examples.points)
     _check_examples(examples, tuple(values), _raw_inputs(tuple(values), values, tissues), fewest)
-    return learn_quantities(
+    emulator: EcgEmulator = learn_quantities(
         examples, values, tissues, ranges_of(prior), rng,
         time_scaling=time_scaling, progress=progress, epochs=epochs,
     )  # fmt: skip
+    return emulator
 
 
 def emulated_quantities(prior: Prior, points: Floats) -> dict[str, Floats]:
