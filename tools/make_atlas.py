@@ -27,7 +27,7 @@ from make_packaged_emulators import put
 from numpy.typing import NDArray
 
 import fascicle
-from fascicle.atlas.population import AtlasHeart, Build, drawn_hearts
+from fascicle.atlas.population import AtlasHeart, Build, drawn_hearts, measures_of
 from fascicle.atlas.shapes import HeartFamily, HeartSize
 from fascicle.atlas.torsos import heart_in_torso, lead_fields_in_torsos
 from fascicle.build.build_heart import TorsoOptions, heart_of, in_torso
@@ -154,7 +154,6 @@ def simulate(number: int, out: Path, described: AtlasHeart) -> str:
         "vertices": heart.vertices.astype(np.float32),
         "fields": fields.astype(np.float32),
         "electrodes": heart.electrodes,
-        "volumes": family.volumes(heart.vertices),
     }
     counts = {}
     for index, state in enumerate(told_apart()):
@@ -280,17 +279,11 @@ class Simulated:
     @property
     def atlas(self) -> Atlas:
         """Atlas of these hearts, which are equally probable."""
-        count, names = len(self.hearts), ("azimuth", "elevation", "roll")
-        measures: dict[str, list[float]] = {}
-        mesh = labelled_mesh(self.template)
-        for heart, vertices in zip(self.hearts, self.of("vertices"), strict=True):
-            build = asdict(heart.build)
-            build["sex"] = float(heart.build.sex == "m")
-            wall = wall_thickness(replace(mesh, vertices=vertices.astype(float))).lv
-            values = {**build, **asdict(heart.size), **dict(zip(names, heart.axis, strict=True))}
-            values["lv_wall"] = float(np.median(wall))
-            for name, value in values.items():
-                measures.setdefault(name, []).append(float(value))
+        count, mesh = len(self.hearts), labelled_mesh(self.template)
+        walls = [
+            np.median(wall_thickness(replace(mesh, vertices=vertices.astype(float))).lv)
+            for vertices in self.of("vertices")
+        ]
         fields = np.array([fields[0] for fields in self.of("fields")], dtype=float)
         fields = fields.reshape(9 * count, -1)
         return Atlas(
@@ -298,7 +291,7 @@ class Simulated:
             np.array(self.of("electrodes")),
             Components.of(fields - fields.mean(axis=1, keepdims=True), FIELD_COMPONENTS),
             tuple(TISSUES[heart.tissue] for heart in self.hearts),
-            {name: np.array(values) for name, values in measures.items()},
+            {**measures_of(self.hearts), "lv_wall": np.array(walls)},
             np.full(count, 1 / count),
         )
 
@@ -471,23 +464,17 @@ def learn_ectopic(out: Path, model: ForwardModel, simulated: Simulated) -> None:
     put("origin", key, {**arrays, "networks": np.array(COUNT)})
 
 
-def learn_states(
-    simulated: Simulated, states: int, held_out_hearts: Sequence[int] = (), count: int = 40_000
-) -> EcgClassifier:
-    """Classifier of conduction states, with hearts held out to tell how good it is."""
+def learn_states(simulated: Simulated, states: int, count: int = 40_000) -> EcgClassifier:
+    """Classifier of conduction states; a tenth of the networks is held out."""
     rng, rows = np.random.default_rng(SEED), np.array(INDEPENDENT_ROWS)
     recorder = Recorder.of(simulated.examples(0, rng).of_the_prior)
     sets: dict[bool, list[tuple[NDArray[np.float32], int]]] = {False: [], True: []}
     for state in range(states):
         for held_out in (False, True):
             ecgs = []
-            for number, arrays in enumerate(simulated.arrays):
+            for arrays in simulated.arrays:
                 kept = np.flatnonzero(arrays[f"{state} kept"][arrays[f"{state} feasible"]])
-                # a tenth of the networks, or whole hearts, are held out
-                if held_out_hearts:
-                    chosen = kept if (number in held_out_hearts) == held_out else kept[:0]
-                else:
-                    chosen = kept[(np.arange(len(kept)) % 10 == 9) == held_out]
+                chosen = kept[(np.arange(len(kept)) % HELD_OUT == HELD_OUT - 1) == held_out]
                 ecgs.append(arrays[f"{state} in torsos"][chosen])
             of_state = np.concatenate(ecgs).astype(np.float32)
             if not held_out:

@@ -142,7 +142,7 @@ def _heart_at(
     elif kind < 0.31:  # right ventricle dilated or hypertrophied
         rv_volume *= exp(0.20 + 0.40 * severity)
         rv_wall *= exp(0.10 + 0.40 * severity)
-    # the spread of the heart's pose includes that of the torsos in which each heart is simulated
+    # the variations of its torso, in which a heart is simulated, turn and move it further
     axis = np.array([45.0 + 7.0 * normal[11], build.elevation + 7.0 * normal[12], 8.0 * normal[13]])
     axis[1] = np.clip(axis[1], 5.0, 60.0)
     shift = np.array([7.0, 8.0, 12.0]) * normal[14:17]
@@ -218,21 +218,11 @@ def weights_for(atlas: Atlas, known: Mapping[str, float], fewest: float = 24.0) 
     """
     rng = np.random.default_rng(0)
     points = np.clip(rng.random((2000, 20)), 1e-4, 1 - 1e-4)
-    drawn = _descriptors(_heart_at(point, 0) for point in points)
-    wanted = _descriptors(_heart_at(point, 0, known, DISEASED) for point in points)
-    m = atlas.measures
-    hearts = (
-        AtlasHeart(
-            Build("m" if sex else "f", age, height, weight),
-            HeartSize(lv_volume, lv_mass, rv_volume),
-            np.array([0.0, elevation, 0.0]), np.zeros(3), np.ones(3), 0,
-        )
-        for sex, age, height, weight, lv_volume, lv_mass, rv_volume, elevation in zip(
-            *(m[name] for name in (*KNOWN, "lv_volume", "lv_mass", "rv_volume", "elevation")),
-            strict=True,
-        )
-    )  # fmt: skip
-    described = _descriptors(hearts)
+    drawn, wanted = (
+        _descriptors(measures_of([_heart_at(point, 0, *options) for point in points]))
+        for options in ((), (known, DISEASED))
+    )
+    described = _descriptors(atlas.measures)
     # a floor for what is known exactly, as height: hearts of the library differ in it
     floor = np.diag((0.5 * drawn.std(axis=0)) ** 2)
     logs = _log_density(described, wanted, floor) - _log_density(described, drawn, 0 * floor)
@@ -248,17 +238,24 @@ def weights_for(atlas: Atlas, known: Mapping[str, float], fewest: float = 24.0) 
     return weights(next(enough))
 
 
-def _descriptors(hearts: Iterable[AtlasHeart]) -> Floats:
+def measures_of(hearts: Iterable[AtlasHeart]) -> dict[str, Floats]:
+    """Measures (n,) of hearts by name, as in `fascicle.heart.heart.Atlas.measures`."""
+    measures: dict[str, list[float]] = {}
+    for heart in hearts:
+        azimuth, elevation, roll = heart.axis
+        values = {**vars(heart.build), **vars(heart.size)}
+        values |= {"azimuth": azimuth, "elevation": elevation, "roll": roll}
+        for name, value in (values | {"sex": heart.build.sex == "m"}).items():
+            measures.setdefault(name, []).append(float(value))
+    return {name: np.array(values) for name, values in measures.items()}
+
+
+def _descriptors(measures: Mapping[str, Floats]) -> Floats:
     """Logarithms of volumes, mass, height and girth, and the elevation (n, 6)."""
-    return np.array(
-        [
-            [
-                np.log(h.size.lv_volume), np.log(h.size.lv_mass), np.log(h.size.rv_volume),
-                h.axis[1] / 60, np.log(h.build.height), np.log(h.build.weight / h.build.height) / 2,
-            ]
-            for h in hearts
-        ]
-    )  # fmt: skip
+    volumes = [np.log(measures[name]) for name in ("lv_volume", "lv_mass", "rv_volume")]
+    elevation, height = measures["elevation"] / 60, np.log(measures["height"])
+    girth = np.log(measures["weight"] / measures["height"]) / 2
+    return np.column_stack([*volumes, elevation, height, girth])
 
 
 def _log_density(points: Floats, sample: Floats, floor: Floats) -> Floats:

@@ -24,6 +24,7 @@ from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
+from fascicle.heart.atlas import endocardial_vertices
 from fascicle.heart.coordinates import ventricular_coordinates
 from fascicle.heart.fibres import Wall, rule_based_fibres
 from fascicle.heart.heart import Heart
@@ -94,8 +95,7 @@ class HeartFamily:
         rotational, apicobasal = coordinates.rotational, coordinates.apicobasal
         free_wall = np.sin(np.pi * np.clip(1.5 * rotational, 0, 1))
         taper = free_wall * np.clip(apicobasal / 0.3, 0, 1) * (coordinates.ventricle == 1)
-        places = cKDTree(template.vertices)
-        lv, rv = (places.query(e.vertices)[1] for e in template.endocardia)
+        lv, rv = endocardial_vertices(template)
         return cls(
             replace(template, coordinates=coordinates), mesh, taper,
             heart_axes(*endocardial_surfaces(mesh)), rule_based_fibres(mesh).wall != Wall.RV,

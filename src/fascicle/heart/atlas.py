@@ -12,12 +12,10 @@ import zipfile
 from dataclasses import fields as dataclass_fields
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fascicle.core.arrays import Floats
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE, ArrayCache
 from fascicle.heart.fibres import rule_based_fibres
@@ -59,7 +57,7 @@ def _fibres(heart: Heart, number: int, vertices: Floats) -> tuple[Floats, Floats
     return arrays["fibre"], arrays["sheet"]
 
 
-def endocardial_vertices(heart: Heart) -> list[NDArray[np.integer[Any]]]:
+def endocardial_vertices(heart: Heart) -> list[Integers]:
     """Vertices of the mesh that are those of the left and the right endocardium."""
     from scipy.spatial import cKDTree
 
@@ -68,7 +66,7 @@ def endocardial_vertices(heart: Heart) -> list[NDArray[np.integer[Any]]]:
         distance, nearest = tree.query(e.vertices)
         if distance.max() > 1e-3:  # mm; room for single precision
             raise InputError(f"{heart.name}: the endocardia are not parts of the mesh")
-        numbers.append(nearest)
+        numbers.append(np.asarray(nearest, dtype=np.int64))
     return numbers
 
 
