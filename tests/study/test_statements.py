@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from fascicle.core.conduction_states import FASCICULAR_BLOCKS, NORMAL
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import NETWORK_SPACE
 from fascicle.emulation.predictive import Checks
@@ -13,8 +14,8 @@ from fascicle.inference.evaluation import Evaluation
 from fascicle.networks.prior import Prior
 from fascicle.study.evaluations import Stage
 from fascicle.study.fitted import FittedStudy
-from fascicle.study.population import Population
-from fascicle.study.statements import Kind
+from fascicle.study.population import Population, Posterior
+from fascicle.study.statements import HEART_MEASURES, Kind, Statements
 
 MIDDLE = NETWORK_SPACE.from_unit(np.full(len(NETWORK_SPACE), 0.5))
 
@@ -123,3 +124,44 @@ def test_networks_are_called_what_they_are():
     assert fitted().verdict == "30 networks, a population and not a posterior"
     own = "30 networks of your own, which were not compared with the ECG"
     assert fitted(method="posterior").verdict == own
+
+
+# --- hearts of an atlas
+
+COUNT = 40
+MEASURES = {name: np.linspace(50, 150, COUNT) for name in HEART_MEASURES}
+
+
+def on_atlas(hearts, *, converged=True, states=None):
+    """A posterior of equally probable hearts; few of the networks explain the recording."""
+    atlas = SimpleNamespace(measures=MEASURES, weights=np.full(COUNT, 1 / COUNT))
+    ones = np.ones(len(hearts))
+    population = Posterior(
+        {"cv": ones}, ones, {}, 0.1, ones[:, None], np.zeros(2), np.full(2, 200.0), np.ones(2),
+        {"cv": 0.0}, converged, averaged={"atlas_heart": np.asarray(hearts, float)},
+        states=states or {},
+    )  # fmt: skip
+    return Statements(
+        SimpleNamespace(
+            population=population,
+            simulator=SimpleNamespace(model=SimpleNamespace(heart=SimpleNamespace(atlas=atlas))),
+            checks=Checks(0.4, {}),
+        )
+    )
+
+
+def test_hearts_that_the_ecg_tells_apart_are_told_so():
+    volume = on_atlas([4, 5, 5, 6]).hearts[0]
+    assert (volume.name, volume.unit) == HEART_MEASURES["lv_volume"]
+    assert volume.constrained
+    assert volume.median == pytest.approx(MEASURES["lv_volume"][5])
+    assert not on_atlas(range(COUNT)).hearts[0].constrained
+    assert len(on_atlas([4, 5]).hearts) == len(HEART_MEASURES)
+    assert on_atlas([4, 5], converged=False).hearts == ()
+
+
+def test_states_calibrated_on_people_are_named_although_the_fit_is_poor():
+    states = {NORMAL: 0.7, "left bundle branch block": 0.3}
+    on_people = states | dict.fromkeys(FASCICULAR_BLOCKS, 0.0)
+    assert on_atlas([1, 2], states=states).states == ""
+    assert on_atlas([1, 2], states=on_people).states.startswith("normal: 0.70, left bundle")
