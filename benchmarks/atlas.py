@@ -528,7 +528,7 @@ def print_fits(people: People, count: int, out: Path) -> None:
     print("reasons of poor fits: " + ", ".join(f"{r} {n}" for r, n in reasons.most_common()))
     alone = Counter(f["reasons"][0] for f in fits if len(f["reasons"]) == 1)
     print("the only reason: " + ", ".join(f"{r} {n}" for r, n in alone.most_common()))
-    unnamed = sum(f["verdict"].startswith("no conduction state") for f in fits)
+    unnamed = sum("no conduction state is named" in f["verdict"] for f in fits)
     print(f"no conduction state is named: {unnamed} of {len(fits)}")
     times = np.percentile([f["seconds"] for f in fits], (50, 90)) if fits else (0, 0)
     print("seconds of a fit: median {:.0f}, 90 % below {:.0f}".format(*times))
