@@ -357,7 +357,9 @@ def atlas_on(heart: Heart) -> Heart:
     fields = np.concatenate([_fields(*pair) for pair in zip(of_hearts, electrodes, strict=True)])
     shapes = Components.of(np.array([vertices.ravel() for vertices in of_hearts]), 1)
     tissues, sizes = ({}, {"anisotropy_ratio": 2.0}), {"size": np.array(scales)}
-    atlas = Atlas(shapes, electrodes, Components.of(fields, 18), tissues, sizes, np.full(2, 0.5))
+    seeds = np.array([[(e.root, e.direction) for e in heart.endocardia]] * 2)
+    fields = Components.of(fields, 18)
+    atlas = Atlas(shapes, electrodes, seeds, fields, tissues, sizes, np.full(2, 0.5))
     key = key_of(heart, Conduction.of(heart))
     template = LeadFields(_fields(heart.vertices, heart.electrodes), key, "")
     return replace(heart, name="atlas", example=NETWORK, lead_fields=template, atlas=atlas)

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 import fascicle
 from fascicle.atlas.population import AtlasHeart, Build, drawn_hearts, measures_of
-from fascicle.atlas.shapes import HeartFamily, HeartSize
+from fascicle.atlas.shapes import HeartFamily, HeartSize, drawn_seeds
 from fascicle.atlas.torsos import heart_in_torso, lead_fields_in_torsos
 from fascicle.build.build_heart import TorsoOptions, heart_of, in_torso
 from fascicle.build.labelled_files import Anatomy, labelled_surface
@@ -140,20 +140,27 @@ def simulate(number: int, out: Path, described: AtlasHeart) -> str:
     if path.exists():
         return f"{number}: there"
     began = time.perf_counter()
-    rng = np.random.default_rng([SEED, number])
+    torso_rng, rng = (np.random.default_rng([SEED, number, *part]) for part in ((), (2,)))
     family = HeartFamily.of(load_heart(out / "template"))
     try:
         heart = heart_in_torso(family, described, f"atlas {number}")
     except InputError as error:
         path.with_suffix(".txt").write_text(f"{error}\n", encoding="utf-8")
         return f"{number}: {error}"
-    fields = lead_fields_in_torsos(heart, Conduction.of(heart), rng, TORSOS)
+    fields = lead_fields_in_torsos(heart, Conduction.of(heart), torso_rng, TORSOS)
     meshed = time.perf_counter() - began
+    seeds = drawn_seeds(heart, rng)
+    lv, rv = (
+        replace(e, root=int(root), direction=int(direction))
+        for e, (root, direction) in zip(heart.endocardia, seeds, strict=True)
+    )
+    heart = replace(heart, lv=lv, rv=rv)
     model, torsos = forward_model(heart, described.tissue, fields)
     arrays: dict[str, np.ndarray] = {
         "vertices": heart.vertices.astype(np.float32),
         "fields": fields.astype(np.float32),
         "electrodes": heart.electrodes,
+        "seeds": seeds,
     }
     counts = {}
     for index, state in enumerate(told_apart()):
@@ -289,6 +296,7 @@ class Simulated:
         return Atlas(
             Components.of(np.array(self.of("vertices"), dtype=float).reshape(count, -1), 24),
             np.array(self.of("electrodes")),
+            np.array(self.of("seeds")),
             Components.of(fields - fields.mean(axis=1, keepdims=True), FIELD_COMPONENTS),
             tuple(TISSUES[heart.tissue] for heart in self.hearts),
             {**measures_of(self.hearts), "lv_wall": np.array(walls)},

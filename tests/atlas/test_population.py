@@ -27,7 +27,8 @@ def atlas_of(hearts):
     measures["sex"] = np.array([float(h.build.sex == "m") for h in hearts])
     measures["elevation"] = np.array([h.axis[1] for h in hearts])
     count = len(hearts)
-    return Atlas(none, np.zeros((count, 9, 3)), none, ({},) * count, measures, np.full(count, 1.0))
+    places = np.zeros((count, 9, 3)), np.zeros((count, 2, 2), int)
+    return Atlas(none, *places, none, ({},) * count, measures, np.full(count, 1.0))
 
 
 def test_healthy_means_are_those_of_the_uk_biobank():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fascicle.atlas.shapes import DENSITY, HeartFamily, HeartSize
+from fascicle.atlas.shapes import DENSITY, REACH, HeartFamily, HeartSize, drawn_seeds
 from fascicle.build.surface_checks import wall_thickness
 from fascicle.core.errors import InputError
 from fascicle.mesh.measures import closed_by_fan, signed_volumes
@@ -73,3 +73,15 @@ def replace_vertices(mesh, vertices):
     from dataclasses import replace
 
     return replace(mesh, vertices=vertices)
+
+
+def test_bundles_start_and_head_for_places_near_those_of_the_heart(small_heart):
+    rng = np.random.default_rng(0)
+    drawn = np.array([drawn_seeds(small_heart, rng) for _ in range(100)])
+    for k, e in enumerate(small_heart.endocardia):
+        ends = e.vertices[[e.root, e.direction]]
+        distances = np.linalg.norm(e.vertices[drawn[:, k]] - ends, axis=2)
+        assert 0.6 * REACH < distances.max() <= REACH
+        assert len(np.unique(drawn[:, k, 0])) > 3
+        if e.valves is not None:
+            assert not np.isin(drawn[:, k], e.triangles[e.valves]).any()

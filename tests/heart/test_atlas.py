@@ -15,6 +15,12 @@ from fascicle.heart.heart import Atlas, Components
 SCALES = (1.0, 1.1, 0.95)
 
 
+def beside_left_root(heart):
+    """The vertex of the left endocardium that is nearest to its root."""
+    vertices, root = heart.lv.vertices, heart.lv.root
+    return int(np.argsort(np.linalg.norm(vertices - vertices[root], axis=1))[1])
+
+
 @pytest.fixture(scope="module")
 def atlas(small_heart):
     """The small heart in three sizes, in the unbounded conductor's lead fields."""
@@ -29,8 +35,10 @@ def atlas(small_heart):
     )
     fields -= fields.mean(axis=1, keepdims=True)
     tissues = ({}, {"anisotropy_ratio": 2.0}, {})
+    seeds = np.array([[(e.root, e.direction) for e in small_heart.endocardia]] * 3)
+    seeds[1, 0, 0] = beside_left_root(small_heart)
     hearts = Atlas(
-        Components.of(vertices, 2), electrodes, Components.of(fields, 27), tissues,
+        Components.of(vertices, 2), electrodes, seeds, Components.of(fields, 27), tissues,
         {"lv_volume": np.array([100.0, 133.0, 86.0])}, np.array([0.5, 0.3, 0.2]), {"age": 50.0},
     )  # fmt: skip
     return replace(small_heart, atlas=hearts, folder=None)
@@ -50,6 +58,8 @@ def test_each_heart_has_its_own_shape_and_electrodes(atlas, small_heart):
         assert heart.vertices == pytest.approx(scale * small_heart.vertices, abs=0.1)
         assert heart.lv.area == pytest.approx(scale**2 * small_heart.lv.area, rel=0.01)
         assert heart.electrodes == pytest.approx(scale * small_heart.electrodes)
+        root = beside_left_root(small_heart) if number == 1 else small_heart.lv.root
+        assert (heart.lv.root, heart.lv.direction) == (root, small_heart.lv.direction)
         assert atlas.atlas.lead_fields(number).shape == (9, len(heart.vertices))
 
 
@@ -59,6 +69,7 @@ def test_a_heart_is_read_as_it_was_written(atlas, tmp_path):
     assert back.digest == atlas.digest
     assert back.atlas.person == {"age": 50.0}
     assert back.atlas.tissues == atlas.atlas.tissues
+    np.testing.assert_array_equal(back.atlas.seeds, atlas.atlas.seeds)
     np.testing.assert_array_equal(back.atlas.weights, atlas.atlas.weights)
 
 

@@ -202,6 +202,10 @@ def fit(
     branch or a fascicle is, or that nothing is while a branch is delayed or the tissue is slow
     ('fascicle docs diagnosis'). '--fix conduction=normal' leaves that out, and is faster.
 
+    For a person of whom there is no image, 'atlas' is the heart: hearts of the population, over
+    which the result is averaged ('fascicle docs atlas'). It takes one recording of an intrinsic
+    beat in all twelve leads, and learns the usual quantities alone.
+
     The first fit of a heart simulates networks of the prior and trains an emulator on them; both
     are kept with the heart. On the emulator the posterior is sampled in two independent runs. The
     first line says, too, whether they agree, and whether the networks that were simulated

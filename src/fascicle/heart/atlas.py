@@ -33,8 +33,10 @@ def atlas_heart(heart: Heart, number: int) -> Heart:
     vertices = atlas.vertices(number)
     fibre, sheet = _fibres(heart, number, vertices)
     lv, rv = (
-        replace(e, vertices=vertices[numbers])
-        for e, numbers in zip(heart.endocardia, endocardial_vertices(heart), strict=True)
+        replace(e, vertices=vertices[numbers], root=int(root), direction=int(direction))
+        for e, numbers, (root, direction) in zip(
+            heart.endocardia, endocardial_vertices(heart), atlas.seeds[number], strict=True
+        )
     )
     return replace(
         heart, vertices=vertices, fibres=fibre, sheets=sheet, lv=lv, rv=rv,
@@ -77,7 +79,8 @@ def write_atlas(atlas: Atlas, path: Path) -> None:
     arrays |= {f"measure {name}": values for name, values in atlas.measures.items()}
     arrays |= {f"person {name}": np.array(value) for name, value in atlas.person.items()}
     tissues = np.array(json.dumps([dict(tissue) for tissue in atlas.tissues]))
-    arrays |= {"electrodes": atlas.electrodes, "tissues": tissues, "weights": atlas.weights}
+    arrays |= {"electrodes": atlas.electrodes, "seeds": atlas.seeds}
+    arrays |= {"tissues": tissues, "weights": atlas.weights}
     np.savez_compressed(path, allow_pickle=False, **arrays)
 
 
@@ -101,6 +104,7 @@ def read_atlas(path: Path) -> Atlas:
         return Atlas(
             shapes,
             arrays["electrodes"],
+            arrays["seeds"],
             fields,
             tuple(json.loads(str(arrays["tissues"]))),
             measures,

@@ -103,6 +103,9 @@ class Atlas:
         Positions (mm) of the mesh's vertices, a row (3 n,) for each heart.
     electrodes : (k, 9, 3) array
         Electrodes of each heart (mm).
+    seeds : (k, 2, 2) array
+        Of the left and the right endocardium of each heart: the vertices where the bundle starts,
+        and that it heads for.
     fields : Components
         Lead fields at the vertices (kΩ), up to a constant, nine rows (n,) for each heart.
     tissues : tuple of mappings
@@ -117,6 +120,7 @@ class Atlas:
 
     shapes: Components
     electrodes: Floats
+    seeds: Integers
     fields: Components
     tissues: tuple[Mapping[str, float], ...]
     measures: Mapping[str, Floats]
@@ -313,7 +317,8 @@ class Heart:
         if self.atlas is not None:  # its weights are a prior
             for part in (self.atlas.shapes, self.atlas.fields):
                 arrays += [part.mean, part.components, part.coefficients]
-            arrays += [self.atlas.electrodes, np.array([repr(self.atlas.tissues)])]
+            arrays += [self.atlas.electrodes, self.atlas.seeds]
+            arrays.append(np.array([repr(self.atlas.tissues)]))
         return digest_of(*(array for array in arrays if array is not None))
 
 
