@@ -57,6 +57,7 @@ from fascicle.emulation.recalibration import (
 from fascicle.emulation.state_classifier import classifier_of, simulations_of_states
 from fascicle.heart.heart import digest_of
 from fascicle.recording.target import Target, smooth_noise
+from fascicle.study.population import Posterior
 
 Array = NDArray[np.float64]
 Codes = set[str]  # of a person's labels
@@ -530,6 +531,8 @@ def print_fits(people: People, count: int, out: Path) -> None:
     print("the only reason: " + ", ".join(f"{r} {n}" for r, n in alone.most_common()))
     unnamed = sum("no conduction state is named" in f["verdict"] for f in fits)
     print(f"no conduction state is named: {unnamed} of {len(fits)}")
+    hearts = np.percentile([f["hearts"] for f in fits], (10, 50, 90)) if fits else (0, 0, 0)
+    print("effective number of hearts: median {1:.0f} ({0:.0f} to {2:.0f})".format(*hearts))
     times = np.percentile([f["seconds"] for f in fits], (50, 90)) if fits else (0, 0)
     print("seconds of a fit: median {:.0f}, 90 % below {:.0f}".format(*times))
 
@@ -550,8 +553,12 @@ def fit_of(row: Mapping[str, str], target: Target) -> dict[str, object]:
     low, high = checks.gain[1:]
     if not low <= checks.gain[0] <= high:
         reasons.append("gain")
+    assert isinstance(study.population, Posterior)
+    drawn = study.population.averaged["atlas_heart"].astype(int)
+    hearts = 1 / ((np.bincount(drawn) / len(drawn)) ** 2).sum()
     return {
-        "seconds": time.perf_counter() - began, "converged": study.statements.converged,
+        "seconds": time.perf_counter() - began, "hearts": float(hearts),
+        "converged": study.statements.converged,
         "acceptable": checks.acceptable, "reasons": reasons, "verdict": study.verdict,
         "explained": checks.explained, "states": dict(getattr(study.population, "states", {})),
         "labels": sorted(labels(row)), "build": build_of(row),

@@ -1,6 +1,7 @@
 """Fits on the atlas of recordings simulated on real hearts that it was not made of.
 
     python -m benchmarks.atlas_truths --data DATA_FOLDER --out FOLDER [--truths 30] [--first 0]
+    python -m benchmarks.atlas_truths --data DATA_FOLDER --out FOLDER --origins 30
 
 The hearts are one subject's (`camps-dti004`), a patient's (`crtdemo`) and one of a cohort
 (`rodero01`); no heart of the atlas is made of them. Each truth is a network of the prior, normal or
@@ -8,7 +9,9 @@ with a left bundle branch block in turn, on one of the hearts, in a random varia
 recorded with noise. It is fitted on the atlas without a word of the person, its conduction state
 given. Printed is how often the 90 % intervals hold the true parameters, the true change of the
 total activation time and of the global QRS by pacing, and the true activation of vertices, carried
-to the atlas by ventricular coordinates. Results are kept in a file a truth, so that the same
+to the atlas by ventricular coordinates. With `--origins`, so many beats from places drawn uniformly
+in these hearts are located instead; printed is how far from the true place, carried to the atlas,
+and how often the regions hold it. Results are kept in a file a truth, so that the same
 command goes on where it stopped.
 """
 
@@ -36,6 +39,8 @@ from fascicle.emulation.heart_emulator import usual_prior
 from fascicle.forward.beat import Beat
 from fascicle.forward.electrocardiogram import build_electrocardiograph, nodal_gradients
 from fascicle.forward.model import ForwardModel
+from fascicle.forward.primitives import His, Stimulus
+from fascicle.forward.scenario import Scenario
 from fascicle.heart.assembly import assemble_heart
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.folder import load_heart, write_heart
@@ -168,6 +173,52 @@ def one_truth(number: int, options: argparse.Namespace) -> None:
     print(f"{number}: {name}, {state}: {fitted.verdict}; map {content['map']:.0%}", flush=True)
 
 
+def one_origin(number: int, options: argparse.Namespace) -> None:
+    """Make a beat from anywhere in a real heart, locate it on the atlas, and write how well."""
+    result = options.out / f"origin-{number:03d}.json"
+    if result.exists():
+        return
+    rng = np.random.default_rng([SEED, number, 1])
+    name = HEARTS[number % len(HEARTS)]
+    model, torsos = world(name, options.data, options.out)
+    prior, heart = usual_prior(model.heart), model.heart
+    site = rng.choice(len(heart.tetrahedra), p=heart.volumes / heart.volumes.sum())
+    place = heart.vertices[heart.tetrahedra[site]].mean(axis=0)
+    stimulus = Stimulus(time=0.0, position=tuple(place.tolist()))
+    scenario = Scenario((His(time=np.inf), stimulus))
+    beat = None
+    while not isinstance(beat, Beat):
+        values = prior.from_unit(prior.sample(rng, 1)[0])
+        beat = model.simulate(values, scenario)
+    torso = model.with_sources(torsos[rng.integers(TORSOS)], values)
+    beat = replace(beat, leads=torso.leads(beat.activation))
+    target = recorded(beat, FitSettings().gain_sd, rng)
+    atlas = fascicle.load_heart("atlas")
+    origin = fascicle.locate(atlas, target, progress=None)
+    away = np.linalg.norm(heart.vertices - place, axis=1)
+    true = int(np.argmin(fascicle.transfer_map(away, heart, atlas)))
+    content = {
+        "heart": name,
+        "verdict": origin.verdict,
+        "unlike": origin.caution is not None,
+        "distance": float(np.linalg.norm(origin.place - atlas.vertices[true])),
+        "level": float(origin.levels[(atlas.tetrahedra == true).any(axis=1)].mean()),
+    }
+    write_text(result, json.dumps(content, indent=1) + "\n")
+    print(f"{number}: {name}: {content['distance']:.0f} mm, {origin.verdict}", flush=True)
+
+
+def summarise_origins(results: list[dict[str, Any]]) -> None:
+    """Print how far from the true places beats are located, and how often regions hold them."""
+    away, level = (np.array([r[name] for r in results]) for name in ("distance", "level"))
+    shares = ", ".join(f"{name:.0%}: {np.mean(level < name):.0%}" for name in (0.5, 0.8, 0.9))
+    print(
+        f"{len(results)} beats: median distance {np.median(away):.0f} mm, below 20 mm "
+        f"{np.mean(away < 20):.0%}; regions {shares}; unlike any simulated beat "
+        f"{np.mean([r['unlike'] for r in results]):.0%}"
+    )
+
+
 def summarise(results: list[dict[str, Any]]) -> None:
     """Print how often intervals hold the truth."""
     pacing = [n for n in results[0]["ranks"] if n.startswith("change")]
@@ -200,9 +251,16 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--truths", type=int, default=30)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--origins", type=int, default=0)
     parser.add_argument("--effective", type=int, default=100)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
+    if options.origins:
+        for number in range(options.origins):
+            one_origin(number, options)
+        paths = [options.out / f"origin-{number:03d}.json" for number in range(options.origins)]
+        summarise_origins([json.loads(path.read_text(encoding="utf-8")) for path in paths])
+        return
     numbers = range(options.first, options.first + options.truths)
     for number in numbers:
         one_truth(number, options)

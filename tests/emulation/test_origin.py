@@ -155,3 +155,14 @@ def test_what_cannot_be_used_is_refused(default_heart, target):
 def test_the_pool_is_that_of_a_fit(folder, target):
     found = fascicle.locate(folder, target, prior_simulations=300, pool=Threads(1), progress=None)
     assert isinstance(found, Origin)
+
+
+def test_the_first_line_says_that_no_image_was_used(atlas_model, small_heart):
+    even = small_heart.volumes / small_heart.volumes.sum()
+    of_atlas, of_heart = (
+        Origin(heart, even, 1.0, 0.0, {}).verdict for heart in (atlas_model.heart, small_heart)
+    )
+    assert of_atlas.startswith("no image: averaged over 2 hearts of the population; left ")
+    assert "mm of the mean heart, with 90% within" in of_atlas
+    assert of_heart.startswith("left ")
+    assert "mean heart" not in of_heart

@@ -170,7 +170,7 @@ def test_draws_that_are_no_networks(tmp_path, likelihood, mapped, words):
 
 def said_of(posterior, checks=None):
     settings = SimpleNamespace(method="posterior", effective=60)
-    model = SimpleNamespace(heart=SimpleNamespace(atlas=None))
+    model = SimpleNamespace(heart=SimpleNamespace(atlas=None, no_image=""))
     simulator = SimpleNamespace(prior=Prior(SPACE), model=model)
     return Statements(
         SimpleNamespace(population=posterior, checks=checks, settings=settings, simulator=simulator)
@@ -292,7 +292,9 @@ def test_what_the_ecg_constrains(done):
     said = said_of(replace(done[1], values=values))
     said._result.simulator = SimpleNamespace(
         prior=Prior(space),
-        model=SimpleNamespace(conduction=Conduction(), heart=SimpleNamespace(atlas=None)),
+        model=SimpleNamespace(
+            conduction=Conduction(), heart=SimpleNamespace(atlas=None, no_image="")
+        ),
     )
     (alpha,) = said.parameters
     assert alpha.along_fibre == pytest.approx((0.747, 0.692, 0.802), abs=2e-3)

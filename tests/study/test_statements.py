@@ -27,7 +27,7 @@ def fitted(
 ):  # fmt: skip
     """A study of which only what decides the warnings is there."""
     regions = None if regions is None else np.array(regions)
-    heart = SimpleNamespace(regions=regions, has_torso=lead_fields, atlas=None)
+    heart = SimpleNamespace(regions=regions, has_torso=lead_fields, atlas=None, no_image="")
     conduction = Conduction().with_values(values or {})
     model = SimpleNamespace(heart=heart, conduction=conduction)
     trees = [

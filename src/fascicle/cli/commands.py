@@ -336,11 +336,15 @@ def states(
     file_settings = read_settings(settings_file) if settings_file is not None else {}
     with TerminalProgress() as progress:
         of_person = heart_of(heart, sex=sex, age=age, height=height, weight=weight)
+        if isinstance(of_person, str):
+            of_person = fascicle.load_heart(of_person)
         probabilities = fascicle.state_probabilities(
             of_person, target, parameters=file_settings.get("parameters"),
             prior_simulations=prior_simulations, workers=workers, progress=progress,
             pool=pool_at(scheduler, progress),
         )  # fmt: skip
+    if of_person.no_image:
+        print(of_person.no_image)
     if isinstance(probabilities, fascicle.NoStateNamed):
         print(probabilities)
         return {

@@ -290,6 +290,13 @@ class Heart:
         """The vertices at the ends of each edge, shape (e, 2)."""
         return np.asarray(igl.edges(self.tetrahedra), dtype=np.int64)
 
+    @property
+    def no_image(self) -> str:
+        """Statement that the heart is not from an image of the person; empty if it may be."""
+        if self.atlas is None:
+            return ""
+        return f"no image: averaged over {len(self.atlas)} hearts of the population"
+
     @cached_property
     def edge_length(self) -> float:
         """Mean edge length (mm)."""

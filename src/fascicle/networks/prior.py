@@ -178,7 +178,7 @@ class AveragedOver:
 # differs from theirs
 UNMAPPED = 0.03
 # Last activation (ms) above which every network belongs to the prior of an atlas, and the decay
-# (ms) of the share that does below: without it the median is 69 ms, and the QRS windows of normal
+# (ms) of the share that does below: without it the median is 70 ms, and the QRS windows of normal
 # recordings (the even records of PTB-XL) are 96 ms (84 to 112)
 LATE, EARLIER = 90.0, 8.0
 

@@ -178,20 +178,11 @@ class Statements:
                 ends = ", ".join(map(parameter_name, _crowded(self._result)))
                 failures = checks.failures + ([f"at the end of its range: {ends}"] if ends else [])
                 fit = f"poor fit: {'; '.join(failures)}"
-            parts = [self.no_image, self.unmapped, self.diagnosis, _convergence(population), fit]
+            no_image = self._result.simulator.model.heart.no_image
+            parts = [no_image, self.unmapped, self.diagnosis, _convergence(population), fit]
             parts.append(checks.emulator_off)
             return "; ".join(part for part in parts if part)
         return self.networks_called
-
-    @property
-    def no_image(self) -> str:
-        """Statement that no image of the heart was used; empty if one was."""
-        atlas = self._result.simulator.model.heart.atlas
-        return (
-            ""
-            if atlas is None
-            else f"no image: averaged over {len(atlas)} hearts of the population"
-        )
 
     @cached_property
     def hearts(self) -> tuple[ParameterStatement, ...]:
