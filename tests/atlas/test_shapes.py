@@ -82,6 +82,5 @@ def test_bundles_start_and_head_for_places_near_those_of_the_heart(small_heart):
         ends = e.vertices[[e.root, e.direction]]
         distances = np.linalg.norm(e.vertices[drawn[:, k]] - ends, axis=2)
         assert 0.6 * REACH < distances.max() <= REACH
-        assert len(np.unique(drawn[:, k, 0])) > 3
         if e.valves is not None:
             assert not np.isin(drawn[:, k], e.triangles[e.valves]).any()
