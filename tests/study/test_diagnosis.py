@@ -203,6 +203,15 @@ def test_states_are_learnt_of_one_intrinsic_beat_unless_something_speaks_against
     assert learnt(replace(target, earliest_onset=target.qrs_onset), {}) == {}
 
 
+def test_an_atlas_takes_one_intrinsic_beat_in_a_conduction_state(atlas_model, target):
+    paced = replace(target, earliest_onset=target.qrs_onset)
+    with pytest.raises(InputError, match="give one recording, without a scenario"):
+        read_inputs(atlas_model.heart, [target, target], {}, checked_settings({}))
+    with pytest.raises(InputError, match="one is paced or has no state; if"):
+        read_inputs(atlas_model.heart, paced, {}, checked_settings({}))
+    read_inputs(atlas_model.heart, paced, {"conduction": "normal"}, checked_settings({}))
+
+
 def test_normal_alone_is_activated_as_mapped_hearts_are(default_heart, target):
     """Unless root times are asked for, of which mapped hearts say nothing."""
     normal = {"conduction": "normal"}

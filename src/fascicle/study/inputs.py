@@ -201,10 +201,20 @@ def read_inputs(
             "scenario, or use the method 'posterior'"
         )
     choices, one_intrinsic_beat = {**parameters}, len(recordings) == 1 and recordings[0][1] is None
+    if heart.atlas is not None and not one_intrinsic_beat:
+        raise InputError(
+            f"{heart.name} comes with simulations of intrinsic beats alone; give one recording, "
+            "without a scenario, or a heart of your own"
+        )
     # the conduction state is learnt by default, unless the RV-LV delay is given, which it changes
     learnt = settings.method == "posterior" and one_intrinsic_beat and likelihoods is None
     learnt &= recordings[0][0].earliest_onset is None  # a paced beat shows no conduction state
     conduction = choices.pop("conduction", FREE if learnt and not {*DELAY} & {*choices} else None)
+    if heart.atlas is not None and conduction is None:
+        raise InputError(
+            f"{heart.name} comes with simulations of intrinsic beats in a conduction state, and "
+            "this one is paced or has no state; if it is intrinsic, fix one: conduction=normal"
+        )
     prior = Prior.of(settings.method, choices, heart)
     if conduction is not None:
         prior = _with_states(prior, conduction, heart, settings, one_intrinsic_beat)
