@@ -30,6 +30,7 @@ import numpy as np
 
 import fascicle
 from benchmarks.calibration import coverage, recorded
+from benchmarks.origins import print_accuracy
 from fascicle.atlas.torsos import lead_fields_in_torsos
 from fascicle.build.build_heart import TorsoOptions, build_heart, in_torso
 from fascicle.build.read_anatomy import Source
@@ -48,7 +49,7 @@ from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import labelled_mesh
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.mesh.read import read_mesh
-from fascicle.networks.prior import chances, late_enough
+from fascicle.networks.prior import ends_late
 from fascicle.networks.settings import FitSettings
 from fascicle.torso.conductor import torso_of
 
@@ -124,7 +125,7 @@ def one_truth(number: int, options: argparse.Namespace) -> None:
             isinstance(beat, Beat)
             and prior.keeps(point, model.surfaces, beat)
             # the normal prior of an atlas prefers late last activations
-            and (not prior.mapped or chances(point)[1] < late_enough(beat.total_activation_time))
+            and (not prior.mapped or ends_late(point, beat.total_activation_time))
         ):
             break
     torso = model.with_sources(torsos[rng.integers(TORSOS)], values)
@@ -208,17 +209,6 @@ def one_origin(number: int, options: argparse.Namespace) -> None:
     print(f"{number}: {name}: {content['distance']:.0f} mm, {origin.verdict}", flush=True)
 
 
-def summarise_origins(results: list[dict[str, Any]]) -> None:
-    """Print how far from the true places beats are located, and how often regions hold them."""
-    away, level = (np.array([r[name] for r in results]) for name in ("distance", "level"))
-    shares = ", ".join(f"{name:.0%}: {np.mean(level < name):.0%}" for name in (0.5, 0.8, 0.9))
-    print(
-        f"{len(results)} beats: median distance {np.median(away):.0f} mm, below 20 mm "
-        f"{np.mean(away < 20):.0%}; regions {shares}; unlike any simulated beat "
-        f"{np.mean([r['unlike'] for r in results]):.0%}"
-    )
-
-
 def summarise(results: list[dict[str, Any]]) -> None:
     """Print how often intervals hold the truth."""
     pacing = [n for n in results[0]["ranks"] if n.startswith("change")]
@@ -259,7 +249,7 @@ def main() -> None:
         for number in range(options.origins):
             one_origin(number, options)
         paths = [options.out / f"origin-{number:03d}.json" for number in range(options.origins)]
-        summarise_origins([json.loads(path.read_text(encoding="utf-8")) for path in paths])
+        print_accuracy([json.loads(path.read_text(encoding="utf-8")) for path in paths])
         return
     numbers = range(options.first, options.first + options.truths)
     for number in numbers:

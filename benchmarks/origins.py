@@ -96,6 +96,20 @@ def judged(origin: Origin, site: int) -> dict[str, Any]:
     }
 
 
+def print_accuracy(results: list[dict[str, Any]]) -> None:
+    """Print how far from the true places beats are located, and how often regions hold them."""
+    away = np.array([r["distance"] for r in results])
+    level = np.array([r["level"] for r in results])
+    shares = ", ".join(f"{name:.0%}: {np.mean(level < name):.0%}" for name in LEVELS)
+    print(
+        f"{len(results)} beats: median distance {np.median(away):.1f} mm, below 10 mm "
+        f"{np.mean(away < 10):.0%}, below 20 mm {np.mean(away < 20):.0%}; regions {shares}"
+    )
+    for part in [name for name in ("ventricles", "walls", "segments") if name in results[0]]:
+        print(f"most probable of the {part} right: {np.mean([r[part] for r in results]):.0%}")
+    print(f"unlike any simulated beat: {np.mean([r['unlike'] for r in results]):.0%}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--heart", required=True)
@@ -108,17 +122,7 @@ def main() -> None:
         judge = partial(one_physics, options=options)
         in_processes(judge, range(options.physics), options.processes, progress, "physics")
     paths = sorted(options.out.glob("origins-*.json"))
-    results = [r for path in paths for r in json.loads(path.read_text())]
-    away = np.array([r["distance"] for r in results])
-    level = np.array([r["level"] for r in results])
-    shares = ", ".join(f"{name:.0%}: {np.mean(level < name):.0%}" for name in LEVELS)
-    print(
-        f"{len(results)} beats: median distance {np.median(away):.1f} mm, below 10 mm "
-        f"{np.mean(away < 10):.0%}, below 20 mm {np.mean(away < 20):.0%}; regions {shares}"
-    )
-    for part in ("ventricles", "walls", "segments"):
-        print(f"most probable of the {part} right: {np.mean([r[part] for r in results]):.0%}")
-    print(f"unlike any simulated beat: {np.mean([r['unlike'] for r in results]):.0%}")
+    print_accuracy([r for path in paths for r in json.loads(path.read_text())])
 
 
 if __name__ == "__main__":

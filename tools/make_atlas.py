@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 import fascicle
 from fascicle.atlas.population import AtlasHeart, Build, drawn_hearts, measures_of
-from fascicle.atlas.shapes import HeartFamily, HeartSize, drawn_seeds
+from fascicle.atlas.shapes import HeartFamily, HeartSize, with_drawn_seeds
 from fascicle.atlas.torsos import heart_in_torso, lead_fields_in_torsos
 from fascicle.build.build_heart import TorsoOptions, heart_of, in_torso
 from fascicle.build.labelled_files import Anatomy, labelled_surface
@@ -79,7 +79,7 @@ from fascicle.heart.heart import Atlas, Components, Heart, LeadFields
 from fascicle.heart.labelled_surface import labelled_mesh
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.mesh.read import read_mesh
-from fascicle.networks.prior import TISSUES, AveragedOver, Prior, chances, late_enough
+from fascicle.networks.prior import TISSUES, AveragedOver, Prior, ends_late
 from fascicle.networks.prior_simulations import BEFORE, HELD_OUT, Examples
 from fascicle.networks.settings import FitSettings
 from fascicle.torso.lead_fields import key_of, torso_key
@@ -140,7 +140,7 @@ def simulate(number: int, out: Path, described: AtlasHeart) -> str:
     if path.exists():
         return f"{number}: there"
     began = time.perf_counter()
-    torso_rng, rng = (np.random.default_rng([SEED, number, *part]) for part in ((), (2,)))
+    torso_rng, rng = np.random.default_rng([SEED, number]), np.random.default_rng([SEED, number, 2])
     family = HeartFamily.of(load_heart(out / "template"))
     try:
         heart = heart_in_torso(family, described, f"atlas {number}")
@@ -149,18 +149,13 @@ def simulate(number: int, out: Path, described: AtlasHeart) -> str:
         return f"{number}: {error}"
     fields = lead_fields_in_torsos(heart, Conduction.of(heart), torso_rng, TORSOS)
     meshed = time.perf_counter() - began
-    seeds = drawn_seeds(heart, rng)
-    lv, rv = (
-        replace(e, root=int(root), direction=int(direction))
-        for e, (root, direction) in zip(heart.endocardia, seeds, strict=True)
-    )
-    heart = replace(heart, lv=lv, rv=rv)
+    heart = with_drawn_seeds(heart, rng)
     model, torsos = forward_model(heart, described.tissue, fields)
     arrays: dict[str, np.ndarray] = {
         "vertices": heart.vertices.astype(np.float32),
         "fields": fields.astype(np.float32),
         "electrodes": heart.electrodes,
-        "seeds": seeds,
+        "seeds": np.array([(e.root, e.direction) for e in heart.endocardia]),
     }
     counts = {}
     for index, state in enumerate(told_apart()):
@@ -267,10 +262,7 @@ class Simulated:
             fields |= {name: np.array(fields[name]) for name in ("axis", "shift", "trunk")}
             # the prior of an atlas prefers late last activations (`Prior.keeps`)
             points = arrays[-1]["0 points"][arrays[-1]["0 feasible"]]
-            late = [
-                chances(point)[1] < late_enough(time)
-                for point, time in zip(points, arrays[-1]["0 times"], strict=True)
-            ]
+            late = [*map(ends_late, points, arrays[-1]["0 times"])]
             arrays[-1]["0 kept"][arrays[-1]["0 feasible"]] &= np.array(late)
             hearts.append(AtlasHeart(**fields))
         return cls(load_heart(folder / "template"), hearts, arrays)

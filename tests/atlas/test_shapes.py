@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fascicle.atlas.shapes import DENSITY, REACH, HeartFamily, HeartSize, drawn_seeds
+from fascicle.atlas.shapes import DENSITY, REACH, HeartFamily, HeartSize, with_drawn_seeds
 from fascicle.build.surface_checks import wall_thickness
 from fascicle.core.errors import InputError
 from fascicle.mesh.measures import closed_by_fan, signed_volumes
@@ -77,7 +77,8 @@ def replace_vertices(mesh, vertices):
 
 def test_bundles_start_and_head_for_places_near_those_of_the_heart(small_heart):
     rng = np.random.default_rng(0)
-    drawn = np.array([drawn_seeds(small_heart, rng) for _ in range(100)])
+    hearts = [with_drawn_seeds(small_heart, rng) for _ in range(100)]
+    drawn = np.array([[(e.root, e.direction) for e in heart.endocardia] for heart in hearts])
     for k, e in enumerate(small_heart.endocardia):
         ends = e.vertices[[e.root, e.direction]]
         distances = np.linalg.norm(e.vertices[drawn[:, k]] - ends, axis=2)

@@ -36,8 +36,8 @@ from fascicle.torso.surfaces import Surface
 DENSITY = 1.05  # g/ml of myocardium
 LV_WALL, RV_WALL = 6.0, 3.0  # thickness (mm) of the template's free walls
 # Distance (mm) within which bundles may start from where the template's do. The bundle branches
-# differ greatly from person to person (Massing and James, Circulation 53:609, 1976); in published
-# hearts the right one starts up to 41° in front of where the rule puts it (docs/hearts.md).
+# differ greatly from person to person (Massing and James, Circulation 53:609, 1976); in a published
+# heart the right one starts 41° in front of the middle, where the rule gives 7° (docs/hearts.md).
 REACH = 14.0
 
 
@@ -198,20 +198,22 @@ class HeartFamily:
         return np.asarray(centre + (vertices - centre) @ (self.axes * factors) @ self.axes.T)
 
 
-def drawn_seeds(heart: Heart, rng: np.random.Generator) -> Integers:
-    """Random places (2, 2) in the left and the right ventricle where bundles start and head for.
+def with_drawn_seeds(heart: Heart, rng: np.random.Generator) -> Heart:
+    """Heart whose bundles start at, and head for, random vertices of the endocardia.
 
-    They are vertices of the endocardium within `REACH` of those of the heart, not at a valve.
+    They are within `REACH` of those of the heart, and not at a valve.
     """
-    seeds = []
+    drawn = []
     for e in heart.endocardia:
         at_valve = np.zeros(len(e.vertices), bool)
         if e.valves is not None:
             at_valve[e.triangles[e.valves]] = True
         places = e.vertices[[e.root, e.direction]]
         distance = np.linalg.norm(e.vertices - places[:, None], axis=2)
-        seeds.append([rng.choice(np.flatnonzero((d <= REACH) & ~at_valve)) for d in distance])
-    return np.array(seeds)
+        near = (np.flatnonzero((d <= REACH) & ~at_valve) for d in distance)
+        root, direction = (int(rng.choice(vertices)) for vertices in near)
+        drawn.append(replace(e, root=root, direction=direction))
+    return replace(heart, lv=drawn[0], rv=drawn[1])
 
 
 def _harmonic(

@@ -125,13 +125,12 @@ class Origin:
         """Most probable origin of the beat, in one line."""
         if self.caution is not None:
             return f"no origin is named: {self.caution}"
-        statements = [self.heart.no_image] if self.heart.atlas is not None else []
-        statements.append(_ranked(self.walls))
+        statements = [self.heart.no_image, _ranked(self.walls)]
         if segments := _ranked({n: p for n, p in self.segments.items() if n in SEGMENTS}):
             statements.append(f"segments {segments}")
         x, y, z = self.place
         of_mean = "" if self.heart.atlas is None else " of the mean heart"
-        return "; ".join(statements) + (
+        return "; ".join(filter(None, statements)) + (
             f"; most probable place {x:.0f}, {y:.0f}, {z:.0f} mm{of_mean}, with {REGION:.0%} "
             f"within {self.radius:.0f} mm of it"
         )

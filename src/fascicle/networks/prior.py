@@ -281,11 +281,10 @@ class Prior:
         """
         if not self.mapped:
             return True
-        first, second = chances(point)
         sequence = surfaces.sequence(beat.activation)
-        if self.averaged.weights and second >= late_enough(sequence.total):
+        if self.averaged.weights and not ends_late(point, sequence.total):
             return False
-        return sequence.is_mapped or first < UNMAPPED
+        return sequence.is_mapped or _chances(point)[0] < UNMAPPED
 
     def narrowed(self, state: ConductionState) -> Prior:
         """Prior of one conduction state, which must be possible."""
@@ -345,15 +344,18 @@ class Prior:
         return ranges
 
 
-def chances(point: Floats) -> tuple[float, float]:
+def _chances(point: Floats) -> tuple[float, float]:
     """Two numbers of 0 to 1 that depend on a point (d,) alone, like random ones."""
     digest = hashlib.sha256(np.ascontiguousarray(point, dtype=float).tobytes()).digest()
     return int.from_bytes(digest[:8]) / 2**64, int.from_bytes(digest[8:16]) / 2**64
 
 
-def late_enough(last_activation: float) -> float:
-    """Probability of a network in the prior of an atlas, given its last activation (ms)."""
-    return min(1.0, math.exp((last_activation - LATE) / EARLIER))
+def ends_late(point: Floats, last_activation: float) -> bool:
+    """Whether a point (d,) belongs to the normal prior of an atlas, given its last activation (ms).
+
+    Before `LATE` a share of the points does, the smaller the earlier the last activation is.
+    """
+    return _chances(point)[1] < math.exp(min(0.0, (last_activation - LATE) / EARLIER))
 
 
 def without_groups(changes: Mapping[str, Any]) -> dict[str, Any]:
