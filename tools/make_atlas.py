@@ -56,8 +56,7 @@ from fascicle.emulation.ecg_emulator import (
 )
 from fascicle.emulation.heart_emulator import usual_prior
 from fascicle.emulation.origin import classifier_key as origin_key
-from fascicle.emulation.origin import ectopic_beats
-from fascicle.emulation.origin import learnt as learn_origins
+from fascicle.emulation.origin import ectopic_beats, learn_origins
 from fascicle.emulation.state_classifier import classifier_key, simulations_of_states
 from fascicle.forward.beat import Beat
 from fascicle.forward.electrocardiogram import (

@@ -28,8 +28,8 @@ def small():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(PriorSimulations, "part_size", 150)
         patch.setattr(heart_emulator, "packaged", lambda *_: None)
-        learnt = partial(origin_module._learnt, recording_count=6000, steps=600)
-        patch.setattr(origin_module, "_learnt", learnt)
+        learn = partial(origin_module.learn_origins, recording_count=6000, steps=600)
+        patch.setattr(origin_module, "learn_origins", learn)
         yield
 
 

@@ -332,7 +332,7 @@ def classifier_of(
         numbers = range(-(-count // beats.part_size))
         origins = np.concatenate([beats.origins(number) for number in numbers])
         rng = np.random.default_rng(beats.seed)
-        return learnt(
+        return learn_origins(
             beats.model.heart, beats.examples(count, LENGTH), origins, rows, rng, progress
         )
 
@@ -352,7 +352,7 @@ def classifier_key(beats: EctopicBeats, rows: Integers) -> str:
     return f"{rows} of {beats.content}"
 
 
-def learnt(
+def learn_origins(
     heart: Heart,
     examples: Examples,
     origins: Integers,
