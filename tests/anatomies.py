@@ -359,7 +359,7 @@ def atlas_on(heart: Heart) -> Heart:
     tissues, sizes = ({}, {"anisotropy_ratio": 2.0}), {"size": np.array(scales)}
     seeds = np.array([[(e.root, e.direction) for e in heart.endocardia]] * 2)
     fields = Components.of(fields, 18)
-    atlas = Atlas(shapes, electrodes, seeds, fields, tissues, sizes, np.full(2, 0.5))
+    atlas = Atlas(shapes, electrodes, seeds, np.ones(2), fields, tissues, sizes, np.full(2, 0.5))
     key = key_of(heart, Conduction.of(heart))
     template = LeadFields(_fields(heart.vertices, heart.electrodes), key, "")
     return replace(heart, name="atlas", example=NETWORK, lead_fields=template, atlas=atlas)

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 import fascicle
 from fascicle.atlas.population import AtlasHeart, Build, drawn_hearts, measures_of
-from fascicle.atlas.shapes import HeartFamily, HeartSize, with_drawn_seeds
+from fascicle.atlas.shapes import NETWORK_HEIGHTS, HeartFamily, HeartSize, with_drawn_seeds
 from fascicle.atlas.torsos import heart_in_torso, lead_fields_in_torsos
 from fascicle.build.build_heart import TorsoOptions, heart_of, in_torso
 from fascicle.build.labelled_files import Anatomy, labelled_surface
@@ -70,7 +70,7 @@ from fascicle.forward.preparation import build
 from fascicle.forward.primitives import His, Stimulus
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.template import default_template
-from fascicle.heart.atlas import atlas_heart
+from fascicle.heart.atlas import atlas_heart, with_bare_base
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.coordinates import with_coordinates
 from fascicle.heart.folder import load_heart, write_heart
@@ -78,14 +78,14 @@ from fascicle.heart.heart import Atlas, Components, Heart, LeadFields
 from fascicle.heart.labelled_surface import labelled_mesh
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.mesh.read import read_mesh
-from fascicle.networks.prior import TISSUES, AveragedOver, Prior, ends_late
+from fascicle.networks.prior import TISSUES, AveragedOver, Prior
 from fascicle.networks.prior_simulations import BEFORE, HELD_OUT, Examples
 from fascicle.networks.settings import FitSettings
 from fascicle.torso.lead_fields import key_of, torso_key
 
 EDGE_LENGTH = 4.0  # mm
 TORSOS = 8  # variations of each torso
-NORMAL, MOST, OTHERS = 250, 900, 100  # networks wanted, tried at most, and of each other state
+NORMAL, MOST, OTHERS = 250, 2400, 100  # networks wanted, tried at most, and of each other state
 ECTOPIC = 160  # beats from anywhere in a heart
 LENGTH = 300  # samples (ms) of an ECG
 SEED = 20261129
@@ -148,20 +148,22 @@ def simulate(number: int, out: Path, described: AtlasHeart) -> str:
         return f"{number}: {error}"
     fields = lead_fields_in_torsos(heart, Conduction.of(heart), torso_rng, TORSOS)
     meshed = time.perf_counter() - began
-    heart = with_drawn_seeds(heart, rng)
+    height = float(rng.uniform(*NETWORK_HEIGHTS))
+    heart = with_bare_base(with_drawn_seeds(heart, rng), height)
     model, torsos = forward_model(heart, described.tissue, fields)
     arrays: dict[str, np.ndarray] = {
         "vertices": heart.vertices.astype(np.float32),
         "fields": fields.astype(np.float32),
         "electrodes": heart.electrodes,
         "seeds": np.array([(e.root, e.direction) for e in heart.endocardia]),
+        "network height": np.array(height),
     }
     counts = {}
     for index, state in enumerate(told_apart()):
         usual = usual_prior(heart, state)
-        averaged = AveragedOver(usual.averaged.space, (TISSUES[described.tissue],))
+        averaged = AveragedOver(usual.averaged.space, (TISSUES[described.tissue],), (1.0,))
         prior = replace(usual, averaged=averaged)
-        points, feasible, kept, ecgs, in_torsos, which, times = [], [], [], [], [], [], []
+        points, feasible, kept, ecgs, in_torsos, which = [], [], [], [], [], []
         wanted = NORMAL if prior.mapped else OTHERS
         while sum(kept) < wanted and len(points) < MOST:
             point = prior.sample(rng, 1)[0]
@@ -177,12 +179,10 @@ def simulate(number: int, out: Path, described: AtlasHeart) -> str:
             torso = model.with_sources(torsos[which[-1]], values)
             for leads, to in ((beat.leads, ecgs), (torso.leads(beat.activation), in_torsos)):
                 to.append(kept_leads(leads, beat))
-            times.append(float(beat.total_activation_time))
         arrays |= {
             f"{index} points": np.array(points), f"{index} feasible": np.array(feasible),
             f"{index} kept": np.array(kept), f"{index} ecgs": np.array(ecgs),
             f"{index} in torsos": np.array(in_torsos), f"{index} torsos": np.array(which),
-            f"{index} times": np.array(times),
         }  # fmt: skip
         counts[state.name] = f"{sum(kept)}/{sum(feasible)}/{len(points)}"
     text = json.dumps(
@@ -259,10 +259,6 @@ class Simulated:
             fields = json.loads(str(arrays[-1].pop("described")))
             fields |= {"build": Build(**fields["build"]), "size": HeartSize(**fields["size"])}
             fields |= {name: np.array(fields[name]) for name in ("axis", "shift", "trunk")}
-            # the prior of an atlas prefers late last activations (`Prior.keeps`)
-            points = arrays[-1]["0 points"][arrays[-1]["0 feasible"]]
-            late = [*map(ends_late, points, arrays[-1]["0 times"])]
-            arrays[-1]["0 kept"][arrays[-1]["0 feasible"]] &= np.array(late)
             hearts.append(AtlasHeart(**fields))
         return cls(load_heart(folder / "template"), hearts, arrays)
 
@@ -288,6 +284,7 @@ class Simulated:
             Components.of(np.array(self.of("vertices"), dtype=float).reshape(count, -1), 24),
             np.array(self.of("electrodes")),
             np.array(self.of("seeds")),
+            np.array(self.of("network height")),
             Components.of(fields - fields.mean(axis=1, keepdims=True), FIELD_COMPONENTS),
             tuple(TISSUES[heart.tissue] for heart in self.hearts),
             {**measures_of(self.hearts), "lv_wall": np.array(walls)},

@@ -27,7 +27,7 @@ def atlas_of(hearts):
     measures["sex"] = np.array([float(h.build.sex == "m") for h in hearts])
     measures["elevation"] = np.array([h.axis[1] for h in hearts])
     count = len(hearts)
-    places = np.zeros((count, 9, 3)), np.zeros((count, 2, 2), int)
+    places = np.zeros((count, 9, 3)), np.zeros((count, 2, 2), int), np.ones(count)
     return Atlas(none, *places, none, ({},) * count, measures, np.full(count, 1.0))
 
 

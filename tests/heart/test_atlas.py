@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from anatomies import NETWORK
+from scipy.spatial import cKDTree
 
 from fascicle.core.errors import InputError
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.atlas import atlas_heart
+from fascicle.heart.coordinates import ventricular_coordinates
 from fascicle.heart.folder import load_heart, write_heart
 from fascicle.heart.heart import Atlas, Components
 
@@ -38,8 +40,9 @@ def atlas(small_heart):
     seeds = np.array([[(e.root, e.direction) for e in small_heart.endocardia]] * 3)
     seeds[1, 0, 0] = beside_left_root(small_heart)
     hearts = Atlas(
-        Components.of(vertices, 2), electrodes, seeds, Components.of(fields, 27), tissues,
-        {"lv_volume": np.array([100.0, 133.0, 86.0])}, np.array([0.5, 0.3, 0.2]), {"age": 50.0},
+        Components.of(vertices, 2), electrodes, seeds, np.array([0.6, 1.0, 1.0]),
+        Components.of(fields, 27), tissues, {"lv_volume": np.array([100.0, 133.0, 86.0])},
+        np.array([0.5, 0.3, 0.2]), {"age": 50.0},
     )  # fmt: skip
     return replace(small_heart, atlas=hearts, folder=None)
 
@@ -92,6 +95,17 @@ def test_networks_are_simulated_in_the_heart_that_they_name(atlas):
     assert beats[1].total_activation_time != pytest.approx(beats[0].total_activation_time, abs=0.5)
     paced = model.activate(beats[1].trees, **{**NETWORK, "root_time": 20.0, "atlas_heart": 1.0})
     assert paced.activation.shape == beats[1].activation.shape
+
+
+def test_networks_end_below_the_base_of_the_free_walls(atlas, small_heart):
+    coordinates, tree = ventricular_coordinates(small_heart), cKDTree(small_heart.vertices)
+    free_wall = np.abs(coordinates.rotational - 1 / 3) < 0.2  # away from the septum
+    highest = []
+    for number in (0, 2):  # up to 0.6 of the way to the base, and all the way
+        grown = ForwardModel(atlas_heart(atlas, number)).grow(NETWORK)
+        nodes = np.concatenate([tree.query(t.nodes / SCALES[number])[1] for t in grown])
+        highest.append(coordinates.apicobasal[nodes[free_wall[nodes]]].max())
+    assert highest[0] < 0.75 < highest[1]  # to within a triangle
 
 
 @pytest.mark.parametrize(

@@ -39,6 +39,9 @@ LV_WALL, RV_WALL = 6.0, 3.0  # thickness (mm) of the template's free walls
 # differ greatly from person to person (Massing and James, Circulation 53:609, 1976); in a published
 # heart the right one starts 41° in front of the middle, where the rule gives 7° (docs/hearts.md).
 REACH = 14.0
+# Range of the height, from apex (0) to base (1), up to which the free walls have Purkinje fibres.
+# The base has none, and is activated last (Durrer et al., Circulation 41:899, 1970).
+NETWORK_HEIGHTS = (0.65, 0.85)
 
 
 @dataclass(frozen=True)

@@ -134,6 +134,8 @@ class QrsLikelihood:
         Standard deviation of the gain about 1; 0 fixes it.
     torso_modes : (k, 12 + a, 12 + a) array
         Torso modes: matrices B_k of all leads, each with a standard normal factor.
+    discrepancy_factor : float
+        Factor on the sizes of the discrepancy.
     """
 
     target: Target
@@ -141,6 +143,7 @@ class QrsLikelihood:
     discrepancy: Floats
     gain_sd: float
     torso_modes: Floats
+    discrepancy_factor: float = 1.0
 
     shift_step: ClassVar[int] = 3  # ms between shifts
     # SD (ms) of the first activation about the QRS onset, in addition to that of the onset itself
@@ -271,7 +274,8 @@ class QrsLikelihood:
     @cached_property
     def scales(self) -> Floats:
         """Sizes of the discrepancy that are summed over (mV), shape (n_scales,)."""
-        return np.asarray(self.shares * np.sqrt((self.target.qrs[self._rows] ** 2).mean()))
+        size = self.discrepancy_factor * np.sqrt((self.target.qrs[self._rows] ** 2).mean())
+        return np.asarray(self.shares * size)
 
     @cached_property
     def modes(self) -> Floats:

@@ -14,10 +14,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE, ArrayCache
+from fascicle.heart.coordinates import ventricular_coordinates
 from fascicle.heart.fibres import rule_based_fibres
 from fascicle.heart.heart import Atlas, Components, Heart
 from fascicle.heart.labelled_surface import labelled_mesh
@@ -32,10 +34,11 @@ def atlas_heart(heart: Heart, number: int) -> Heart:
     assert atlas is not None
     vertices = atlas.vertices(number)
     fibre, sheet = _fibres(heart, number, vertices)
+    bare = with_bare_base(heart, atlas.network_heights[number])
     lv, rv = (
         replace(e, vertices=vertices[numbers], root=int(root), direction=int(direction))
         for e, numbers, (root, direction) in zip(
-            heart.endocardia, endocardial_vertices(heart), atlas.seeds[number], strict=True
+            bare.endocardia, endocardial_vertices(heart), atlas.seeds[number], strict=True
         )
     )
     return replace(
@@ -43,6 +46,19 @@ def atlas_heart(heart: Heart, number: int) -> Heart:
         electrodes=atlas.electrodes[number], name=f"{heart.name} {number}", torso=None, atlas=None,
         lead_fields=None, folder=None,
     )  # fmt: skip
+
+
+def with_bare_base(heart: Heart, height: float) -> Heart:
+    """Heart without Purkinje fibres in the free walls above a height: 0 the apex, 1 the base."""
+    coordinates = ventricular_coordinates(heart)
+    # the septum has rotational coordinates above 2/3
+    basal = (coordinates.apicobasal > height) & (coordinates.rotational <= 2 / 3)
+    tree = cKDTree(heart.vertices)
+    lv, rv = (
+        replace(e, bare=basal[tree.query(e.vertices)[1]][e.triangles].all(axis=1))
+        for e in heart.endocardia
+    )
+    return replace(heart, lv=lv, rv=rv)
 
 
 def _fibres(heart: Heart, number: int, vertices: Floats) -> tuple[Floats, Floats]:
@@ -61,8 +77,6 @@ def _fibres(heart: Heart, number: int, vertices: Floats) -> tuple[Floats, Floats
 
 def endocardial_vertices(heart: Heart) -> list[Integers]:
     """Vertices of the mesh that are those of the left and the right endocardium."""
-    from scipy.spatial import cKDTree
-
     tree, numbers = cKDTree(heart.vertices), []
     for e in heart.endocardia:
         distance, nearest = tree.query(e.vertices)
@@ -79,8 +93,8 @@ def write_atlas(atlas: Atlas, path: Path) -> None:
     arrays |= {f"measure {name}": values for name, values in atlas.measures.items()}
     arrays |= {f"person {name}": np.array(value) for name, value in atlas.person.items()}
     tissues = np.array(json.dumps([dict(tissue) for tissue in atlas.tissues]))
-    arrays |= {"electrodes": atlas.electrodes, "seeds": atlas.seeds}
-    arrays |= {"tissues": tissues, "weights": atlas.weights}
+    arrays |= {"electrodes": atlas.electrodes, "seeds": atlas.seeds, "tissues": tissues}
+    arrays |= {"network_heights": atlas.network_heights, "weights": atlas.weights}
     np.savez_compressed(path, allow_pickle=False, **arrays)
 
 
@@ -105,6 +119,7 @@ def read_atlas(path: Path) -> Atlas:
             shapes,
             arrays["electrodes"],
             arrays["seeds"],
+            arrays["network_heights"],
             fields,
             tuple(json.loads(str(arrays["tissues"]))),
             measures,

@@ -26,7 +26,8 @@ class Endocardium:
 
     Vertices (n, 3) (mm); triangles (m, 3), counter-clockwise seen from inside the cavity; the
     vertex where the bundle starts, and one that it heads for; and perhaps which triangles (m,) span
-    a valve opening within the surface: no tissue lies under them, and Purkinje networks end there.
+    a valve opening within the surface, under which there is no tissue, and which have no Purkinje
+    fibres. Purkinje networks end at both.
     """
 
     side: str
@@ -35,6 +36,7 @@ class Endocardium:
     root: int
     direction: int
     valves: Booleans | None = None
+    bare: Booleans | None = None
 
     __repr__ = short_repr
 

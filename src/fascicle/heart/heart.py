@@ -106,6 +106,8 @@ class Atlas:
     seeds : (k, 2, 2) array
         Of the left and the right endocardium of each heart: the vertices where the bundle starts,
         and that it heads for.
+    network_heights : (k,) array
+        Height of each heart's Purkinje networks on the free walls, from apex (0) to base (1).
     fields : Components
         Lead fields at the vertices (kΩ), up to a constant, nine rows (n,) for each heart.
     tissues : tuple of mappings
@@ -121,6 +123,7 @@ class Atlas:
     shapes: Components
     electrodes: Floats
     seeds: Integers
+    network_heights: Floats
     fields: Components
     tissues: tuple[Mapping[str, float], ...]
     measures: Mapping[str, Floats]
@@ -311,7 +314,7 @@ class Heart:
         if self.additional_electrodes:
             arrays += [self.electrode_positions, np.array(self.electrode_names)]
         for e in self.endocardia:
-            arrays += [e.vertices, e.triangles, np.array([e.root, e.direction]), e.valves]
+            arrays += [e.vertices, e.triangles, np.array([e.root, e.direction]), e.valves, e.bare]
         arrays.append(self.regions)
         if self.lead_fields is not None:
             arrays.append(self.lead_fields.values)
@@ -324,7 +327,7 @@ class Heart:
         if self.atlas is not None:  # its weights are a prior
             for part in (self.atlas.shapes, self.atlas.fields):
                 arrays += [part.mean, part.components, part.coefficients]
-            arrays += [self.atlas.electrodes, self.atlas.seeds]
+            arrays += [self.atlas.electrodes, self.atlas.seeds, self.atlas.network_heights]
             arrays.append(np.array([repr(self.atlas.tissues)]))
         return digest_of(*(array for array in arrays if array is not None))
 

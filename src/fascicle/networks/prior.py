@@ -48,7 +48,7 @@ from fascicle.core.quantities import (
     stand_ins,
 )
 from fascicle.core.ranges import number, shown
-from fascicle.forward.activation_sequence import VentricularSurfaces
+from fascicle.forward.activation_sequence import LATE_QRS, MAPPED, VentricularSurfaces
 from fascicle.forward.beat import Beat
 from fascicle.heart.conduction import Conduction, Region
 from fascicle.heart.heart import Heart
@@ -177,10 +177,6 @@ class AveragedOver:
 # Probability of keeping a network in the prior of mapped hearts although its activation sequence
 # differs from theirs
 UNMAPPED = 0.03
-# Last activation (ms) above which every network belongs to the prior of an atlas, and the decay
-# (ms) of the share that does below: without it the median is 70 ms, and the QRS windows of normal
-# recordings (the even records of PTB-XL) are 96 ms (84 to 112)
-LATE, EARLIER = 90.0, 8.0
 
 
 @dataclass(frozen=True)
@@ -281,10 +277,11 @@ class Prior:
         """
         if not self.mapped:
             return True
-        sequence = surfaces.sequence(beat.activation)
-        if self.averaged.weights and not ends_late(point, sequence.total):
-            return False
-        return sequence.is_mapped or _chances(point)[0] < UNMAPPED
+        sequence, latest = surfaces.sequence(beat.activation), MAPPED["total"].upper
+        if self.averaged.weights and sequence.total < LATE_QRS:
+            # in an atlas the last activation may be as late as normal QRS of people end
+            sequence = replace(sequence, total=min(sequence.total, latest))
+        return sequence.is_mapped or _chance(point) < UNMAPPED
 
     def narrowed(self, state: ConductionState) -> Prior:
         """Prior of one conduction state, which must be possible."""
@@ -344,18 +341,10 @@ class Prior:
         return ranges
 
 
-def _chances(point: Floats) -> tuple[float, float]:
-    """Two numbers of 0 to 1 that depend on a point (d,) alone, like random ones."""
+def _chance(point: Floats) -> float:
+    """Number of 0 to 1 that depends on a point (d,) alone, like a random one."""
     digest = hashlib.sha256(np.ascontiguousarray(point, dtype=float).tobytes()).digest()
-    return int.from_bytes(digest[:8]) / 2**64, int.from_bytes(digest[8:16]) / 2**64
-
-
-def ends_late(point: Floats, last_activation: float) -> bool:
-    """Whether a point (d,) belongs to the normal prior of an atlas, given its last activation (ms).
-
-    Before `LATE` a share of the points does, the smaller the earlier the last activation is.
-    """
-    return _chances(point)[1] < math.exp(min(0.0, (last_activation - LATE) / EARLIER))
+    return int.from_bytes(digest[:8]) / 2**64
 
 
 def without_groups(changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from fascicle.core.leads import INDEPENDENT_ROWS, LEADS
 from fascicle.core.parameters import Infeasible, ParameterSpace, free
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.quantities import TORSO_QUANTITIES, Changes, quantity, torso_values
-from fascicle.forward.activation_sequence import MAPPED
+from fascicle.forward.activation_sequence import LATE_QRS, MAPPED
 from fascicle.forward.beat import Beat
 from fascicle.forward.eikonal.activation import Activation
 from fascicle.forward.electrocardiogram import (
@@ -38,7 +38,7 @@ from fascicle.forward.loss import placed
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.mesh.measures import barycentric_gradients, solid_centroid, unit
-from fascicle.networks.prior import EARLIER, LATE, UNMAPPED, Prior, growth_and_conduction
+from fascicle.networks.prior import UNMAPPED, Prior, growth_and_conduction
 from fascicle.pools.pool import Pool
 from fascicle.torso.conductor import SkinMotion, TorsoState, torso_axes
 from fascicle.torso.electrode_sites import Electrode
@@ -184,7 +184,7 @@ class PriorSimulations:
         scenario = "" if self.scenario is None else repr(self.scenario)
         drawn = "" if self.drawn is None else hashlib.sha256(self.drawn.tobytes()).hexdigest()
         mapped = f" {MAPPED} {UNMAPPED}" if prior.mapped else ""
-        mapped += f" {LATE} {EARLIER}" if prior.mapped and prior.averaged.weights else ""
+        mapped += f" {LATE_QRS}" if prior.mapped and prior.averaged.weights else ""
         return (
             f"{self.model.heart.digest} {varied} {sorted(constants.items())} "
             f"{scenario}{drawn}{mapped}"

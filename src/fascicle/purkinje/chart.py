@@ -75,9 +75,9 @@ def build_chart(endocardium: Endocardium) -> Chart:
     neighbours = np.asarray(igl.triangle_triangle_adjacency(triangles)[0], dtype=np.int64)
     # libigl numbers edges from their first corner; the walk wants the corner opposite to them
     neighbours = np.ascontiguousarray(neighbours[:, [1, 2, 0]])
-    if endocardium.valves is not None:
-        # no neighbours across valves, where a tree would leave the tissue
-        neighbours[endocardium.valves[neighbours]] = -1
+    for outside in (endocardium.valves, endocardium.bare):  # where no tree may grow
+        if outside is not None:
+            neighbours[outside[neighbours]] = -1
     return Chart(points, vertices, triangles, neighbours, _metric(points, vertices, triangles))
 
 

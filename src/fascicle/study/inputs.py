@@ -20,7 +20,7 @@ from fascicle.core.quantities import DELAY, torso_values
 from fascicle.core.ranges import check_kind
 from fascicle.emulation.ecg_emulator import TORSO_MODES, EcgEmulator
 from fascicle.emulation.heart_emulator import MOST_ROUNDS, REFINING_NETWORKS
-from fascicle.emulation.likelihood import EmulatedLikelihood, likelihood_of
+from fascicle.emulation.likelihood import ATLAS_DISCREPANCY, EmulatedLikelihood, likelihood_of
 from fascicle.emulation.recalibration import as_simulated
 from fascicle.forward.beat import Beat
 from fascicle.forward.likelihood import Likelihood, QrsLikelihood
@@ -222,11 +222,13 @@ def read_inputs(
         raise InputError("the gain is a parameter already; leave --free-gain out")
     constants: dict[str, float | str] = {}
     if settings.method == "posterior":
-        constants_of_emulator = {
+        constants_of_emulator: dict[str, float | str] = {
             "body_modes": TORSO_MODES,
             "refining_networks": REFINING_NETWORKS,
             "refining_rounds": MOST_ROUNDS,
         }
+        if heart.atlas is not None:
+            constants_of_emulator["discrepancy_factor"] = ATLAS_DISCREPANCY
         names = ", ".join(type(likelihood).__qualname__ for likelihood in likelihoods or ())
         constants = {"name": names} if names else QrsLikelihood.constants() | constants_of_emulator
     config = StudyConfig(
