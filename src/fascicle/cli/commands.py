@@ -29,7 +29,6 @@ from fascicle.cli.options import (
     explicit,
     fit_options,
     fixed_values,
-    heart_of,
     pool_at,
     wanted_parameters,
     with_scenario,
@@ -239,7 +238,7 @@ def fit(
         if device is not None:
             fit_settings["backend"] = fascicle.GpuBackend(device)
         pool = pool_at(scheduler, progress)
-        of_person = heart_of(heart, sex=sex, age=age, height=height, weight=weight)
+        of_person = fascicle.load_heart(heart, sex=sex, age=age, height=height, weight=weight)
         fitted = fascicle.fit(
             of_person, recordings, out, parameters=learnt, progress=progress, pool=pool,
             **fit_settings,
@@ -261,10 +260,6 @@ def locate(
     ] = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
-    sex: SexOption = None,
-    age: AgeOption = None,
-    height: HeightOption = None,
-    weight: WeightOption = None,
 ) -> Result:
     """Say where an ectopic or paced beat comes from, with a probability of every place.
 
@@ -283,9 +278,8 @@ def locate(
 
     check_folder(out)
     with TerminalProgress() as progress:
-        of_person = heart_of(heart, sex=sex, age=age, height=height, weight=weight)
         origin = fascicle.locate(
-            of_person, target, prior_simulations=prior_simulations, workers=workers,
+            heart, target, prior_simulations=prior_simulations, workers=workers,
             progress=progress, pool=pool_at(scheduler, progress),
         )  # fmt: skip
         origin.save(out)
@@ -335,9 +329,7 @@ def states(
 
     file_settings = read_settings(settings_file) if settings_file is not None else {}
     with TerminalProgress() as progress:
-        of_person = heart_of(heart, sex=sex, age=age, height=height, weight=weight)
-        if isinstance(of_person, str):
-            of_person = fascicle.load_heart(of_person)
+        of_person = fascicle.load_heart(heart, sex=sex, age=age, height=height, weight=weight)
         probabilities = fascicle.state_probabilities(
             of_person, target, parameters=file_settings.get("parameters"),
             prior_simulations=prior_simulations, workers=workers, progress=progress,

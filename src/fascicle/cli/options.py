@@ -70,13 +70,6 @@ FreeOption = Annotated[
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-def heart_of(heart: str, **person: Any) -> fascicle.Heart | str:
-    """Heart with what is known of the person; its name or folder where nothing is."""
-    if all(value is None for value in person.values()):
-        return heart
-    return fascicle.load_heart(heart, **person)
-
-
 def lead_names(text: str) -> list[str]:
     """Leads of a list such as ``I,II,V1-V6,V7-V9,X-Z,E1-E64``; the last are names of the user's."""
     from fascicle.core.leads import ADDITIONAL_LEADS, LEADS
