@@ -9,7 +9,7 @@ import pytest
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import HUMAN_SPACE, NETWORK_SPACE, human_space
 from fascicle.forward.activation_sequence import ActivationSequence
-from fascicle.networks.prior import UNMAPPED, Prior, read_settings, study_space
+from fascicle.networks.prior import UNMAPPED, AveragedOver, Prior, read_settings, study_space
 
 
 def test_default_priors(default_heart):
@@ -151,10 +151,18 @@ MAPPED = ActivationSequence(0.0, 4.0, 8.0, 15.0, 20.0, 30.0, 75.0, "basal latera
 UNLIKE = replace(MAPPED, total=130.0)
 
 
-def is_kept(point, sequence):
+def is_kept(point, sequence, weights=()):
     surfaces = SimpleNamespace(sequence=lambda activation: sequence)
-    beat = SimpleNamespace(activation=None)
-    return Prior(NETWORK_SPACE, mapped=True).keeps(point, surfaces, beat)
+    averaged = AveragedOver(tissues=({},), weights=weights)
+    prior = Prior(NETWORK_SPACE, averaged=averaged, mapped=True)
+    return prior.keeps(point, surfaces, SimpleNamespace(activation=None))
+
+
+@pytest.mark.parametrize(("total", "share"), [(59.0, UNMAPPED), (119.0, 1.0), (121.0, UNMAPPED)])
+def test_on_an_atlas_activation_may_end_as_late_as_a_normal_qrs(total, share):
+    points = np.random.default_rng(0).random((1000, 21))
+    kept = [is_kept(point, replace(MAPPED, total=total), (0.5, 0.5)) for point in points]
+    assert np.mean(kept) == pytest.approx(share, abs=0.03)
 
 
 def test_all_that_is_mapped_is_kept_and_few_of_the_rest():

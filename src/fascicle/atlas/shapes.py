@@ -204,17 +204,13 @@ class HeartFamily:
 def with_drawn_seeds(heart: Heart, rng: np.random.Generator) -> Heart:
     """Heart whose bundles start at, and head for, random vertices of the endocardia.
 
-    They are within `REACH` of those of the heart, and not at a valve.
+    They are within `REACH` of those of the heart.
     """
     drawn = []
     for e in heart.endocardia:
-        at_valve = np.zeros(len(e.vertices), bool)
-        if e.valves is not None:
-            at_valve[e.triangles[e.valves]] = True
         places = e.vertices[[e.root, e.direction]]
         distance = np.linalg.norm(e.vertices - places[:, None], axis=2)
-        near = (np.flatnonzero((d <= REACH) & ~at_valve) for d in distance)
-        root, direction = (int(rng.choice(vertices)) for vertices in near)
+        root, direction = (int(rng.choice(np.flatnonzero(d <= REACH))) for d in distance)
         drawn.append(replace(e, root=root, direction=direction))
     return replace(heart, lv=drawn[0], rv=drawn[1])
 

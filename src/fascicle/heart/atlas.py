@@ -54,11 +54,8 @@ def with_bare_base(heart: Heart, height: float) -> Heart:
     # the septum has rotational coordinates above 2/3
     basal = (coordinates.apicobasal > height) & (coordinates.rotational <= 2 / 3)
     tree = cKDTree(heart.vertices)
-    lv, rv = (
-        replace(e, bare=basal[tree.query(e.vertices)[1]][e.triangles].all(axis=1))
-        for e in heart.endocardia
-    )
-    return replace(heart, lv=lv, rv=rv)
+    bare = [basal[tree.query(e.vertices)[1]][e.triangles].all(axis=1) for e in heart.endocardia]
+    return replace(heart, lv=replace(heart.lv, bare=bare[0]), rv=replace(heart.rv, bare=bare[1]))
 
 
 def _fibres(heart: Heart, number: int, vertices: Floats) -> tuple[Floats, Floats]:
