@@ -159,6 +159,7 @@ def test_the_fit_s_command_gives_the_same_study(
         raise RuntimeError("that is enough")
 
     monkeypatch.setattr("fascicle.fit", note)
+    monkeypatch.setattr("fascicle.load_heart", lambda path, **person: path)
     *file, fit, report = commands(fitted, {}, "intrinsic")
     assert (file[0], file[-1]) == ("cat > settings.toml <<'END'", "END")
     (tmp_path / "settings.toml").write_text("\n".join(file[1:-1]))
