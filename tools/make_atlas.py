@@ -161,6 +161,7 @@ def simulate(number: int, out: Path, described: AtlasHeart) -> str:
     counts = {}
     for index, state in enumerate(told_apart()):
         usual = usual_prior(heart, state)
+        # weighted as the hearts of an atlas are, whose activation may end later (`Prior.keeps`)
         averaged = AveragedOver(usual.averaged.space, (TISSUES[described.tissue],), (1.0,))
         prior = replace(usual, averaged=averaged)
         points, feasible, kept, ecgs, in_torsos, which = [], [], [], [], [], []
