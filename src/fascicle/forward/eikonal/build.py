@@ -165,12 +165,15 @@ def _triangles_at(heart: Heart, vertices: Floats, surface: Integers, tree: igl.A
     centres = vertices[surface].mean(axis=1)
     near = []
     for endocardium in heart.endocardia:
-        square, _, _ = search_tree(endocardium.vertices, endocardium.triangles).squared_distance(
-            endocardium.vertices, endocardium.triangles, centres
+        triangles = endocardium.triangles
+        if endocardium.bare is not None:  # no tree grows there
+            triangles = triangles[~endocardium.bare]
+        square, _, _ = search_tree(endocardium.vertices, triangles).squared_distance(
+            endocardium.vertices, triangles, centres
         )
         # within a quarter of an edge
         near.append(np.flatnonzero(square < (0.25 * heart.edge_length) ** 2))
-        corners = endocardium.vertices[endocardium.triangles]
+        corners = endocardium.vertices[triangles]
         sides = (corners + np.roll(corners, 1, axis=1)) / 2
         points = [corners.reshape(-1, 3), sides.reshape(-1, 3), corners.mean(axis=1)]
         near.append(tree.squared_distance(vertices, surface, np.concatenate(points))[1])
