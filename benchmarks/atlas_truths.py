@@ -34,7 +34,6 @@ import fascicle
 from benchmarks.calibration import coverage, recorded
 from benchmarks.origins import print_accuracy
 from fascicle.atlas.shapes import NETWORK_HEIGHTS
-from fascicle.atlas.torsos import lead_fields_in_torsos
 from fascicle.build.build_heart import TorsoOptions, build_heart, in_torso
 from fascicle.build.read_anatomy import Source
 from fascicle.core.conduction_states import CONDUCTION_STATES
@@ -57,6 +56,7 @@ from fascicle.mesh.read import read_mesh
 from fascicle.networks.prior import Prior
 from fascicle.networks.settings import FitSettings
 from fascicle.torso.conductor import torso_of
+from fascicle.torso.training import lead_fields_in_torsos
 
 HEARTS = ("crtdemo", "rodero01")
 STATES = ("normal", "left bundle branch block")

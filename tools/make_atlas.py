@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 import fascicle
 from fascicle.atlas.population import AtlasHeart, Build, drawn_hearts, measures_of
 from fascicle.atlas.shapes import NETWORK_HEIGHTS, HeartFamily, HeartSize, with_drawn_seeds
-from fascicle.atlas.torsos import heart_in_torso, lead_fields_in_torsos
+from fascicle.atlas.torsos import heart_in_torso
 from fascicle.build.build_heart import TorsoOptions, heart_of, in_torso
 from fascicle.build.labelled_files import Anatomy, labelled_surface
 from fascicle.build.meshing import filled
@@ -82,6 +82,7 @@ from fascicle.networks.prior import TISSUES, AveragedOver, Prior
 from fascicle.networks.prior_simulations import BEFORE, HELD_OUT, Examples
 from fascicle.networks.settings import FitSettings
 from fascicle.torso.lead_fields import key_of, torso_key
+from fascicle.torso.training import lead_fields_in_torsos
 
 EDGE_LENGTH = 4.0  # mm
 TORSOS = 8  # variations of each torso

@@ -10,7 +10,7 @@ written whole or not at all, so that they may be interrupted at any time.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -23,15 +23,16 @@ from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.files import ArrayCache
 from fascicle.core.leads import INDEPENDENT_ROWS, LEADS
-from fascicle.core.parameters import Infeasible, ParameterSpace, free
+from fascicle.core.parameters import Infeasible
 from fascicle.core.progress import Progress, stage_progress
-from fascicle.core.quantities import TORSO_QUANTITIES, Changes, quantity, torso_values
+from fascicle.core.quantities import Changes, quantity, torso_values
 from fascicle.forward.activation_sequence import LATE_QRS, MAPPED
 from fascicle.forward.beat import Beat
 from fascicle.forward.eikonal.activation import Activation
 from fascicle.forward.electrocardiogram import (
     Electrocardiograph,
     build_electrocardiograph,
+    nodal_gradients,
     unbounded_gradients,
 )
 from fascicle.forward.loss import placed
@@ -42,6 +43,7 @@ from fascicle.networks.prior import UNMAPPED, Prior, growth_and_conduction
 from fascicle.pools.pool import Pool
 from fascicle.torso.conductor import SkinMotion, TorsoState, torso_axes
 from fascicle.torso.electrode_sites import Electrode
+from fascicle.torso.training import lead_fields_in_torsos, torsos_of_the_prior
 
 HELD_OUT = 10  # every tenth network is held out
 BEFORE = 40  # samples (ms) of an ECG that are kept before the first activation
@@ -49,56 +51,56 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def random_bodies(
-    model: ForwardModel, rng: np.random.Generator, count: int
+    model: ForwardModel,
+    rng: np.random.Generator,
+    count: int,
+    progress: Progress | None = None,
+    cache: ArrayCache | None = None,
 ) -> list[Electrocardiograph]:
     """ECG integrals of a model's heart in random torsos.
 
     Their quantities of the torso are drawn from their priors (docs/quantities.md); impossible
-    torsos are drawn again. Each takes as much memory as the model's own integral.
+    torsos are drawn again. Each takes as much memory as the model's own integral. In an unbounded
+    conductor electrodes move as with the skin, and conductivities, which scale the whole ECG there,
+    do nothing.
 
     Parameters
     ----------
     model : ForwardModel
-        The heart. With a torso or lead fields, `ForwardModel.torso` is built first: minutes, once.
+        The heart. If it has a torso or lead fields, those of each torso are solved: seconds each.
     rng : numpy.random.Generator
         Generator of the draws: the same state gives the same torsos.
     count : int
         Number of torsos.
-    """
-    space = ParameterSpace(tuple(free(name) for name in TORSO_QUANTITIES))
-    in_torso, integrals = electrocardiograph_in_body(model), list[Electrocardiograph]()
-    while len(integrals) < count:
-        integral = in_torso(space.from_unit(rng.random(len(space))))
-        if not isinstance(integral, Infeasible):
-            integrals.append(integral)
-    return integrals
-
-
-def electrocardiograph_in_body(
-    model: ForwardModel,
-) -> Callable[[Mapping[str, float]], Electrocardiograph | Infeasible]:
-    """The ECG integral of a model's heart as a function of quantities of the torso.
-
-    In an unbounded conductor electrodes move as with the skin, and conductivities, which scale the
-    whole ECG there, do nothing.
+    progress : Progress, optional
+        Called with the number of torsos solved.
+    cache : ArrayCache, optional
+        Where the lead fields in these torsos are kept.
     """
     heart, conduction = model.heart, model.conduction
-    if heart.has_torso:
-        return model.electrocardiograph_in_torso
     mesh = heart.vertices, heart.tetrahedra
-    centroid, barycentric = solid_centroid(*mesh), barycentric_gradients(*mesh)
-    intracellular, scale = conduction.intracellular(heart.fibres), conduction.scale(heart)
-
-    def unbounded(values: Mapping[str, float]) -> Electrocardiograph:
-        places = moved_electrodes(heart.electrode_positions, centroid, TorsoState.of(values))
-        gradients = unbounded_gradients(*mesh, places, conduction.torso)
-        volumes, more = heart.volumes, [*heart.additional_electrodes]
-        return build_electrocardiograph(
-            heart.tetrahedra, barycentric, volumes, intracellular, gradients,
-            model.action_potential, more,
-        ).scaled(scale)  # fmt: skip
-
-    return unbounded
+    barycentric = barycentric_gradients(*mesh)
+    if heart.has_torso:
+        key = f"{heart.digest} {conduction} {count} {rng.bit_generator.state}"
+        arrays = None if cache is None else cache.read(key)
+        if arrays is None:
+            solved = lead_fields_in_torsos(heart, conduction, rng, count, progress)
+            arrays = {"fields": solved[1:].astype(np.float32)}
+            if cache is not None:
+                cache.keep(key, arrays, most=1)
+        fields = arrays["fields"].astype(float)
+        gradients = (nodal_gradients(f, heart.tetrahedra, barycentric) for f in fields)
+    else:
+        centroid, electrodes = solid_centroid(*mesh), heart.electrode_positions
+        states = torsos_of_the_prior(rng, count)
+        moved = [moved_electrodes(electrodes, centroid, state) for state in states]
+        gradients = (unbounded_gradients(*mesh, places, conduction.torso) for places in moved)
+    parts = heart.tetrahedra, barycentric, heart.volumes, conduction.intracellular(heart.fibres)
+    more, scale = [*heart.additional_electrodes], conduction.scale(heart)
+    return [
+        build_electrocardiograph(*parts, slopes, model.action_potential, more).scaled(scale)
+        for slopes in gradients
+    ]
 
 
 def moved_electrodes(electrodes: Floats, centroid: Floats, state: TorsoState) -> Floats:
@@ -244,7 +246,8 @@ class PriorSimulations:
         # no random torsos if quantities of the torso are learnt, or for draws from a posterior
         if self.drawn is None and not torso_values(dict.fromkeys(self.prior.names, np.nan)):
             rng = np.random.default_rng([self.seed, 0, 2])  # 2: random numbers of the torsos
-            torsos = random_bodies(self.model, rng, self.torsos)
+            in_cache = ArrayCache(self.cache.folder, "torsos")
+            torsos = random_bodies(self.model, rng, self.torsos, progress, in_cache)
         rows = [*INDEPENDENT_ROWS, *range(len(LEADS), len(self.model.heart.leads))]
         for number in missing:
             items = [*zip(self.parameters(number), self.scenarios(number), strict=True)]

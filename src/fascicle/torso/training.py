@@ -19,12 +19,15 @@ import scipy.linalg
 from scipy.sparse import csr_matrix
 
 from fascicle.core.arrays import Booleans, Floats, Integers, Singles
-from fascicle.core.progress import StageProgress, no_progress
+from fascicle.core.parameters import ParameterSpace, free
+from fascicle.core.progress import Progress, StageProgress, no_progress, stage_progress
+from fascicle.core.quantities import TORSO_QUANTITIES
 from fascicle.core.threads import one_thread
-from fascicle.heart.heart import TorsoTissue
+from fascicle.heart.conduction import Conduction
+from fascicle.heart.heart import Heart, TorsoTissue
 from fascicle.mesh.measures import triangle_normals, unit
 from fascicle.mesh.topology import without_unused_vertices
-from fascicle.torso.conductor import Conductor, TorsoState
+from fascicle.torso.conductor import Conductor, TorsoState, build_conductor, torso_of
 from fascicle.torso.electrode_sites import Electrode
 from fascicle.torso.lead_fields import (
     MM_PER_CM,
@@ -129,6 +132,46 @@ def random_torsos(conductor: Conductor, count: int, rng: np.random.Generator) ->
             if conductor.is_possible(state):
                 states.append(state)
     return states[:count]
+
+
+def torsos_of_the_prior(
+    rng: np.random.Generator,
+    count: int,
+    is_possible: Callable[[TorsoState], bool] = lambda state: True,
+) -> list[TorsoState]:
+    """Possible torsos whose quantities are drawn from their priors (docs/quantities.md)."""
+    space = ParameterSpace(tuple(free(name) for name in TORSO_QUANTITIES))
+    states: list[TorsoState] = []
+    while len(states) < count:
+        state = TorsoState.of(space.from_unit(rng.random(len(space))))
+        if is_possible(state):
+            states.append(state)
+    return states
+
+
+def lead_fields_in_torsos(
+    heart: Heart,
+    conduction: Conduction,
+    rng: np.random.Generator,
+    count: int,
+    progress: Progress | None = None,
+) -> Floats:
+    """Lead fields (1 + count, 9 + a, n) (kΩ) of a heart in its torso, then in random ones.
+
+    The random ones are `torsos_of_the_prior`. Fields are over the factor on the myocardium's
+    conductivity, by which sources are multiplied.
+    """
+    torso = torso_of(heart, stage_progress(progress, "torso"))
+    conductor = build_conductor(heart, torso, conduction)
+    places = electrode_places(conductor)
+    states = [TorsoState.of({}), *torsos_of_the_prior(rng, count, conductor.is_possible)]
+    report, vertices = stage_progress(progress, "lead fields in torsos"), len(heart.vertices)
+    fields = _in_parallel(
+        lambda state: solve_torso(conductor, places, state, 1e-3, 80)[:vertices].T,
+        states,
+        lambda done: report(done, len(states)),
+    )
+    return np.array(fields)
 
 
 def electrode_places(conductor: Conductor) -> Contacts:
