@@ -254,19 +254,18 @@ def find_candidates(
     a_little, chunk = 1 + 1e-9, 1 << 12  # more than rounding; triangles at a time, for memory
     radii *= a_little
     reach = (np.sqrt(square) + 2 * radii) * a_little
-    surface_tree, candidates = KDTree(surface_centres), []
+    surface_tree, parts = KDTree(surface_centres), []
     for first in range(0, len(centres), chunk):
         part = slice(first, first + chunk)
         around = surface_tree.query_ball_point(centres[part], reach[part] + surface_radii.max())
-        for centre, near, far in zip(
-            centres[part], map(np.array, around), reach[part], strict=True
-        ):
-            least = np.linalg.norm(surface_centres[near] - centre, axis=1) - surface_radii[near]
-            order = np.argsort(least, kind="stable")
-            order = order[: np.searchsorted(least[order], far, "right")]
-            candidates.append((near[order], least[order]))
-    triangle, least = (np.concatenate(parts) for parts in zip(*candidates, strict=True))
-    start = np.cumsum([0, *(len(numbers) for numbers, _ in candidates)])
+        row = np.repeat(np.arange(len(around)) + first, [len(near) for near in around])
+        near = np.concatenate([np.array(numbers, dtype=np.int64) for numbers in around])
+        least = np.linalg.norm(surface_centres[near] - centres[row], axis=1) - surface_radii[near]
+        close = np.flatnonzero(least <= reach[row])
+        order = close[np.lexsort((least[close], row[close]))]
+        parts.append((row[order], near[order], least[order]))
+    row, triangle, least = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    start = np.searchsorted(row, np.arange(len(centres) + 1))
     return Candidates(start, triangle, least, centres, radii**2)
 
 
