@@ -93,6 +93,9 @@ SEED = 20261129
 FIELD_COMPONENTS = 140  # of the lead fields
 INPUTS = 16  # numbers that stand for a heart in the emulators
 EPOCHS = 30  # of the emulators' training
+# of the probabilities of origins: regions of 90 % then hold the origins of beats simulated on real
+# hearts, where those that are right for hearts of the atlas hold fewer (docs/atlas.md)
+ORIGIN_TEMPERATURE = 3.5
 PLAIN_RATIO = float(np.divide(*Conduction().speeds))
 COUNT = int(FitSettings.model_fields["prior_simulations"].default)
 PACKAGE = Path(fascicle.__file__).parent / "data"
@@ -433,7 +436,11 @@ def joined_examples(
 
 
 def learn_ectopic(out: Path, model: ForwardModel, simulated: Simulated) -> None:
-    """Train the classifier of origins on beats from anywhere in all hearts, if they are there."""
+    """Train the classifier of origins on beats from anywhere in all hearts, if they are there.
+
+    Beats of every tenth heart are held out. The probabilities are those of the power 1 /
+    `ORIGIN_TEMPERATURE`, so that regions hold the origin in hearts that are none of the atlas's.
+    """
     count = len(simulated.hearts)
     paths = sorted(out.glob("ectopic-*.npz"))
     if len(paths) < count:
@@ -443,20 +450,32 @@ def learn_ectopic(out: Path, model: ForwardModel, simulated: Simulated) -> None:
     for number, path in enumerate(paths):
         with np.load(path, allow_pickle=False) as content:
             arrays = {name: content[name] for name in content.files}
-        place = np.full((len(arrays["points"]), 1), (number + 0.5) / count)
-        arrays["points"] = np.hstack([arrays["points"], place])
+        feasible = arrays.pop("feasible")
+        place = np.full((len(feasible), 1), (number + 0.5) / count)
+        arrays["points"] = np.hstack([arrays["points"], place])[feasible]
+        arrays["origins"] = arrays["origins"][feasible]
         arrays["torsos"] = arrays["torsos"] + TORSOS * number
+        arrays["held out"] = np.full(feasible.sum(), number % HELD_OUT == HELD_OUT - 1)
         for name, values in arrays.items():
             parts.setdefault(name, []).append(values)
     joined = {name: np.concatenate(values) for name, values in parts.items()}
-    feasible = joined["feasible"]
-    held_out = (np.arange(len(feasible)) % HELD_OUT == HELD_OUT - 1)[feasible]
+    rng, rows = np.random.default_rng(SEED), np.array(INDEPENDENT_ROWS)
+    # rows of ten beats, of which the last is held out
+    training, held_out = (
+        rng.permutation(np.flatnonzero(joined["held out"] == of)) for of in (False, True)
+    )
+    tens = min(len(training) // (HELD_OUT - 1), len(held_out))
+    training, held_out = training[: tens * (HELD_OUT - 1)], held_out[:tens]
+    order = np.hstack([training.reshape(tens, -1), held_out[:, None]]).ravel()
+    all_of_them = np.ones(len(order), bool)
     examples = Examples(
-        joined["points"], feasible, feasible, joined["ecgs"].astype(np.float32),
+        joined["points"][order], all_of_them, all_of_them,
+        joined["ecgs"][order].astype(np.float32),
         joined["in_torsos"][held_out].astype(np.float32), joined["torsos"][held_out],
     )  # fmt: skip
-    rng, rows = np.random.default_rng(SEED), np.array(INDEPENDENT_ROWS)
-    arrays = learn_origins(model.heart, examples, joined["origins"], rows, rng)
+    arrays = learn_origins(
+        model.heart, examples, joined["origins"][order], rows, rng, temperature=ORIGIN_TEMPERATURE
+    )
     print(f"origins: {arrays['distance']:.1f} mm, {arrays['region']:.0%} in the 90 % region")
     key = origin_key(ectopic_beats(model, out), rows)
     put("origin", key, {**arrays, "networks": np.array(COUNT)})

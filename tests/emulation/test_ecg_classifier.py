@@ -48,6 +48,8 @@ def test_probabilities_are_those_of_bayes(classifier):
     density = np.exp(-0.5 * (values[:, None] - np.array([-1.0, 0.0, 2.0])) ** 2)
     exact = density / density.sum(axis=1, keepdims=True)
     np.testing.assert_allclose(classifier.of_cosines(recordings), exact, atol=0.06)
+    roots = np.sqrt(exact) / np.sqrt(exact).sum(axis=1, keepdims=True)
+    np.testing.assert_allclose(classifier.tempered(2).of_cosines(recordings), roots, atol=0.06)
     # of the best possible one: cuts at -0.5 and 1
     assert classifier.accuracy == pytest.approx((0.691 + 0.533 + 0.841) / 3, abs=0.02)
 

@@ -80,6 +80,10 @@ def test_the_packaged_heart_brings_its_classifier(target, monkeypatch):
     apex = np.array(Sites(found.heart).position("rv apex"))
     assert np.linalg.norm(found.place - apex) < found.radius < 30
     assert found.caution is None
+    # of a beat of another heart, the atlas says what it is of, in a wide region
+    of_atlas = fascicle.locate("atlas", target, progress=None)
+    assert of_atlas.verdict.startswith("no image: averaged over 64 hearts of the population; ")
+    assert of_atlas.radius > found.radius
 
 
 @pytest.mark.slow

@@ -93,6 +93,8 @@ def test_networks_are_simulated_in_the_heart_that_they_name(atlas):
     assert beats[2].activation == pytest.approx(expected.activation, abs=0.5)
     # a larger heart, whose tissue conducts faster across the fibre as well
     assert beats[1].total_activation_time != pytest.approx(beats[0].total_activation_time, abs=0.5)
+    tables = [model.of_heart({"atlas_heart": k}).myocardium.travel_times for k in (0.0, 2.0)]
+    assert len(tables[0].start) < len(tables[1].start)  # no rays from where no tree grows
     paced = model.activate(beats[1].trees, **{**NETWORK, "root_time": 20.0, "atlas_heart": 1.0})
     assert paced.activation.shape == beats[1].activation.shape
 

@@ -169,6 +169,14 @@ class EcgClassifier:
         by_network = [softmax(network(inputs)) for network in self.networks]
         return np.asarray(np.mean(by_network, axis=0), dtype=float)
 
+    def tempered(self, temperature: float) -> EcgClassifier:
+        """Classifier whose networks give probabilities to the power 1 / `temperature`."""
+        networks = [
+            NeuralNetwork((*hidden, weights / temperature, offset / temperature))
+            for *hidden, weights, offset in (network.weights for network in self.networks)
+        ]
+        return replace(self, networks=tuple(networks))
+
     def unexplained(self, recordings: NDArray[Any]) -> Floats:
         """Share (n,) of the energy of recordings (n, r, COSINES) outside the components."""
         flat = recordings.reshape(len(recordings), -1).astype(float)

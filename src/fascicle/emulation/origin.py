@@ -361,10 +361,12 @@ def learn_origins(
     progress: Progress | None = None,
     recording_count: int = 240_000,
     steps: int = 4000,
+    temperature: float = 1.0,
 ) -> dict[str, Any]:
     """Arrays of an `OriginClassifier`, trained on `recording_count` recordings.
 
     The examples are of beats that begin in the tetrahedra `origins` of the heart, one a point.
+    Probabilities are to the power 1 / `temperature`.
     """
     centres, volumes, leads = _centres(heart), heart.volumes, in_leads(rows)
     feasible, held_out = examples.feasible, examples.held_out
@@ -382,7 +384,7 @@ def learn_origins(
         RecordingSet(recordings, _patch_weights(patches, centres[training_origins])[chosen]),
         RecordingSet(held_out_recordings, _patch_weights(patches, centres[held_out_origins])),
         rows, rng, progress, steps,
-    )  # fmt: skip
+    ).tempered(temperature)  # fmt: skip
     reference = leads @ in_cosines(ecgs[rng.permutation(len(ecgs))[:2000]])
     distance, region = _held_out(
         heart, patches, classifier.of_cosines(held_out_recordings[:300]), held_out_origins
