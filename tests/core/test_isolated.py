@@ -160,10 +160,13 @@ def test_what_is_printed_is_no_answer(path, capfd):
 def test_interruption_ends_the_child(path):
     """What it says later must not be taken for the answer to the next request."""
     before = read_isolated(process, path)
+    # a shell starts what runs in the background with interruptions ignored
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
     timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
     timer.start()
     with pytest.raises(KeyboardInterrupt):
         read_isolated(asleep, path)
+    signal.signal(signal.SIGINT, handler)
     assert read_isolated(process, path) != before
 
 
