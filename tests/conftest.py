@@ -63,7 +63,7 @@ def coarse_pictures() -> Iterator[None]:
 def small_posteriors() -> Iterator[None]:
     """Few particles, and bodies that take no minutes."""
 
-    def bodies(model: ForwardModel, rng: Any, count: int) -> list[Any]:
+    def bodies(model: ForwardModel, rng: Any, count: int, *_: Any) -> list[Any]:
         plain = model.electrocardiograph
         size = len(plain.corners)
         return [plain.scaled(np.full(size, gain)) for gain in rng.uniform(0.7, 1.4, count)]

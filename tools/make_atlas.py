@@ -80,7 +80,6 @@ from fascicle.mesh.measures import barycentric_gradients
 from fascicle.mesh.read import read_mesh
 from fascicle.networks.prior import TISSUES, AveragedOver, Prior
 from fascicle.networks.prior_simulations import BEFORE, HELD_OUT, Examples
-from fascicle.networks.settings import FitSettings
 from fascicle.torso.lead_fields import key_of, torso_key
 from fascicle.torso.training import lead_fields_in_torsos
 
@@ -97,7 +96,7 @@ EPOCHS = 30  # of the emulators' training
 # hearts, where those that are right for hearts of the atlas hold fewer (docs/atlas.md)
 ORIGIN_TEMPERATURE = 3.5
 PLAIN_RATIO = float(np.divide(*Conduction().speeds))
-COUNT = int(FitSettings.model_fields["prior_simulations"].default)
+COUNT = 16_000
 PACKAGE = Path(fascicle.__file__).parent / "data"
 
 
@@ -400,7 +399,8 @@ def emulators_of(simulated: Simulated, priors: Mapping[str, Prior]) -> dict[str,
     for name, part, of_state, of_heart, state in zip(
         priors, parts, values, tissues, one_hot, strict=True
     ):
-        fixed = replace(emulator.with_last_inputs(state), hearts=hearts)
+        last = np.arange(len(emulator.centre) - len(state), len(emulator.centre))
+        fixed = replace(emulator.with_fixed_inputs(last, state), hearts=hearts)
         emulators[name] = with_residuals(fixed, part.of_the_prior, fixed.inputs(of_state, of_heart))
     return emulators
 

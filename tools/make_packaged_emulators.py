@@ -36,11 +36,10 @@ from fascicle.emulation.state_classifier import (
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.heart import Heart
 from fascicle.networks.prior_simulations import PriorSimulations
-from fascicle.networks.settings import FitSettings
 from fascicle.pools.pool import Threads
 
 FOLDER = Path(fascicle.__file__).parent / "data" / "emulators"
-COUNT = int(FitSettings.model_fields["prior_simulations"].default)
+COUNT = 16_000
 # Of the state in which the demonstration fits the subject's heart: with as many networks the error
 # of its emulator is a sixth less than with the usual number
 MORE = {("camps-dti004", "normal"): 40_000}

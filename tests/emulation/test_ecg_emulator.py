@@ -71,10 +71,13 @@ def of_the_prior(points):
 def examples():
     rng = np.random.default_rng(0)
     points = rng.random((COUNT, 6))
+    return examples_at(points, ecgs_of(points[network_fits(points)]), rng)
+
+
+def examples_at(points, ecgs, rng):
     feasible = network_fits(points)
-    ecgs = ecgs_of(points[feasible])
     ecgs += 0.05 * smooth_noise(rng, ecgs.shape, 1.0).astype(np.float32)  # what is left to chance
-    held_out = (np.arange(COUNT) % HELD_OUT == HELD_OUT - 1)[feasible]
+    held_out = (np.arange(len(points)) % HELD_OUT == HELD_OUT - 1)[feasible]
     count = PriorSimulations.torsos
     bodies = rng.integers(count, size=held_out.sum())
     # a body adds half of a lead to the next one, and noise that no sum of leads explains
@@ -188,6 +191,48 @@ def test_what_is_stored_is_what_was_learnt(emulator, examples):
     for one, other in ((stored, EcgEmulator.from_arrays(stored.arrays())), (found, again)):
         for name, array in one.arrays().items():
             assert_array_equal(other.arrays()[name], array)
+
+
+def test_it_learns_from_few_networks_after_hearts_of_an_atlas(emulator):
+    """The first heart of this atlas is the one of the examples, the second has another tissue.
+
+    Of the heart to learn R waves are higher, there is a Q wave, and the tissue is the first one.
+    """
+    atlas = replace(emulator[0], hearts=np.array([[np.log(2.5), 0.0], [np.log(1.2), 5.0]]))
+    rng, q_wave = np.random.default_rng(5), np.zeros((8, LENGTH), np.float32)
+    points = rng.random((400, 6)) * [1, 1, 1, 1, 1, 0.5]
+    q_wave[3, BEFORE : BEFORE + 8] = -0.3
+    few = examples_at(points[:150], 1.3 * ecgs_of(points[:150][network_fits(points[:150])]), rng)
+    few = replace(few, ecgs=few.ecgs + q_wave)
+    prior, errors = replace(PRIOR, averaged=replace(AVERAGED, tissues=({},))), []
+    unseen = points[150:][network_fits(points[150:])]
+    true = slow(1.3 * ecgs_of(unseen) + q_wave)
+    for begin in (atlas, None):
+        found = learn(few, prior, 2.5, np.random.default_rng(0), atlas=begin)
+        values = SPACE.columns(unseen[:, :4]) | AVERAGED.space.columns(unseen[:, 4:5])
+        scores = found.scores(found.inputs(values, np.empty((len(unseen), 0))))
+        leads = idct(found.cosines(scores), axis=2, n=LENGTH, norm="ortho")
+        errors.append(((leads - true) ** 2).sum() / (true**2).sum())
+    assert errors[0] < min(0.1, 0.7 * errors[1])
+    more = replace(few, ecgs=np.pad(few.ecgs, ((0, 0), (0, 1), (0, 0))))
+    tissues, values = np.empty((150, 0)), tested.emulated_quantities(prior, few.points)
+    assert tested.most_similar(atlas, more, values, tissues) is None  # an additional lead
+    assert tested.most_similar(atlas, few, {**values, "v1_up": values["cv"]}, tissues) is None
+    similar = tested.most_similar(atlas, few, values, tissues)
+    assert_allclose(similar.centre, atlas.centre[: len(values)])
+    # without a quantity that is fixed; more samples of no ECG, and components that add nothing
+    fewer = atlas.of_heart(0, ("cv", "alpha"), 0)
+    assert fewer.names == tuple(n for n in atlas.names if n in ("cv", "alpha"))
+    longer = similar.lasting(LENGTH + 40)
+    before, after = slice(LENGTH - 10), slice(LENGTH + 10, None)
+    assert_allclose(longer.mean_leads[:, before], similar.mean_leads[:, before], atol=0.01)
+    assert np.abs(longer.mean_leads[:, after]).max() < 0.01
+    wider = similar.with_components_of(few.ecgs[..., : similar.mean.shape[1]])
+    assert len(wider.components) == len(similar.components) + 30
+    flat = wider.components.reshape(len(wider.components), -1)
+    assert_allclose(flat @ flat.T, np.eye(len(flat)), atol=1e-6)
+    inputs = similar.inputs(values, tissues)
+    assert_allclose(wider.cosines(wider.scores(inputs)), similar.cosines(similar.scores(inputs)))
 
 
 def test_too_few_networks_are_refused(examples):
@@ -320,14 +365,14 @@ def test_likelihoods_are_those_of_emulated_ecgs(emulator, target):
         assert 0.75 < seen / (emulator[0].residual_factor ** 2).sum() < 1
 
 
-def test_last_inputs_that_are_fixed(emulator):
+def test_inputs_that_are_fixed(emulator):
     """An emulator whose tissue is fixed gives what it gave with that tissue."""
     emulator, _ = emulator
     points = np.random.default_rng(4).random((20, 6))
     values = SPACE.columns(points[:, :4]) | AVERAGED.space.columns(points[:, 4:5])
     tissue = np.array([np.log(2.2), 0.0])
     inputs = emulator.inputs(values, np.tile(tissue, (20, 1)))
-    fixed = emulator.with_last_inputs(tissue)
+    fixed = emulator.with_fixed_inputs(np.arange(inputs.shape[1] - 2, inputs.shape[1]), tissue)
     fewer = fixed.inputs(values, np.empty((20, 0)))
     assert fewer.shape[1] == inputs.shape[1] - 2
     assert_allclose(fixed.scores(fewer), emulator.scores(inputs), rtol=1e-4, atol=1e-4)

@@ -294,7 +294,7 @@ def test_only_hearts_without_fixed_delays_are_the_same_on_any_clock(
 
     monkeypatch.setattr(heart_emulator, "learn", learn)
     monkeypatch.setattr(PriorSimulations, "examples", lambda self, count: None)
-    monkeypatch.setattr(PriorSimulations, "simulate", lambda self, *given: None)
+    monkeypatch.setattr(PriorSimulations, "simulate_enough", lambda self, *given: 1)
     with pytest.raises(KeyboardInterrupt):
         heart_emulator.made_emulator(with_prior(prior, fixed=fixed), 1, Threads(1))
     assert asked["time_scaling"] == (not fixed)

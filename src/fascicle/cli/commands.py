@@ -256,7 +256,7 @@ def locate(
     target: Annotated[Path, Argument(help="Target of the beat, made with 'target'.")],
     out: OutOption,
     prior_simulations: Annotated[
-        int | None, Option(min=100, help="Beats to learn from; by default as many as for a fit.")
+        int | None, Option(min=100, help="Beats to learn from; by default 16,000.")
     ] = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,

@@ -15,7 +15,7 @@ the training set at several velocities, too.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
@@ -141,22 +141,68 @@ class EcgEmulator:
         raw = _raw_inputs(self.names, values, tissues)
         return np.asarray((raw - self.centre) / self.scale, dtype=np.float32)
 
-    def with_last_inputs(self, last: Floats) -> EcgEmulator:
-        """Emulator whose last inputs (k,) are fixed, before they are standardised."""
-        kept = len(self.centre) - len(last)
-        standardised = ((last - self.centre[kept:]) / self.scale[kept:]).astype(np.float32)
+    def with_fixed_inputs(self, places: Integers, values: Floats) -> EcgEmulator:
+        """Emulator without the inputs at some places, which have these values before scaling."""
+        kept = np.setdiff1d(np.arange(len(self.centre)), places)
+        standardised = ((values - self.centre[places]) / self.scale[places]).astype(np.float32)
 
         def fixed(network: NeuralNetwork) -> NeuralNetwork:
             first, offset, *others = network.weights
-            return NeuralNetwork((first[:kept], offset + standardised @ first[kept:], *others))
+            return NeuralNetwork((first[kept], offset + standardised @ first[places], *others))
 
         return replace(
             self,
-            centre=self.centre[:kept],
-            scale=self.scale[:kept],
+            centre=self.centre[kept],
+            scale=self.scale[kept],
             networks=tuple(map(fixed, self.networks)),
             validity=fixed(self.validity),
         )
+
+    def of_heart(self, number: int, names: Sequence[str], tissues: int) -> EcgEmulator:
+        """Emulator of one heart of an atlas, from which the training of another heart's begins.
+
+        Its inputs are the quantities `names`, others being at their means, and as many of the
+        tissue as are given.
+        """
+        count, heart = len(self.names), self.hearts[number]
+        places = [k for k, name in enumerate(self.names) if name not in names]
+        of_heart = np.arange(len(heart) - tissues)
+        emulator = self.with_fixed_inputs(
+            np.array([*places, *(count + of_heart)]),
+            np.concatenate([self.centre[places], heart[of_heart]]),
+        )
+        kept = tuple(name for name in self.names if name in names)
+        return replace(emulator, names=kept, hearts=np.empty((0, 0)))
+
+    def lasting(self, length: int) -> EcgEmulator:
+        """Emulator of ECGs of more samples, which are zero after those that it has learnt."""
+        count = max(2, round(2 * HIGHEST * length))
+
+        def lengthened(cosines: Floats) -> Floats:
+            samples = idct(cosines, n=self.length, axis=-1, norm="ortho")
+            more = [(0, 0)] * (samples.ndim - 1) + [(0, length - self.length)]
+            return cosines_of(np.pad(samples, more), count)
+
+        mean, components = lengthened(self.mean), lengthened(self.components)
+        return replace(self, length=length, mean=mean, components=components)
+
+    def with_components_of(self, ecgs: Floats, count: int = 30) -> EcgEmulator:
+        """Emulator with further components, of what ECGs (n, 8 + k, f), in cosines, have besides.
+
+        Its networks give scores of 0 for them.
+        """
+        flat = self.components.reshape(len(self.components), -1)
+        deviations = (ecgs - self.mean).reshape(len(ecgs), -1)
+        more = np.linalg.svd(deviations - deviations @ flat.T @ flat, full_matrices=False)[2]
+        more = more[:count].reshape(-1, *self.mean.shape)
+        wider = [
+            NeuralNetwork(
+                (*others, np.pad(last, ((0, 0), (0, len(more)))), np.pad(offset, (0, len(more))))
+            )
+            for *others, last, offset in (network.weights for network in self.networks)
+        ]
+        components = np.concatenate([self.components, more])
+        return replace(self, components=components, networks=tuple(wider))
 
     def cosines(self, scores: NDArray[Any]) -> Floats:
         """ECGs (n, 8 + k, f), in cosines, that have scores (n, q)."""
@@ -283,6 +329,7 @@ def learn(
     progress: Progress | None = None,
     epochs: int = 12,
     fewest: int = 50,
+    atlas: EcgEmulator | None = None,
 ) -> EcgEmulator:
     """Train an emulator on the examples that are not held out.
 
@@ -296,15 +343,43 @@ def learn(
         Number of times that every example is used in training.
     fewest : int
         Least number of Purkinje networks to learn from.
+    atlas : EcgEmulator, optional
+        Emulator of hearts of the population, which is trained further for this heart, if it has
+        its inputs and leads: as good as one that learns from eight times as many networks.
     """
     tissues = tissue_inputs(prior.averaged, plain_ratio)[prior.tissue(examples.points)]
     values = emulated_quantities(prior, examples.points)
     _check_examples(examples, tuple(values), _raw_inputs(tuple(values), values, tissues), fewest)
+    begin = None
+    if atlas is not None:
+        examples = examples.lasting(max(atlas.length, examples.ecgs.shape[2]))
+        begin = most_similar(atlas, examples, values, tissues)
     emulator: EcgEmulator = learn_quantities(
         examples, values, tissues, ranges_of(prior), rng,
-        time_scaling=time_scaling, progress=progress, epochs=epochs,
+        time_scaling=time_scaling, progress=progress, epochs=epochs, begin=begin,
     )  # fmt: skip
     return emulator
+
+
+def most_similar(
+    atlas: EcgEmulator, examples: Examples, values: Mapping[str, Floats], tissues: Floats
+) -> EcgEmulator | None:
+    """Emulator of the atlas's heart whose ECGs are most similar to the examples.
+
+    None if the examples have other leads, or depend on a quantity that is no input of the atlas's.
+    """
+    names, of_tissue = tuple(values), tissues.shape[1]
+    if not {*names} <= {*atlas.names} or examples.ecgs.shape[1] != len(atlas.mean):
+        return None
+    atlas, some = atlas.lasting(examples.ecgs.shape[2]), np.flatnonzero(examples.feasible)[:1000]
+    true = cosines_of(examples.ecgs[: len(some)], atlas.mean.shape[1])
+    some_values = {name: value[some] for name, value in values.items()}
+
+    def error(heart: EcgEmulator) -> float:
+        scores = heart.scores(heart.inputs(some_values, tissues[some]))
+        return float(((heart.cosines(scores) - true) ** 2).sum())
+
+    return min((atlas.of_heart(k, names, of_tissue) for k in range(len(atlas.hearts))), key=error)
 
 
 def emulated_quantities(prior: Prior, points: Floats) -> dict[str, Floats]:
@@ -331,6 +406,7 @@ def learn_quantities(
     time_scaling: bool = True,
     progress: Progress | None = None,
     epochs: int = 12,
+    begin: EcgEmulator | None = None,
 ) -> EcgEmulator:
     """Train an emulator, as `learn` does, on quantities instead of points of a prior.
 
@@ -342,27 +418,26 @@ def learn_quantities(
         Further inputs: tissue (`tissue_inputs`), or heart of an atlas.
     ranges : mapping of str to (float, float)
         Ranges of the quantities, beyond which no copy is scaled in time.
+    begin : EcgEmulator, optional
+        Emulator that is trained further; by default the weights are drawn at random.
     """
     names = tuple(values)
-    raw = _raw_inputs(names, values, tissues)
-    feasible, count = examples.feasible, max(2, round(2 * HIGHEST * examples.ecgs.shape[2]))
+    feasible, length = examples.feasible, examples.ecgs.shape[2]
+    count = max(2, round(2 * HIGHEST * length))
     training = np.flatnonzero(~examples.held_out[feasible])
     cosines = cosines_of(examples.ecgs, count)
-    mean = cosines[training].mean(axis=0)
-    deviations = (cosines[training] - mean).reshape(len(training), -1)
-    # 6000 examples at most, since an SVD of all would take long
-    components = np.linalg.svd(deviations[:6000], full_matrices=False)[2]
-    components = components[:60]  # they leave a thousandth of the variance unexplained
-    unit = float((deviations @ components.T).std())
-    emulator = EcgEmulator(
-        names, raw.mean(axis=0), raw.std(axis=0) + 1e-9, (), NeuralNetwork(()), mean,
-        components.reshape(-1, *mean.shape), unit, examples.ecgs.shape[2], np.empty(0),
-        np.empty(0), np.empty(0), {},
-    )  # fmt: skip
+    if begin is None:
+        begin = _untrained(names, _raw_inputs(names, values, tissues), cosines[training], length)
+        weights: list[dict[str, Any]] = [{}, {}, {}]
+    else:
+        begin = begin.with_components_of(cosines[training])
+        weights = [{"begin": n, "rate": RATE / 2} for n in (*begin.networks, begin.validity)]
+    emulator, components = begin, begin.components.reshape(len(begin.components), -1)
 
     def example(values: Mapping[str, Floats], ecgs: Floats) -> tuple[Singles, Floats]:
-        centred = (ecgs - mean).reshape(len(ecgs), -1)
-        return emulator.inputs(values, tissues[feasible][training]), centred @ components.T / unit
+        centred = (ecgs - emulator.mean).reshape(len(ecgs), -1)
+        scores = centred @ components.T / emulator.unit
+        return emulator.inputs(values, tissues[feasible][training]), scores
 
     plain_values = {name: value[feasible][training] for name, value in values.items()}
     pairs = [example(plain_values, cosines[training])]
@@ -379,16 +454,31 @@ def learn_quantities(
     validity_outputs = examples.kept[free][:, None].astype(np.float32)
     # two networks give the scores, which are averaged; the third gives the log odds of feasibility
     steps = max(200, epochs * len(inputs) // BATCH_EXAMPLES)
-    trainings = [partial(train, inputs, outputs, steps=steps)] * 2
-    trainings.append(
-        partial(train, all_inputs[free], validity_outputs, width=64, steps=steps, link=logistic)
-    )
+    *of_scores, of_validity = weights
+    trainings = [partial(train, inputs, outputs, steps=steps, **begun) for begun in of_scores]
+    of_validity |= {"width": 64, "link": logistic}
+    trainings.append(partial(train, all_inputs[free], validity_outputs, steps=steps, **of_validity))
     report = stage_progress(progress, "training")
     *networks, validity = train_together(
         trainings, rng, lambda done: report(done, steps * len(trainings))
     )
     emulator = replace(emulator, networks=tuple(networks), validity=validity)
     return with_residuals(emulator, examples.of_the_prior, all_inputs)
+
+
+def _untrained(names: tuple[str, ...], raw: Floats, ecgs: Floats, length: int) -> EcgEmulator:
+    """Emulator without networks: scales of inputs (n, p), and components of ECGs, in cosines."""
+    mean = ecgs.mean(axis=0)
+    deviations = (ecgs - mean).reshape(len(ecgs), -1)
+    # 6000 examples at most, since an SVD of all would take long
+    components = np.linalg.svd(deviations[:6000], full_matrices=False)[2]
+    components = components[:60]  # they leave a thousandth of the variance unexplained
+    unit = float((deviations @ components.T).std())
+    return EcgEmulator(
+        names, raw.mean(axis=0), raw.std(axis=0) + 1e-9, (), NeuralNetwork(()), mean,
+        components.reshape(-1, *mean.shape), unit, length, np.empty(0), np.empty(0), np.empty(0),
+        {},
+    )  # fmt: skip
 
 
 def _check_examples(examples: Examples, names: tuple[str, ...], raw: Floats, fewest: int) -> None:

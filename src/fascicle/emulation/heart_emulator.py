@@ -10,13 +10,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from fascicle.core.conduction_states import CONDUCTION_STATES, ConductionState
+from fascicle.core.conduction_states import CONDUCTION_STATES, ConductionState, told_apart
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE, ArrayCache
 from fascicle.core.progress import Progress
@@ -27,7 +28,7 @@ from fascicle.emulation.ecg_emulator import SOONER, EcgEmulator, learn, refined
 from fascicle.emulation.likelihood import RUNS, EmulatedLikelihood, of_all, sampled
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
-from fascicle.heart.folder import as_heart
+from fascicle.heart.folder import as_heart, load_heart
 from fascicle.heart.heart import Heart
 from fascicle.inference.emulator import Singles
 from fascicle.inference.tempered_sampling import effective_size
@@ -104,12 +105,13 @@ def made_emulator(
     key = f"{count} of {simulations.content}"
     arrays: Mapping[str, Any] | None = cache.read(key)
     if arrays is None:
-        simulations.simulate(count, pool, progress)
+        number = simulations.simulate_enough(count, pool, progress)
         ratio = float(np.divide(*model.conduction.speeds))
         fixed_times = {*SOONER} & {*prior.fixed, *model.heart.values}  # which do not scale
         arrays = learn(
-            simulations.examples(count), prior, ratio, np.random.default_rng(simulations.seed),
+            simulations.examples(number), prior, ratio, np.random.default_rng(simulations.seed),
             time_scaling=simulations.scenario is None and not fixed_times, progress=progress,
+            atlas=atlas_emulator(prior),
         ).arrays()  # fmt: skip
         cache.write(key, arrays, compress=True)
     # from arrays even if it was just made, so that weights have the stored precision
@@ -117,6 +119,24 @@ def made_emulator(
     if progress is not None:
         progress("emulator", 1, 1, emulator.summary)
     return emulator
+
+
+@cache
+def atlas_model() -> ForwardModel:
+    """Forward model of the packaged hearts of the population."""
+    return ForwardModel(load_heart("atlas"))
+
+
+def atlas_emulator(prior: Prior) -> EcgEmulator | None:
+    """Packaged emulator of the atlas in the conduction state of a prior, from which others begin.
+
+    Of a prior of another state, or of several, it is that of normal conduction.
+    """
+    blocks = {n: v for n, v in prior.fixed.items() if n == "conduction"}
+    states = [state for state in told_apart() if state.blocks == blocks] or told_apart()
+    usual = usual_prior(atlas_model().heart, states[0])
+    stored = packaged("emulator", simulations_of(atlas_model(), usual, Path()).content)
+    return None if stored is None else EcgEmulator.from_arrays(stored)
 
 
 def simulations_of(
@@ -136,7 +156,12 @@ def usual_prior(heart: Heart, state: ConductionState | None = None) -> Prior:
 
 
 def for_simulations(
-    heart: Heart | Path | str, count: int | None, name: str, workers: int | None, pool: Pool | None
+    heart: Heart | Path | str,
+    count: int | None,
+    name: str,
+    workers: int | None,
+    pool: Pool | None,
+    default: int = FitSettings.model_fields["prior_simulations"].default,
 ) -> tuple[Heart, Path, int, Pool]:
     """Check and settle a heart, its folder, the number of networks to simulate, and the pool.
 
@@ -145,7 +170,7 @@ def for_simulations(
     check_pool(pool)
     heart = as_heart(heart)
     if count is None:
-        count = int(FitSettings.model_fields["prior_simulations"].default)
+        count = default
     check_count(count, name)
     if workers is not None:
         check_count(workers, "workers")
@@ -162,7 +187,7 @@ def refined_emulators(
     folder: Path,
     rng: np.random.Generator,
     progress: Progress | None = None,
-    share: float = 1 / 32,
+    share: float = 1 / 4,
     particles: int = 300,
 ) -> list[EcgEmulator]:
     """Train emulators further, on networks of the posterior that they give together.

@@ -54,6 +54,7 @@ from fascicle.pools.pool import Pool
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import as_target
 
+BEATS = 16_000  # to learn from
 REGION = 0.9  # probability of the credible region
 ORIGIN_PICTURE = "origin.png"  # picture that the command draws beside the files
 
@@ -247,7 +248,7 @@ def locate(
         The beat, of one class: `fascicle.make_target` chooses it.
     prior_simulations : int, optional
         Number of beats to learn from, simulated once for all recordings of a heart and kept in its
-        folder; by default the `prior_simulations` of `fascicle.fit`.
+        folder; by default 16,000.
     workers : int, optional
         Simulations at a time; by default one a core.
     progress : Progress, "lines" or None
@@ -271,7 +272,7 @@ def locate(
     >>> origin.verdict, origin.segments  # doctest: +SKIP
     """
     heart, folder, count, pool = for_simulations(
-        heart, prior_simulations, "prior_simulations", workers, pool
+        heart, prior_simulations, "prior_simulations", workers, pool, BEATS
     )
     target = as_target(target)
     with shown_progress(progress) as shown:

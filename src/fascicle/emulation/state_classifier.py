@@ -7,7 +7,7 @@ with it; the packaged hearts share one, trained on simulated recordings of all o
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import NoneType
 from typing import Any, ClassVar
@@ -279,13 +279,16 @@ def classifier_of(
     """Classifier of states by the leads `rows`: packaged, kept with the heart, or trained."""
 
     def make() -> Mapping[str, Any]:
-        for number, of_state in enumerate(states.values(), 1):
-            message = f"{of_state.state.name} ({number} of {len(states)} states)"
-            of_state.simulations.simulate(of_state.count, pool, progress, message)
+        simulated = {}
+        for number, (name, of_state) in enumerate(states.items(), 1):
+            message = f"{name} ({number} of {len(states)} states)"
+            count = of_state.simulations.simulate_enough(of_state.count, pool, progress, message)
+            simulated[name] = replace(of_state, count=count)
         rng = np.random.default_rng(PriorSimulations.seed)
-        arrays: Mapping[str, Any] = learn(
-            *training_and_held_out(states, rows, rng), rows, rng, progress
-        ).arrays()
+        # more steps do not help with few networks
+        steps = int(np.clip(sum(of_state.count for of_state in states.values()) // 2, 2000, 8000))
+        sets = training_and_held_out(simulated, rows, rng, 5 * steps)
+        arrays: Mapping[str, Any] = learn(*sets, rows, rng, progress, steps).arrays()
         return arrays
 
     stored = learnt_or_made("classifier", classifier_key(states, rows), count, folder, make)

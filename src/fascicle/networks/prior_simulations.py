@@ -149,6 +149,11 @@ class Examples:
         """Whether a point (n,) is held out from training."""
         return np.asarray(np.arange(len(self.points)) % HELD_OUT == HELD_OUT - 1)
 
+    def lasting(self, length: int) -> Examples:
+        """Examples whose ECGs have more samples, which are zero."""
+        more = [(0, 0), (0, 0), (0, length - self.ecgs.shape[2])]
+        return replace(self, ecgs=np.pad(self.ecgs, more), in_torsos=np.pad(self.in_torsos, more))
+
     @property
     def of_the_prior(self) -> Examples:
         """Examples in which only networks that belong to the prior count as feasible."""
@@ -276,6 +281,20 @@ class PriorSimulations:
                  **_joined("ecg", ecgs, len(rows)), **_joined("body", held_out_ecgs, len(rows))},
                 compress=True,
             )  # fmt: skip
+
+    def simulate_enough(
+        self, count: int, pool: Pool, progress: Progress | None = None, message: str = ""
+    ) -> int:
+        """Simulate `count` networks, and more while less than an eighth are of the prior.
+
+        Returns how many are simulated: eight times `count` at most. Arguments as of `simulate`.
+        """
+        number = count
+        while True:
+            self.simulate(number, pool, progress, message)
+            if number >= 8 * count or 8 * self.examples(number).kept.sum() >= count:
+                return number
+            number += self.part_size
 
     def examples(self, count: int, length: int | None = None) -> Examples:
         """Read at least `count` networks, which must have been simulated.

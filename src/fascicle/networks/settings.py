@@ -66,11 +66,11 @@ class FitSettings(BaseModel):
         300, 20, 100_000, "Networks to simulate, and effective sample size to reach."
     )
     prior_simulations: int = _whole(
-        16_000,
+        2000,
         100,
         1_000_000,
-        "Networks of the prior from which the emulator learns. They are made once for all "
-        "recordings of a heart.",
+        "Networks of the prior from which the emulator learns, after hearts of the population. "
+        "They are made once for all recordings of a heart.",
     )
     gain_sd: float = Field(
         0.3,
