@@ -285,14 +285,14 @@ class PriorSimulations:
     def simulate_enough(
         self, count: int, pool: Pool, progress: Progress | None = None, message: str = ""
     ) -> int:
-        """Simulate `count` networks, and more while less than an eighth are of the prior.
+        """Simulate `count` networks, and more while fewer than half of `count` are of the prior.
 
         Returns how many are simulated: eight times `count` at most. Arguments as of `simulate`.
         """
         number = count
         while True:
             self.simulate(number, pool, progress, message)
-            if number >= 8 * count or 8 * self.examples(number).kept.sum() >= count:
+            if number >= 8 * count or 2 * self.examples(number).kept.sum() >= count:
                 return number
             number += self.part_size
 
