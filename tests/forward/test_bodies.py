@@ -7,6 +7,7 @@ import pytest
 from anatomies import NETWORK
 
 import fascicle
+from fascicle.networks import prior_simulations
 from fascicle.networks.prior_simulations import moved_electrodes, random_bodies
 from fascicle.torso.conductor import TorsoState, torso_axes
 from fascicle.torso.training import torsos_of_the_prior
@@ -79,6 +80,10 @@ def test_chest_electrodes_move_at_right_angles_to_the_line_to_the_heart(displace
 
 def test_ecgs_in_an_unbounded_conductor(model):
     beat = model.simulate(NETWORK)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(prior_simulations, "torsos_of_the_prior", lambda *_: [TorsoState.of({})])
+        (neutral,) = random_bodies(model, np.random.default_rng(0), 1)
+    np.testing.assert_allclose(neutral.leads(beat.activation), beat.leads, atol=1e-6)
     one, again = (random_bodies(model, np.random.default_rng(0), 2) for _ in range(2))
     leads = [body.leads(beat.activation) for body in one]
     for body, found in zip(again, leads, strict=True):

@@ -85,15 +85,16 @@ class TestModel:
                 found, torso_model.simulate(with_torso(**body)).leads, atol=1e-9
             )
 
-    def test_random_bodies(self, torso_model):
+    def test_random_bodies(self, torso_model, monkeypatch):
+        meshed = torso_of(torso_model.heart)  # once: meshed anew, ECGs differ in the seventh digit
+        monkeypatch.setattr("fascicle.torso.training.torso_of", lambda *_: meshed)
         plain = torso_model.simulate(EXAMPLE_PARAMETERS)
         one, again = (random_bodies(torso_model, np.random.default_rng(0), 3) for _ in range(2))
         for body, same in zip(one, again, strict=True):
             found = body.leads(plain.activation)
-            # the torso of lead fields without one is meshed anew
-            np.testing.assert_allclose(same.leads(plain.activation), found, atol=0.05)
+            np.testing.assert_array_equal(same.leads(plain.activation), found)
             change = np.sqrt(((found - plain.leads) ** 2).mean() / (plain.leads**2).mean())
-            assert 0.1 < change < 2.5
+            assert 0.1 < change < 1.5
 
     def test_other_processes(self, torso_model):
         networks = [with_torso(heart_up=5.0), EXAMPLE_PARAMETERS]
