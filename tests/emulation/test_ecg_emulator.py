@@ -194,10 +194,7 @@ def test_what_is_stored_is_what_was_learnt(emulator, examples):
 
 
 def test_it_learns_from_few_networks_after_hearts_of_an_atlas(emulator):
-    """The first heart of this atlas is the one of the examples, the second has another tissue.
-
-    Of the heart to learn R waves are higher, there is a Q wave, and the tissue is the first one.
-    """
+    """The heart to learn has higher R waves and a Q wave, and the tissue of the atlas's first."""
     atlas = replace(emulator[0], hearts=np.array([[np.log(2.5), 0.0], [np.log(1.2), 5.0]]))
     rng, q_wave = np.random.default_rng(5), np.zeros((8, LENGTH), np.float32)
     points = rng.random((400, 6)) * [1, 1, 1, 1, 1, 0.5]

@@ -166,22 +166,21 @@ class EcgEmulator:
         """
         count, heart = len(self.names), self.hearts[number]
         places = [k for k, name in enumerate(self.names) if name not in names]
-        of_heart = np.arange(len(heart) - tissues)
+        fixed = heart[: len(heart) - tissues]
         emulator = self.with_fixed_inputs(
-            np.array([*places, *(count + of_heart)]),
-            np.concatenate([self.centre[places], heart[of_heart]]),
+            np.array([*places, *(count + np.arange(len(fixed)))]),
+            np.concatenate([self.centre[places], fixed]),
         )
         kept = tuple(name for name in self.names if name in names)
         return replace(emulator, names=kept, hearts=np.empty((0, 0)))
 
     def lasting(self, length: int) -> EcgEmulator:
         """Emulator of ECGs of more samples, which are zero after those that it has learnt."""
-        count = max(2, round(2 * HIGHEST * length))
 
         def lengthened(cosines: Floats) -> Floats:
             samples = idct(cosines, n=self.length, axis=-1, norm="ortho")
             more = [(0, 0)] * (samples.ndim - 1) + [(0, length - self.length)]
-            return cosines_of(np.pad(samples, more), count)
+            return cosines_of(np.pad(samples, more), cosine_count(length))
 
         mean, components = lengthened(self.mean), lengthened(self.components)
         return replace(self, length=length, mean=mean, components=components)
@@ -423,7 +422,7 @@ def learn_quantities(
     """
     names = tuple(values)
     feasible, length = examples.feasible, examples.ecgs.shape[2]
-    count = max(2, round(2 * HIGHEST * length))
+    count = cosine_count(length)
     training = np.flatnonzero(~examples.held_out[feasible])
     cosines = cosines_of(examples.ecgs, count)
     if begin is None:
@@ -495,6 +494,11 @@ def _check_examples(examples: Examples, names: tuple[str, ...], raw: Floats, few
             f"'{constant[0]}' is learnt, and has one value in every {part} prior simulations; give "
             f"prior_simulations of {10 * part} or more, or fix it"
         )
+
+
+def cosine_count(length: int) -> int:
+    """Number of cosines, up to `HIGHEST`, of an ECG of so many samples."""
+    return max(2, round(2 * HIGHEST * length))
 
 
 def cosines_of(ecgs: NDArray[Any], count: int) -> Floats:
