@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace
 
 import arviz as az
@@ -448,8 +447,6 @@ def test_what_has_no_states_is_refused(target):
 @pytest.mark.slow
 def test_a_heart_without_a_classifier_gets_one(default_model, target, tmp_path, monkeypatch):
     """Of its own simulations, in the leads that were recorded; it is then kept."""
-    for name, few in (("training_and_held_out", {"count": 2000}), ("learn", {"steps": 300})):
-        monkeypatch.setattr(state_classifier, name, partial(getattr(state_classifier, name), **few))
     monkeypatch.setattr(state_classifier.StateSimulations, "fewest", 10)
     monkeypatch.setattr(PriorSimulations, "part_size", 100)
     prior = usual_prior(default_model.heart)

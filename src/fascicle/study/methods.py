@@ -53,6 +53,7 @@ class PosteriorFit:
     least_particles: ClassVar[int] = 600  # in a batch
     most_batches: ClassVar[int] = 16  # batches that are pooled, until the runs agree
     fewest_draws: ClassVar[int] = 10  # feasible ones of a run
+    most_batches_of_draws: ClassVar[int] = 4
     # share of the draws, in the fewest hearts of an atlas that hold it: each takes seconds
     hearts_share: ClassVar[float] = 0.95
 
@@ -70,11 +71,7 @@ class PosteriorFit:
     def _posterior(self, recordings: int) -> Posterior:
         """Sample the posterior given the first recordings, and simulate draws of both runs."""
         runs = self._sample(recordings)
-        draws_per_run = -(-self.settings.effective // RUNS)
-        by_run = [
-            self._simulated(points, draws_per_run, number, recordings)
-            for number, points in enumerate(self._in_probable_hearts(runs))
-        ]
+        by_run = self._simulated(runs, recordings)
         fewest = min(map(len, by_run))  # of either run, if the emulator is wrong about feasibility
         draws = [draw for of_run in by_run for draw in of_run[:fewest]]
         return Posterior.of(
@@ -100,37 +97,52 @@ class PosteriorFit:
             run.points[np.isin(of_run, probable)] for run, of_run in zip(runs, hearts, strict=True)
         ]
 
-    def _simulated(
-        self, run_points: Floats, count: int, number: int, recordings: int
-    ) -> list[Evaluation]:
-        """Simulate draws of a run in random order, without infeasible points.
+    def _simulated(self, runs: Sequence[SamplingRun], recordings: int) -> list[list[Evaluation]]:
+        """Simulate draws of each run, without infeasible points.
 
-        There are fewer than `count` if most points are infeasible; an error if hardly any is
-        feasible.
+        If too few are feasible, draws of further batches follow; an error if they would not do.
         """
-        points = [*self._rng(RUNS + number, recordings).permutation(run_points)]
-        feasible: list[Evaluation] = []
-        total = RUNS * count
+        draws_per_run = -(-self.settings.effective // RUNS)
+        needed, tried, fewest = max(self.fewest_draws, draws_per_run // 5), 0, 0
+        by_run: list[list[Evaluation]] = [[] for _ in runs]
+        for number in range(self.most_batches_of_draws):
+            batch = self.most_batches + number if number else 0  # no number of `_sample`
+            if number:
+                message = f"further {RUNS} runs, since {fewest} of {tried} draws give a network"
+                runs = one_thread(self._batches)(recordings, batch, message)
+            for run, points in enumerate(self._in_probable_hearts(runs)):
+                points = self._rng(4 * RUNS * batch + RUNS + run, recordings).permutation(points)
+                self._simulate_feasible(points, draws_per_run, by_run, run)
+            tried, fewest = tried + len(runs[0].points), min(map(len, by_run))
+            if fewest >= needed:
+                return by_run
+            if fewest * self.most_batches_of_draws < needed * (number + 1):
+                break
+        mapped = (
+            " that is activated like mapped hearts: conduction may not be normal; leave out "
+            "conduction where it is fixed, or"
+        )
+        raise InputError(
+            f"only {fewest} of {tried} draws give a network of this heart"
+            f"{mapped if self.prior.mapped else ';'} make more prior simulations "
+            "(prior_simulations), or narrow the ranges of the lengths"
+        )
+
+    def _simulate_feasible(
+        self, points: Floats, count: int, by_run: Sequence[list[Evaluation]], run: int
+    ) -> None:
+        """Add feasible evaluations at points (n, d), in their order, until a run has `count`."""
+        before, feasible = sum(map(len, by_run[:run])), by_run[run]
 
         def report(done: int) -> None:
             if self.progress is not None:
-                self.progress("networks", number * count + len(feasible) + done, total, "")
+                total = count * len(by_run)
+                self.progress("networks", before + len(feasible) + done, total, "")
 
-        while len(feasible) < count and points:
-            batch, points = points[: count - len(feasible)], points[count - len(feasible) :]
-            evaluations = self.journal.evaluate(Stage.SAMPLING, batch, 50, report)
+        while len(feasible) < count and len(points):
+            batch, points = np.split(points, [count - len(feasible)])
+            evaluations = self.journal.evaluate(Stage.SAMPLING, [*batch], 50, report)
             feasible += [evaluation for evaluation in evaluations if evaluation.feasible]
-        if len(feasible) < max(self.fewest_draws, count // 5):
-            mapped = (
-                " that is activated like mapped hearts: conduction may not be normal; leave out "
-                "conduction where it is fixed, or"
-            )
-            raise InputError(
-                f"only {len(feasible)} of {len(run_points)} draws give a network of this heart"
-                f"{mapped if self.prior.mapped else ';'} make more prior simulations "
-                "(prior_simulations), or narrow the ranges of the lengths"
-            )
-        return feasible
 
     def _rng(self, number: int, recordings: int) -> np.random.Generator:
         """Random generator of a run's batch, or of the draws from a run, by its number."""
@@ -147,25 +159,27 @@ class PosteriorFit:
         sample = one_thread(self._batches)
         batches: list[list[SamplingRun]] = []
         while True:
-            batches.append(sample(recordings, len(batches)))
+            message = f"{RUNS} runs of {self._particles * (len(batches) + 1)}"
+            batches.append(sample(recordings, len(batches), message))
             runs = [pooled(batches_of_run) for batches_of_run in zip(*batches, strict=True)]
             if self._agree(runs, self.share) or len(batches) >= self.most_batches:
                 return runs
 
-    def _batches(self, recordings: int, number: int) -> list[SamplingRun]:
+    @property
+    def _particles(self) -> int:
+        """Particles of a batch: twice as many as are drawn of it, since some are infeasible."""
+        return max(self.least_particles, self.settings.effective)
+
+    def _batches(self, recordings: int, number: int, message: str) -> list[SamplingRun]:
         """A batch of each run."""
-        # twice as many particles as are drawn from a run, since some are infeasible
-        count = max(self.least_particles, self.settings.effective)
-        # numbers below 4 RUNS are those of the first batches and of the draws from the runs
-        first = 0 if number == 0 else 4 * RUNS * number
-        message = f"{RUNS} runs of {count * (number + 1)}"
         if len(self.emulated) > 1:
             message += ", first recording alone" if recordings == 1 else ", all recordings"
         return sampled(
             self.emulated[:recordings],
             self.prior.dimension,
-            [self._rng(first + run, recordings) for run in range(RUNS)],
-            count,
+            # RUNS numbers for the batches and RUNS for the draws, alone and with all recordings
+            [self._rng(4 * RUNS * number + run, recordings) for run in range(RUNS)],
+            self._particles,
             message,
             self.progress,
         )
