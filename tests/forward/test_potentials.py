@@ -11,6 +11,7 @@ from fascicle.forward.electrocardiogram import (
     Electrocardiograph,
     build_electrocardiograph,
     channel_weights,
+    electrocardiographs_of,
     first_sample,
     nodal_gradients,
     unbounded_gradients,
@@ -114,6 +115,24 @@ def test_potentials_equal_direct_quadrature():
     error = np.abs(potential[:2, instants] - expected).max() / np.abs(expected).max()
     assert error < 5e-3
     assert not potential[2:].any()
+
+
+def test_torsos_share_weights():
+    block = box(SIZE, (6, 4, 4), fibre=(1.0, 1.0, 0.0))
+    places = np.array([*AROUND, [0, 0, 90], [20, 0, -70]])
+    fields = np.array([unbounded(block.vertices, places * k, 2.0) for k in (1.0, 1.1)])
+    barycentric = barycentric_gradients(block.vertices, block.tetrahedra)
+    parts = block.tetrahedra, barycentric, block.volumes, CONDUCTION.intracellular(block.fibres)
+    sources = np.linspace(0.5, 2.0, len(block.tetrahedra), dtype=np.float32), 0.3
+    sources += (barycentric[:, 1:, 0].astype(np.float32),) * 2
+    in_torsos = electrocardiographs_of(*parts, fields, Upstroke(), ["A", "B"])
+    for shared, torso in zip(in_torsos, fields, strict=True):
+        gradients = nodal_gradients(torso, block.tetrahedra, barycentric)
+        kept = build_electrocardiograph(*parts, gradients, Upstroke(), ["A", "B"])
+        found, expected = (
+            ecg.with_sources(*sources).leads(excited(block, 5.0)) for ecg in (shared, kept)
+        )
+        np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
 
 
 def excited(block, onset, seed=0):

@@ -62,7 +62,9 @@ class StateSimulations:
 
     state: ConductionState
     simulations: PriorSimulations
-    count: int  # a study's number for a mapped prior, to which many do not belong; else half
+    # to learn its emulator from: a study's number for a mapped prior, to which many do not belong;
+    # else half
+    count: int
     fewest: ClassVar[int] = 100  # least number of simulations of a state to learn from
 
     @classmethod
@@ -74,6 +76,14 @@ class StateSimulations:
         half = max(count // 2, 100)  # 100: the least that a fit accepts
         simulations = simulations_of(model, narrowed, folder)
         return cls(state, simulations, count if narrowed.mapped else half)
+
+    @property
+    def few(self) -> int:
+        """Number to tell the state from others by: half, unless many do not belong to the prior.
+
+        With 250 to 1500 networks of each state, telling them apart is equally good.
+        """
+        return self.count if self.simulations.prior.mapped else max(self.count // 2, self.fewest)
 
     @property
     def content(self) -> str:
@@ -282,11 +292,11 @@ def classifier_of(
         simulated = {}
         for number, (name, of_state) in enumerate(states.items(), 1):
             message = f"{name} ({number} of {len(states)} states)"
-            count = of_state.simulations.simulate_enough(of_state.count, pool, progress, message)
+            count = of_state.simulations.simulate_enough(of_state.few, pool, progress, message)
             simulated[name] = replace(of_state, count=count)
         rng = np.random.default_rng(PriorSimulations.seed)
         # more steps do not help with few networks
-        steps = int(np.clip(sum(of_state.count for of_state in states.values()) // 2, 2000, 8000))
+        steps = int(np.clip(sum(of_state.few for of_state in states.values()) // 2, 2000, 8000))
         sets = training_and_held_out(simulated, rows, rng, 5 * steps)
         arrays: Mapping[str, Any] = learn(*sets, rows, rng, progress, steps).arrays()
         return arrays

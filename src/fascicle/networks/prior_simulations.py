@@ -32,7 +32,7 @@ from fascicle.forward.eikonal.activation import Activation
 from fascicle.forward.electrocardiogram import (
     Electrocardiograph,
     build_electrocardiograph,
-    nodal_gradients,
+    electrocardiographs_of,
     unbounded_gradients,
 )
 from fascicle.forward.loss import placed
@@ -60,9 +60,8 @@ def random_bodies(
     """ECG integrals of a model's heart in random torsos.
 
     Their quantities of the torso are drawn from their priors (docs/quantities.md); impossible
-    torsos are drawn again. Each takes as much memory as the model's own integral. In an unbounded
-    conductor electrodes move as with the skin, and conductivities, which scale the whole ECG there,
-    do nothing.
+    torsos are drawn again. In an unbounded conductor electrodes move as with the skin, and
+    conductivities, which scale the whole ECG there, do nothing.
 
     Parameters
     ----------
@@ -79,7 +78,9 @@ def random_bodies(
     """
     heart, conduction = model.heart, model.conduction
     mesh = heart.vertices, heart.tetrahedra
-    barycentric = barycentric_gradients(*mesh)
+    intracellular, scale = conduction.intracellular(heart.fibres), conduction.scale(heart)
+    parts = heart.tetrahedra, barycentric_gradients(*mesh), heart.volumes, intracellular
+    more = [*heart.additional_electrodes]
     if heart.has_torso:
         key = f"{heart.digest} {conduction} {count} {rng.bit_generator.state}"
         arrays = None if cache is None else cache.read(key)
@@ -88,19 +89,17 @@ def random_bodies(
             arrays = {"fields": solved[1:].astype(np.float32)}
             if cache is not None:
                 cache.keep(key, arrays, most=1)
-        fields = arrays["fields"].astype(float)
-        gradients = (nodal_gradients(f, heart.tetrahedra, barycentric) for f in fields)
+        in_torsos = electrocardiographs_of(*parts, arrays["fields"], model.action_potential, more)
     else:
         centroid, electrodes = solid_centroid(*mesh), heart.electrode_positions
         states = torsos_of_the_prior(rng, count)
         moved = [moved_electrodes(electrodes, centroid, state) for state in states]
         gradients = (unbounded_gradients(*mesh, places, conduction.torso) for places in moved)
-    parts = heart.tetrahedra, barycentric, heart.volumes, conduction.intracellular(heart.fibres)
-    more, scale = [*heart.additional_electrodes], conduction.scale(heart)
-    return [
-        build_electrocardiograph(*parts, slopes, model.action_potential, more).scaled(scale)
-        for slopes in gradients
-    ]
+        in_torsos = [
+            build_electrocardiograph(*parts, slopes, model.action_potential, more)
+            for slopes in gradients
+        ]
+    return [electrocardiograph.scaled(scale) for electrocardiograph in in_torsos]
 
 
 def moved_electrodes(electrodes: Floats, centroid: Floats, state: TorsoState) -> Floats:
@@ -285,14 +284,14 @@ class PriorSimulations:
     def simulate_enough(
         self, count: int, pool: Pool, progress: Progress | None = None, message: str = ""
     ) -> int:
-        """Simulate `count` networks, and more while fewer than half of `count` are of the prior.
+        """Simulate `count` networks, and more while fewer than a third of `count` are of the prior.
 
         Returns how many are simulated: eight times `count` at most. Arguments as of `simulate`.
         """
         number = count
         while True:
             self.simulate(number, pool, progress, message)
-            if number >= 8 * count or 2 * self.examples(number).kept.sum() >= count:
+            if number >= 8 * count or 3 * self.examples(number).kept.sum() >= count:
                 return number
             number += self.part_size
 

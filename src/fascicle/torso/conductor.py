@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import igl
 import numpy as np
@@ -33,12 +33,16 @@ from fascicle.mesh.topology import without_unused_vertices
 from fascicle.torso.electrode_sites import FARTHEST, Electrode
 from fascicle.torso.idealised import FITTED, fitted_torso, idealised_torso
 from fascicle.torso.lead_fields import (
-    assemble_stiffness,
+    hat_functions,
     outer_boundary,
     place_electrodes,
+    stiffness_of,
     total_conductivity,
 )
 from fascicle.torso.surfaces import Surface
+
+if TYPE_CHECKING:
+    from skfem import Basis
 
 
 @dataclass(frozen=True)
@@ -262,8 +266,16 @@ class Conductor:
 
     def stiffness(self, state: TorsoState) -> csr_matrix:
         """Stiffness matrix (n, n) (1/kΩ), over the factor on the myocardium's conductivity."""
-        sigma = np.concatenate([self.of_heart, self.moved(state)])
-        return assemble_stiffness(self.torso.vertices, self.tetrahedra, sigma)
+        heart, around = self._of_heart_and_around
+        return heart + stiffness_of(around, self.moved(state))
+
+    @cached_property
+    def _of_heart_and_around(self) -> tuple[csr_matrix, Basis]:
+        """Stiffness matrix of the heart, and hat functions of the torso around it."""
+        vertices = self.torso.vertices
+        heart = stiffness_of(hat_functions(vertices, self.heart.tetrahedra), self.of_heart)
+        heart.resize(len(vertices), len(vertices))  # scikit-fem ends with the heart's vertices
+        return heart, hat_functions(vertices, self.torso.tetrahedra)
 
     def moved(self, state: TorsoState, chosen: Booleans | slice = slice(None)) -> Floats:
         """σT of the torso's tetrahedra, or of the chosen ones (c, 3, 3), in a state (mS/cm)."""

@@ -16,6 +16,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import igl
 import numpy as np
@@ -33,6 +34,9 @@ from fascicle.heart.laplace import smoothed_aggregation
 from fascicle.mesh.checks import refuse
 from fascicle.mesh.topology import boundary_triangles
 from fascicle.torso.electrode_sites import check_on_skin
+
+if TYPE_CHECKING:
+    from skfem import Basis
 
 Preconditioner = Callable[[Floats], Floats]
 
@@ -167,19 +171,30 @@ def assemble_stiffness(vertices: Floats, tetrahedra: Integers, conductivity: Flo
     unused = np.bincount(tetrahedra.ravel(), minlength=len(vertices)) == 0
     name = "mesh of heart and torso"
     refuse(name, unused, "vertices belong to no tetrahedron", "leave them out", vertices)
-    from skfem import Basis, BilinearForm, ElementTetP1, MeshTet
+    return stiffness_of(hat_functions(vertices, tetrahedra), conductivity)
+
+
+def hat_functions(vertices: Floats, tetrahedra: Integers) -> Basis:
+    """Hat functions of a mesh in mm, up to the last vertex that belongs to a tetrahedron."""
+    from skfem import Basis, ElementTetP1, MeshTet
+
+    points = np.ascontiguousarray(vertices.T) / MM_PER_CM
+    mesh = MeshTet(points, np.ascontiguousarray(tetrahedra.T), validate=False)
+    # one quadrature point, as gradients are constant in an element
+    return Basis(mesh, ElementTetP1(), intorder=1)
+
+
+def stiffness_of(functions: Basis, conductivity: Floats) -> csr_matrix:
+    """Stiffness matrix (n, n) of `hat_functions`, as in `assemble_stiffness`."""
+    from skfem import BilinearForm
     from skfem.helpers import dot, mul
 
     @BilinearForm
     def conductance(u, v, w):  # type: ignore[no-untyped-def]
         return dot(mul(w["sigma"], u.grad), v.grad)
 
-    points = np.ascontiguousarray(vertices.T) / MM_PER_CM
-    mesh = MeshTet(points, np.ascontiguousarray(tetrahedra.T), validate=False)
-    # one quadrature point, as gradients are constant in an element
-    basis = Basis(mesh, ElementTetP1(), intorder=1)
     sigma = np.ascontiguousarray(np.moveaxis(conductivity, 0, 2))[..., None]
-    return conductance.assemble(basis, sigma=sigma).tocsr()
+    return conductance.assemble(functions, sigma=sigma).tocsr()
 
 
 def solve_neumann(

@@ -97,7 +97,8 @@ def build_myocardium(
     if table is None:
         endocardia = _triangles_at(heart, vertices, surface, tree)
         endocardia = endocardia[conducts[owner[endocardia]]]
-        most = rays * len(vertices)
+        # of finer meshes a third: tables of all tissues would fill the memory
+        most = min(rays * len(vertices), max(3_000_000, rays // 3 * len(vertices)))
         table = build_travel_time_table(mesh, surface, owner, endocardia, progress, most)
     return Myocardium(mesh, table, order, conducts, surface, owner, tree, candidates)
 
