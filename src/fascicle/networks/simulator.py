@@ -25,7 +25,7 @@ class BeatMemory:
     """
 
     def __init__(self, kept: bool = False) -> None:
-        self._kept = kept
+        self.kept = kept
         self._beats: list[tuple[Scenario | None, dict[tuple[Any, ...], Beat]]] = []
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -35,12 +35,13 @@ class BeatMemory:
         self, model: ForwardModel, parameters: Mapping[str, float], scenario: Scenario | None
     ) -> Beat | Infeasible:
         """Simulate a network in a scenario, or return its beat from the cache."""
-        if not self._kept:
+        if not self.kept:
             return model.simulate(parameters, scenario)
         beats = next((beats for other, beats in self._beats if other == scenario), None)
         if beats is None:
             self._beats.append((scenario, beats := {}))
-        key = tuple(sorted(parameters.items()))
+        # a study of the normal state does not name the state, a mixture of states does
+        key = tuple(sorted({"conduction": 0.0, **model.heart.values, **parameters}.items()))
         if key in beats:
             return beats[key]
         beat = model.simulate(parameters, scenario)

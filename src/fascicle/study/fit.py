@@ -173,7 +173,7 @@ def fit_state(
         if study.config.method == "posterior":
             emulators = simulate_and_train(problem, folder, progress)
             emulated = refine(problem, emulators, folder, progress)
-            problem = problem.with_likelihoods(emulated)
+            problem = problem.with_likelihoods(emulated).with_memory()
         population = study.run(problem.evaluate, progress, emulated)  # samples, simulates draws
         share_prepared(problem.inputs.heart, folder / StudyFile.HEART)
         fitted = FittedStudy(study, problem.simulator, problem.recordings, population)
@@ -191,6 +191,7 @@ def fit_states(problem: InverseProblem, folder: Path, progress: Progress | None)
     with study_lock(folder):
         study = begin(problem.inputs, folder, progress)
         diagnosis = classified(problem, _simulations_folder(problem, folder), progress)
+        problem = problem.with_memory()  # of all states
         shares = diagnosis.shares
         draws_per_run = -(-problem.config.effective // RUNS)  # rounded up
         counts = diagnosis.apportioned(draws_per_run)

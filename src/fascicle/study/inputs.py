@@ -134,8 +134,13 @@ class InverseProblem:
     def with_states(self, probable: Mapping[str, float]) -> InverseProblem:
         """Problem whose prior mixes the conduction states by their posterior probabilities."""
         prior = replace(self.simulator.prior, states=as_simulated(probable))
-        simulator = replace(self.simulator, prior=prior, memory=BeatMemory(kept=True))
-        return replace(self, simulator=simulator)
+        return replace(self, simulator=replace(self.simulator, prior=prior))
+
+    def with_memory(self) -> InverseProblem:
+        """Problem that keeps its beats in memory, unless it does already."""
+        if self.simulator.memory.kept:
+            return self
+        return replace(self, simulator=replace(self.simulator, memory=BeatMemory(kept=True)))
 
     def check_scenarios(self) -> None:
         """Refuse a scenario that does not fit the heart, by simulating a network of the prior."""
@@ -159,13 +164,12 @@ class InverseProblem:
         ]
 
     def with_likelihoods(self, emulated: Sequence[EmulatedLikelihood]) -> InverseProblem:
-        """Problem whose evaluations have log-likelihoods; its beats are kept in memory."""
+        """Problem whose evaluations have log-likelihoods."""
         recordings = tuple(
             replace(recording, likelihood=likelihood.likelihood)
             for recording, likelihood in zip(self.recordings, emulated, strict=True)
         )
-        simulator = replace(self.simulator, memory=BeatMemory(kept=True))
-        return replace(self, simulator=simulator, recordings=recordings)
+        return replace(self, recordings=recordings)
 
     def evaluate(self, points: Sequence[Floats]) -> Iterator[Evaluation]:
         """Evaluate points (d,) of the unit cube, in order."""
