@@ -111,6 +111,7 @@ from fascicle.reporting.style import new_figure, save
 from fascicle.study.evaluations import Database, Journal
 from fascicle.study.methods import PaperFit, PosteriorFit
 from fascicle.study.population import Population, Posterior
+from fascicle.torso.conductor import torso_of
 
 LEVELS = (0.5, 0.8, 0.9)
 TUNING, HELD_OUT = 2, 3  # seeds of truths: for choosing constants, and for the documentation
@@ -224,10 +225,19 @@ def truth_of_prior(simulations: PriorSimulations, number: int, rng: np.random.Ge
         if not isinstance(outcome, Beat):
             continue
         if simulations.prior.keeps(point, model.surfaces, outcome):
-            (body,) = random_bodies(model, rng, 1)
+            (body,) = random_bodies(with_torso(model), rng, 1)
             body = model.with_sources(body, values)
             return values, replace(outcome, leads=body.leads(outcome.activation))
     raise ValueError("no network of the prior fits the heart")
+
+
+@lru_cache(maxsize=1)
+def with_torso(model: ForwardModel) -> ForwardModel:
+    """Model of a heart whose torso is meshed once, not for each truth."""
+    heart = model.heart
+    if heart.lead_fields is None:
+        return model
+    return ForwardModel(replace(heart, torso=torso_of(heart)), prepared=model.prepared)
 
 
 def recorded(

@@ -168,6 +168,19 @@ def test_draws_that_are_no_networks(tmp_path, likelihood, mapped, words):
         run(tmp_path, emulated=[likelihood], mapped=mapped)
 
 
+def test_where_few_draws_are_networks_more_are_drawn(tmp_path):
+    seen = []
+
+    def mostly_beyond(points):
+        return -0.5 * ((points[:, :2].sum(axis=1) - 1.5) / 0.15) ** 2
+
+    _, posterior = run(tmp_path, lambda *news: seen.append(news), emulated=[mostly_beyond])
+    assert 20 <= len(posterior) < 60
+    further = [re.search(r"since (\d) of 200 draws", news[3]) for news in seen]
+    assert all(int(match[1]) < 10 for match in further if match)
+    assert any(further)
+
+
 def said_of(posterior, checks=None):
     settings = SimpleNamespace(method="posterior", effective=60)
     model = SimpleNamespace(heart=SimpleNamespace(atlas=None, no_image=""))

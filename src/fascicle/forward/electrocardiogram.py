@@ -63,8 +63,8 @@ class Electrocardiograph:
         the fourth power.
     fields : (n, 8 + k) array, optional
         Lead field of each channel at the vertices (kΩ): weights are then (m, 3, 4), by which those
-        at the corners of an element are multiplied for each ECG. That takes twice as long as a
-        product that is kept, and a tenth of the memory, if there are many torsos.
+        at the corners of an element are multiplied for each ECG. That takes four times as long as
+        with weights that are kept, and a tenth of the memory, if there are many torsos.
     """
 
     corners: NDArray[np.int32]
