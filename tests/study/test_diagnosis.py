@@ -450,12 +450,14 @@ def test_a_heart_without_a_classifier_gets_one(default_model, target, tmp_path, 
     monkeypatch.setattr(state_classifier.StateSimulations, "fewest", 10)
     monkeypatch.setattr(PriorSimulations, "part_size", 100)
     prior = usual_prior(default_model.heart)
-    known = simulations_of_states(default_model, prior, tmp_path, 200)
+    known = simulations_of_states(default_model, prior, tmp_path, 400)
     two = {name: known[name] for name in ("left bundle branch delay", "right bundle branch delay")}
-    rows, pool = np.array([0, 1, 6, 7, 8]), Threads(2)
-    made = classifier_of(two, rows, tmp_path, 200, pool)
+    rows, pool, seen = np.array([0, 1, 6, 7, 8]), Threads(2), []
+    made = classifier_of(two, rows, tmp_path, 400, pool, lambda *news: seen.append(news))
+    done = [news[1:3] for news in seen if news[0] == "prior simulations"]
+    assert done == [(k + 1, 200) for k in range(200)]  # of both states
     assert made.accuracy > 0.6
     late = probabilities(made, two, dict.fromkeys(two, 1.0), target)
     assert late["left bundle branch delay"] > 0.6
-    again = classifier_of(two, rows, tmp_path, 200, None)
+    again = classifier_of(two, rows, tmp_path, 400, None)
     assert again.probabilities(target) == pytest.approx(made.probabilities(target))

@@ -43,6 +43,24 @@ def stage_progress(progress: Progress | None, stage: str, message: str = "") -> 
     return lambda done, total: progress(stage, done, total, message)
 
 
+def part_of_stage(
+    progress: Progress | None, name: str, before: int, others: int
+) -> Progress | None:
+    """Progress callback of a part of the stage `name`, which calls that of the run with the whole.
+
+    The other parts have `others` steps, `before` of them in parts that are done.
+    """
+    if progress is None:
+        return None
+
+    def whole(stage: str, done: int, total: int, message: str) -> None:
+        if stage == name:
+            done, total = done + before, total + others
+        progress(stage, done, total, message)
+
+    return whole
+
+
 def check_progress(progress: object) -> None:
     """Refuse an argument that is neither None nor a progress callback."""
     if progress is not None and not callable(progress):

@@ -21,7 +21,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE
 from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS
 from fascicle.core.parameters import FREE
-from fascicle.core.progress import Lines, Progress, shown_progress
+from fascicle.core.progress import Lines, Progress, part_of_stage, shown_progress
 from fascicle.core.ranges import check_kind
 from fascicle.emulation.ecg_classifier import (
     LENGTH,
@@ -289,11 +289,15 @@ def classifier_of(
     """Classifier of states by the leads `rows`: packaged, kept with the heart, or trained."""
 
     def make() -> Mapping[str, Any]:
-        simulated = {}
+        simulated: dict[str, StateSimulations] = {}
+        few = {name: of_state.few for name, of_state in states.items()}
         for number, (name, of_state) in enumerate(states.items(), 1):
             message = f"{name} ({number} of {len(states)} states)"
-            count = of_state.simulations.simulate_enough(of_state.few, pool, progress, message)
-            simulated[name] = replace(of_state, count=count)
+            before = sum(done.count for done in simulated.values())
+            others = sum(few.values()) - few[name]
+            watched = part_of_stage(progress, "prior simulations", before, others)
+            few[name] = of_state.simulations.simulate_enough(few[name], pool, watched, message)
+            simulated[name] = replace(of_state, count=few[name])
         rng = np.random.default_rng(PriorSimulations.seed)
         # more steps do not help with few networks
         steps = int(np.clip(sum(of_state.few for of_state in states.values()) // 2, 2000, 8000))
