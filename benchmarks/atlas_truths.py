@@ -83,7 +83,7 @@ def heart_of(name: str, data: Path, out: Path) -> Heart:
     elif name == "rodero01":
         file = files / "rodero_01_fullheart_2.0mm.vtu"
         source = Source(file, regions={"lv": (1,), "rv": (2,), "septum": (7,)})
-        # the rule takes the outflow tract for the right apex in this mesh of a whole heart
+        # the rule for roots took the outflow tract of this whole heart for the right apex
         seeds = {"lv": (None, None), "rv": (None, (75.3, 39.6, 36.0))}
         heart = build_heart(source, seeds=seeds, name=name).heart
     else:

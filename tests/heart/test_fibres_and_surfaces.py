@@ -7,7 +7,7 @@ from builders import half_ellipsoid
 
 from fascicle.core.errors import InputError
 from fascicle.heart.electrodes import read_electrodes
-from fascicle.heart.endocardium import oriented_into_cavity, septal_seeds
+from fascicle.heart.endocardium import long_axis, oriented_into_cavity, septal_seeds
 from fascicle.mesh.checks import check_tetrahedra, check_units
 from fascicle.mesh.measures import principal_axes, triangle_normals
 
@@ -60,6 +60,15 @@ def test_seeds_look_at_the_other_ventricle(angle):
     assert direction[:2] @ towards > 0.9 * np.linalg.norm(direction[:2])
     assert -0.25 * 40 < root[2] < 0  # near the base, but not on it
     assert direction[2] < root[2] - 5
+
+
+def test_the_right_apex_is_not_in_the_outflow_tract():
+    points, triangles = bowl()
+    high, left = np.argmin(np.abs(points[:, 2] + 5)), (np.zeros(3), np.array([5, 5, -60]))
+    _, apex = long_axis(points, triangles)
+    points[high] += [0, 80, 0]
+    assert (long_axis(points, triangles)[1] == points[high]).all()
+    assert (long_axis(points, triangles, left)[1] == apex).all()
 
 
 def test_flat_is_told_from_small():

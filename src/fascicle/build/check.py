@@ -130,10 +130,12 @@ def helix_angles(mesh: LabelledMesh, heart: Heart) -> dict[str, HelixAngles]:
 
 def _endocardium_rows(heart: Heart, charts: Mapping[str, Chart]) -> list[tuple[str, str]]:
     rows = []
+    left = long_axis(heart.lv.vertices, heart.lv.triangles)
     for e in heart.endocardia:
         side, worst = e.side.upper(), _largest_stretch(e, charts[e.side])
         fine = HeartCheck.largest_stretch
-        down, _, _ = about_long_axis(e.vertices, e.triangles, e.vertices)
+        of_left = left if e.side == "rv" else None
+        down, _, _ = about_long_axis(e.vertices, e.triangles, e.vertices, of_left)
         rows += [
             (f"{side} endocardium", f"{len(e.vertices)} points, {e.area / 100:.0f} cm²"),
             (

@@ -65,39 +65,54 @@ def oriented_into_cavity(vertices: Floats, triangles: Integers, name: str) -> In
     return np.ascontiguousarray(oriented, dtype=np.int64)
 
 
-def long_axis(vertices: Floats, triangles: Integers) -> tuple[Floats, Floats]:
-    """Middle of an endocardium's opening, and its apex: the vertex furthest from there (mm)."""
+Axis = tuple[Floats, Floats]  # middle of an opening and apex, (3,) each (mm)
+
+
+def long_axis(vertices: Floats, triangles: Integers, left: Axis | None = None) -> Axis:
+    """Middle of an endocardium's opening, and its apex: the vertex furthest from there (mm).
+
+    Of a right ventricle, whose outflow tract may be further, only vertices in the apical half of
+    the `left` axis count.
+    """
     base = vertices[boundary_loops(triangles)[0]].mean(axis=0)
-    apex = vertices[np.argmax(np.linalg.norm(vertices - base, axis=1))]
-    return np.asarray(base), np.asarray(apex)
+    distance = np.linalg.norm(vertices - base, axis=1)
+    if left is not None:
+        middle, down = (left[0] + left[1]) / 2, left[1] - left[0]
+        distance[(vertices - middle) @ down < 0] = 0
+    return np.asarray(base), np.asarray(vertices[np.argmax(distance)])
 
 
 def about_long_axis(
-    vertices: Floats, triangles: Integers, points: Floats
+    vertices: Floats, triangles: Integers, points: Floats, left: Axis | None = None
 ) -> tuple[Floats, Floats, Floats]:
     """Points (n, 3) about the `long_axis` of an endocardium.
 
     Height (n,), 0 at the opening and 1 at the apex; offset from the axis (n, 3) (mm); and the unit
     direction (3,) to the apex.
     """
-    base, apex = long_axis(vertices, triangles)
+    base, apex = long_axis(vertices, triangles, left)
     away, down = points - base, unit(apex - base)
     height = away @ down / np.linalg.norm(apex - base)
     return height, away - np.outer(away @ down, down), down
 
 
 def septal_seeds(
-    vertices: Floats, triangles: Integers, opposite: Floats, valves: Booleans | None = None
+    vertices: Floats,
+    triangles: Integers,
+    opposite: Floats,
+    valves: Booleans | None = None,
+    left: Axis | None = None,
 ) -> tuple[int, int]:
     """Root near the base and direction towards the apex: vertices in the middle of the septum.
 
     The septum is where this endocardium is near the vertices `opposite` (k, 3) of the other one.
     Its middle is in the plane through the long axis and the mean of those vertices; the nearest
     vertices would be wrong, as the septum is thinnest where it joins the free walls. The bundle
-    branches become subendocardial in the upper septum; roots are not on a valve.
+    branches become subendocardial in the upper septum; roots are not on a valve. `left` is as in
+    `long_axis`.
     """
-    depth, around, axis = about_long_axis(vertices, triangles, vertices)
-    middle = about_long_axis(vertices, triangles, opposite)[1].mean(axis=0)
+    depth, around, axis = about_long_axis(vertices, triangles, vertices, left)
+    middle = about_long_axis(vertices, triangles, opposite, left)[1].mean(axis=0)
     across = around @ np.cross(axis, unit(middle))
     to_other, _ = cKDTree(opposite).query(vertices)
     score = to_other + np.abs(across)
@@ -126,10 +141,10 @@ def seeded_endocardia(
     Surfaces are, by side, a name for errors, and vertices, triangles and valves as in
     `septal_seeds`.
     """
-    seeded = []
-    for side, other in (("lv", "rv"), ("rv", "lv")):
+    seeded, left = [], long_axis(*surfaces["lv"][1:3])
+    for side, other, axis in (("lv", "rv", None), ("rv", "lv", left)):
         name, vertices, triangles, valves = surfaces[side]
-        suggestions = septal_seeds(vertices, triangles, surfaces[other][1], valves)
+        suggestions = septal_seeds(vertices, triangles, surfaces[other][1], valves, axis)
         seeds = zip(("root", "direction"), chosen[side], suggestions, strict=True)
         root, direction = (
             suggested if seed is None else _vertex(f"{name}: {side.upper()} {role}", seed, vertices)

@@ -233,17 +233,17 @@ class Sites:
         left, right = self.heart.lv, self.heart.rv
         vertices = right.vertices
         if name == "rv apex":
-            return long_axis(vertices, right.triangles)[1]
+            return long_axis(vertices, right.triangles, self._long_axis)[1]
         if name == "rv septum":
-            seeds = septal_seeds(vertices, right.triangles, left.vertices, right.valves)
-            return np.asarray(vertices[seeds[1]])
+            opposite = left.vertices, right.valves, self._long_axis
+            return np.asarray(vertices[septal_seeds(vertices, right.triangles, *opposite)[1]])
         if name == "rv free wall":
             score = cKDTree(left.vertices).query(vertices)[0]
             first, last = 0.4, 0.6  # range of the relative distance from the opening to the apex
         else:
             score = vertices @ self.anterior
             first, last = 0.05, 0.25
-        depth, _, _ = about_long_axis(vertices, right.triangles, vertices)
+        depth, _, _ = about_long_axis(vertices, right.triangles, vertices, self._long_axis)
         allowed = (depth >= first) & (depth <= last)
         if right.valves is not None:
             allowed[right.triangles[right.valves]] = False
