@@ -238,6 +238,10 @@ class TestProgress:
             assert isinstance(progress, ProgressLines)
         with shown_progress(None) as progress:
             assert progress is None
+        own = ProgressLines(lambda line: None)
+        with shown_progress(own) as progress:
+            assert progress is own
+        assert not own._over.is_set()  # goes on with what its owner does next
         with shown_progress(print) as progress:
             assert progress is print
         with pytest.raises(ValueRefusedError, match="progress is 5"):  # noqa: SIM117

@@ -77,8 +77,8 @@ def shown_progress(progress: Progress | Lines | None) -> Iterator[Progress | Non
     try:
         yield callback
     finally:
-        if isinstance(callback, ProgressLines):
-            callback.end()
+        if isinstance(callback, ProgressLines) and callback is not progress:
+            callback.end()  # those of a caller go on
 
 
 def progress_of(progress: Progress | Lines | None) -> Progress | None:

@@ -217,7 +217,8 @@ def _move(
 
     Returns the largest correlation of any score between the beginning and the end.
     """
-    forgotten, fewest, ceiling = (0.1, 20, 100) if temperature == 1 else (FORGOTTEN, 5, 25)
+    forgotten, fewest = (0.1, 20) if temperature == 1 else (FORGOTTEN, 5)
+    ceiling = 100  # with less, batches of narrow posteriors are hardly worth a few draws
     start = population.scores.copy()
     middle = len(start) // 2
     halves = slice(middle), slice(middle, None)
