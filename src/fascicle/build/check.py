@@ -134,8 +134,7 @@ def _endocardium_rows(heart: Heart, charts: Mapping[str, Chart]) -> list[tuple[s
     for e in heart.endocardia:
         side, worst = e.side.upper(), _largest_stretch(e, charts[e.side])
         fine = HeartCheck.largest_stretch
-        of_left = left if e.side == "rv" else None
-        down, _, _ = about_long_axis(e.vertices, e.triangles, e.vertices, of_left)
+        down, _, _ = about_long_axis(e.vertices, e.triangles, e.vertices, left)
         rows += [
             (f"{side} endocardium", f"{len(e.vertices)} points, {e.area / 100:.0f} cm²"),
             (

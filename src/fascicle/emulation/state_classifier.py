@@ -81,7 +81,7 @@ class StateSimulations:
     def few(self) -> int:
         """Number to tell the state from others by: half, unless many do not belong to the prior.
 
-        With 250 to 1500 networks of each state, telling them apart is equally good.
+        More than 500 networks of each state hardly tell them apart better.
         """
         return self.count if self.simulations.prior.mapped else max(self.count // 2, self.fewest)
 
@@ -289,18 +289,18 @@ def classifier_of(
     """Classifier of states by the leads `rows`: packaged, kept with the heart, or trained."""
 
     def make() -> Mapping[str, Any]:
-        simulated: dict[str, StateSimulations] = {}
-        few = {name: of_state.few for name, of_state in states.items()}
-        for number, (name, of_state) in enumerate(states.items(), 1):
-            message = f"{name} ({number} of {len(states)} states)"
-            before = sum(done.count for done in simulated.values())
-            others = sum(few.values()) - few[name]
-            watched = part_of_stage(progress, "prior simulations", before, others)
-            few[name] = of_state.simulations.simulate_enough(few[name], pool, watched, message)
-            simulated[name] = replace(of_state, count=few[name])
-        rng = np.random.default_rng(PriorSimulations.seed)
+        simulated = {name: replace(state, count=state.few) for name, state in states.items()}
+        total, before = sum(state.count for state in simulated.values()), 0
         # more steps do not help with few networks
-        steps = int(np.clip(sum(of_state.few for of_state in states.values()) // 2, 2000, 8000))
+        steps = int(np.clip(total // 2, 2000, 8000))
+        for number, (name, state) in enumerate([*simulated.items()], 1):
+            message = f"{name} ({number} of {len(states)} states)"
+            others = total - state.count
+            watched = part_of_stage(progress, "prior simulations", before, others)
+            count = state.simulations.simulate_enough(state.count, pool, watched, message)
+            simulated[name] = replace(state, count=count)
+            total, before = others + count, before + count
+        rng = np.random.default_rng(PriorSimulations.seed)
         sets = training_and_held_out(simulated, rows, rng, 5 * steps)
         arrays: Mapping[str, Any] = learn(*sets, rows, rng, progress, steps).arrays()
         return arrays

@@ -142,9 +142,9 @@ def seeded_endocardia(
     `septal_seeds`.
     """
     seeded, left = [], long_axis(*surfaces["lv"][1:3])
-    for side, other, axis in (("lv", "rv", None), ("rv", "lv", left)):
+    for side, other in (("lv", "rv"), ("rv", "lv")):
         name, vertices, triangles, valves = surfaces[side]
-        suggestions = septal_seeds(vertices, triangles, surfaces[other][1], valves, axis)
+        suggestions = septal_seeds(vertices, triangles, surfaces[other][1], valves, left)
         seeds = zip(("root", "direction"), chosen[side], suggestions, strict=True)
         root, direction = (
             suggested if seed is None else _vertex(f"{name}: {side.upper()} {role}", seed, vertices)
