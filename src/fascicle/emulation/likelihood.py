@@ -179,7 +179,7 @@ def sampled(
 ) -> list[SamplingRun]:
     """Sample the posterior of recordings by runs of `count` particles, one with each generator."""
     first, edges = emulated[0], None
-    if isinstance(first, EmulatedLikelihood) and first.simulator.prior.averaged.weights:
+    if isinstance(first, EmulatedLikelihood) and len(first.simulator.prior.averaged.tissues) > 1:
         edges = first.simulator.prior.averaged.edges
     states: dict[int, State] = {}
 

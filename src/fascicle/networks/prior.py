@@ -154,15 +154,13 @@ class AveragedOver:
         """Index (n,) of the tissue at points (n, d) of the unit cube."""
         if len(self.tissues) == 1:
             return np.zeros(len(points), np.intp)
-        if self.weights:
-            return np.asarray(np.searchsorted(self.edges[1:-1], points[:, -1], side="right"))
-        number = (points[:, -1] * len(self.tissues)).astype(np.intp)
-        return np.minimum(number, len(self.tissues) - 1)
+        return np.asarray(np.searchsorted(self.edges[1:-1], points[:, -1], side="right"))
 
     @property
     def edges(self) -> Floats:
-        """Ends (n + 1,) of the intervals of the last coordinate that stand for weighted tissues."""
-        return np.concatenate([[0.0], np.cumsum(self.weights) / np.sum(self.weights)])
+        """Ends (n + 1,) of the intervals of the last coordinate that stand for tissues."""
+        weights = self.weights or np.ones(len(self.tissues))
+        return np.concatenate([[0.0], np.cumsum(weights) / np.sum(weights)])
 
     def columns(self, points: Floats) -> dict[str, Floats]:
         """Quantities (n,) at points (n, d) of the unit cube, without those of the tissues."""
