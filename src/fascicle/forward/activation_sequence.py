@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -259,21 +259,23 @@ def nearest_to_median(activations: Floats | Singles) -> int:
     return int(np.nanmean(squares, axis=1).argmin())
 
 
-def activation_maps(activations: Floats | Singles) -> dict[str, Floats]:
+def activation_maps(activations: Sequence[Floats | Singles]) -> dict[str, Floats]:
     """Activation over networks at each of n vertices, from the first of each network on.
 
     Mean and standard deviation (ms), and the probability that the vertex is among the latest fifth,
-    of activation times (n_networks, n), which are inf where no front arrives. A vertex that no
+    of activation times (n,) of each network, which are inf where no front arrives. A vertex that no
     network reaches is NaN; elsewhere only networks that reach the vertex count.
     """
-    times = since_first(activations)
-    reached = np.isfinite(times).sum(axis=0)
+
+    def total(of_times: Callable[[Floats], Any]) -> Any:
+        # network by network, since copies of all maps of a large heart take a gigabyte
+        return sum(of_times(since_first(activation)) for activation in activations)
+
+    reached = total(np.isfinite)
     counts = np.where(reached > 0, reached, np.nan)
-    mean = np.nansum(times, axis=0) / counts
-    spread = np.sqrt(np.nansum((times - mean) ** 2, axis=0) / counts)
-    late = times >= np.nanquantile(times, 0.8, axis=1, keepdims=True)
+    mean = total(np.nan_to_num) / counts
     return {
         "activation_mean": mean,
-        "activation_sd": spread,
-        "probability_latest_fifth": late.sum(axis=0) / counts,
+        "activation_sd": np.sqrt(total(lambda times: np.nan_to_num((times - mean) ** 2)) / counts),
+        "probability_latest_fifth": total(lambda t: t >= np.nanquantile(t, 0.8)) / counts,
     }

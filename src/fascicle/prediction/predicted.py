@@ -102,7 +102,7 @@ class Predicted:
     @cached_property
     def maps(self) -> dict[str, Floats]:
         """`activation_maps` of the networks."""
-        return activation_maps(np.array([beat.activation for beat in self.beats]))
+        return activation_maps([beat.activation for beat in self.beats])
 
 
 @dataclass(frozen=True)

@@ -52,8 +52,7 @@ def drawings(
     space, heart = fitted.simulator.prior.learnt, model.heart
     best = fitted.best_model
     row = ActivationRow.of("best network", fitted.best_network.beat, best.heart)
-    activations = np.array([network.beat.activation for network in networks])
-    spread = {"all networks": activation_maps(activations)["activation_sd"]}
+    maps = activation_maps([network.beat.activation for network in networks])
     # how file names and captions number the recordings
     numbers = range(1, len(fitted.recordings) + 1)
     suffixes = ["", *(f"-{count}" for count in numbers[1:])]
@@ -79,7 +78,7 @@ def drawings(
         "Activation of the best network, which has the lowest mismatch.",
     )
     drawn["activation-spread"] = Drawing(
-        spread_figure(heart, spread),
+        spread_figure(heart, {"all networks": maps["activation_sd"]}),
         f"Standard deviation of the activation over {len(networks)} networks{on_template(heart)}.",
     )
     if predicted:

@@ -47,8 +47,8 @@ def write_results(
         folder / "networks",
         {"best": fitted.best_network} | {f"{k:02d}": networks[k] for k in shown},
     )
-    activations = np.stack([network.beat.activation for network in networks])
-    maps, best = activation_maps(activations), since_first(fitted.best_network.beat.activation)
+    maps = activation_maps([network.beat.activation for network in networks])
+    best = since_first(fitted.best_network.beat.activation)
     if heart.atlas is None:
         maps = {"activation": best, **maps}
     else:
