@@ -33,6 +33,6 @@ def test_the_demonstration_explains_a_beat_names_a_block_and_ends_with_a_report(
         assert float(low) <= truth <= float(high)
     pacings = tmp_path / "demo" / "pacings"
     assert {p.name for p in pacings.iterdir() if p.is_dir()} == {"intrinsic", *names}
-    assert (tmp_path / "demo" / "figures" / "ecg.png").exists()
+    assert (tmp_path / "demo" / "target.png").exists()
     summary = json.loads((tmp_path / "demo" / "study" / "summary.json").read_text())
     assert summary["conduction_states"]["left bundle branch block"] > 0.5

@@ -708,7 +708,7 @@ def demo(
     print_reductions(predicted, "intrinsic")
     print("in truth " + ", ".join(f"{name} by {time:.0f} ms" for name, time in reductions.items()))
     page = out / "report.html"
-    print(f"\nin {out}: the recordings (target.png), the studies, the pacings, and their figures")
+    print(f"\nin {out}: the recordings (target.png), the studies, the pacings as tables")
     print(f"to explore the networks: fascicle explore {out / 'study'}")
     print(f"to read in a browser: {page.resolve().as_uri()}")
     folders = {"own_beat": own_beat / "study", "study": out / "study", "pacings": out / "pacings"}

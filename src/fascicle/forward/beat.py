@@ -107,30 +107,31 @@ class Beat:
     @property
     def qrs_duration(self) -> float:
         """QRS duration (ms) of all leads together, measured as in recordings."""
-        onset, offset = self._qrs_windows.window
+        onset, offset = self.qrs_windows.window
         return (offset - onset) * SAMPLE_STEP
 
     @property
     def global_qrs_duration(self) -> float:
         """Global QRS duration (ms), over the outermost of all leads, measured as in recordings."""
-        onset, offset = self._qrs_windows.global_window
+        onset, offset = self.qrs_windows.global_window
         return (offset - onset) * SAMPLE_STEP
 
     @property
     def frontal_axis(self) -> float:
         """Frontal QRS axis (degrees), measured as in recordings."""
-        onset, offset = self._qrs_windows.global_window
+        onset, offset = self.qrs_windows.global_window
         return frontal_axis(self.leads[:, onset : offset + 1])
 
     @property
     def conventional_criteria(self) -> tuple[Criterion, ...]:
         """Conventional ECG criteria of conduction disturbances, evaluated as for a recording."""
         return conventional_criteria(
-            self.leads, *self._qrs_windows.global_window, names=self.lead_names
+            self.leads, *self.qrs_windows.global_window, names=self.lead_names
         )
 
     @cached_property
-    def _qrs_windows(self) -> QrsWindows:
+    def qrs_windows(self) -> QrsWindows:
+        """First and last sample of the QRS, measured as in recordings."""
         return qrs_windows(self.leads)
 
     @property

@@ -24,7 +24,6 @@ from fascicle.networks.target_comparison import Network, TargetComparison
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.indices import Territories, indices
 from fascicle.prediction.predicted import RINGING, Predicted, PredictionCache
-from fascicle.recording.window import qrs_window
 from fascicle.study.fitted import FittedStudy, StudyLike, as_study
 
 INTRINSIC = "intrinsic"  # the scenario that others are compared with
@@ -200,7 +199,7 @@ def qrs_aligned(*predicted: Predicted) -> tuple[Floats, list[Floats]]:
     Returns times (t,) from the onset (ms), and potentials (n, 12 + k, t), mV, of each scenario, up
     to the end of the longest QRS.
     """
-    windows = [[qrs_window(beat.leads) for beat in prediction.beats] for prediction in predicted]
+    windows = [[beat.qrs_windows.window for beat in one.beats] for one in predicted]
     longest = max(
         offset - onset for scenario_windows in windows for onset, offset in scenario_windows
     )

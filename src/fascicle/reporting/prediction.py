@@ -53,7 +53,7 @@ def write_prediction(
     fitted: FittedStudy,
     predicted: Mapping[str, Predicted],
     out: Path,
-    kind: str = "png",
+    kind: str | None = "png",
     progress: Progress | None = None,
 ) -> None:
     """Write the predictions of scenarios in a population.
@@ -63,7 +63,7 @@ def write_prediction(
     (of the networks with the least, median and largest total activation time; mean, standard
     deviation, and how probably each vertex is in the latest-activated 20 %), ``activation.png`` and
     ``activation-spread.png``. Of an atlas, ``activation-minimum.vtu`` and so on have these
-    networks on their own hearts. Pictures are of one of the `KINDS`.
+    networks on their own hearts. Pictures are of one of the `KINDS`; None: there are none.
     """
     report = stage_progress(progress, "pictures")
     heart, caution = fitted.simulator.model.heart, fitted.statements.caution_text
@@ -75,10 +75,13 @@ def write_prediction(
         reliability = {"verdict": fitted.verdict, "caution": caution}
         content = {name: _summary(p, predicted[INTRINSIC]) for name, p in predicted.items()}
         write_text(folder / "summary.json", json.dumps(reliability | content, indent=2) + "\n")
-        save(mark(index_figure(predicted), caution), folder / f"indices.{kind}")
+        if kind is not None:
+            save(mark(index_figure(predicted), caution), folder / f"indices.{kind}")
         for number, (name, prediction) in enumerate(predicted.items()):
             report(number, len(predicted))
             _write_scenario(folder / name, prediction, fitted)
+            if kind is None:
+                continue
             both = {key: predicted[key].maps["activation_sd"] for key in (INTRINSIC, name)}
             figures = (
                 scenario_ecg_figure(predicted, name),

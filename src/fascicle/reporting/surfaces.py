@@ -128,6 +128,7 @@ def _rendered(
     plotter = _plotter()
     if plotter is None:
         return None
+    plotter.suppress_rendering = True  # once, when all is in place
     plotter.clear_actors()
     plotter.window_size = np.round(600 * size / size.max()).astype(int).tolist()
     for surface in surfaces:
@@ -144,7 +145,8 @@ def _rendered(
     camera.focal_point, camera.position, camera.up = focus, focus - reach * away, up
     camera.parallel_projection, camera.parallel_scale = True, size[1] / 2
     camera.clipping_range = (0.01 * reach, 2 * reach)
-    plotter.render_window.Render()
+    plotter.suppress_rendering = False
+    plotter.render()
     return np.asarray(plotter.screenshot(return_img=True))
 
 

@@ -40,7 +40,7 @@ from fascicle.networks.target_comparison import Given, Network, write_recordings
 from fascicle.pools.pool import Pool, check_pool
 from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.diagnosis import classified, mixture
-from fascicle.study.fitted import FittedStudy
+from fascicle.study.fitted import FittedStudy, load_study
 from fascicle.study.inputs import Inputs, InverseProblem, checked_likelihoods, read_inputs
 from fascicle.study.population import Posterior
 from fascicle.study.results import write_results
@@ -49,6 +49,7 @@ from fascicle.study.study import (
     StudyConfig,
     StudyFile,
     check_study_folder,
+    is_finished,
     refuse_held,
     study_lock,
 )
@@ -73,8 +74,8 @@ def fit(
     """Learn the Purkinje networks that explain a target, or several targets of one heart.
 
     Started again on the same folder, a fit resumes and gives exactly the result of a run that was
-    never interrupted. The numbers of steps, samples and workers may be changed in between: stored
-    evaluations are used again.
+    never interrupted; a finished one is read. The numbers of steps, samples and workers may be
+    changed in between: stored evaluations are used again.
 
     Parameters
     ----------
@@ -142,6 +143,9 @@ def fit(
     refuse_held(folder)
     with shown_progress(progress) as shown:
         inputs = read_inputs(heart, target, parameters or {}, fit_settings, rules, likelihoods)
+        # a likelihood of the user's own may have changed
+        if likelihoods is None and is_finished(folder, inputs.config):
+            return load_study(folder, shown, pool, rules)
         return fit_inputs(inputs, folder, shown, pool, backend)
 
 
