@@ -68,7 +68,7 @@ PACING = {
 }
 TORSOS = 6
 SEED = 52
-GAINS = ("total_activation_time", "global_qrs_duration")
+GAINS = ("total_activation_time", "qrs_duration")
 
 
 def heart_of(name: str, data: Path, out: Path) -> Heart:

@@ -132,7 +132,7 @@ def recorded(synthetic: Case) -> tuple[str, Array] | None:
         target = fascicle.make_target(synthetic.recording)
     except InputError:
         return None
-    width = "wide" if target.global_qrs_duration >= 120 else "narrow"
+    width = "wide" if target.qrs_duration >= 120 else "narrow"
     return "paced" if synthetic.kind in (*PACED, "paced") else width, target.qrs
 
 

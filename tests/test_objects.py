@@ -101,7 +101,7 @@ def test_cards_state_facts_with_units_and_show_a_picture(default_heart, simulati
     cards = [
         (default_heart, "volume of the myocardium", f"{default_heart.volumes.sum() / 1000:.0f} ml"),
         (simulation.trees[0], "junctions", str(len(simulation.trees[0].junctions))),
-        (simulation, "global QRS duration", f"{simulation.global_qrs_duration:.0f} ms"),
+        (simulation, "QRS duration", f"{simulation.qrs_duration:.0f} ms"),
         (target, "beats", str(len(target.beats))),
     ]
     for shown, name, value in cards:

@@ -92,7 +92,7 @@ def test_probabilities_of_a_recording_add_up_and_follow_the_priors(target):
     features = module.features_of(
         target, dict(zip(BUNDLES, classifier.probabilities(0), strict=True))
     )
-    assert features["duration"] == target.global_qrs_duration
+    assert features["duration"] == target.qrs_duration
     (anywhere,) = PACKAGED.fascicular(features)[ANTERIOR]
     assert anywhere > usual[ANTERIOR]  # with a right bundle branch block, too
     right = "right bundle branch block"

@@ -91,7 +91,7 @@ def test_an_answer_is_what_simulate_gives(session):
         np.testing.assert_allclose(arrays[f"{tree.side}_times"], times - begin, atol=1e-4)
     assert said["id"] == 7
     assert said["total"] == pytest.approx(expected.total_activation_time)
-    assert said["qrs"] == expected.global_qrs_duration
+    assert said["qrs"] == expected.qrs_duration
     assert said["axis"] == pytest.approx(expected.frontal_axis)
     values = session.start | {"retrograde_delay": np.inf}
     assert _spoken(values)["retrograde_delay"] == "Infinity"

@@ -15,7 +15,7 @@ from fascicle.heart.fibres import Wall
 from fascicle.heart.sites import APEX, Places, places
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.indices import Territories, indices, vectorcardiogram
-from fascicle.recording.window import qrs_window, qrs_windows
+from fascicle.recording.window import qrs_window
 
 LENGTH, SPEED = 180.0, 0.9  # mm, mm/ms: a plane front takes 200 ms
 CELLS = 18  # slabs of 10 mm: segment 0 (right ventricle), 1, …, 17, of 100/9 ms each
@@ -116,8 +116,6 @@ class TestEcg:
         assert found["v6_v1_interpeak_interval"] == pytest.approx(33.0)
         first, last = qrs_window(leads)
         assert found["qrs_duration"] == last - first
-        outermost = qrs_windows(leads).global_window
-        assert found["global_qrs_duration"] == outermost[1] - outermost[0]
         assert found["qrs_from_stimulus"] == pytest.approx(last - 20 + 15)
 
     def test_what_is_not_there_is_not_a_number(self, flat, territories):

@@ -1,4 +1,4 @@
-"""The QRS windows of signals whose ends are known, and how sure their ends are."""
+"""The QRS of signals whose ends are known, and how sure their ends are."""
 
 import numpy as np
 import pytest
@@ -9,13 +9,11 @@ from benchmarks.synthetic_recordings.rhythms import hump
 from fascicle.core.leads import lead_matrix
 from fascicle.forward.simulation_files import example_parameters
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
-from fascicle.recording.target import Target
 from fascicle.recording.window import (
     OFFSET_ERROR,
     ONSET_ERROR,
     SMOOTHING,
     qrs_window,
-    qrs_windows,
     smoothing_against_ringing,
     window_uncertainty,
 )
@@ -37,12 +35,7 @@ def beat(start=150, end=250, length=700):
     return depolarisation(start, end, length) + p_wave + t_wave
 
 
-def outermost(signal, **options):
-    return qrs_windows(signal, **options).global_window
-
-
-PLAIN = qrs_windows(beat())
-BEAT_WINDOW = PLAIN.window
+BEAT_WINDOW = qrs_window(beat())
 
 
 @pytest.mark.parametrize(("start", "end"), [(40, 120), (60, 240), (30, 200)])
@@ -54,10 +47,8 @@ def test_ends_of_a_clean_qrs(start, end):
     assert qrs_window(depolarisation(0, 100, 101)) == (0, 100)  # fills the array
 
 
-def test_both_windows_of_one_beat():
-    assert qrs_window(beat()) == BEAT_WINDOW == pytest.approx((150, 250), abs=10)
-    assert 125 <= PLAIN.global_window[0] <= 140
-    assert 255 <= PLAIN.global_window[1] <= 270
+def test_a_qrs_between_p_and_t_waves():
+    assert qrs_window(beat()) == BEAT_WINDOW == pytest.approx((150, 250), abs=8)
 
 
 TIME = np.arange(700)
@@ -85,10 +76,9 @@ def with_rows(rows, change):
         (beat() + 1.5e-3 * COSINES * np.clip(TIME - 250, 0, 150), 12),  # slope of the ST segment
     ],
 )  # fmt: skip
-def test_what_the_windows_do_not_depend_on(signal, tolerance):
+def test_what_the_window_does_not_depend_on(signal, tolerance):
     """Amplitude, level, drift, interference, one noisy lead, absent and flat leads, ST slope."""
     assert qrs_window(signal) == pytest.approx(BEAT_WINDOW, abs=tolerance)
-    assert outermost(signal) == pytest.approx(PLAIN.global_window, abs=tolerance)
 
 
 def short_pr(height):
@@ -158,9 +148,8 @@ def test_difficult_beats(signal, window, tolerance):
 
 
 def test_no_signal_is_an_error():
-    for find in (qrs_window, qrs_windows):
-        with pytest.raises(ValueError, match="do not move"):
-            find(np.zeros((12, 100)))
+    with pytest.raises(ValueError, match="do not move"):
+        qrs_window(np.zeros((12, 100)))
     with pytest.raises(ValueError, match="lead"):
         qrs_window(np.full((12, 100), np.nan))
     signal = np.zeros((12, 300))
@@ -176,7 +165,6 @@ def test_nothing_before_the_end_of_a_spike_counts():
     onset, offset = qrs_window(signal, not_before=146)
     assert 146 <= onset == pytest.approx(150, abs=6)
     assert offset == BEAT_WINDOW[1]
-    assert outermost(signal, not_before=146)[0] >= 146
 
 
 def in_leads(leads, start, end, size=0.06):
@@ -191,12 +179,12 @@ def test_two_electrodes_decide_but_not_one_nor_the_limb_leads_that_share_theirs(
     """Some leads move 25 ms before and after the others: all together hardly do."""
     for leads in ([6, 8], [0, 1, 2, 7]):
         moved = beat() + in_leads(leads, 125, 175, 0.2) + in_leads(leads, 225, 275, 0.2)
-        onset, offset = outermost(moved)
-        assert 110 <= onset <= 126
-        assert 274 <= offset <= 290
+        onset, offset = qrs_window(moved)
+        assert 125 <= onset <= 141
+        assert 265 <= offset <= 281
     for leads in ([7], [11], range(6)):
         moved = beat() + in_leads(leads, 110, 175) + in_leads(leads, 225, 300)
-        assert outermost(moved) == pytest.approx(PLAIN.global_window, abs=6)
+        assert qrs_window(moved) == pytest.approx(BEAT_WINDOW, abs=6)
 
 
 def test_marks_that_rest_on_few_leads_are_less_sure():
@@ -206,32 +194,20 @@ def test_marks_that_rest_on_few_leads_are_less_sure():
     assert (unsure > sure + 3).all()
 
 
-def test_global_window_is_the_same_with_the_noise_of_recordings_as_without(default_model):
+def test_the_window_is_the_same_with_the_noise_of_recordings_as_without(default_model):
     """A simulated ECG has none: the level must not be that of the noise."""
     block = {"interventricular_delay": -60.0}
     simulation = default_model.simulate(example_parameters(default_model) | block)
-    clean = simulation.global_qrs_duration
-    assert 10 < clean - np.ptp(simulation.activation) < 25  # what experts mark further out
+    clean = simulation.qrs_duration
+    assert -10 < clean - np.ptp(simulation.activation) < 5
     rng = np.random.default_rng(5)
     noisy = []
     for _ in range(8):
         case = simulated(rng, simulation, 30.0, 10)
-        onset, offset = outermost(case.beats.mean(axis=0))
+        onset, offset = qrs_window(case.beats.mean(axis=0))
         # some are slowed to a wide QRS
         noisy.append(offset - onset - (case.offset - case.onset))
     assert np.median(noisy) == pytest.approx(clean - np.ptp(simulation.activation), abs=6)
-
-
-def test_global_qrs_of_a_target():
-    """Counted from the R peak, whatever the window is, and not before the end of a spike."""
-    beats = np.stack([beat(), 1.1 * beat()])
-    target = Target(beats, np.arange(700.0) - 200, -30.0, 30.0, 60.0)
-    onset, offset = PLAIN.global_window
-    assert target.qrs_duration == 60
-    assert target.global_qrs == pytest.approx((onset - 200, offset - 200))
-    assert target.global_qrs_duration == offset - onset
-    paced = Target(beats, target.time, -30.0, 30.0, 60.0, earliest_onset=-50.0)
-    assert paced.global_qrs[0] >= -50
 
 
 def lowpass(cutoff, order):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import fascicle
-from benchmarks.global_qrs import errors, manual_marks
+from benchmarks.manual_marks import errors, manual_marks
 from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
 from fascicle.recording.filters import resample
 from fascicle.recording.window import qrs_window, window_uncertainty
@@ -14,15 +14,13 @@ pytestmark = pytest.mark.slow
 BEFORE, AFTER = 250, 450  # ms around the R peak
 
 
-# Of the window and of the global QRS, found less marked in the outermost leads: 24 (left bundle
-# branch block) -28 and -8 ms; 23 (right) -23 and -3 ms; 119 (normal) -7.5 and 12.5 ms.
+# Experts mark further out than electrocardiographs. Found less marked in the outermost leads: 24
+# (left bundle branch block) -32 ms; 23 (right) -27 ms; 119 (normal) -11.5 ms.
 @pytest.mark.parametrize("record", ["24", "23", "119"])
 def test_manual_marks(data_folder, record):
     folder = data_folder / "ecg" / "ludb"
     analysis = fascicle.analyse(fascicle.read_recording(folder / f"{record}_common.hea"))
-    window, outermost = errors(analysis, manual_marks(folder / record))
-    assert (np.abs(window) <= (18, 14, 30)).all()
-    assert (np.abs(outermost) <= (6, 8, 13)).all()
+    assert (np.abs(errors(analysis, manual_marks(folder / record))) <= (20, 16, 34)).all()
 
 
 def test_machine_duration():
@@ -31,7 +29,7 @@ def test_machine_duration():
 
     path = get_testdata_file("waveform_ecg.dcm", download=False)
     target = fascicle.make_target(fascicle.read_recording(path))
-    assert target.qrs_duration == pytest.approx(75, abs=15)
+    assert target.qrs_duration == pytest.approx(75, abs=10)
 
 
 def synthetic_errors(noise_db, count=24):

@@ -35,9 +35,9 @@ SPACE = ParameterSpace(
 
 
 def predicted(total):
-    """Four networks; indices are the total activation time, but the global QRS is 20 ms longer."""
+    """Four networks; indices are the total activation time, but the QRS is 20 ms longer."""
     values = np.asarray(total, dtype=float)
-    indices = dict.fromkeys(INDICES, values) | {"global_qrs_duration": values + 20}
+    indices = dict.fromkeys(INDICES, values) | {"qrs_duration": values + 20}
     return Predicted(Scenario(), [], indices)
 
 

@@ -27,7 +27,7 @@ STAGES = ["initial"] * 3 + ["optimisation"] * 3 + ["rejection"]
 @pytest.mark.parametrize(
     ("index", "name"),
     [
-        ("qrs_duration", "window QRS duration"),
+        ("qrs_duration", "QRS duration"),
         ("lv_rv_delay", "LV-RV delay"),
         ("v6_v1_interpeak_interval", "V6 V1 interpeak interval"),
     ],
@@ -46,8 +46,7 @@ def test_names_of_parameters_and_measures():
     } < names  # fmt: skip
     assert parameter_name("anisotropy_ratio") == "anisotropy ratio"
     assert parameter_name("v1_left") == "V1 left"
-    assert str(MEASURES["axis_degrees"]) == "frontal axis"
-    assert "as clinics measure it" in str(MEASURES["global_qrs_duration_ms"])
+    assert MEASURES["axis_degrees"].name == "frontal axis"
 
 
 def samples(count=30):

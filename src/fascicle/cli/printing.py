@@ -21,9 +21,7 @@ from fascicle.study.statements import prediction_statement
 def print_simulation(simulation: Beat, summary: Mapping[str, Any]) -> None:
     """Print activation times, how junctions were activated, and what was not activated."""
     print_row("total activation time", f"{simulation.total_activation_time:.1f} ms")
-    for name in ("qrs_duration", "global_qrs_duration"):
-        measure, value = MEASURES[f"{name}_ms"], getattr(simulation, name)
-        print_row(measure.name, f"{value:.0f} {measure.unit} ({measure.meaning})")
+    print_row("QRS duration", f"{simulation.qrs_duration:.0f} ms")
     for side, tree in summary["trees"].items():
         retrograde, inactive = tree["retrograde_junctions"], tree["not_activated_junctions"]
         print_row(
@@ -91,9 +89,9 @@ def _print_agreement(summary: Mapping[str, Any]) -> None:
         print_row("", "below 0: further from the recorded lead than a flat line")
     for key, measure in MEASURES.items():
         if key in summary:
-            of, how = summary[key]["networks"], f"; {measure.meaning}" if measure.meaning else ""
+            of = summary[key]["networks"]
             recorded = f"recorded {summary[key]['recorded']:.0f} {measure.unit}"
-            networks = f"networks {of['median']:.0f} ({of['5 %']:.0f} to {of['95 %']:.0f}){how}"
+            networks = f"networks {of['median']:.0f} ({of['5 %']:.0f} to {of['95 %']:.0f})"
             print_row(measure.name, f"{recorded}, {networks}")
 
 
@@ -128,15 +126,12 @@ def print_prediction(
     predicted: Mapping[str, Predicted], prior: Mapping[str, Predicted] | None = None
 ) -> None:
     """Print indices of scenarios; with those of the prior, whether the ECG determines them."""
-    shown = ("qrs_duration", "global_qrs_duration", "total_activation_time")
+    shown = ("qrs_duration", "total_activation_time")
     rows = [("scenario", *map(index_label, shown))]
     for name, prediction in predicted.items():
         rows.append((name, *(interval(prediction.indices[index]) for index in shown)))
     print_table(rows)
     print("medians (90 % of the networks)")
-    for measure in MEASURES.values():
-        if measure.meaning:
-            print(f"{measure.name}: {measure.meaning}")
     _print_capture(predicted)
     for name, from_prior in (prior or {}).items():
         for index in shown:

@@ -193,11 +193,8 @@ def _result(analysis: Analysis) -> dict[str, object]:
         "qrs_onset_ms": target.qrs_onset,
         "qrs_offset_ms": target.qrs_offset,
         "qrs_duration_ms": target.qrs_duration,
-        "global_qrs_onset_ms": target.global_qrs[0],
-        "global_qrs_offset_ms": target.global_qrs[1],
-        "global_qrs_duration_ms": target.global_qrs_duration,
-        "global_qrs_onset_sd_ms": target.global_qrs_sd[0],
-        "global_qrs_offset_sd_ms": target.global_qrs_sd[1],
+        "qrs_onset_sd_ms": target.onset_sd,
+        "qrs_offset_sd_ms": target.offset_sd,
         "conventional_criteria": [asdict(criterion) for criterion in target.conventional_criteria],
         "noise_mV": target.noise,
         "filters": [str(passed) for passed in target.filters],
@@ -221,15 +218,10 @@ def _print_target(target: Target) -> None:
     print_row("filters", "; ".join(map(str, target.filters)) or "none known")
     rate = f" at {target.heart_rate:.0f} per minute" if target.heart_rate is not None else ""
     print_row("beats", f"{len(target.beats)} used{rate}")
-    window = (target.qrs_onset, target.qrs_offset), (target.onset_sd, target.offset_sd)
-    for name, (first, last), (first_sd, last_sd), how in (
-        ("QRS", *window, "all leads together"),
-        ("global QRS", target.global_qrs, target.global_qrs_sd,
-         "outermost leads, as clinics measure it"),
-    ):  # fmt: skip
-        width = f"{last - first:.0f} ± {np.hypot(first_sd, last_sd):.0f} ms"
-        ends = f"{first:.0f} ± {first_sd:.0f} to {last:.0f} ± {last_sd:.0f} ms about R"
-        print_row(name, f"{width}, from {ends} ({how})")
+    first, first_sd = f"{target.qrs_onset:.0f}", f"{target.onset_sd:.0f}"
+    last, last_sd = f"{target.qrs_offset:.0f}", f"{target.offset_sd:.0f}"
+    width = f"{target.qrs_duration:.0f} ± {np.hypot(target.onset_sd, target.offset_sd):.0f} ms"
+    print_row("QRS", f"{width}, from {first} ± {first_sd} to {last} ± {last_sd} ms about R")
     # the conventional criteria that are met, by their sources, and those that lack a lead
     criteria = target.conventional_criteria
     met: dict[str, list[str]] = {criterion.source: [] for criterion in criteria}

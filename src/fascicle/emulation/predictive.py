@@ -29,7 +29,7 @@ from fascicle.recording.target import Target
 
 DURATION, AXIS = "QRS duration", "frontal axis"
 # Name in `fascicle.networks.agreement.Agreement`, and unit
-MEASURED = {DURATION: ("global_qrs_duration_ms", " ms"), AXIS: ("axis_degrees", "°")}
+MEASURED = {DURATION: ("qrs_duration_ms", " ms"), AXIS: ("axis_degrees", "°")}
 
 
 @dataclass(frozen=True)
@@ -230,7 +230,7 @@ def _checks(
         )
     leads = {target.leads[row]: _tail(residual[:, k], error[:, k]) for k, row in enumerate(rows)}
     leads["all leads together"] = _tail(residual.sum(axis=1), error.sum(axis=1))
-    duration_sd = float(np.hypot(*target.global_qrs_sd))
+    duration_sd = float(np.hypot(target.onset_sd, target.offset_sd))
     measured = {
         name: [compared.recorded[key], *compared.percentiles(key)]
         for name, (key, _) in MEASURED.items()

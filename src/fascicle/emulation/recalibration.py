@@ -33,7 +33,6 @@ from fascicle.core.conduction_states import FASCICULAR_BLOCKS, NORMAL
 from fascicle.core.leads import LEADS
 from fascicle.heart.heart import Heart
 from fascicle.recording.criteria import frontal_axis
-from fascicle.recording.filters import SAMPLING_STEP
 from fascicle.recording.target import Target
 
 Features = Mapping[str, Any]  # arrays (n,), or numbers of one recording
@@ -145,9 +144,7 @@ def features_of(target: Target, simulated: Mapping[str, float]) -> dict[str, flo
 
     `simulated` are probabilities of `BUNDLES` by a classifier of simulations, of equal priors.
     """
-    onset, offset = (round((end - target.time[0]) / SAMPLING_STEP) for end in target.global_qrs)
-    qrs = target.mean[: len(LEADS), max(onset, 0) : offset + 1]
-    return evidence(simulated) | measurements(qrs)
+    return evidence(simulated) | measurements(target.qrs[: len(LEADS)])
 
 
 def evidence(simulated: Mapping[str, float], floor: float = 0.003) -> dict[str, float]:
@@ -165,7 +162,7 @@ def evidence(simulated: Mapping[str, float], floor: float = 0.003) -> dict[str, 
 
 
 def measurements(qrs: Floats) -> dict[str, float]:
-    """Measurements of the global QRS (12, n) of a mean beat (mV), every 1 ms."""
+    """Measurements of the QRS (12, n) of a mean beat (mV), every 1 ms."""
     axis = np.radians(frontal_axis(qrs))
     ii, v1 = qrs[LEADS.index("II")], qrs[LEADS.index("V1")]
     high, low = max(ii.max(), 0.0), max(-ii.min(), 0.0)

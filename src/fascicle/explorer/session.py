@@ -277,7 +277,7 @@ class Session:
         beat = replace(beat, leads=gain * torso @ beat.leads)
         begin = float(beat.activation.min())
         content: dict[str, Any] = {
-            "qrs": beat.global_qrs_duration,
+            "qrs": beat.qrs_duration,
             "total": beat.total_activation_time,
             "axis": beat.frontal_axis,
         }

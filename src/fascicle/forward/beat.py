@@ -22,7 +22,7 @@ from fascicle.forward.electrocardiogram import SAMPLE_STEP
 from fascicle.heart.heart import Heart
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.recording.criteria import Criterion, conventional_criteria, frontal_axis
-from fascicle.recording.window import QrsWindows, qrs_windows
+from fascicle.recording.window import qrs_window
 
 
 @dataclass(frozen=True)
@@ -106,33 +106,25 @@ class Beat:
 
     @property
     def qrs_duration(self) -> float:
-        """QRS duration (ms) of all leads together, measured as in recordings."""
-        onset, offset = self.qrs_windows.window
-        return (offset - onset) * SAMPLE_STEP
-
-    @property
-    def global_qrs_duration(self) -> float:
-        """Global QRS duration (ms), over the outermost of all leads, measured as in recordings."""
-        onset, offset = self.qrs_windows.global_window
+        """QRS duration (ms), measured as in recordings."""
+        onset, offset = self.qrs_window
         return (offset - onset) * SAMPLE_STEP
 
     @property
     def frontal_axis(self) -> float:
         """Frontal QRS axis (degrees), measured as in recordings."""
-        onset, offset = self.qrs_windows.global_window
+        onset, offset = self.qrs_window
         return frontal_axis(self.leads[:, onset : offset + 1])
 
     @property
     def conventional_criteria(self) -> tuple[Criterion, ...]:
         """Conventional ECG criteria of conduction disturbances, evaluated as for a recording."""
-        return conventional_criteria(
-            self.leads, *self.qrs_windows.global_window, names=self.lead_names
-        )
+        return conventional_criteria(self.leads, *self.qrs_window, names=self.lead_names)
 
     @cached_property
-    def qrs_windows(self) -> QrsWindows:
+    def qrs_window(self) -> tuple[int, int]:
         """First and last sample of the QRS, measured as in recordings."""
-        return qrs_windows(self.leads)
+        return qrs_window(self.leads)
 
     @property
     def captured(self) -> Booleans:

@@ -204,7 +204,6 @@ def summary(heart: Heart, simulation: Beat, inputs: dict[str, object]) -> dict[s
         "heart_sha256": heart.digest,
         "inputs": inputs,
         "qrs_duration_ms": simulation.qrs_duration,
-        "global_qrs_duration_ms": simulation.global_qrs_duration,
         "total_activation_time_ms": round(simulation.total_activation_time, 3),
         "unreached_vertices": int(simulation.unreached.sum()),
         "unreached_volume_ml": round(unreached_volume(heart, simulation), 4),

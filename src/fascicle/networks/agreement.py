@@ -29,7 +29,7 @@ class Agreement:
     explained_over_all, correlation_over_all : float
         Explained power and correlation over all leads together.
     recorded, predicted : dict of str to float, and to (n,) array
-        Window and global QRS duration (ms) and frontal axis (degrees): recorded, and of each
+        QRS duration (ms) and frontal axis (degrees): recorded, and of each
         network. Axes are within half a turn of the recorded one.
     """
 
@@ -78,15 +78,8 @@ def agreement(target: Target, networks: Sequence[Network]) -> Agreement:
     correlation = np.full(len(used), np.nan)
     pairs = zip(recorded[used], predicted[used], strict=True)
     correlation[used] = [pearson(*pair) for pair in pairs]
-    simulations = [network.beat for network in networks]
-    simulated_values = {
-        "qrs_duration_ms": [simulation.qrs_duration for simulation in simulations],
-        "global_qrs_duration_ms": [simulation.global_qrs_duration for simulation in simulations],
-    }
-    recorded_values = {
-        "qrs_duration_ms": target.qrs_duration,
-        "global_qrs_duration_ms": target.global_qrs_duration,
-    }
+    simulated_values = {"qrs_duration_ms": [network.beat.qrs_duration for network in networks]}
+    recorded_values = {"qrs_duration_ms": target.qrs_duration}
     if used[: len(LIMB_LEADS)].all():
         axis = recorded_values["axis_degrees"] = frontal_axis(recorded)
         turns = [frontal_axis(network.predicted[:, window]) - axis for network in networks]

@@ -7,7 +7,6 @@ from fascicle.core.ranges import shown
 
 INDICES = {
     "qrs_duration": "ms",
-    "global_qrs_duration": "ms",
     "qrs_from_stimulus": "ms",
     "total_activation_time": "ms",
     "lv_activation_time": "ms",
@@ -25,7 +24,7 @@ INDICES = {
 
 # Indices for which lower is better; for LV-RV delay, a lower absolute value
 COMPARED = (
-    "qrs_duration", "global_qrs_duration", "total_activation_time", "lv_activation_time",
+    "qrs_duration", "total_activation_time", "lv_activation_time",
     "rv_activation_time", "activation_time_90", "activation_time_95", "lv_rv_delay",
     "lv_dyssynchrony", "qrs_area",
 )  # fmt: skip

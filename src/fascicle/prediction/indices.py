@@ -138,7 +138,6 @@ def _of_ecg(simulation: Beat, stimulus: float | None) -> dict[str, float]:
     since = np.nan if stimulus is None else simulation.onset + onset * SAMPLE_STEP - stimulus
     return {
         "qrs_duration": (offset - onset) * SAMPLE_STEP,
-        "global_qrs_duration": simulation.global_qrs_duration,
         "qrs_from_stimulus": since + (offset - onset) * SAMPLE_STEP,
         "v6_r_wave_peak_time": since + v6,
         "v6_v1_interpeak_interval": v1 - v6,

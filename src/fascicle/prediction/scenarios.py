@@ -199,7 +199,7 @@ def qrs_aligned(*predicted: Predicted) -> tuple[Floats, list[Floats]]:
     Returns times (t,) from the onset (ms), and potentials (n, 12 + k, t), mV, of each scenario, up
     to the end of the longest QRS.
     """
-    windows = [[beat.qrs_windows.window for beat in one.beats] for one in predicted]
+    windows = [[beat.qrs_window for beat in one.beats] for one in predicted]
     longest = max(
         offset - onset for scenario_windows in windows for onset, offset in scenario_windows
     )

@@ -46,7 +46,7 @@ def conventional_criteria(
 ) -> tuple[Criterion, ...]:
     """Decide the conventional criteria of conduction disturbances in adults.
 
-    Times are from the global QRS onset. Criteria that need more than the QRS of a beat are left
+    Times are from the QRS onset. Criteria that need more than the QRS of a beat are left
     out: ST segment and T wave, age, sex (the limits of Strauss et al. for both are decided),
     congenital heart disease, and incomplete left bundle branch block, which needs a pattern of
     hypertrophy.
@@ -56,7 +56,7 @@ def conventional_criteria(
     leads : (n_leads, n) array
         Mean beat (mV), every 1 ms, its isoelectric level at 0; NaN where a lead is not used.
     onset, offset : int
-        Samples at which the global QRS begins and ends.
+        First and last sample of the QRS.
     names : sequence of str
         Names of the leads.
     """
@@ -135,7 +135,7 @@ class _Beat:
         self.axis = frontal_axis(np.array(limb)) if len(limb) == len(LIMB_LEADS) else None
 
     def qrs(self, limit: str, met: bool) -> _Part:
-        """Requirement on the global QRS duration."""
+        """Requirement on the QRS duration."""
         return _Part(met, f"QRS {self.ms} ms ({limit})")
 
     def each(
@@ -234,7 +234,7 @@ class Wave(NamedTuple):
 
 
 class Qrs:
-    """QRS (n,), mV, of a lead, every 1 ms from the global onset."""
+    """QRS (n,), mV, of a lead, every 1 ms from its onset."""
 
     # Smallest wave of IEC 60601-2-51:2003, annex GG.5, and smallest notch: its least height (mV),
     # the time (ms) that it must have this height, and its duration from end to end (ms)

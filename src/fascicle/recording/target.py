@@ -18,7 +18,6 @@ from fascicle.core.leads import LEADS
 from fascicle.core.ranges import short_repr
 from fascicle.recording.criteria import Criterion, conventional_criteria
 from fascicle.recording.filters import SAMPLING_STEP, Filter
-from fascicle.recording.window import qrs_windows, smoothing_against_ringing, window_uncertainty
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class Target:
     time : (n_time,) array
         Time from the R peak (ms), every `SAMPLING_STEP`.
     qrs_onset, qrs_offset : float
-        QRS window (ms from the R peak), determined from all leads together.
+        QRS (ms from the R peak), determined from all leads.
     heart_rate : float, optional
         Beats per minute; None if unknown, as of a single beat.
     provenance : dict
@@ -120,42 +119,14 @@ class Target:
 
     @property
     def qrs_duration(self) -> float:
-        """Length of the QRS window (ms); the clinical QRS duration is `global_qrs_duration`."""
+        """QRS duration (ms)."""
         return self.qrs_offset - self.qrs_onset
-
-    @cached_property
-    def global_qrs(self) -> tuple[float, float]:
-        """Onset and offset of the global QRS (ms from the R peak), the outermost of all leads.
-
-        Measured in the mean beat, independently of the QRS window; see `fascicle.recording.window`.
-        """
-        onset, offset = qrs_windows(self.mean, *self._window_options).global_window
-        start = float(self.time[0])
-        return start + SAMPLING_STEP * onset, start + SAMPLING_STEP * offset
-
-    @cached_property
-    def global_qrs_sd(self) -> tuple[float, float]:
-        """Standard deviations of onset and offset of the global QRS (ms)."""
-        not_before, smoothing = self._window_options
-        return window_uncertainty(self.beats, not_before, self.noise, smoothing)
-
-    @property
-    def _window_options(self) -> tuple[int, float]:
-        """Sample of the end of the pacing spike, 0 without one, and the least smoothing (ms)."""
-        first = self.time[0] if self.earliest_onset is None else self.earliest_onset
-        return int(np.searchsorted(self.time, first)), smoothing_against_ringing(self.filters)
-
-    @property
-    def global_qrs_duration(self) -> float:
-        """Duration of the global QRS, from its onset in the outermost leads to its offset (ms)."""
-        onset, offset = self.global_qrs
-        return offset - onset
 
     @cached_property
     def conventional_criteria(self) -> tuple[Criterion, ...]:
         """Conventional ECG criteria of conduction disturbances, evaluated on the mean beat."""
-        onset, offset = (round((end - self.time[0]) / SAMPLING_STEP) for end in self.global_qrs)
-        return conventional_criteria(self.mean, onset, offset, self.leads)
+        window = self.qrs_samples
+        return conventional_criteria(self.mean, window.start, window.stop - 1, self.leads)
 
     @property
     def qrs_samples(self) -> slice:

@@ -167,23 +167,17 @@ def _attributes(target: Target) -> dict[str, str | float | int]:
         **FORMAT,
         "software": f"fascicle {version('fascicle')}",
         "comment": (
-            "The QRS window, which all leads together decide and fits see, lasts from "
-            "qrs_onset_ms to qrs_offset_ms, counted from the R peak (time 0); their standard "
-            "deviations are 0 where the user has given them. The global QRS, from the onset in "
-            "the outermost leads to the offset there, as clinics measure it, lasts from "
-            "global_qrs_onset_ms to global_qrs_offset_ms. 'earliest_onset_ms', of paced beats, is "
-            "the end of the pacing spike. Attributes that begin "
-            "with 'provenance_' say where the beats came from and what was chosen. 'filters' lists "
-            "(as JSON) what the potentials have passed: the kind of each filter, its frequency "
+            "The QRS lasts from qrs_onset_ms to qrs_offset_ms, counted from the R peak (time 0); "
+            "their standard deviations are 0 where the user has given them. 'earliest_onset_ms', "
+            "of paced beats, is the end of the pacing spike. Attributes that begin with "
+            "'provenance_' say where the beats came from and what was chosen. 'filters' lists (as "
+            "JSON) what the potentials have passed: the kind of each filter, its frequency "
             "(cut-off, or middle of a notch), the order of a low-pass (Butterworth) or the quality "
             "factor of a notch, how it is known, and the sampling rate of a digital one that was "
             "run forward and backward (null: an analogue one, run once)."
         ),
         "filters": json.dumps(filters),
         "qrs_duration_ms": float(target.qrs_duration),
-        "global_qrs_onset_ms": target.global_qrs[0],
-        "global_qrs_offset_ms": target.global_qrs[1],
-        "global_qrs_duration_ms": target.global_qrs_duration,
         **{key: float(value) for key, value in numbers.items() if value is not None},
         **{f"provenance_{key}": text.decode() for key, text in texts.items()},
     }

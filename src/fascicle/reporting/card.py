@@ -77,8 +77,7 @@ def _(tree: PurkinjeTree) -> Facts:
 @_facts.register
 def _(simulation: Beat) -> Facts:
     facts: dict[str, object] = {
-        "global QRS duration": f"{simulation.global_qrs_duration:.0f} ms",
-        "window QRS duration": f"{simulation.qrs_duration:.0f} ms",
+        "QRS duration": f"{simulation.qrs_duration:.0f} ms",
         "total activation time": f"{simulation.total_activation_time:.1f} ms",
         "unreached vertices": f"{simulation.unreached.sum()} of {len(simulation.activation)}",
     }
@@ -101,8 +100,7 @@ def _(target: Target) -> Facts:
         "leads used": ", ".join(np.array(target.leads)[target.used]),
         "heart rate": "unknown" if rate is None else f"{rate:.0f} beats/min",
         "QRS window": f"{target.qrs_onset:.0f} to {target.qrs_offset:.0f} ms from the R peak",
-        "window QRS duration": f"{target.qrs_duration:.0f} ms",
-        "global QRS duration": f"{target.global_qrs_duration:.0f} ms",
+        "QRS duration": f"{target.qrs_duration:.0f} ms",
     }, target_figure(target)
 
 

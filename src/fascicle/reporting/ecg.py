@@ -30,7 +30,6 @@ LOOKS: dict[str, dict[str, Any]] = {
     "band": {"color": Colour.BLUE, "alpha": 0.25, "linewidth": 0},
     "window": {"color": "#EFEFEF", "linewidth": 0},
     "uncertain": {"color": "#C9C9C9", "linewidth": 0},
-    "global end": {"color": "black", "linewidth": 0.7, "linestyle": (0, (4, 3))},
 }
 
 
@@ -159,8 +158,7 @@ def draw_target(figure: Figure | SubFigure, target: Target) -> None:
     """Draw every lead of a target, all on one scale.
 
     Thin lines are beats (at most 100, evenly spread over the recording), the thick line is their
-    mean, the band ± 1 SD. The QRS window and ± 1 SD about its ends are shaded; broken lines mark
-    the global QRS.
+    mean, the band ± 1 SD. The QRS and ± 1 SD about its ends are shaded.
     """
     start = max(target.qrs_onset - 80, float(target.time[0]))  # ms
     stop = min(target.qrs_offset + 120, float(target.time[-1]))
@@ -175,8 +173,6 @@ def draw_target(figure: Figure | SubFigure, target: Target) -> None:
             if sd > 0:
                 axes.axvspan(end - sd, end + sd, zorder=0.3, **LOOKS["uncertain"])
             axes.axvline(end, color="black", linewidth=0.7, zorder=1.5)
-        for end in target.global_qrs:
-            axes.axvline(end, zorder=1.5, **LOOKS["global end"])
         if target.used[lead]:
             band = mean[lead] - spread[lead], mean[lead] + spread[lead]
             axes.fill_between(target.time, *band, **LOOKS["band"])
@@ -192,7 +188,7 @@ def draw_target(figure: Figure | SubFigure, target: Target) -> None:
         axes.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
         draw_time_grid(axes)
     onset, offset = style.signed(target.qrs_onset), style.signed(target.qrs_offset)
-    style.below_leads(figure, f"time from the R peak (ms); QRS window {onset} to {offset} ms")
+    style.below_leads(figure, f"time from the R peak (ms); QRS {onset} to {offset} ms")
     handles = _handles(target, len(drawn))
     style.legend(figure, handles, ncols=len(handles) if isinstance(figure, Figure) else 3)
 
@@ -208,10 +204,10 @@ def _handles(target: Target, drawn: int) -> list[tuple[Any, str]]:
     if count > 1:
         beats = f"{drawn} of {count} beats" if drawn < count else f"{count} beats"
         handles.insert(0, (Line2D([], [], color=Colour.BLUE, linewidth=0.6), beats))
-    handles.append((Patch(**LOOKS["window"]), "QRS window"))
+    handles.append((Patch(**LOOKS["window"]), "QRS"))
     if target.onset_sd > 0 or target.offset_sd > 0:
         handles.append((Patch(**LOOKS["uncertain"]), "QRS onset and offset ± 1 SD"))
-    return [*handles, (Line2D([], [], **LOOKS["global end"]), "global QRS (outermost leads)")]
+    return handles
 
 
 def _limits(target: Target, mean: Floats) -> tuple[float, float]:

@@ -13,23 +13,15 @@ from fascicle.prediction.scenarios import INTRINSIC
 
 
 class Measure(NamedTuple):
-    """A measure of recorded and simulated ECGs: name, unit and definition."""
+    """A measure of recorded and simulated ECGs."""
 
     name: str
     unit: str
-    meaning: str = ""
-
-    def __str__(self) -> str:
-        """Name, and how it is measured."""
-        return f"{self.name} ({self.meaning})" if self.meaning else self.name
 
 
 # By their names in `fascicle.networks.agreement.Agreement`
 MEASURES = {
-    "qrs_duration_ms": Measure("window QRS duration", "ms", "all leads together"),
-    "global_qrs_duration_ms": Measure(
-        "global QRS duration", "ms", "outermost leads, as clinics measure it"
-    ),
+    "qrs_duration_ms": Measure("QRS duration", "ms"),
     "axis_degrees": Measure("frontal axis", "degrees"),
 }
 
@@ -41,8 +33,6 @@ def parameter_label(name: str, unit: str) -> str:
 
 def index_name(index: str) -> str:
     """Name of an index for readers."""
-    if f"{index}_ms" in MEASURES:
-        return MEASURES[f"{index}_ms"].name
     return in_words(index).replace("LV RV", "LV-RV").replace(" r ", " R ")
 
 

@@ -44,7 +44,7 @@ from fascicle.study.fitted import FittedStudy
 
 # Indices in the figure and the table of a report
 SHOWN = (
-    "qrs_duration", "global_qrs_duration", "total_activation_time", "lv_dyssynchrony",
+    "qrs_duration", "total_activation_time", "lv_activation_time", "lv_dyssynchrony",
     "lv_rv_delay", "qrs_area",
 )  # fmt: skip
 

@@ -80,7 +80,7 @@ def _lines(analysis: Analysis) -> list[str]:
         beats += f", combined to {count}"
     lines = [
         f"{rate}   ·   QRS {target.qrs_duration:.0f}{uncertainty} ms, {onset} to {offset} ms about "
-        f"R (global {target.global_qrs_duration:.0f} ms)   ·   {beats}"
+        f"R   ·   {beats}"
     ]
     if analysis.read_with:
         lines.append(style.short(f"read with {'; '.join(analysis.read_with)}", 250))

@@ -276,7 +276,7 @@ class TestAveragedBeatOnly:
         assert "averaged beat" in "\n".join(recording.remarks)
         with pytest.raises(MissingMetadataError, match="noise="):
             make_target(recording)
-        assert make_target(recording, noise=0.03).qrs_duration == pytest.approx(98, abs=5)
+        assert make_target(recording, noise=0.03).qrs_duration == pytest.approx(90, abs=5)
 
     def test_muse_and_aecg(self, tmp_path, beat):
         text = files.muse(beat)

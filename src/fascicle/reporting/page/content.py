@@ -69,7 +69,7 @@ def prediction(
     """QRS durations and total activation time of a scenario, and how it compares with another."""
     paced, other = predicted[name], predicted[against]
     durations = []
-    for index in ("global_qrs_duration", "qrs_duration", "total_activation_time"):
+    for index in ("qrs_duration", "total_activation_time"):
         low, middle, high = np.nanpercentile(paced.indices[index], [5, 50, 95])
         durations.append(f"{index_name(index)} {middle:.0f} ms ({low:.0f} to {high:.0f})")
     sentence = ", ".join(durations)

@@ -173,7 +173,6 @@ def _content(
             (scenario_name(name), words.prediction(name, predicted, against, statements.caution))
             for name in predicted
         ],
-        "measures": [measure for measure in MEASURES.values() if measure.meaning],
         "columns": [index_label(index) for index in SHOWN],
         # percentiles of the indices, and the segment most often activated last
         "rows": [
