@@ -23,7 +23,7 @@ folder = Path(tempfile.mkdtemp())
 # %%
 recording = Path(str(get_testdata_file("waveform_ecg.dcm", download=False)))
 target = fascicle.make_target(fascicle.read_recording(recording))
-print(f"{len(target.beats)} beats, QRS {target.global_qrs_duration:.0f} ms (outermost leads)")
+print(f"{len(target.beats)} beats, QRS {target.qrs_duration:.0f} ms")
 
 # %%
 _ = fascicle.plot.target(target)

@@ -22,7 +22,7 @@ own = model.simulate(parameters)
 assert isinstance(own, fascicle.Beat), own.reason
 v1 = own.ecg.sel(lead="V1")  # xarray, mV over ms
 print(f"V1 from {float(v1.min()):.2f} to {float(v1.max()):.2f} mV")
-print(f"QRS window {own.qrs_duration:.0f} ms, activation {own.total_activation_time:.0f} ms")
+print(f"QRS {own.qrs_duration:.0f} ms, activation {own.total_activation_time:.0f} ms")
 
 # %% [markdown]
 # Scenarios change stimulation and conduction, not the network. `fascicle scenarios` lists the
@@ -39,7 +39,7 @@ scenarios = fascicle.read_scenarios(NAMES)
 simulated = {name: model.simulate(parameters, scenario) for name, scenario in scenarios.items()}
 for name, simulation in simulated.items():
     print(
-        f"{name:<26} QRS window {simulation.qrs_duration:3.0f} ms, activation "
+        f"{name:<26} QRS {simulation.qrs_duration:3.0f} ms, activation "
         f"{simulation.total_activation_time:3.0f} ms"
     )
 
@@ -55,7 +55,7 @@ with_block = pacing.mapped(
 )
 paced = model.simulate(parameters, with_block)
 blocked = simulated["left-bundle-branch-block"]
-print(f"paced, with the block: QRS window {paced.qrs_duration:.0f} ms")
+print(f"paced, with the block: QRS {paced.qrs_duration:.0f} ms")
 assert blocked.qrs_duration > own.qrs_duration + 10
 assert simulated["left-bundle-branch-pacing"].qrs_duration + 10 < paced.qrs_duration
 assert paced.qrs_duration < blocked.qrs_duration

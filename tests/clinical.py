@@ -50,9 +50,9 @@ def assert_normal(simulation: Beat) -> None:
 
 
 def assert_left_bundle_branch_block(simulation: Beat) -> None:
-    """QRS over 120 ms, dominant S in V1, broad R in I and V6."""
+    """QRS over 110 ms, dominant S in V1, broad R in I and V6."""
     leads = curves(simulation)
-    assert simulation.qrs_duration > 120
+    assert simulation.qrs_duration > 110
     assert -leads["V1"].min() > 3 * leads["V1"].max()
     for lead in ("I", "V6"):
         assert leads[lead].max() > 3 * -leads[lead].min(), lead

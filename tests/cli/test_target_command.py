@@ -11,7 +11,6 @@ from pydicom.data import get_testdata_file
 from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import LEADS
 from fascicle.recording import filter_estimate, pipeline
-from fascicle.recording import target as target_module
 from fascicle.recording.filters import FilterOrigin
 from fascicle.recording.target_files import read_target
 
@@ -124,8 +123,7 @@ def made(run, outside, recording, *options):
 def quick(monkeypatch):
     """Look for no filters, and estimate no uncertainty: most of the time of a target."""
     monkeypatch.setattr(filter_estimate, "estimated_lowpass", lambda *_: None)
-    for module in (pipeline, target_module):
-        monkeypatch.setattr(module, "window_uncertainty", lambda *_: (4.0, 5.0))
+    monkeypatch.setattr(pipeline, "window_uncertainty", lambda *_: (4.0, 5.0))
 
 
 def test_beats_class_and_window(quick, recording, run, outside):
@@ -196,7 +194,7 @@ def test_single_averaged_beat(data_folder, run, outside):
     (lowpass,) = target.filters
     assert lowpass.origin is FilterOrigin.ESTIMATED
     assert lowpass.frequency == pytest.approx(35.0, abs=1.0)
-    assert target.qrs_duration == pytest.approx(88.0, abs=7.0)
+    assert target.qrs_duration == pytest.approx(88.0, abs=11.0)
     assert re.search(r"^beats +1 used$", ended.out, re.MULTILINE)
     assert "noise                  0.03 mV, as stated" in ended.out
     assert [line for line in ended.err.splitlines() if line.startswith("warning")] == [

@@ -108,9 +108,8 @@ def test_ecgs_that_ended_and_a_single_beat():
 def test_notes_time_zero_and_caption():
     notes = [f"r {k / 12:.2f}" for k in range(12)]
     caption = (
-        "mean explains 83%, r 0.92; window QRS duration 177 ms, predicted 126 (121 to 139); global "
-        "QRS duration 191 ms, predicted 132 (128 to 145); frontal axis -129 degrees, predicted "
-        "-128 (-160 to -100)"
+        "mean explains 83%, r 0.92; QRS duration 177 ms, predicted 126 (121 to 139); frontal axis "
+        "-129 degrees, predicted -128 (-160 to -100)"
     )
     texts = {"title": "Title", "notes": notes, "time_zero": "R peak", "caption": caption}
     figure = figure_of(ecgs(3), **texts)

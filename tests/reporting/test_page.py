@@ -101,11 +101,10 @@ class TestAnswers:
         scenarios = {"intrinsic": OWN, "block": OWN, "a": found}
         sentence = prediction("a", scenarios, against, Caution.NOT_CONVERGED)
         assert sentence.endswith(said)
-        assert sentence.startswith(f"{Caution.NOT_CONVERGED.brief}: global QRS duration ")
+        assert sentence.startswith(f"{Caution.NOT_CONVERGED.brief}: QRS duration ")
         alone = prediction("intrinsic", scenarios, against, None)
         assert alone == (
-            "global QRS duration 135 ms (122 to 148), window QRS duration 115 ms (102 to 128), "
-            "total activation time 115 ms (102 to 128)."
+            "QRS duration 135 ms (122 to 148), total activation time 115 ms (102 to 128)."
         )
 
 

@@ -26,6 +26,7 @@ from fascicle.networks.settings import FitSettings
 from fascicle.networks.target_comparison import Network
 from fascicle.recording.criteria import frontal_axis
 from fascicle.recording.target import Target
+from fascicle.recording.window import OFFSET_ERROR, ONSET_ERROR
 
 DURATION, AXIS = "QRS duration", "frontal axis"
 # Name in `fascicle.networks.agreement.Agreement`, and unit
@@ -230,7 +231,10 @@ def _checks(
         )
     leads = {target.leads[row]: _tail(residual[:, k], error[:, k]) for k, row in enumerate(rows)}
     leads["all leads together"] = _tail(residual.sum(axis=1), error.sum(axis=1))
-    duration_sd = float(np.hypot(target.onset_sd, target.offset_sd))
+    # ends that the user has given have no error of their own, but those of simulations are found
+    duration_sd = float(
+        np.hypot(max(target.onset_sd, ONSET_ERROR), max(target.offset_sd, OFFSET_ERROR))
+    )
     measured = {
         name: [compared.recorded[key], *compared.percentiles(key)]
         for name, (key, _) in MEASURED.items()

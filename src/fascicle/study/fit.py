@@ -145,6 +145,8 @@ def fit(
         inputs = read_inputs(heart, target, parameters or {}, fit_settings, rules, likelihoods)
         # a likelihood of the user's own may have changed
         if likelihoods is None and is_finished(folder, inputs.config):
+            with study_lock(folder):
+                begin(inputs, folder, shown)  # restores damaged copies of its inputs
             return load_study(folder, shown, pool, rules)
         return fit_inputs(inputs, folder, shown, pool, backend)
 
