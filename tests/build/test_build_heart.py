@@ -1,6 +1,7 @@
 """Hearts built in a torso: where it lies, its electrodes and lead fields, and what keeps them."""
 
 import pickle
+import re
 import shutil
 from dataclasses import replace
 
@@ -257,3 +258,15 @@ def test_volumes_converge_with_the_edge_length():
     assert (coarse < 0.1).all()
     assert (np.abs(fine) < 0.035).all()
     assert (fine < 0.6 * coarse).all()
+
+
+def test_electrodes_by_their_names_of_the_iec(data_folder, tmp_path):
+    """R, L, F and C1 to C6; N, like RL, is the ground."""
+    positions = read_electrodes(data_folder / "cases" / "ten_electrodes.csv")[0]
+    text = (data_folder / "cases" / "ten_electrodes.csv").read_text()
+    for ours, theirs in (("RA", "R"), ("LA", "L"), ("LL", "F"), ("RL", "N"), ("V", "C")):
+        text = re.sub(rf"^{ours}(?=[,\d])", theirs, text, flags=re.MULTILINE)
+    (tmp_path / "iec.csv").write_text(text)
+    electrodes, more = read_electrodes(tmp_path / "iec.csv")
+    np.testing.assert_array_equal(electrodes, positions)
+    assert more == {}

@@ -296,3 +296,15 @@ def test_outside_the_map_and_without_scar_there_is_none():
     assert regions_at(phantom.segmentation, LABELS, points).tolist() == [1, 0, 0]
     without = SegmentationLabels(1, 2, (3, 4))
     assert regions_at(phantom.segmentation, without, points).tolist() == [0, 0, 0]
+
+
+def test_scaled_labels_are_rounded(data_folder):
+    """Labels 0 to 3 as whole numbers times a factor, which nibabel reads as 3 and some 1e-5."""
+    labels = read_segmentation(data_folder / "cases" / "labels_rescaled.nii.gz").labels
+    assert labels.dtype.kind == "i"
+    assert np.unique(labels).tolist() == [0, 1, 2, 3]
+
+
+def test_a_mask_of_one_structure_says_what_is_missing():
+    with pytest.raises(InputError, match="add up masks of one structure each"):
+        SegmentationLabels(myocardium=1)

@@ -7,7 +7,7 @@ import pyvista as pv
 
 from fascicle.core.errors import InputError
 from fascicle.mesh.measures import signed_volumes
-from fascicle.mesh.mesh_file import TETRAHEDRON
+from fascicle.mesh.mesh_file import TETRAHEDRON, TRIANGLE
 from fascicle.mesh.read import read_mesh
 from fascicle.mesh.topology import boundary_triangles
 
@@ -87,3 +87,13 @@ def test_folded(tmp_path):
     cells[5] = cells[5][[0, 2, 1, 3, 4, 5, 6, 7]]
     with pytest.raises(InputError, match=r"1 of 64 hexahedra are flat or folded.* \(first: 5 at "):
         read_mesh(saved(tmp_path, points, {12: cells}))
+
+
+def test_quadratic_tetrahedra_and_wire_frames_are_read(data_folder):
+    """Of quadratic cells the corners; of a PLY file with edges, as of Blender, the faces."""
+    mesh = read_mesh(data_folder / "cases" / "quadratic.vtu")
+    tetrahedra = mesh.require(TETRAHEDRON, "tetrahedra")
+    assert tetrahedra.shape == (4814, 4)
+    assert (signed_volumes(mesh.points, tetrahedra) > 0).all()
+    surface = read_mesh(data_folder / "cases" / "ply_edges.ply")
+    assert len(surface.require(TRIANGLE, "triangles"))

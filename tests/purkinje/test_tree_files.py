@@ -143,3 +143,8 @@ def test_a_root_that_is_a_fork_of_six(data_folder):
     tree = read_tree(data_folder / "cases" / "c20_fork" / "fork.vtu", "lv", given)
     assert np.linalg.norm(tree.nodes[tree.root] - given) < 1e-3
     assert (tree.parents == tree.root).sum() == 6
+
+
+def test_a_tree_in_micrometres_says_so(data_folder):
+    with pytest.raises(InputError, match=r"seems to be in micrometres; multiply .* by 0.001"):
+        read_tree(data_folder / "cases" / "tree_um.vtk", "lv", np.zeros(3))

@@ -398,3 +398,11 @@ def test_t_waves_alone(good: Recording, qrs: Floats) -> None:
     assert chest.message == "not checked: no QRS"
     slow = np.repeat(qrs, 3, axis=1)  # as slow as the slowest QRS
     assert check_mean_beat(slow)[0].severity is Severity.FINE
+
+
+def test_the_right_leg_on_an_arm_is_named(data_folder) -> None:
+    """Lead II is then flat. Swapping arms, which would be advised, would make other wrong leads."""
+    path = data_folder / "cases" / "right_leg_cable_on_right_arm.csv"
+    (warning,) = make_target(read_recording(path)).warnings
+    assert warning.startswith("lead II is flat (0.06 mV): RA and RL are probably exchanged")
+    assert "--swap" not in warning

@@ -232,3 +232,13 @@ def test_cases(data_folder, name, onset, offset, description):
     assert target.qrs_onset == pytest.approx(onset, abs=7)
     assert abs(target.qrs_offset - offset) <= 2 * target.offset_sd
     assert analysis.classes[0].description == description
+
+
+@pytest.mark.parametrize("count", ["3", "7", "arms_reversed"])
+def test_muscle_twitches_are_no_spikes(data_folder, count):
+    """Without them nothing keeps reversed arms from being found."""
+    path = data_folder / "cases" / f"muscle_twitches_{count}.csv"
+    analysis = fascicle.analyse(fascicle.read_recording(path))
+    assert analysis.classes[0].description == ""
+    assert analysis.target.earliest_onset is None
+    assert ("--swap RA-LA" in "".join(analysis.target.warnings)) == (count == "arms_reversed")

@@ -76,7 +76,8 @@ class SegmentationLabels:
         if len(set(numbers)) < len(numbers) or 0 in numbers:
             raise InputError(
                 f"segmentation labels: lv {self.lv}, rv {self.rv}, myocardium {self.myocardium}, "
-                f"scar {self.scar}; give each part its own numbers, other than 0 (background)"
+                f"scar {self.scar}; give lv, rv and myocardium numbers of their own, other than 0 "
+                "(background), in one map: add up masks of one structure each, times 1, 2 and 3"
             )
 
     def parts(self) -> list[tuple[str, tuple[int, ...]]]:

@@ -65,7 +65,8 @@ def _read_nifti(path: Path) -> tuple[NDArray[np.integer[Any]], Floats, str, str]
             header = type(image.header).from_fileobj(file, check=False)
     if not isinstance(image, nibabel.Nifti1Image | nibabel.Nifti2Image):
         raise InputError(f"{path}: not a NIfTI file inside; convert it to NIfTI")
-    _check_shape(path, image.shape, image.get_data_dtype())
+    shape = image.shape[:3] + tuple(n for n in image.shape[3:] if n > 1)
+    _check_shape(path, shape, image.get_data_dtype())
     spacing = np.array(header["pixdim"][1:4], dtype=np.float64)
     if not (np.isfinite(spacing).all() and (spacing > 0).all()):
         listed = ", ".join(f"{value:g}" for value in spacing)
@@ -83,7 +84,7 @@ def _read_nifti(path: Path) -> tuple[NDArray[np.integer[Any]], Floats, str, str]
     if unit not in factors:
         raise InputError(f"{path}: unknown unit of length {unit} (xyzt_units); write it in mm")
     with _refusing_damage(path):
-        values = np.asanyarray(image.dataobj)
+        values = np.asanyarray(image.dataobj).reshape(shape)
     affine = np.array(image.affine, dtype=np.float64)
     return _whole_numbers(path, values), _scaled(affine, factors[unit]), str(path), "RAS"
 
@@ -171,8 +172,9 @@ def _whole_numbers(path: Path, values: NDArray[Any]) -> NDArray[np.integer[Any]]
     if values.dtype.kind in "iu":
         return values.astype(values.dtype.newbyteorder("="))
     with np.errstate(invalid="ignore"):
-        labels = values.astype(np.int32)
-    broken = labels != values  # includes values that are not finite, or too large
+        labels = np.rint(values).astype(np.int32)
+        # includes values that are not finite, or too large; scaled ones are rounded
+        broken = ~(np.abs(labels - values) < 1e-3)
     if broken.any():
         raise InputError(
             f"{path}: {int(broken.sum())} of {values.size} voxels are not whole numbers (first: "

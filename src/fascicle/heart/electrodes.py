@@ -32,8 +32,9 @@ Electrodes = dict[str, Floats]  # positions (3,) by name, mm
 def read_electrodes(path: Path | str) -> tuple[Floats, Electrodes]:
     """Read electrodes (mm): positions (9, 3) of `fascicle.core.leads.ELECTRODES`, then others.
 
-    Any other name is an additional electrode, except RL (the right leg, grounded), which is in no
-    lead and left out; Frank's seven are given all or none. An error if the file is missing, a
+    Names of the IEC (R, L, F, C1 to C6) are read, too. Any other name is an additional electrode,
+    except RL or N (the right leg, grounded), which is in no lead and left out; Frank's seven are
+    given all or none. An error if the file is missing, a
     pickle or unreadable, or an electrode is missing, misnamed or not at a finite position.
     """
     path = Path(path)
@@ -47,6 +48,10 @@ def read_electrodes(path: Path | str) -> tuple[Floats, Electrodes]:
         name.upper(): name
         for name in (*ELECTRODES, *FRANK_ELECTRODES, *POSTERIOR_LEADS, *RIGHT_LEADS)
     }
+    names = {name.strip().upper() for name, _ in rows}
+    if "R" in names and "RA" not in names:  # names of IEC 60601-2-25; Frank's F is the same foot
+        canonical |= {"R": "RA", "L": "LA", "F": "LL", "N": "RL"}
+        canonical |= {f"C{number}": f"V{number}" for number in range(1, 7)}
     of_leads = {name.upper() for name in (*LEADS[:6], *FRANK)} - set(FRANK_ELECTRODES)
     positions: dict[str, list[float]] = {}
     for name, values in rows:

@@ -68,9 +68,11 @@ def check_units(name: str, points: Floats, limits: tuple[float, float] = (35.0, 
         return
     for unit, factor in (("metres", 1e3), ("centimetres", 10.0), ("micrometres", 1e-3)):
         if low <= extent * factor <= high:
+            animal = " (in mm it would be of a small animal, for which this model is not made)"
             raise InputError(
-                f"{name}: the largest extent is {extent:.3g}, so it seems to be in {unit}; "
-                f"multiply the coordinates by {factor:g} to get mm"
+                f"{name}: the largest extent is {extent:.3g}, so it seems to be in {unit}"
+                f"{animal if unit == 'centimetres' else ''}; multiply the coordinates by "
+                f"{factor:g} to get mm"
             )
     raise InputError(
         f"{name}: the largest extent is {extent:.3g}; in mm it would be {low:g} to {high:g}; "

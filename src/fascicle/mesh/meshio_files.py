@@ -23,12 +23,13 @@ from fascicle.core.errors import InputError, one_line
 from fascicle.core.isolated import DAMAGED
 from fascicle.mesh.mesh_file import GROUP, LINE, TETRAHEDRON, TRIANGLE, MeshFile, damaged
 
-# Element types by Gmsh's number: name, number of nodes, and VTK's cell type (None: not read)
+# Element types by Gmsh's number: name, number of nodes, and VTK's cell type (None: not read). Of
+# quadratic ones the corners are read, which come first.
 GMSH_ELEMENTS = {
     1: ("line", 2, LINE), 2: ("triangle", 3, TRIANGLE), 3: ("quadrangle", 4, None),
     4: ("tetra", 4, TETRAHEDRON), 5: ("hexahedron", 8, 12), 6: ("wedge", 6, 13),
-    7: ("pyramid", 5, 14), 8: ("line3", 3, None), 9: ("triangle6", 6, None),
-    10: ("quadrangle9", 9, None), 11: ("tetrahedron10", 10, None), 15: ("vertex", 1, None),
+    7: ("pyramid", 5, 14), 8: ("line3", 3, None), 9: ("triangle6", 6, TRIANGLE),
+    10: ("quadrangle9", 9, None), 11: ("tetra10", 10, TETRAHEDRON), 15: ("vertex", 1, None),
 }  # fmt: skip
 
 
@@ -50,7 +51,8 @@ def read_meshio(path: Path) -> MeshFile:
     used = {name: kind for name, _, kind in GMSH_ELEMENTS.values() if kind is not None}
     for name, kind in used.items():
         if blocks := [i for i, block in enumerate(data.cells) if block.type == name]:
-            cells[kind] = np.concatenate([data.cells[i].data for i in blocks]).astype(np.int64)
+            nodes = np.concatenate([data.cells[i].data for i in blocks]).astype(np.int64)
+            cells[kind] = _corners(nodes, kind, cells)
             cell_data[kind] = {
                 key: np.concatenate([np.asarray(arrays[i]) for i in blocks])
                 for key, arrays in data.cell_data.items()
@@ -69,6 +71,13 @@ def read_meshio(path: Path) -> MeshFile:
     )
 
 
+def _corners(nodes: Integers, kind: int, cells: dict[int, Integers]) -> Integers:
+    """Corners of cells of one kind, which may be quadratic; ValueError if there are such cells."""
+    if kind in cells:
+        raise ValueError("linear and quadratic elements of one shape")
+    return nodes[:, : {TRIANGLE: 3, TETRAHEDRON: 4}.get(kind)]
+
+
 def _read_ply(path: Path) -> Any:
     """Read a PLY file by meshio, with checks and a correction that it needs."""
     import meshio
@@ -78,6 +87,11 @@ def _read_ply(path: Path) -> Any:
         raise ValueError("no end_header")
     # many programs write vertex_index, which meshio does not know
     content = re.sub(rb" vertex_index(?=\s)", b" vertex_indices", content, count=1)
+    # nor does it know edges, which follow the faces, as of a wire frame
+    faces = content.find(b"element face")
+    edges = re.compile(rb"element edge \d+\s*\n(property [^\n]*\n)*").search(content, faces)
+    if faces > 0 and edges:
+        content = content[: edges.start()] + content[edges.end() :]
     data = meshio.ply.read(io.BytesIO(content))
     announced = dict(re.findall(rb"element (vertex|face) (\d+)", content.split(b"end_header")[0]))
     counts = {b"vertex": len(data.points), b"face": sum(len(block.data) for block in data.cells)}
@@ -136,7 +150,7 @@ def _parsed(path: Path, content: bytes) -> MeshFile:
             places = _places(rows[:, 2:], ids)
             if (places < 0).any():
                 raise ValueError(f"no node {rows[:, 2:][places < 0][0]}")
-            cells[kind] = places
+            cells[kind] = _corners(places, kind, cells)
             arrays = {GROUP: rows[:, 1].astype(float)} | _arrays(data["ElementData"], rows[:, 0])
             cell_data[kind] = arrays
         elif type_name != "vertex":

@@ -136,6 +136,8 @@ def _cells(grid: Any) -> tuple[dict[int, Integers], dict[int, Integers], dict[st
         return {}, {}, {}
     version = vtkVersion.GetVTKMajorVersion(), vtkVersion.GetVTKMinorVersion()
     kinds = vtk_to_numpy(grid.GetCellTypes() if version >= (9, 6) else grid.GetCellTypesArray())
+    # the corners of quadratic cells come first, then the middles of their edges
+    kinds = np.select([kinds == 22, kinds == 24], [TRIANGLE, TETRAHEDRON], kinds.astype(int))
     start = vtk_to_numpy(grid.GetCells().GetOffsetsArray()).astype(np.int64)
     points = vtk_to_numpy(grid.GetCells().GetConnectivityArray()).astype(np.int64)
     cells, index = {}, {}

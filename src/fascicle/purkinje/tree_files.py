@@ -31,6 +31,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import as_path, check_file
 from fascicle.core.ranges import check_array, check_kind, check_position, check_text
 from fascicle.mesh import opencarp
+from fascicle.mesh.checks import check_units
 from fascicle.mesh.measures import unit
 from fascicle.mesh.mesh_file import LINE, OPENCARP_FORMATS, MeshFile
 from fascicle.mesh.read import read_mesh
@@ -216,6 +217,7 @@ def _merged(points: Floats, segments: Integers, lengths: Floats) -> tuple[Floats
 
 def _segments(mesh: MeshFile) -> tuple[Integers, Floats]:
     segments = mesh.require(LINE, "lines")
+    check_units(str(mesh.path), mesh.points, (0.0, 400.0))
     ends = mesh.points[segments]
     check_array("coordinate", ends, f"{mesh.path}: a coordinate")
     chords = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)

@@ -254,6 +254,16 @@ def check_reversal(recording: Recording, peaks: Integers, paced: bool = False) -
     if not lateral or not np.isfinite(median[:2]).all():
         message = "not checked: needs leads I, II and V6 or V5, and two beats"
         return check.result(np.nan, message, Severity.FINE)
+    heights = np.ptp([*median[:2], median[1] - median[0]], axis=1)  # mV, of I, II and III
+    flattest = int(np.argmin(heights))
+    # with the right leg in place of an arm, the other two legs' lead shows nothing
+    if flattest and heights[flattest] < min(0.1, 0.1 * heights.max()):
+        arm = ("RA", "LA")[flattest - 1]
+        message = (
+            f"lead {LEADS[flattest]} is flat ({heights[flattest]:.2f} mV): {arm} and RL are "
+            "probably exchanged, which cannot be undone; record again"
+        )
+        return check.result(-1.0, message)
     reference = median[lateral[0]]
     waves = (-0.26, -0.10), (-0.06, 0.08)  # s from R: P wave and QRS
     if (

@@ -185,7 +185,8 @@ def _at_fixed_rate(tops: Integers, reach: int) -> Booleans:
         return np.zeros(len(tops), dtype=bool)
     beats = np.maximum(np.round(intervals / usual), 1)
     off = np.abs(intervals - beats * usual) > beats * reach
-    return ~(np.pad(off, (1, 0)) & np.pad(off, (0, 1)))
+    # the first and the last have one neighbour alone
+    return ~(np.pad(off, (1, 0), constant_values=True) & np.pad(off, (0, 1), constant_values=True))
 
 
 def _after(signal: Floats, tops: Integers, reach: int) -> Floats:

@@ -10,8 +10,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from refusals import read_as, refused, waves
 
+from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.recording.readers.read import read_recording
+from fascicle.recording.recording import MissingMetadataError
 
 RATE, N = 500, 2000
 IN_MV = [f"{lead}_mV" for lead in LEADS]
@@ -330,3 +332,16 @@ def test_however_it_is_written_the_signal_is_the_same(tmp_path, data):
     )
     recording = read_as(path, signal)
     assert recording.sampling_rate == pytest.approx(RATE, abs=1e-5)
+
+
+def test_a_counter_of_samples_says_nothing_of_the_rate(data_folder):
+    """Its 5000 samples are ten seconds at 500 Hz; read as ms, times would be half as long."""
+    with pytest.raises(MissingMetadataError, match="counts samples") as refused:
+        read_recording(data_folder / "cases" / "pandas_index_column.csv")
+    assert refused.value.guess == 500.0
+
+
+def test_one_lead_of_a_watch_is_named_and_the_person_is_not(data_folder):
+    with pytest.raises(InputError, match=r"one lead alone \(Lead I\)") as refused:
+        read_recording(data_folder / "cases" / "watch_one_lead.csv")
+    assert "Sample" not in str(refused.value)

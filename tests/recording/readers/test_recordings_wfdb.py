@@ -242,3 +242,10 @@ def test_ptb(data_folder):
     frank = [values[0] * 2000 for values in recording.additional.values()]
     assert [*recording.additional] == ["X", "Y", "Z"]
     assert frank == pytest.approx([-3, 120, -18])
+
+
+def test_a_signal_file_is_found_without_its_extension(data_folder):
+    """As tools of the PhysioNet challenges write headers."""
+    recording = read_recording(data_folder / "cases" / "no_extension.hea")
+    assert recording.signal.shape == (12, 3000)
+    assert any("no_extension.mat" in remark for remark in recording.remarks)

@@ -75,6 +75,10 @@ class _Column:
         return values
 
 
+# Columns that count samples; the last is what pandas calls a column without a name
+COUNTERS = ("sample", "samples", "sample #", "samp #", "sample number", "index", "unnamed: 0")
+
+
 def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
     """Read a table of samples by the schema in ``docs/recordings.md``.
 
@@ -91,9 +95,7 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
     clocks = ("time", "t", "timestamp", "elapsed time")
     # a name may be that of a unit of time alone, such as seconds
     times = [c for c in columns if c.quantity in clocks or (c.unit is None and c.per_second)]
-    # counters of samples; the last is what pandas calls a column without a name
-    counters = ("sample", "samples", "sample #", "samp #", "sample number", "index", "unnamed: 0")
-    times = times or [column for column in columns if column.quantity in counters]
+    times = times or [column for column in columns if column.quantity in COUNTERS]
     shown = ", ".join(f"'{column.name[:30]}'" for column in columns[:4])
     if not leads:
         named = {column.quantity: column for column in columns}
@@ -173,6 +175,11 @@ def _parsed(path: Path) -> tuple[list[_Column], list[Entry]]:
     body = _one_header(re.sub(r"^[ \t]*#.*\n?", "", text, flags=re.MULTILINE).lstrip("\n"))
     header, _, cells = body.partition("\n")
     separator = next((mark for mark in "\t;," if mark in header), None)
+    if single := re.search(r"^Lead,(Lead \w+)", text, re.MULTILINE):
+        raise InputError(
+            f"{path}: one lead alone ({single[1]}), as a watch records it; give a recording of I, "
+            "II and V1 to V6"
+        )
     if separator is None or header.count(separator) > 256 or "\0" in text:
         raise InputError(
             f"{path}: no table of samples (its first line is '{header[:40]}'); the first line must "
@@ -283,6 +290,12 @@ def _rate_of(
     """Rate (Hz) of even times by least squares; the stated one where the column has no unit."""
     where = f"of lead '{lead}'" if lead else f"in the column '{column.name}'"
     step, steps = _step(times), np.diff(times)
+    if column.quantity in COUNTERS and stated_rate is None:
+        raise missing_rate(
+            f"{path}: the column '{column.name}' counts samples; give the sampling rate in Hz by "
+            "--sampling-rate",
+            len(times),
+        )
     if column.per_second is None and stated_rate is None:
         raise missing_time_unit(
             f"{path}: unknown unit of the time column '{column.name}'; name it time_ms or time_s, "

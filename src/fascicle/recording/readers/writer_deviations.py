@@ -220,6 +220,8 @@ def _signal_file(header: Path, name: str, alone: bool) -> Path:
     files = sorted(header.parent.iterdir(), key=lambda file: file.name != base_name)
     alike = [file for file in files if file.name.casefold() == base_name.casefold()]
     alike += [header.with_suffix(Path(base_name).suffix)] * alone
+    if not Path(base_name).suffix:  # left out, as by tools of the PhysioNet challenges
+        alike += [file for file in files if file.stem == base_name and file.suffix == ".mat"]
     signal_file = next((file for file in alike if file.is_file() and file != header), None)
     if signal_file is None:
         raise InputError(
