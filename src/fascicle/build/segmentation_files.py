@@ -172,7 +172,7 @@ def _whole_numbers(path: Path, values: NDArray[Any]) -> NDArray[np.integer[Any]]
     if values.dtype.kind in "iu":
         return values.astype(values.dtype.newbyteorder("="))
     with np.errstate(invalid="ignore"):
-        labels = np.rint(values).astype(np.int32)
+        labels: NDArray[np.integer[Any]] = np.rint(values).astype(np.int32)
         # includes values that are not finite, or too large; scaled ones are rounded
         broken = ~(np.abs(labels - values) < 1e-3)
     if broken.any():

@@ -689,7 +689,7 @@ def demo(
 
     The heart and the ECG are those of one living subject (Camps et al. 2024). The block is a left
     bundle branch block simulated on the same heart, so that the truth is known: by how much each
-    pacing shortens activation is printed with what is found. It takes three minutes.
+    pacing shortens activation is printed with what is found. It takes two minutes.
     """
     from fascicle.cli.demo import fit_own_beat, treat_block
     from fascicle.cli.printing import print_fit, print_prediction, print_reductions

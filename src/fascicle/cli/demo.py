@@ -60,7 +60,7 @@ def treat_block(
     networks = fitted.networks(progress)
     predicted = fascicle.predict(fitted, scenarios, progress, networks)
     write_prediction(fitted, predicted, out / "pacings", None, progress)
-    write_report(fitted, networks, predicted, out / "report.html", [], INTRINSIC)
+    write_report(fitted, networks, predicted, out / "report.html", [], INTRINSIC, progress)
     return fitted, predicted, dict(zip(PACINGS, reductions, strict=True))
 
 

@@ -142,7 +142,7 @@ def _parsed(path: Path, content: bytes) -> MeshFile:
     if not len(nodes) or not elements:
         raise ValueError("no nodes or no elements")
     ids = nodes[:, 0].astype(np.int64)
-    cells, cell_data, other_cells = {}, {}, {}
+    cells, cell_data, other_cells = dict[int, Integers](), {}, {}
     for element in sorted({element for element, _ in elements}):
         type_name, _, kind = GMSH_ELEMENTS[element]
         rows = np.concatenate([rows for number, rows in elements if number == element])

@@ -17,7 +17,7 @@ from PIL import Image
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path, check_writable, write_text
-from fascicle.core.progress import Lines, Progress, shown_progress
+from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
 from fascicle.core.quantities import parameter_name
 from fascicle.core.ranges import check_text
 from fascicle.forward.scenario import Scenario
@@ -95,7 +95,7 @@ def report(
     with shown_progress(progress) as shown:
         networks = fitted.networks(shown)
         predicted = predict(fitted, scenarios, shown, networks)
-    return write_report(fitted, networks, predicted, out, figures, against)
+        return write_report(fitted, networks, predicted, out, figures, against, shown)
 
 
 def write_report(
@@ -105,13 +105,19 @@ def write_report(
     out: Path,
     figures: Sequence[str] = (),
     against: str = INTRINSIC,
+    progress: Progress | None = None,
 ) -> list[Path]:
     """Write the `report` of a population and of scenarios over it, the intrinsic beat first."""
     drawn, model = drawings(fitted, networks, predicted), fitted.simulator.model
+    shown, pictures = stage_progress(progress, "report"), dict[str, dict[str, Any]]()
+    for name, drawing in drawn.items():
+        shown(len(pictures), len(drawn))
+        pictures[name] = picture(drawing)
+    shown(len(drawn), len(drawn))
     content = {
         **_content(fitted, predicted, against),
         "criteria": [recording.target.conventional_criteria for recording in fitted.recordings],
-        "pictures": {name: picture(drawing) for name, drawing in drawn.items()},
+        "pictures": pictures,
         "scene": _safe(scene(model.heart, predicted, networks, fitted.recordings[0], model)),
         "style": _file("style.css"),
         "viewer": _file("viewer.js"),
