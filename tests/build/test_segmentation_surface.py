@@ -3,6 +3,8 @@
 Volumes are compared with the label map's and positions with the exact ellipsoids'.
 """
 
+from dataclasses import replace
+
 import igl
 import numpy as np
 import pytest
@@ -308,3 +310,23 @@ def test_scaled_labels_are_rounded(data_folder):
 def test_a_mask_of_one_structure_says_what_is_missing():
     with pytest.raises(InputError, match="add up masks of one structure each"):
         SegmentationLabels(myocardium=1)
+
+
+def test_a_hole_in_the_septum_is_refused_or_said(data_folder):
+    """One of 30 mm is 707 mm²; of 6 x 6 mm a thin wall is made, and the notes say where."""
+    cases = data_folder / "cases"
+    with pytest.raises(InputError, match=r"blood touch over 710 mm² about \(32, 0, -10\)"):
+        surface_from_segmentation(
+            read_segmentation(cases / "septum_hole.nii.gz"), SegmentationLabels(), edge_length=3.0
+        )
+    whole = read_segmentation(cases / "labels_rescaled.nii.gz")
+    labels = whole.labels.copy()
+    inside = np.round(np.linalg.inv(whole.affine) @ [32, 0, -10, 1]).astype(int)[:3]
+    j, k = (slice(middle - 1, middle + 2) for middle in inside[1:])
+    septum = labels[inside[0] - 8 : inside[0] + 8, j, k]
+    septum[septum == 3] = 1
+    notes = []
+    surface_from_segmentation(
+        replace(whole, labels=labels), SegmentationLabels(), notes=notes, edge_length=3.0
+    )
+    assert any("touch over 36 mm²" in note for note in notes)

@@ -166,7 +166,7 @@ def test_noise_is_measured_between_the_beats() -> None:
         assert finding.value == pytest.approx(1e3 * size * np.sqrt(5 / 6), rel=0.1)
         assert finding.severity is severity
         assert ("lead V3" in finding.message) == (severity is not Severity.FINE)
-        assert ("--leads I," in finding.message) == (severity is Severity.FATAL)
+        assert ("; go on without: --leads I," in finding.message) == (severity is Severity.FATAL)
 
 
 @pytest.mark.parametrize("frequency", [49.8, 60.0])
@@ -406,3 +406,13 @@ def test_the_right_leg_on_an_arm_is_named(data_folder) -> None:
     (warning,) = make_target(read_recording(path)).warnings
     assert warning.startswith("lead II is flat (0.06 mV): RA and RL are probably exchanged")
     assert "--swap" not in warning
+
+
+def test_one_bad_lead_may_be_left_out(data_folder) -> None:
+    """With it, beats fall into four classes; the advice that is given gathers them."""
+    path = data_folder / "cases" / "electrode_off_v6.csv"
+    target = make_target(read_recording(path))
+    assert len(target.beats) < 7
+    kept = [lead for lead in LEADS if lead != "V6"]
+    assert f"go on without: --leads {','.join(kept)}" in target.warnings[0]
+    assert len(make_target(read_recording(path, leads=kept)).beats) == 7

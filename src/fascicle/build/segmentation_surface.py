@@ -101,11 +101,34 @@ def surface_from_segmentation(
     notes.append(
         f"{masks.name}: cut at {plane.how}, {below:g} mm below it; {' and '.join(above)} lie above"
     )
+    _check_septum(masks, plane, -below, notes)
     progress(5, 6)
     levels = _Levels(*(part[:, :, :layers] for part in levels))
     surface = _closed_surface(levels, grid, masks.name, notes)
     progress(6, 6)
     return surface, map_volumes._replace(myocardium=map_volumes.myocardium + added)
+
+
+def _check_septum(masks: Masks, plane: BasePlane, top: float, notes: list[str]) -> None:
+    """Refuse a large hole in the septum, below a height (mm); a small one is closed, with a note.
+
+    Activation would be conducted across it.
+    """
+    largest = 100.0  # mm²
+    faces = blood_faces(masks, masks.lv, np.zeros_like(masks.rv))
+    hole = faces.free & ~blood_faces(masks, masks.lv, masks.rv).free
+    hole &= plane.height(faces.centres) < top
+    area = float(np.linalg.norm(faces.areas[hole].sum(axis=0)))
+    if not hole.any():
+        return
+    where = "({:.0f}, {:.0f}, {:.0f})".format(*faces.centres[hole].mean(axis=0))
+    touching = f"{masks.name}: LV and RV blood touch over {area:.0f} mm² about {where} mm"
+    if area > largest:
+        raise InputError(
+            f"{touching}, more than {largest:.0f}; label the septum there: a defect of that size "
+            "is not modelled"
+        )
+    notes.append(f"{touching}, where a thin wall that conducts was put between them")
 
 
 def _check_apex(masks: Masks, plane: BasePlane) -> None:

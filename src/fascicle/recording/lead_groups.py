@@ -92,13 +92,16 @@ def end_of_spikes(signal: Floats, spikes: Integers, peaks: Integers, before: int
     """Sample at which the pacing spikes that fired most beats at `peaks` end; 0 if none did.
 
     Counted from `before` samples ahead of R: the median over the beats of the last spike within 200
-    ms before R. `spikes` (k, 2) are first samples and those after the last. A spike into a QRS that
-    has begun, as in pseudofusion, fired none.
+    ms before R, or, where both ventricles are paced, of the first of those that follow each other
+    within 50 ms. `spikes` (k, 2) are first samples and those after the last. A spike into a QRS
+    that has begun, as in pseudofusion, fired none.
     """
     extents = []
     for peak in peaks:
         near = spikes[(spikes[:, 1] <= peak) & (spikes[:, 0] > peak - 200.0 / SAMPLING_STEP)]
-        extents += [near[-1] - peak] if len(near) else []
+        if len(near):
+            alone = np.append(True, near[1:, 0] - near[:-1, 1] > 50.0 / SAMPLING_STEP)
+            extents.append(near[np.flatnonzero(alone)[-1]] - peak)
     if len(extents) <= len(peaks) / 2:
         return 0
     first, end = np.median(extents, axis=0).astype(int)

@@ -95,6 +95,8 @@ class LeadCheck(Check):
         if lost and len(lost) < len(figures):
             named, severity = lost, Severity.FATAL
             advice = f"go on without: {leave_out(recording, lost)}"
+        elif 0 < len(named) <= 2 < len(figures):
+            advice += f", or go on without: {leave_out(recording, named)}"
         if not named:
             return self.result(largest)
         problem = self.message.format(leads=listed(named), largest=largest)
