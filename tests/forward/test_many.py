@@ -1,7 +1,9 @@
 """`simulate_many`: any executor, same results in order, small tasks; and what is remembered."""
 
+import gc
 import multiprocessing
 import pickle
+import weakref
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 
@@ -187,3 +189,14 @@ class TestRememberedTrees:
         assert_same([after], [before])
         assert len(after.trees) == 2
         assert len(after.coupled.stimuli) == 0
+
+
+def test_a_model_is_freed_with_its_last_reference(default_heart):
+    """Not only when the garbage collector runs: of an atlas, models take gigabytes."""
+    model = ForwardModel(default_heart)
+    reference = weakref.ref(model)
+    gc.disable()
+    del model
+    freed = reference() is None
+    gc.enable()
+    assert freed

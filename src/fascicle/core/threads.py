@@ -11,6 +11,7 @@ from functools import lru_cache
 from pathlib import Path
 from threading import Lock
 from typing import Any, NamedTuple
+from weakref import WeakMethod
 
 import numpy as np  # noqa: F401 - NumPy and SciPy each bring a BLAS, both are found below
 import scipy.linalg  # noqa: F401
@@ -74,6 +75,22 @@ def made_once(make: Callable[[Any], Any], most: int) -> Callable[[Any], Any]:
             return results[0]
 
     return get
+
+
+def without_its_object(method: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Call a method of an object that lives, without keeping it alive.
+
+    An object that holds a cache of its own method is freed late, by the garbage collector alone,
+    which counts objects, not their memory.
+    """
+    reference = WeakMethod(method)
+
+    def call(argument: Any) -> Any:
+        living = reference()
+        assert living is not None
+        return living(argument)
+
+    return call
 
 
 def cores() -> int:

@@ -25,7 +25,13 @@ from fascicle.core.parameters import Infeasible, complete
 from fascicle.core.progress import Progress, check_progress
 from fascicle.core.quantities import Changes, checked, quantity, torso_values
 from fascicle.core.ranges import check_items, check_kind
-from fascicle.core.threads import SharedFile, made_once, read_shared, write_shared
+from fascicle.core.threads import (
+    SharedFile,
+    made_once,
+    read_shared,
+    without_its_object,
+    write_shared,
+)
 from fascicle.forward.activation_sequence import VentricularSurfaces
 from fascicle.forward.beat import Beat, Signals, check_activation
 from fascicle.forward.eikonal.activation import solve
@@ -171,8 +177,8 @@ class ForwardModel:
         self.myocardium = prepared.myocardium
         self._grow = lru_cache(self.networks_kept)(partial(_grow_trees, prepared))
         self._kept: set[Conduction] = set()
-        self._tissue = made_once(self._made_tissue, self.tissues_kept)
-        self._atlas_model = made_once(self._made_atlas_model, self.hearts_kept)
+        self._tissue = made_once(without_its_object(self._made_tissue), self.tissues_kept)
+        self._atlas_model = made_once(without_its_object(self._made_atlas_model), self.hearts_kept)
         self.sites = Sites(heart)
         self._progress = progress
         self._torso: TorsoModel | None = None

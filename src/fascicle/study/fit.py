@@ -8,6 +8,7 @@ simulated, and the ECGs that they predict are compared with the recording. The p
 
 from __future__ import annotations
 
+import gc
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -159,6 +160,7 @@ def fit_inputs(
     backend: Backend | None = None,
 ) -> FittedStudy:
     """Fit a study in its folder, from where it was interrupted, and write its results."""
+    gc.collect()  # an earlier study and its statements hold each other, and gigabytes
     problem = InverseProblem.of(inputs, pool, progress, backend)
     if inputs.config.states:
         return fit_states(problem, folder, progress)
