@@ -330,3 +330,10 @@ class TestHostile:
         ranges = bytearray(sections[3])
         struct.pack_into("<II", ranges, 2 + 9 * 3, 2**32 - 500, 2**32 - 1)
         refused(saved(tmp_path, files.scp_record(sections | {3: bytes(ranges)})))
+
+
+def test_the_xml_of_schiller(data_folder):
+    recording = read_recording(data_folder / "cases" / "schiller_sema.xml")
+    assert recording.signal.shape == (12, 2000)
+    assert recording.sampling_rate == 500.0
+    assert recording.signal[0, :3] == pytest.approx([-0.005, -0.001, 0.008])  # mV

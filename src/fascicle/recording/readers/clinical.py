@@ -36,6 +36,8 @@ def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
 
     data = path.read_bytes()
     content, root, mends = deviations.mended(data)
+    if root is not None and root.tag.endswith("SchillerEDI"):
+        return _schiller(path, root)
     with _copy(path, {path.name: content} if content != data else {}) as copy:
         detected = FileParser.detect_format(path) or FileParser.detect_format(copy)
         if detected is None:
@@ -64,6 +66,32 @@ def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
         provenance={"parser": f"ecgdatakit {version('ecgdatakit')}"},
         remarks=tuple(remarks),
     )
+
+
+def _schiller(path: Path, root: ET.Element) -> RawRecording:
+    """Rhythm leads of the XML export of Schiller's electrocardiographs (SEMA, AT-10, CS-200)."""
+    waves = [wave for wave in root.iter("wavedata") if wave.findtext("type") == "ECG_RHYTHMS"]
+    if len(waves) != 1:
+        raise InputError(f"{path}: {len(waves)} rhythms (ECG_RHYTHMS); give a file of one")
+    (wave,) = waves
+    text = {tag: wave.findtext(f"resolution/{tag}", "") for tag in (
+        "samplerate/value", "samplerate/exponent", "yres/unitperbit", "yres/units",
+    )}  # fmt: skip
+    try:
+        rate, exponent, step = (float(value) for value in list(text.values())[:3])
+        samples = {
+            str(channel.findtext("name")): np.array(
+                channel.findtext("data", "").strip(" ,\n").split(","), float
+            )
+            for channel in wave.iter("channel")
+        }
+    except ValueError as error:
+        raise InputError(f"{path}: damaged ({one_line(error)}); export it again") from None
+    if exponent != 1:
+        raise InputError(f"{path}: a sampling rate of {rate:g}, exponent {exponent:g}, is not read")
+    unit = text["yres/units"].replace("UV", "uV").replace("MV", "mV")
+    channels = [Channel(n, step * digits, unit, gain=1 / step) for n, digits in samples.items()]
+    return RawRecording(channels, rate, "Schiller XML")
 
 
 @contextlib.contextmanager
