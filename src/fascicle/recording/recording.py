@@ -209,7 +209,7 @@ def leave_out_pulses(signal: Floats, rate: float) -> tuple[Floats, list[str]]:
     leads, and a line that says what was cut.
     """
     leads = signal[np.isfinite(signal).any(axis=1)]
-    apart = np.flatnonzero(~(np.ptp(leads, axis=0) <= 0.01))  # mV
+    apart = np.flatnonzero(~(np.ptp(leads, axis=0) <= 0.011))  # mV; two digits of 5 uV
     n = signal.shape[1]
     if len(leads) < 3 or len(apart) < n / 2:
         return signal, []

@@ -345,3 +345,9 @@ def test_one_lead_of_a_watch_is_named_and_the_person_is_not(data_folder):
     with pytest.raises(InputError, match=r"one lead alone \(Lead I\)") as refused:
         read_recording(data_folder / "cases" / "watch_one_lead.csv")
     assert "Sample" not in str(refused.value)
+
+
+def test_a_calibration_pulse_may_be_rounded(data_folder):
+    """Its first samples differ between leads by two digits of 5 uV."""
+    recording = read_recording(data_folder / "cases" / "calibration_pulse_rounded.csv")
+    assert recording.remarks[-1] == "calibration pulse left out: 5.600 to 6.000 s"
