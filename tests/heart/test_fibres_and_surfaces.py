@@ -83,7 +83,7 @@ def test_flat_is_told_from_small():
 
 @pytest.mark.parametrize(
     ("extent", "words"),
-    [(0.1, "metres; multiply the coordinates by 1000"), (10, "centimetres; .* by 10 "),
+    [(0.1, "metres; multiply the coordinates by 1000"), (10, "centimetres .* by 10 "),
      (1e5, "micrometres; .* by 0.001"), (900, "; check the units"), (0, "; check the units")],
 )  # fmt: skip
 def test_units_are_told_by_size(extent, words):

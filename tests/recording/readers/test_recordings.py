@@ -34,8 +34,8 @@ def test_content_counts_before_the_name(tmp_path, dicom, name):
 @pytest.mark.parametrize(
     ("start", "format"),
     [
-        (b"<?xml version='1.0'?><a/>", "HL7 aECG, GE MUSE, Philips or Mortara XML"),
-        (b"\xef\xbb\xbf<AnnotatedECG/>", "HL7 aECG, GE MUSE, Philips or Mortara XML"),
+        (b"<?xml version='1.0'?><a/>", "HL7 aECG, GE MUSE, Philips, Mortara or Schiller XML"),
+        (b"\xef\xbb\xbf<AnnotatedECG/>", "HL7 aECG, GE MUSE, Philips, Mortara or Schiller XML"),
         (b"0       " + 300 * b" ", "EDF"), (16 * b"\0" + b"SCPECG" + 40 * b"\0", "SCP-ECG"),
         (b"MATLAB 5.0 MAT-file" + 500 * b" ", "MATLAB"), (b"\x89HDF\r\n\x1a\n\0", "HDF5"),
         (b"ISHNE1.0\0", "ISHNE"), (b"time_ms,I_mV", "table"),

@@ -63,7 +63,7 @@ READERS = [
     _built_in("WFDB", ".hea", "clinical:read_wfdb"),
     _built_in("DICOM waveform", ".dcm", "dicom:read_dicom", b".{128}DICM"),
     _built_in(
-        "HL7 aECG, GE MUSE, Philips or Mortara XML", ".xml", "clinical:read_clinical",
+        "HL7 aECG, GE MUSE, Philips, Mortara or Schiller XML", ".xml", "clinical:read_clinical",
         b"[\xef\xbb\xbf\xff\xfe \t\r\n\0]*<",
     ),
     _built_in("SCP-ECG", ".scp", "clinical:read_clinical", b".{16}SCPECG"),
