@@ -118,9 +118,9 @@ def _check_septum(masks: Masks, plane: BasePlane, top: float, notes: list[str]) 
     faces = blood_faces(masks, masks.lv, np.zeros_like(masks.rv))
     hole = faces.free & ~blood_faces(masks, masks.lv, masks.rv).free
     hole &= plane.height(faces.centres) < top
-    area = float(np.linalg.norm(faces.areas[hole].sum(axis=0)))
     if not hole.any():
         return
+    area = float(np.linalg.norm(faces.areas[hole].sum(axis=0)))
     where = "({:.0f}, {:.0f}, {:.0f})".format(*faces.centres[hole].mean(axis=0))
     touching = f"{masks.name}: LV and RV blood touch over {area:.0f} mm² about {where} mm"
     if area > largest:

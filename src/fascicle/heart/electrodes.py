@@ -34,8 +34,8 @@ def read_electrodes(path: Path | str) -> tuple[Floats, Electrodes]:
 
     Names of the IEC (R, L, F, C1 to C6) are read, too. Any other name is an additional electrode,
     except RL or N (the right leg, grounded), which is in no lead and left out; Frank's seven are
-    given all or none. An error if the file is missing, a
-    pickle or unreadable, or an electrode is missing, misnamed or not at a finite position.
+    given all or none. An error if the file is missing, a pickle or unreadable, or an electrode is
+    missing, misnamed or not at a finite position.
     """
     path = Path(path)
     check_file(path, (".csv", ".json"), "electrodes")

@@ -267,14 +267,11 @@ def _jump(
 ) -> None:
     """Propose another category for every particle, the other coordinates unchanged."""
     proposed, log_ratio = population.scores.copy(), np.empty(len(population.values))
-    changed = np.empty(len(log_ratio), bool)
     for half, jump in halves:
         proposed[half, -1], log_ratio[half] = jump.proposals(population.scores[half, -1], rng)
-        before, after = (
-            _categories(s[half, -1], jump.edges) for s in (population.scores, proposed)
-        )
-        changed[half] = before != after
-    values = population.values.copy()
+        edges = jump.edges  # of both halves
+    before, after = (_categories(s[:, -1], edges) for s in (population.scores, proposed))
+    values, changed = population.values.copy(), before != after
     values[changed] = of_scores(proposed[changed])
     log_ratio += temperature * (values - population.values)
     accepted = np.log(rng.random(len(values))) < log_ratio

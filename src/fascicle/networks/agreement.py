@@ -29,8 +29,8 @@ class Agreement:
     explained_over_all, correlation_over_all : float
         Explained power and correlation over all leads together.
     recorded, predicted : dict of str to float, and to (n,) array
-        QRS duration (ms) and frontal axis (degrees): recorded, and of each
-        network. Axes are within half a turn of the recorded one.
+        QRS duration (ms) and frontal axis (degrees): recorded, and of each network. Axes are within
+        half a turn of the recorded one.
     """
 
     leads: tuple[str, ...]

@@ -23,7 +23,6 @@ from fascicle.heart.heart import Heart
 from fascicle.heart.sites import APEX, RIGHT, Places, places
 from fascicle.mesh.measures import signed_volumes
 from fascicle.prediction.index_names import INDICES
-from fascicle.recording.window import qrs_window
 
 
 @dataclass(frozen=True)
@@ -132,7 +131,7 @@ def _ends(times: Floats) -> tuple[float, float]:
 
 def _of_ecg(simulation: Beat, stimulus: float | None) -> dict[str, float]:
     leads = simulation.leads
-    onset, offset = qrs_window(leads)
+    onset, offset = simulation.qrs_window
     loop = vectorcardiogram(leads[:, onset : offset + 1])
     v6, v1 = (_r_peak(leads[LEADS.index(name), onset : offset + 1]) for name in ("V6", "V1"))
     since = np.nan if stimulus is None else simulation.onset + onset * SAMPLE_STEP - stimulus

@@ -46,10 +46,9 @@ def conventional_criteria(
 ) -> tuple[Criterion, ...]:
     """Decide the conventional criteria of conduction disturbances in adults.
 
-    Times are from the QRS onset. Criteria that need more than the QRS of a beat are left
-    out: ST segment and T wave, age, sex (the limits of Strauss et al. for both are decided),
-    congenital heart disease, and incomplete left bundle branch block, which needs a pattern of
-    hypertrophy.
+    Times are from the QRS onset. Criteria that need more than the QRS of a beat are left out: ST
+    segment and T wave, age, sex (the limits of Strauss et al. for both are decided), congenital
+    heart disease, and incomplete left bundle branch block, which needs a pattern of hypertrophy.
 
     Parameters
     ----------
