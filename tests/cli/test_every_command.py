@@ -404,3 +404,33 @@ class TestDocs:
         (shared / "api.md").touch()
         monkeypatch.setattr("fascicle.__file__", str(package / "__init__.py"))
         assert documentation() == {"api": shared / "api.md"}
+
+
+@pytest.mark.parametrize(
+    ("asked", "mine"),
+    [
+        *((f"{command} --out mine", "mine/ecg.csv") for command in (
+            "simulate default", "fit default t.nc", "locate default t.nc", "predict study",
+            "sweep study biventricular-pacing", "cohort table.csv", "demo", "heart build a.nii",
+            "heart import --mesh a.vtu", "heart refine default", "heart add-electrodes default",
+            "heart export default", "study export study",
+        )),
+        ("cohort table.csv --out mine", "mine/results.csv"),
+        ("target rec.dat --out rec.dat", "rec.dat"),
+        ("target rec.dat --out rec.nc", "rec.nc"),
+        ("target rec.dat --out rec.nc", "rec.png"),
+        ("report study --out page.html", "page.html"),
+        ("template --out a.pdf", "a.pdf"),
+        ("heart check default --picture a.svg", "a.svg"),
+        ("heart export default --format vtu --out mesh.vtu", "mesh.vtu"),
+        ("heart export default --format gmsh --out mesh.msh", "mesh.msh"),
+        ("scenarios --log rec.dat", "rec.dat"),
+    ],
+)  # fmt: skip
+def test_no_file_of_the_user_is_replaced(refused, tmp_path, monkeypatch, asked, mine):
+    monkeypatch.chdir(tmp_path)
+    Path(mine).parent.mkdir(exist_ok=True)
+    Path(mine).write_text("mine")
+    refused(asked.split(), Path(mine).name, "give a")
+    assert [str(path) for path in Path().rglob("*.*")] == [mine]
+    assert Path(mine).read_text() == "mine"

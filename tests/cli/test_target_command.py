@@ -254,7 +254,7 @@ def test_gains_per_lead_are_caught_and_repaired(quick, data_folder, outside, run
 
 def test_out(quick, recording, tmp_path, outside, refused, run):
     refused(["target", recording, "--out", outside / "t.png"], "t.png", "such as target.nc")
-    refused(["target", recording, "--out", outside], outside, "not an ordinary file")
+    refused(["target", recording, "--out", outside], outside, "such as target.nc")
     (outside / "file").write_text("mine")
     refused(["target", recording, "--out", outside / "file" / "t.nc"], "; choose another place")
     assert [p.name for p in outside.iterdir()] == ["file"]

@@ -24,10 +24,10 @@ def test_file_is_replaced_only_at_the_end(tmp_path):
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
 def test_what_fails_leaves_nothing(tmp_path, error):
     (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "a.txt").write_text("old")
+    (tmp_path / "out" / "summary.json").write_text("old")
 
     def fail(folder):
-        write_text(folder / "a.txt", "new")
+        write_text(folder / "summary.json", "new")
         raise error
 
     def stop(path):
@@ -39,7 +39,7 @@ def test_what_fails_leaves_nothing(tmp_path, error):
     with pytest.raises(error), atomic_path(tmp_path / "b.txt") as path:
         stop(path)
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
-    assert (tmp_path / "out" / "a.txt").read_text() == "old"
+    assert (tmp_path / "out" / "summary.json").read_text() == "old"
 
 
 def test_folder_is_replaced_whole(tmp_path):
@@ -47,6 +47,7 @@ def test_folder_is_replaced_whole(tmp_path):
     for text in ("old", "new"):
         with atomic_folder(out) as folder:
             write_text(folder / "deep" / "a.txt", text)
+            write_text(folder / "summary.json", text)
     assert (out / "deep" / "a.txt").read_text() == "new"
     assert list(tmp_path.iterdir()) == [out]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fascicle.core.errors import InputError
-from fascicle.core.files import atomic_folder, atomic_path
+from fascicle.core.files import MADE_WITH, atomic_folder, atomic_path, check_replaceable, write_text
 from fascicle.heart.electrodes import write_electrodes
 from fascicle.heart.folder import cell_arrays, heart_mesh
 from fascicle.heart.heart import Heart
@@ -46,11 +47,12 @@ def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTre
     if kind == "opencarp":
         with atomic_folder(out) as temporary:
             write_opencarp(heart, labelled_mesh(heart), temporary / "heart", trees)
+            content = {"heart": heart.name, "heart_sha256": heart.digest}
+            write_text(temporary / "summary.json", json.dumps(content, indent=2) + "\n")
         return
     if out.suffix.lower() != suffixes[kind]:
         raise InputError(f"{out}: a {kind} file must end in {suffixes[kind]}; rename it (--out)")
-    if out.is_dir():
-        raise InputError(f"{out}: is a folder; give the path of a file (--out)")
+    check_replaceable(out)
     if trees:
         raise InputError(
             f"{out}: Purkinje networks are exported for openCARP only; for other software use the "
@@ -90,6 +92,8 @@ def write_gmsh(heart: Heart, path: Path) -> None:
     mesh = meshio.Mesh(heart.vertices, cells, cell_data=data, field_data=groups)
     with atomic_path(path) as temporary:
         meshio.gmsh.write(temporary, mesh, fmt_version="2.2", binary=True)
+        with temporary.open("a", encoding="utf-8") as file:
+            file.write(f"$Comments\n{MADE_WITH}\n$EndComments\n")
 
 
 def write_opencarp(

@@ -29,6 +29,8 @@ from fascicle.cli.options import (
     explicit,
     fit_options,
     fixed_values,
+    free_file,
+    free_folder,
     pool_at,
     wanted_parameters,
     with_scenario,
@@ -173,7 +175,10 @@ def fit(
             "file) if the recorded beat was not intrinsic; or several targets of one heart.",
         ),
     ],
-    out: Annotated[Path, Option("--out", help="Study folder; the same command resumes it.")],
+    out: Annotated[
+        Path,
+        Option("--out", help="Study folder; the same command resumes it.", callback=free_folder),
+    ],
     settings_file: Annotated[
         Path | None, Option("--settings", help="TOML file of settings and parameters.")
     ] = None,
@@ -271,12 +276,10 @@ def locate(
     minutes or more; they are stored in its folder and serve every recording. The command may be
     interrupted: run again, it continues where it stopped.
     """
-    from fascicle.core.files import check_folder
     from fascicle.emulation.origin import ORIGIN_PICTURE
     from fascicle.reporting.activation import origin_figure
     from fascicle.reporting.style import save
 
-    check_folder(out)
     with TerminalProgress() as progress:
         origin = fascicle.locate(
             heart, target, prior_simulations=prior_simulations, workers=workers,
@@ -618,7 +621,8 @@ def report(
         str, Option(help="Scenario that all are compared with, such as a block.")
     ] = "intrinsic",
     out: Annotated[
-        Path | None, Option("--out", help="HTML file; by default report.html in the study.")
+        Path | None,
+        Option("--out", help="HTML file; by default report.html in the study.", callback=free_file),
     ] = None,
     figures: Annotated[
         list[str] | None,
@@ -650,9 +654,9 @@ def report(
 @app.command()
 @every_command
 def template(
-    out: Annotated[Path, Option("--out", help="Picture to write (PNG, PDF, SVG).")] = Path(
-        "template.png"
-    ),
+    out: Annotated[
+        Path, Option("--out", help="Picture to write (PNG, PDF, SVG).", callback=free_file)
+    ] = Path("template.png"),
 ) -> Result:
     """Draw the action potentials that ECGs are computed from, and print their measures.
 
@@ -682,9 +686,7 @@ def template(
 
 @app.command()
 @every_command
-def demo(
-    out: Annotated[Path, Option("--out", help="Folder to write.")] = Path("fascicle-demo"),
-) -> Result:
+def demo(out: OutOption = Path("fascicle-demo")) -> Result:
     """Fit a subject's own ECG on that subject's heart, then diagnose a block and pace it.
 
     The heart and the ECG are those of one living subject (Camps et al. 2024). The block is a left

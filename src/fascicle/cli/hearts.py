@@ -21,6 +21,7 @@ from fascicle.cli.options import (
     OutOption,
     SchedulerOption,
     WorkersOption,
+    free_file,
     lead_names,
     option,
     pool_at,
@@ -288,7 +289,10 @@ def heart_check(
     heart: HeartArgument,
     picture: Annotated[
         Path | None,
-        Option(help="Picture to write (PNG, PDF, SVG); by default check.png in the folder."),
+        Option(
+            help="Picture to write (PNG, PDF, SVG); by default check.png in the folder.",
+            callback=free_file,
+        ),
     ] = None,
 ) -> Result:
     """Validate a heart folder; print and draw what it holds, with warnings and their remedies.
@@ -305,7 +309,6 @@ def heart_check(
     loaded = fascicle.load_heart(heart)
     if picture is None and Path(heart).is_dir():  # not for the packaged heart
         picture = Path(heart) / HEART_FILES["check"]
-    if picture is not None:
         check_writable(picture, "--picture")
     return _check(loaded, _growable_charts(loaded, {"lv": heart, "rv": heart}), picture)
 
@@ -394,7 +397,7 @@ def heart_simulate_prior(
 @every_command
 def heart_export(
     heart: HeartArgument,
-    out: OutOption,
+    out: Annotated[Path, Option("--out", help="Folder to write; of Gmsh and VTU the file.")],
     kind: Annotated[
         Literal["opencarp", "gmsh", "vtu"],
         Option("--format", help="openCARP in µm, Gmsh and VTU in mm."),

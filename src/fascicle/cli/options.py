@@ -14,6 +14,7 @@ from typer import Argument, Option
 
 import fascicle
 from fascicle.core.errors import InputError, given_in
+from fascicle.core.files import check_folder, check_replaceable
 from fascicle.core.progress import Progress
 from fascicle.networks.settings import FitSettings
 from fascicle.prediction.index_names import COMPARED, INDICES
@@ -34,7 +35,22 @@ AgeOption = Annotated[float | None, Option(help="Of the person (years), for 'atl
 HeightOption = Annotated[float | None, Option(help="Of the person (cm), for 'atlas'.")]
 WeightOption = Annotated[float | None, Option(help="Of the person (kg), for 'atlas'.")]
 StudyArgument = Annotated[Path, Argument(help="Finished study folder.")]
-OutOption = Annotated[Path, Option("--out", help="Folder to write.")]
+
+
+def free_folder(path: Path) -> Path:
+    """A folder that can be written, refused while arguments are read, before any work."""
+    check_folder(path)
+    return path
+
+
+def free_file(option: typer.CallbackParam, path: Path | None) -> Path | None:
+    """A file that can be written, likewise."""
+    if path is not None:
+        check_replaceable(path, option.opts[0])
+    return path
+
+
+OutOption = Annotated[Path, Option("--out", help="Folder to write.", callback=free_folder)]
 FormatOption = Annotated[Literal["png", "svg", "pdf"], Option("--format", help="Picture format.")]
 WorkersOption = Annotated[
     int | None, Option("--workers", min=1, help="Simulations at a time; by default one per core.")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import io
 import json
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -114,6 +115,9 @@ def _redirected(quiet: bool, as_json: bool, log: Path | None) -> Iterator[None]:
     with ExitStack() as around:
         file = None
         if log is not None:
+            begins = log.read_text(errors="replace")[:11] if log.is_file() else ""
+            if begins and not re.match(r"\d{4}-\d\d-\d\d ", begins):
+                raise OutputError(f"{log}: exists, and is no log of fascicle; give another --log")
             try:
                 file = around.enter_context(log.open("a", encoding="utf-8"))
             except OSError as error:

@@ -15,6 +15,7 @@ import fascicle
 from fascicle.cli.options import FormatOption, lead_names
 from fascicle.cli.output import Result, TerminalProgress, print_row, print_table
 from fascicle.core.errors import InputError, OutputError
+from fascicle.core.files import check_replaceable
 from fascicle.core.ranges import digits
 from fascicle.recording.readers.formats import known_formats
 
@@ -106,7 +107,7 @@ def target(
     from fascicle.reporting.recording import recording_figure
     from fascicle.reporting.style import save
 
-    picture = _picture_path(out, recording, kind)
+    picture = _picture_path(out, kind)
     choices = fascicle.TargetOptions(
         onset=onset,
         offset=offset,
@@ -243,19 +244,13 @@ def _print_target(target: Target) -> None:
         print(f"warning: {warning}", file=sys.stderr)
 
 
-def _picture_path(out: Path, recording: Path, kind: str) -> Path:
-    """Path of the page; neither it nor the target may replace the recording or a folder."""
-    picture = out.with_suffix(f".{kind}") if out.name else out
-    for path in (p for p in (out, picture) if p.exists()):
-        if not path.is_file() or (recording.exists() and path.samefile(recording)):
-            raise OutputError(
-                f"{path}: is the recording itself, or not an ordinary file; give another name "
-                "to write to, such as target.nc (--out)"
-            )
-    if picture == out:
-        raise OutputError(
-            f"{out}: is the name of the picture; give the target another, such as target.nc"
-        )
+def _picture_path(out: Path, kind: str) -> Path:
+    """Path of the page; neither it nor the target may replace a file of the user's."""
+    if out.suffix.lower() != ".nc":
+        raise OutputError(f"{out}: a target is a netCDF file; give a name such as target.nc")
+    picture = out.with_suffix(f".{kind}")
+    for path in (out, picture):
+        check_replaceable(path)
     return picture
 
 

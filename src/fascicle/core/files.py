@@ -29,6 +29,14 @@ if TYPE_CHECKING:
 # hearts: an idealised one, one subject's, and those of the population
 PACKAGED = ("default", "camps-dti004", "atlas")
 DISPOSABLE = ".fascicle-cache"  # folder of caches: its files can be recomputed
+MADE_WITH = "made with fascicle"  # in pictures and meshes
+# in every target and page; in other files that a command may replace `MADE_WITH`
+FILE_MARKS = {".nc": "fascicle target", ".html": '<meta name="generator" content="fascicle '}
+# one of them is in every folder that a command may replace
+FOLDER_MARKS = (
+    *("heart.toml", "study.json", "summary.json", "origin.json"),
+    *(".study.lock", "patients", "own-beat"),  # of a fit, a cohort, the demonstration
+)
 _unfinished: set[Path] = set()  # temporary files and folders that are being written
 _outside_allowed = ContextVar("files may name files outside their folder", default=False)
 
@@ -143,7 +151,21 @@ def check_folder(folder: Path) -> None:
         raise OutputError(
             f"{folder}: is the folder you are in, or holds it; give a folder of its own (--out)"
         )
+    if folder.is_dir() and not any((folder / mark).exists() for mark in FOLDER_MARKS):
+        check_nothing_lost(folder, ())
     check_writable(folder.resolve())
+
+
+def check_replaceable(path: Path, option: str = "--out") -> None:
+    """Refuse a file that cannot be written, or would replace one that fascicle has not written."""
+    if path.is_dir():
+        raise OutputError(f"{path}: is a folder; give the path of a file ({option})")
+    mark = FILE_MARKS.get(path.suffix.lower(), MADE_WITH)
+    if path.exists() and not (path.is_file() and mark.encode() in path.read_bytes()):
+        raise OutputError(
+            f"{path}: exists, and fascicle has not written it; delete it or give another {option}"
+        )
+    check_writable(path, option)
 
 
 def check_writable(path: Path, option: str = "--out") -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError, one_line
-from fascicle.core.files import write_text
+from fascicle.core.files import MADE_WITH, write_text
 from fascicle.mesh.mesh_file import LINE, SOLIDS, TETRAHEDRON, TRIANGLE, MeshFile, damaged
 
 
@@ -195,7 +195,7 @@ def write_grid(
     writer.SetDataModeToBinary()  # as base64, so the output is text
     writer.WriteToOutputStringOn()
     writer.Write()
-    write_text(path, writer.GetOutputString())
+    write_text(path, f"{writer.GetOutputString()}<!-- {MADE_WITH} -->\n")
 
 
 def pyvista_grid(

@@ -10,8 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fascicle.core.errors import OutputError
-from fascicle.core.files import as_path, check_writable, write_text
+from fascicle.core.files import as_path, check_folder, write_text
 from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.threads import cores
 from fascicle.patients.patient import (
@@ -93,12 +92,8 @@ def outcomes(
     table, folder = as_path(table, "table"), as_path(out, "folder").absolute()
     patients = read_table(table, folder)
     mine = part_of(patients, only)
-    check_writable(folder / CohortPart.PAGE)
-    foreign = [path.name for path in folder.iterdir() if path.name not in {*CohortPart}]
-    if foreign and not (folder / CohortPart.PATIENTS).is_dir():
-        raise OutputError(
-            f"{folder}: holds '{foreign[0]}' and is not a cohort; give another folder (--out)"
-        )
+    check_folder(folder)
+    (folder / CohortPart.PATIENTS).mkdir(parents=True, exist_ok=True)
     try:
         refused = {patient.name: patient.check() for patient in mine}
         yield from (outcome for outcome in refused.values() if outcome is not None)

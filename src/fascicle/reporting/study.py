@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fascicle.build.check import check_heart
+from fascicle.core.files import check_replaceable
 from fascicle.core.leads import INDEPENDENT_LEADS
 from fascicle.forward.activation_sequence import activation_maps
 from fascicle.networks.agreement import Agreement, agreement
@@ -120,11 +121,10 @@ def drawings(
 
 def write_figures(drawn: Mapping[str, Drawing], folder: Path, kinds: Sequence[str]) -> list[Path]:
     """Write figures into a folder, in each of the file formats; returns the files."""
-    return [
-        save(drawing.figure, folder / f"{name}.{kind}")
-        for name, drawing in drawn.items()
-        for kind in kinds
-    ]
+    paths = {folder / f"{name}.{kind}": name for name in drawn for kind in kinds}
+    for path in paths:
+        check_replaceable(path)
+    return [save(drawn[name].figure, path) for path, name in paths.items()]
 
 
 def draw_losses(axes: Axes, fitted: FittedStudy) -> None:

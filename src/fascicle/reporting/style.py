@@ -17,7 +17,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 
 from fascicle.core.errors import InputError
-from fascicle.core.files import atomic_path
+from fascicle.core.files import MADE_WITH, atomic_path
 from fascicle.core.ranges import check_items
 
 KINDS = ("png", "pdf", "svg")  # file formats of figures
@@ -162,7 +162,8 @@ def save(figure: Figure, path: Path | str) -> Path:
     check_picture(path)
     with atomic_path(path) as temporary, warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")  # missing from the font: drawn as a box
-        figure.savefig(temporary, dpi=150)
+        key = "Software" if path.suffix.lower() == ".png" else "Creator"
+        figure.savefig(temporary, dpi=150, metadata={key: MADE_WITH})
     return path
 
 

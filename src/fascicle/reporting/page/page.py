@@ -16,7 +16,7 @@ from markupsafe import Markup
 from PIL import Image
 
 from fascicle.core.errors import InputError
-from fascicle.core.files import as_path, check_writable, write_text
+from fascicle.core.files import as_path, check_replaceable, write_text
 from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
 from fascicle.core.quantities import parameter_name
 from fascicle.core.ranges import check_text
@@ -91,7 +91,9 @@ def report(
             f"{', '.join(scenarios)}; add it to them (--scenario {against})"
         )
     out = as_path(out, "out") if out is not None else fitted.folder / "report.html"
-    check_writable(out)
+    if out.suffix.lower() != ".html":
+        raise InputError(f"{out}: the report is a page; give a name such as report.html (--out)")
+    check_replaceable(out)
     with shown_progress(progress) as shown:
         networks = fitted.networks(shown)
         predicted = predict(fitted, scenarios, shown, networks)
@@ -122,8 +124,9 @@ def write_report(
         "style": _file("style.css"),
         "viewer": _file("viewer.js"),
     }
+    files = write_figures(drawn, out.parent / "figures", figures)
     write_text(out, _template().render(content))
-    return [out, *write_figures(drawn, out.parent / "figures", figures)]
+    return [out, *files]
 
 
 def picture(drawing: Drawing) -> dict[str, Any]:
