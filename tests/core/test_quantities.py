@@ -270,7 +270,10 @@ def test_a_conduction_state_is_fixed_by_its_name():
     assert fixed_values(["conduction=1"]) == {"conduction": 1.0}
     assert wanted_parameters(["conduction"], None) == {"conduction": "free"}
     for item, said in (
-        ("conduction=left block", "parameter 'conduction' is 'left block'; 'fascicle parameters'"),
+        (
+            "conduction=left block",
+            "parameter 'conduction' is 'left block'; give one of normal, left",
+        ),
         ("conduction=9", "parameter 'conduction' is 9"),
         ("alpha=fast", "not a name and a number; write it like alpha=0.08"),
         ("alpha", "not a name and a number"),

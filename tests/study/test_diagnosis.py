@@ -288,7 +288,7 @@ def test_one_state_is_a_study_of_it(target, tmp_path):
         ({"normal": 0.0}, r"\['normal'\]; give a prior above 0"),
         ({"block": 0.5}, r"\['block'\]; give a prior above 0"),
         ({"left anterior fascicular block": 0.5}, r"\['left anterior .*'\]; give a prior above 0"),
-        ("block", "'block'; 'fascicle parameters' lists the names"),
+        ("block", "'block'; give one of normal, left bundle branch block, left"),
         (12, "12"),
     ],
 )

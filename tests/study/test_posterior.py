@@ -181,15 +181,16 @@ def test_where_few_draws_are_networks_more_are_drawn(tmp_path):
     assert any(further)
 
 
-def said_of(posterior, checks=None):
+def said_of(posterior, checks=None, prior=None):
     settings = SimpleNamespace(method="posterior", effective=60)
     model = SimpleNamespace(heart=SimpleNamespace(atlas=None, no_image=""))
-    simulator = SimpleNamespace(prior=Prior(SPACE), model=model)
+    simulator = SimpleNamespace(prior=prior or Prior(SPACE), model=model)
     return Statements(
         SimpleNamespace(population=posterior, checks=checks, settings=settings, simulator=simulator)
     )
 
 
+NORMAL_PRIOR = Prior(SPACE, mapped=True)
 BEST = "% of the QRS explained by the best 5% of networks"
 
 
@@ -218,6 +219,10 @@ def test_verdict_and_caution(done, checks, words, caution):
     assert said.verdict == f"converged; {words}"
     assert said.caution is caution
     assert said.acceptable == (caution is None)
+    assert any(p.constrained for p in said.parameters) == (caution is None)
+    for prior, name in ((Prior(SPACE, {"conduction": 1.0}), BLOCK), (NORMAL_PRIOR, "normal")):
+        fixed = said_of(done[1], checks, prior).verdict
+        assert fixed == f"conduction fixed at {name}; converged; {words}"
     apart = said_of(replace(done[1], converged=False), checks)
     assert apart.caution is Caution.NOT_CONVERGED  # the worse of the two
     assert apart.parameters == apart.correlated == ()

@@ -12,18 +12,20 @@ from fascicle.emulation.predictive import Checks
 from fascicle.heart.conduction import Conduction
 from fascicle.inference.evaluation import Evaluation
 from fascicle.networks.prior import Prior
+from fascicle.recording.criteria import Criterion
 from fascicle.study.evaluations import Stage
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import Population, Posterior
 from fascicle.study.statements import HEART_MEASURES, Kind, Statements
 
+LEFT_BLOCK, RIGHT_BLOCK = "left bundle branch block", "right bundle branch block"
 MIDDLE = NETWORK_SPACE.from_unit(np.full(len(NETWORK_SPACE), 0.5))
 
 
 def fitted(
     *, loss=0.5, best=None, regions=None, values=None, fixed=None, junctions=(200, 300), under=0.99,
     lead_fields=True, gain=1.0, upside_down=None, method="paper", networks=30, beats=300,
-    candidates=(), learnt=None, share=None,
+    candidates=(), learnt=None, share=None, mapped=False, met=(),
 ):  # fmt: skip
     """A study of which only what decides the warnings is there."""
     regions = None if regions is None else np.array(regions)
@@ -42,13 +44,16 @@ def fitted(
     target = SimpleNamespace(
         earliest_onset=None, leads=LEADS, qrs=recorded, qrs_samples=slice(2, 42),
         beats=np.empty(beats),
+        conventional_criteria=[
+            Criterion(name, name in met, "", "Strauss 2011") for name in (LEFT_BLOCK, RIGHT_BLOCK)
+        ],
     )  # fmt: skip
     all_but_v6 = np.arange(12) != 11
     recording = SimpleNamespace(null_loss=2.0, scenario=None, target=target, compared=all_but_v6)
     config = SimpleNamespace(method=method, samples=30, effective=60)
     study = FittedStudy(
         SimpleNamespace(config=config, records=lambda: tried),
-        SimpleNamespace(model=model, prior=Prior(NETWORK_SPACE, fixed or {})),
+        SimpleNamespace(model=model, prior=Prior(NETWORK_SPACE, fixed or {}, mapped=mapped)),
         (recording,),
         Population(learnt or {}, np.ones(networks), MIDDLE | (best or {}), loss),
         None if share is None else Checks(share, {}),
@@ -89,6 +94,11 @@ TRIED.append(Evaluation.infeasible(np.zeros(2), "left the endocardium"))
         ),
         # V2, and V6, which is not compared
         ({"upside_down": [7, 11]}, Kind.LEADS, "does not explain V2 (-1.00):"),
+        (
+            {"mapped": True, "met": [LEFT_BLOCK]},
+            Kind.CONDUCTION,
+            f"fixed at normal, but the recording meets the criteria of {LEFT_BLOCK} (Strauss 2011)",
+        ),
         ({"gain": 0.4}, Kind.GAIN, "scaled by 0.4"),
         ({"gain": 2.5}, Kind.GAIN, "scaled by 2.5"),
         ({"networks": 12}, Kind.FEW_NETWORKS, "12 of 30 networks were accepted of 0 candidates"),
@@ -109,7 +119,7 @@ def test_warnings(given, kind, words):
 @pytest.mark.parametrize(
     "given",
     [
-        {}, POSTERIOR | {"share": 0.9}, {"learnt": {"cv": SPREAD}}, {"best": {"cv": 3.9}},
+        {}, {"mapped": True}, {"met": [LEFT_BLOCK]}, POSTERIOR | {"share": 0.9}, {"learnt": {"cv": SPREAD}}, {"best": {"cv": 3.9}},
         {"gain": 1.9}, POSTERIOR | {"networks": 12}, {"beats": 30}, POSTERIOR | {"beats": 1},
         {"regions": [0, 1], "values": {"region_1_conductivity": 0.0}},
         {"regions": [0, 1], "fixed": {"region_1_conductivity": 0.2}},
@@ -132,7 +142,7 @@ COUNT = 40
 MEASURES = {name: np.linspace(50, 150, COUNT) for name in HEART_MEASURES}
 
 
-def on_atlas(hearts, *, converged=True, states=None):
+def on_atlas(hearts, *, converged=True, states=None, share=0.4):
     """A posterior of equally probable hearts; few of the networks explain the recording."""
     atlas = SimpleNamespace(measures=MEASURES, weights=np.full(COUNT, 1 / COUNT))
     ones = np.ones(len(hearts))
@@ -143,18 +153,22 @@ def on_atlas(hearts, *, converged=True, states=None):
     return Statements(
         SimpleNamespace(
             population=population,
-            simulator=SimpleNamespace(model=SimpleNamespace(heart=SimpleNamespace(atlas=atlas))),
-            checks=Checks(0.4, {}),
+            simulator=SimpleNamespace(
+                model=SimpleNamespace(heart=SimpleNamespace(atlas=atlas)),
+                prior=Prior(NETWORK_SPACE),
+            ),
+            checks=Checks(share, {}),
         )
     )
 
 
 def test_hearts_that_the_ecg_tells_apart_are_told_so():
-    volume = on_atlas([4, 5, 5, 6]).hearts[0]
+    volume = on_atlas([4, 5, 5, 6], share=0.9).hearts[0]
     assert (volume.name, volume.unit) == HEART_MEASURES["lv_volume"]
     assert volume.constrained
+    assert not on_atlas([4, 5, 5, 6]).hearts[0].constrained  # a poor fit
     assert volume.median == pytest.approx(MEASURES["lv_volume"][5])
-    assert not on_atlas(range(COUNT)).hearts[0].constrained
+    assert not on_atlas(range(COUNT), share=0.9).hearts[0].constrained
     assert on_atlas([4, 5], converged=False).hearts == ()
 
 

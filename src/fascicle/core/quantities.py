@@ -365,8 +365,8 @@ def check(declared: Quantity, value: Any) -> float:
     """Number as a float, if it is possible for this quantity; see `checked`."""
     if declared.choices and isinstance(value, str):
         if value not in declared.choices:
-            hint = did_you_mean(value, declared.choices, [])
-            hint = hint or "'fascicle parameters' lists the names"
+            hint = did_you_mean(value, declared.choices)
+            hint = hint or f"give one of {', '.join(declared.choices)}"
             raise ValueRefusedError(f"parameter '{declared.name}' is {shown(value)}; {hint}")
         value = declared.choices.index(value)
     number = declared.valid.check(value, f"parameter '{declared.name}'")

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.core.conduction_states import FASCICULAR_BLOCKS, NORMAL
+from fascicle.core.conduction_states import CONDUCTION_STATES, FASCICULAR_BLOCKS, NORMAL
 from fascicle.core.parameters import Parameter
 from fascicle.core.quantities import parameter_name, region_labels
 from fascicle.emulation.predictive import Checks
@@ -82,6 +82,7 @@ class Kind(StrEnum):
     POOR_FIT = "poor fit"
     NOT_CONVERGED = "not converged"
     PACED = "paced"
+    CONDUCTION = "conduction"
     LEADS = "leads"
     GAIN = "gain"
     FEW_NETWORKS = "few networks"
@@ -113,7 +114,8 @@ class ParameterStatement:
     `lower` and `upper` bound the posterior's 90 % credible interval; `contraction` is 1 − posterior
     variance / prior variance, in quantiles of the prior, 0 to 1; `first_alone` is half of the 90 %
     interval given the first of several recordings alone; `along_fibre` is, for α, the conduction
-    velocity along the fibre (m/s): median and bounds of the 90 % credible interval.
+    velocity along the fibre (m/s): median and bounds of the 90 % credible interval. `caution` is
+    the reason why the posterior cannot be relied on, in which no parameter is constrained.
     """
 
     name: str
@@ -124,11 +126,12 @@ class ParameterStatement:
     contraction: float
     first_alone: float | None = None
     along_fibre: tuple[float, float, float] | None = None
+    caution: str = ""
 
     @property
     def constrained(self) -> bool:
         """True if the ECG constrains the parameter: removes at least half of its prior variance."""
-        return self.contraction >= 0.5
+        return self.contraction >= 0.5 and not self.caution
 
     def __str__(self) -> str:
         unit = "" if self.unit == "1" else f" {self.unit}"
@@ -138,13 +141,13 @@ class ParameterStatement:
         speed = ""
         if self.along_fibre is not None:
             speed = "{:.2f} m/s ({:.2f}–{:.2f}) along the fibre, ".format(*self.along_fibre)
-        how = "constrained by" if self.constrained else "not identifiable from"
+        how = "constrained by the ECG" if self.constrained else "not identifiable from the ECG"
         # decimals of two digits of the interval's width; with other draws further digits change
         decimals = max(0, 1 - math.floor(math.log10(max(self.upper - self.lower, 1e-9))))
         bounds = (f"{value:.{decimals}f}" for value in (self.median, self.lower, self.upper))
         median, lower, upper = bounds
         to = " to " if self.lower < 0 else "–"
-        return f"{median}{unit} (90 % CrI {lower}{to}{upper}{alone}), {speed}{how} the ECG"
+        return f"{median}{unit} (90 % CrI {lower}{to}{upper}{alone}), {speed}{self.caution or how}"
 
 
 @dataclass(frozen=True)
@@ -198,13 +201,18 @@ class Statements:
             prior_variance = np.average((values - mean) ** 2, weights=atlas.weights)
             contraction = 1 - min(float(values[numbers].var() / prior_variance), 1.0)
             interval = _median_and_interval(values[numbers])
-            statements.append(ParameterStatement(title, unit, *interval, contraction))
+            caution = "" if self.caution is None else self.caution.brief
+            statement = ParameterStatement(title, unit, *interval, contraction, caution=caution)
+            statements.append(statement)
         return tuple(statements)
 
     @property
     def diagnosis(self) -> str:
         """Statement on conduction states (`states`), or the reason why none is named."""
-        population = self._result.population
+        population, prior = self._result.population, self._result.simulator.prior
+        if prior.mapped or "conduction" in prior.fixed:
+            number = int(prior.fixed.get("conduction", 0))
+            return f"conduction fixed at {[*CONDUCTION_STATES][number]}"
         if getattr(population, "states", {}):
             unnamed = getattr(population, "unnamed", "")
             reason = unnamed if self._caution_of_states is None else self._caution_of_states.brief
@@ -321,6 +329,7 @@ class Statements:
             1 - min(remaining, 1),
             _half_width(alone[name]) if name in alone else None,
             along_fibre,
+            "" if self.caution is None else self.caution.brief,
         )
 
     @cached_property
@@ -423,6 +432,7 @@ def _warnings(result: Result) -> Iterator[tuple[Kind, str]]:
             "the recorded beats are paced, and the networks are of an intrinsic beat: give the "
             "scenario (target.nc:rv-apical-pacing), or see where they begin ('fascicle locate')",
         )
+    yield Kind.CONDUCTION, _block_left_out(result)
     yield Kind.LEADS, _poor_leads(result)
     yield Kind.GAIN, _unusual_gain(result)
     if result.settings.method == "paper":
@@ -478,9 +488,24 @@ def how_to_go_on(posterior: Posterior, settings: FitSettings) -> str:
     if posterior.converged:
         return ""
     return (
-        f"the two runs do not agree, or are worth fewer than {settings.effective} independent "
-        f"draws each: --prior-simulations {2 * settings.prior_simulations}, in a new study, makes "
-        "the emulator, and so the likelihood, smoother"
+        f"the two runs do not agree, or one is worth fewer than {settings.effective / 2:.0f} "
+        f"independent draws: --prior-simulations {2 * settings.prior_simulations}, in a new study, "
+        "makes the emulator, and so the likelihood, smoother"
+    )
+
+
+def _block_left_out(result: Result) -> str:
+    """Warning of a block by conventional criteria where conduction is fixed at normal; or empty."""
+    if not result.simulator.prior.mapped:
+        return ""
+    intrinsic = (r.target for r in result.recordings if r.scenario is None)
+    met = {c.name: c.source for target in intrinsic for c in target.conventional_criteria if c.met}
+    if not met:
+        return ""
+    named = ", ".join(f"{name} ({source})" for name, source in met.items())
+    return (
+        f"conduction is fixed at normal, but the recording meets the criteria of {named}: fit "
+        "without --fix conduction, in a new study"
     )
 
 
