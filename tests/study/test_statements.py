@@ -119,7 +119,8 @@ def test_warnings(given, kind, words):
 @pytest.mark.parametrize(
     "given",
     [
-        {}, {"mapped": True}, {"met": [LEFT_BLOCK]}, POSTERIOR | {"share": 0.9}, {"learnt": {"cv": SPREAD}}, {"best": {"cv": 3.9}},
+        {}, POSTERIOR | {"share": 0.9}, {"learnt": {"cv": SPREAD}}, {"best": {"cv": 3.9}},
+        {"mapped": True}, {"met": [LEFT_BLOCK]},
         {"gain": 1.9}, POSTERIOR | {"networks": 12}, {"beats": 30}, POSTERIOR | {"beats": 1},
         {"regions": [0, 1], "values": {"region_1_conductivity": 0.0}},
         {"regions": [0, 1], "fixed": {"region_1_conductivity": 0.2}},
