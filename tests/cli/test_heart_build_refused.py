@@ -229,5 +229,5 @@ class TestTorso:
 def test_places_of_others(refused, mesh, outside):
     """Told before the work is done, so that the error stands alone; more: test_import_refused."""
     (outside / "notes.txt").write_text("mine")
-    words = "holds files and is not a heart folder (no heart.toml); give another --out"
+    words = "holds 'notes.txt', which would be lost; give another --out"
     refused(["heart", "build", mesh, *AROUND, "--out", outside], words)

@@ -363,8 +363,9 @@ class TestOut:
         out.unlink()
         out.mkdir()
         (out / "thesis.tex").write_text("mine")
-        words = "holds files and is not a heart folder", "another --out"
-        refused(materials.command(out), out, *words)
+        refused(
+            materials.command(out), "holds 'thesis.tex', which would be lost; give another --out"
+        )
         (out / "heart.toml").write_text("mine")
         refused(materials.command(out), "holds 'thesis.tex', which would be lost")
         (out / "heart.toml").unlink()

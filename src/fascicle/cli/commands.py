@@ -632,6 +632,9 @@ def report(
             "may be given several times.",
         ),
     ] = None,
+    pdf: Annotated[
+        bool, Option("--pdf", help="Also write the answer on one page next to it, as PDF.")
+    ] = False,
     scheduler: SchedulerOption = None,
 ) -> Result:
     """Write the results of a study as one HTML file that opens offline.
@@ -644,7 +647,7 @@ def report(
     kinds, scenarios = figures or [], fascicle.read_scenarios(scenario or PACINGS)
     with TerminalProgress() as progress:
         fitted = fascicle.load_study(study, progress, pool_at(scheduler, progress))
-        page, *drawn = fascicle.report(fitted, scenarios, out, progress, kinds, against)
+        page, *drawn = fascicle.report(fitted, scenarios, out, progress, kinds, against, pdf)
     print_row("result", fitted.verdict)
     for path in (*drawn, page.resolve().as_uri()):
         print(path)
