@@ -141,7 +141,7 @@ def write_report(
 def one_page(content: Mapping[str, Any]) -> Figure:
     """A4 page with the beginning of the report: answer, warnings, ECG and activation."""
     figure = new_figure(8.27, 11.69)
-    above, *below = figure.subfigures(3, 1, height_ratios=(4, 4, 3))
+    parts: Any = figure.subfigures(3, 1, height_ratios=(4, 4, 3))
     predictions = (f"{name}: {sentence}" for name, sentence in content["predictions"])
     paragraphs = [
         f"Purkinje network of the heart “{content['heart']}”, learnt from "
@@ -154,9 +154,9 @@ def one_page(content: Mapping[str, Any]) -> Figure:
     for number, paragraph in enumerate(paragraphs):
         weight, width = ("bold", 90) if number == 1 else ("normal", 105)
         text = textwrap.fill(paragraph, width)
-        above.text(0.05, height, text, va="top", fontsize=9.5, weight=weight, parse_math=False)
+        parts[0].text(0.05, height, text, va="top", fontsize=9.5, weight=weight, parse_math=False)
         height -= (text.count("\n") + 1.6) / 26
-    for part, name in zip(below, ("ecg", "activation"), strict=True):
+    for part, name in zip(parts[1:], ("ecg", "activation"), strict=True):
         source = content["pictures"][name]["source"].partition(",")[2]
         axes = part.subplots()
         axes.imshow(Image.open(io.BytesIO(base64.b64decode(source))).convert("RGB"))
