@@ -7,6 +7,7 @@ import re
 import shutil
 import sqlite3
 from dataclasses import replace
+from pathlib import Path
 
 import arviz as az
 import numpy as np
@@ -323,9 +324,11 @@ def test_sweep(blank_pictures, study, tmp_path, run, refused):
 
 
 def test_report(study, run):
-    asked = ["report", study.folder, "--scenario", "his-pacing", "--format", "png"]
+    asked = ["report", study.folder, "--scenario", "his-pacing", "--format", "png", "--pdf"]
     pyplot.close("all")
-    verdict, *figures, page = run(*asked).out.splitlines()
+    verdict, pdf, *figures, page = run(*asked).out.splitlines()
+    assert Path(pdf) == study.folder / "report.pdf"
+    assert len(re.findall(rb"/Type /Page\b", Path(pdf).read_bytes())) == 1
     assert study.verdict in verdict
     assert [figure.rsplit("/", 1)[1] for figure in figures] == [
         "ecg.png", "activation.png", "activation-spread.png", "indices.png", "priors.png",
