@@ -310,8 +310,8 @@ def _read(folder: Path) -> StudyConfig:
     if version != STUDY_FORMAT:
         raise InputError(
             f"{path}: a study of format {version}, made by another version of fascicle, with which "
-            f"losses cannot be compared (this one has format {STUDY_FORMAT}); fit it again: "
-            f"{remedy}"
+            f"losses cannot be compared (this one has format {STUDY_FORMAT}); fit it again into "
+            f"another folder, or read it with the version that made it"
         )
     try:
         return StudyConfig.model_validate_json(text)
