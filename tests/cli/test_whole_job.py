@@ -160,10 +160,10 @@ def test_damaged_copies_are_restored(study, ventricles, run, tmp_path):
 
 def test_another_target_heart_or_growth_says_what_differs(study, ventricles, target):
     later = fascicle.make_target(fascicle.read_recording(demo_recording()), onset=-40.0)
-    with pytest.raises(fascicle.InputError, match=r"holds another study \(target: there "):
+    with pytest.raises(fascicle.InputError, match=r"holds another study \(of another target\)"):
         fascicle.fit(ventricles, later, study.folder, **BUDGET)
     faster = replace(load_heart(ventricles), values={"alpha": 0.07})
-    wanted = r"\(heart: there .*conduction alpha: there 0.05, now 0.07\)"
+    wanted = r"\(of another heart; .*conduction alpha: there 0.05, now 0.07\)"
     with pytest.raises(fascicle.InputError, match=wanted):
         fascicle.fit(faster, target, study.folder, **BUDGET)
     longer = GrowthRules(branch_length=10.0)

@@ -331,8 +331,11 @@ def check_same(folder: Path, stored: StudyConfig, now: StudyConfig) -> None:
             f"'{now.growth_term}'; give fascicle.fit or fascicle.load_study the same rules="
         )
     before, after = _identity(stored), _identity(now)
+    digests = ("heart", "target", "other targets", "scenarios")
     different = [
-        f"{name}: there {before.get(name, 'none')}, now {after.get(name, 'none')}"
+        f"of another {name}"
+        if name in digests
+        else f"{name}: there {before.get(name, 'none')}, now {after.get(name, 'none')}"
         for name in before | after
         if before.get(name) != after.get(name)
     ]
