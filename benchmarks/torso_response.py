@@ -237,7 +237,8 @@ def draw(losses: dict[str, list[float]], title: str, file: Path) -> None:
         figure = new_figure(6.5, 5.0, f"ECG changed by the torso alone, {title}")
         axes = figure.subplots()
         titles = [parameter_name(name) for name in names]
-        axes.barh(titles, ends, color=Colour.BLUE, alpha=0.35, label="at the worse end of its range")
+        worse = "at the worse end of its range"
+        axes.barh(titles, ends, color=Colour.BLUE, alpha=0.35, label=worse)
         axes.barh(titles, near, color=Colour.BLUE, label="at one standard deviation of its prior")
         axes.legend(loc="lower right")
         axes.set_ylabel("quantity of the torso")
