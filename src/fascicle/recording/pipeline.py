@@ -166,8 +166,10 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
     spikes = find_spikes(recording.signal, rate)
     clean = recording
     if len(spikes):
-        more = {lead: remove_spikes(x[None], spikes)[0] for lead, x in recording.additional.items()}
-        clean = replace(recording, signal=remove_spikes(recording.signal, spikes), additional=more)
+        signals = np.array([*recording.signal, *recording.additional.values()])
+        signals = remove_spikes(signals, spikes, rate)
+        more = dict(zip(recording.additional, signals[len(LEADS) :], strict=True))
+        clean = replace(recording, signal=signals[: len(LEADS)], additional=more)
     try:
         groups = lead_groups(clean, spikes, options)
         recording = _with_beats_checked(recording, groups)
