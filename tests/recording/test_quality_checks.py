@@ -415,4 +415,8 @@ def test_one_bad_lead_may_be_left_out(data_folder) -> None:
     assert len(target.beats) < 7
     kept = [lead for lead in LEADS if lead != "V6"]
     assert f"go on without: --leads {','.join(kept)}" in target.warnings[0]
+    assert "take it away by --notch 50, or record again" in target.warnings[1]
+    (_, hum) = make_target(read_recording(path), notch=50.0).warnings
+    assert hum.startswith("power-line interference at 50 Hz in lead V6")
+    assert "--notch" not in hum
     assert len(make_target(read_recording(path, leads=kept)).beats) == 7

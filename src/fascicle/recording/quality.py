@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
 from itertools import combinations, pairwise
@@ -84,13 +84,20 @@ class LeadCheck(Check):
     message: str  # with {leads} for those over the limit and {largest} for the largest figure
     advice: str  # what the user should do
     refused: float = math.inf  # limit beyond which a lead cannot be used, unless all are
+    mains: float | None = None  # Hz; frequency of the notch that would help
 
-    def of(self, recording: Recording) -> CheckResult:
-        """Outcome in a recording."""
+    def of(self, recording: Recording, notch: Filter | None = None) -> CheckResult:
+        """Outcome in a recording, of which the `notch` that the user asked for is to be applied."""
         rate, leads = recording.sampling_rate, measured(recording) | recording.additional
+        advice = self.advice
+        if notch is not None and notch.frequency == self.mains:
+            notch = replace(notch, sampling_rate=rate)
+            leads = {lead: notch.apply(values) for lead, values in leads.items()}
+        elif self.mains is not None:
+            advice = f"take it away by --notch {self.mains:g}, or {advice}"
         figures = {lead: self.figure(values, rate) for lead, values in leads.items()}
         largest = max(figures.values())
-        named, advice = [lead for lead in figures if figures[lead] > self.limit], self.advice
+        named = [lead for lead in figures if figures[lead] > self.limit]
         lost, severity = [lead for lead in named if figures[lead] > self.refused], Severity.WARNING
         if lost and len(lost) < len(figures):
             named, severity = lost, Severity.FATAL
@@ -111,7 +118,9 @@ def check_recording(
     The fine outcomes are returned, too. The recording is without pacing spikes, its R peaks are at
     the samples `peaks` (n_beats,), and it has passed the `filters`.
     """
-    results = (check.of(recording) for check in LEAD_CHECKS)
+    kind, origin = FilterKind.NOTCH, FilterOrigin.APPLIED
+    notch = next((f for f in filters if f.kind is kind and f.origin is origin), None)
+    results = (check.of(recording, notch) for check in LEAD_CHECKS)
     return (*results, _check_lowpass(recording, peaks, filters))
 
 
@@ -315,7 +324,7 @@ LEAD_CHECKS = (
             f"power-line interference, {mains:g} Hz", "uV", 25.0,  # a quarter of a mm on paper
             partial(_interference, mains=mains),
             f"power-line interference at {mains:g} Hz in {{leads}} (up to {{largest:.0f}} uV)",
-            f"take it away by --notch {mains:g}, or record again away from the power line",
+            "record again away from the power line", mains=mains,
         )
         for mains in MAINS
     ),
