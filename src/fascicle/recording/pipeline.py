@@ -408,9 +408,15 @@ def _warnings(analysis: Analysis, options: TargetOptions) -> list[str]:
             f"together, aligned {how}"
         )
     warnings += recording.remarks
-    rate = target.heart_rate
-    if rate is not None and not 20.0 <= rate <= 300.0:
-        warnings.append(f"{rate:.0f} beats per minute; is the sampling rate right?")
+    rate, qrs = target.heart_rate, target.qrs_duration
+    # Of the adults of PTB-XL none has a QRS below 75 ms.
+    too_fast = rate is not None and (rate > 300.0 or (rate > 90.0 and qrs < 65.0))
+    if rate is not None and (too_fast or rate < 20.0):
+        warnings.append(
+            f"{rate:.0f} beats per minute with a QRS of {qrs:.0f} ms: the sampling rate "
+            f"({recording.sampling_rate:g} Hz) may be too {'high' if too_fast else 'low'}; compare "
+            "it with the recorder's"
+        )
     if len(target.beats) == 2:
         warnings.append("two beats show little of how beats vary; give a longer recording")
     alike = sum(beat.label == analysis.chosen for beat in beats)

@@ -12,6 +12,7 @@ from refusals import read_as, refused, waves
 
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
+from fascicle.recording.pipeline import make_target
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import MissingMetadataError
 
@@ -336,9 +337,13 @@ def test_however_it_is_written_the_signal_is_the_same(tmp_path, data):
 
 def test_a_counter_of_samples_says_nothing_of_the_rate(data_folder):
     """Its 5000 samples are ten seconds at 500 Hz; read as ms, times would be half as long."""
+    path = data_folder / "cases" / "pandas_index_column.csv"
     with pytest.raises(MissingMetadataError, match="counts samples") as refused:
-        read_recording(data_folder / "cases" / "pandas_index_column.csv")
+        read_recording(path)
     assert refused.value.guess == 500.0
+    assert make_target(read_recording(path, sampling_rate=500)).warnings == ()
+    twice = make_target(read_recording(path, sampling_rate=1000)).warnings
+    assert "150 beats per minute with a QRS of 51 ms: the sampling rate (1000 Hz) may be" in twice[-1]
 
 
 def test_one_lead_of_a_watch_is_named_and_the_person_is_not(data_folder):

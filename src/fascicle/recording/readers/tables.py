@@ -170,7 +170,8 @@ def _parsed(path: Path) -> tuple[list[_Column], list[Entry]]:
         text = content.decode("utf-16" if wide else "utf-8-sig")
     except UnicodeDecodeError:
         text = content.decode("latin-1")  # has the letter µ at the same code as Windows
-    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    text = text.replace("\r\n", "\n").replace("\r", "\n").rstrip("\0\x1a")  # ends of old files
+    text = re.sub(r"\Asep=.\n", "", text)  # of Excel
     comments = re.findall(r"^[ \t]*#+[ \t]*(.*)$", text, re.MULTILINE)
     body = _one_header(re.sub(r"^[ \t]*#.*\n?", "", text, flags=re.MULTILINE).lstrip("\n"))
     header, _, cells = body.partition("\n")
