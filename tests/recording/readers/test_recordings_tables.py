@@ -96,11 +96,15 @@ class TestNumbers:
         frame["V6_mV"] = frame["V6_mV"].str.replace(".", ",")
         refused(save(frame, tmp_path / "b.csv", sep=";"), "column 'V6_mV' holds", "decimal mark")
 
-    @pytest.mark.parametrize(("encoding", "line_end"), [("utf-16", "\r"), ("mac-roman", "\r\n")])
-    def test_encodings_and_line_ends(self, tmp_path, signal, encoding, line_end):
+    @pytest.mark.parametrize(
+        ("encoding", "first", "line_end", "end"),
+        [("utf-16", "", "\r", ""), ("mac-roman", "", "\r\n", "\r\n"),
+         ("utf-8-sig", "sep=,\n", ",\n", ""), ("utf-8", "", "\n", "\n\x1a")],
+    )  # fmt: skip
+    def test_encodings_and_line_ends(self, tmp_path, signal, encoding, first, line_end, end):
         names = [f"{lead} (µV)" for lead in LEADS]
         frame = table(1e3 * signal[:, :800], names)
-        text = frame.to_csv(index=False, lineterminator=line_end)
+        text = first + line_end.join(frame.to_csv(index=False).splitlines()) + end
         read_as(write(tmp_path / "a.csv", text, encoding), signal[:, :800])
 
     def test_text_and_holes(self, tmp_path, signal):
@@ -296,6 +300,32 @@ def test_no_tables(tmp_path, content):
     refused(path, sampling_rate=500.0, unit="mV")
 
 
+def test_the_text_of_the_labsystem(tmp_path, signal):
+    """Digits of 16 bits; a channel of a catheter is left out."""
+    labels = [*LEADS, "HIS 1,2"]
+    about = "Channel #: {}\r\nLabel: {}\r\nRange: 5mv \r\nLow: 0.05Hz\r\nHigh: 100Hz\r\n"
+    about += "Sample rate: .5kHz\r\nColor: 0000FF\r\nScale: -7\r\n"
+    header = "[Header]\r\nFile Type: 1\r\nVersion: 1\r\nChannels exported: 13\r\nData Format 1\r\n"
+    header += "".join(about.format(k + 1, label) for k, label in enumerate(labels))
+    digits = np.round(np.vstack([signal, signal[:1]]) / 5 * 32768).astype(int)
+    rows = "\r\n".join(",".join(map(str, row)) for row in digits.T)
+    path = write(tmp_path / "a.txt", header + "[Data]\r\n" + rows)
+    recording = read_as(path, signal, tolerance=1e-4)
+    assert (recording.sampling_rate, recording.filters.lowpass) == (500.0, 100.0)
+    assert recording.ignored == ("HIS 1,2",)
+    text = path.read_text()
+    refused(write(path, text[:-30]), "damaged", "export it again")
+    refused(write(path, text.replace(".5kHz", "1kHz", 1)), "500.0, 1000.0")
+
+
+def test_the_text_of_cardiolab_becomes_a_table(tmp_path, signal):
+    rows = [" ".join([str(k), *map(str, row)]) for k, row in enumerate(signal.T)]
+    refused(write(tmp_path / "a.txt", "\n".join(rows)), "GE CardioLab put commas for blanks")
+    names = ",".join(["sample", *IN_MV])
+    path = write(tmp_path / "a.txt", "\n".join([names, *rows]).replace(" ", ","))
+    read_as(path, signal, sampling_rate=500)
+
+
 SPELT = {lead: [lead, lead.upper(), lead.lower(), f"Lead {lead}", f"MDC_ECG_LEAD_{lead}"]
          for lead in LEADS}  # fmt: skip
 
@@ -343,7 +373,9 @@ def test_a_counter_of_samples_says_nothing_of_the_rate(data_folder):
     assert refused.value.guess == 500.0
     assert make_target(read_recording(path, sampling_rate=500)).warnings == ()
     twice = make_target(read_recording(path, sampling_rate=1000)).warnings
-    assert "150 beats per minute with a QRS of 51 ms: the sampling rate (1000 Hz) may be" in twice[-1]
+    assert (
+        "150 beats per minute with a QRS of 51 ms: the sampling rate (1000 Hz) may be" in twice[-1]
+    )
 
 
 def test_one_lead_of_a_watch_is_named_and_the_person_is_not(data_folder):

@@ -30,7 +30,7 @@ from fascicle.recording.readers.names import (
     plain_unit,
     same_unit,
 )
-from fascicle.recording.readers.read import Channel, RawRecording, without_fill
+from fascicle.recording.readers.read import Channel, RawRecording, narrowest_passband, without_fill
 from fascicle.recording.recording import Recording, missing_rate, missing_time_unit
 
 if TYPE_CHECKING:
@@ -141,6 +141,38 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
     return _with_rest_around(replace(table, channels=[*table.channels, *more]))
 
 
+def read_labsystem(path: Path, sampling_rate: float | None) -> RawRecording:
+    """Read the text export of the LabSystem Pro (Bard, Boston Scientific), of an EP laboratory.
+
+    The channels follow one another in a header. Their digits, of 16 bits, are interleaved; 32768
+    are the range of the channel.
+    """
+    header, _, data = path.read_text("latin-1").partition("[Data]")
+    sections = [dict(re.findall(r"^\s*([^:\n]+):[ \t]*(.*?)\s*$", text, re.MULTILINE))
+                for text in header.split("Channel #:")[1:]]  # fmt: skip
+    digits = np.array(re.split(r"[\s,]+", data.strip(" ,\r\n")), float)
+    digits = digits.reshape(-1, len(sections)).T
+
+    def number(section: dict[str, str], key: str) -> float:
+        """Number of a field, in Hz or mV."""
+        text = re.sub("(?i)hz|mv", "", section[key]).strip()
+        return float(text.removesuffix("k")) * (1000.0 if text.endswith("k") else 1.0)
+
+    leads = [section for section in sections if lead_name(section["Label"])] or sections
+    rates = {number(section, "Sample rate") for section in leads}
+    if len(rates) > 1:
+        raise InputError(
+            f"{path}: leads have the rates {sorted(rates)} Hz; export them at one rate"
+        )
+    low, high = ([number(section, key) for section in leads] for key in ("Low", "High"))
+    steps = [number(section, "Range") / 32768 for section in sections]  # mV
+    rows = zip(sections, steps, digits, strict=True)
+    channels = [
+        Channel(printable(s["Label"]), step * x, "mV", gain=1 / step) for s, step, x in rows
+    ]
+    return RawRecording(channels, rates.pop(), filters=narrowest_passband(low, high, []))
+
+
 def _with_rest_around(table: RawRecording) -> RawRecording:
     """Add isoelectric samples around a single beat that begins and ends at 0 (simulated).
 
@@ -182,9 +214,15 @@ def _parsed(path: Path) -> tuple[list[_Column], list[Entry]]:
             "II and V1 to V6"
         )
     if separator is None or header.count(separator) > 256 or "\0" in text:
+        advice = "separated by commas, semicolons or tabs, such as time_ms,I_mV,II_mV"
+        if re.fullmatch(r"[\d\s.eE+-]+", header):
+            advice += (
+                "; in an export of GE CardioLab put commas for blanks, and add the labels of its "
+            )
+            advice += ".inf file as first line (sample,I_mV,II_mV)"
         raise InputError(
             f"{path}: no table of samples (its first line is '{header[:40]}'); the first line must "
-            "name the columns, separated by commas, semicolons or tabs, such as time_ms,I_mV,II_mV"
+            f"name the columns, {advice}"
         )
     # where a table holds both 1,5 and 0.5, one of them is not a number
     commas = separator != "," and re.search(r"\d,\d", cells) and not re.search(r"\d\.\d", cells)
