@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
-from operator import itemgetter
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -13,7 +12,7 @@ from scipy.ndimage import uniform_filter1d
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS, LIMB_LEADS, lead_matrix, limb_leads_from
 from fascicle.recording.filters import coarse
-from fascicle.recording.lead_groups import cut
+from fascicle.recording.lead_groups import cut, stretches
 from fascicle.recording.quality import Check, CheckResult, Severity, leave_out
 from fascicle.recording.recording import Recording
 
@@ -30,28 +29,17 @@ def check_identities(recording: Recording) -> list[CheckResult]:
     W. Einthoven, G. Fahr, A. de Waart, Pflügers Arch. 150:275 (1913); E. Goldberger, Am. Heart J.
     23:483 (1942).
     """
-    spans = recording.spans.tolist()
-    rows = [row for row, lead in enumerate(LIMB_LEADS) if lead in recording.measured_leads]
-    times = {}  # samples (1 s or more) that at least three limb leads share, by set of leads
-    for start, stop in {tuple(spans[row]) for row in rows}:
-        covering = tuple(
-            row
-            for row in rows
-            if min(spans[row][1], stop) - max(spans[row][0], start) >= 0.9 * (stop - start)
-        )
-        begin = max([start, *(spans[row][0] for row in covering)])
-        end = min([stop, *(spans[row][1] for row in covering)])
-        if len(covering) >= 3 and end - begin >= recording.sampling_rate:
-            times[covering] = slice(begin, end)
-    if not times:
+    measured = [row for row, lead in enumerate(LIMB_LEADS) if lead in recording.measured_leads]
+    results: list[CheckResult] = []
+    for first, stop in stretches(recording):
+        part = recording.signal[:, first:stop]
+        rows = [row for row in measured if np.isfinite(part[row]).all()]
+        if len(rows) >= 3 and stop - first >= recording.sampling_rate:  # 1 s
+            results += _check_group(recording, rows, slice(first, stop))
+    if not results:
         message = "not checked: no three limb leads were recorded at the same time"
-        return [Check("limb leads", "mV", 0.05).result(np.nan, message, Severity.FINE)]
-    together = sorted(times.items(), key=itemgetter(0))
-    return [
-        result
-        for covering, time in together
-        for result in _check_group(recording, list(covering), time)
-    ]
+        results = [Check("limb leads", "mV", 0.05).result(np.nan, message, Severity.FINE)]
+    return results
 
 
 def _check_group(recording: Recording, rows: list[int], time: slice) -> list[CheckResult]:
@@ -144,16 +132,17 @@ def _explain(
     def holds(changed: Floats) -> bool:
         return float(_misfits(changed, zeros).max()) <= min(_limit_of(changed), REMAINING * before)
 
-    mistakes = []
     identity = np.eye(len(rows))
+    changes = {}
     for k, name in enumerate(names):
-        if holds((identity - 2 * np.outer(identity[k], identity[k])) @ leads):
-            mistakes.append(f"lead {name} is upside down, give --invert {name}")
+        mistake = f"lead {name} is upside down, give --invert {name}"
+        changes[mistake] = identity * np.where(identity[k], -1.0, 1.0)
     for i, j in combinations(range(len(rows)), 2):
-        order = [{i: j, j: i}.get(k, k) for k in range(len(rows))]
-        if holds(leads[order]):
-            lead, other = names[i], names[j]
-            mistakes.append(f"leads {lead} and {other} are exchanged, give --swap {lead}-{other}")
+        mistake = (
+            f"leads {names[i]} and {names[j]} are exchanged, give --swap {names[i]}-{names[j]}"
+        )
+        changes[mistake] = identity[[{i: j, j: i}.get(k, k) for k in range(len(rows))]]
+    mistakes = [mistake for mistake, change in changes.items() if holds(change @ leads)]
     if mistakes:
         return Severity.FATAL, ", or ".join(mistakes)
     remaining = np.array([_without(k, leads, zeros) for k in range(len(rows))])
@@ -307,15 +296,12 @@ def _median_beat(recording: Recording, peaks: Integers) -> Floats:
 
 def _likeness(
     leads: Floats, reference: Floats, waves: Sequence[tuple[float, float]], rate: float
-) -> list[float]:
+) -> Floats:
     """Mean of the correlations of leads with another, in two `waves` of median beats (n,)."""
-    likeness = [0.0] * len(leads)
-    for wave in waves:
-        shapes = _wave(np.vstack([leads, reference]), wave, rate)
-        for k, shape in enumerate(shapes[:-1]):
-            scale = float(np.linalg.norm(shape) * np.linalg.norm(shapes[-1]))
-            likeness[k] += float(shape @ shapes[-1]) / scale / 2 if scale > 0 else 0.0
-    return likeness
+    with np.errstate(invalid="ignore"):  # of flat leads
+        shapes = (_wave(np.vstack([leads, reference]), wave, rate) for wave in waves)
+        correlations = [np.atleast_2d(np.corrcoef(shape))[-1, :-1] for shape in shapes]
+    return np.asarray(np.nan_to_num(correlations).mean(axis=0))
 
 
 def _wave(leads: Floats, wave: tuple[float, float], rate: float) -> Floats:
@@ -323,5 +309,5 @@ def _wave(leads: Floats, wave: tuple[float, float], rate: float) -> Floats:
     edge = max(round(0.01 * rate), 1)
     start, stop = (round((0.26 + end) * rate) for end in wave)
     x = leads[:, start : stop + 1]
-    x = x - np.linspace(x[:, :edge].mean(axis=1), x[:, -edge:].mean(axis=1), x.shape[1], axis=1)
-    return np.asarray(x - x.mean(axis=1, keepdims=True))
+    ends = x[:, :edge].mean(axis=1), x[:, -edge:].mean(axis=1)
+    return np.asarray(x - np.linspace(*ends, x.shape[1], axis=1))

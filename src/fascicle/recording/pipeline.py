@@ -15,6 +15,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.ranges import check_kind, short_repr
+from fascicle.recording import quality, window
 from fascicle.recording.beats import (
     AlignedBeats,
     DetectedBeat,
@@ -29,23 +30,9 @@ from fascicle.recording.filter_estimate import passed_filters
 from fascicle.recording.filters import TARGET_RATE, Filter, resample
 from fascicle.recording.lead_groups import LeadGroup, complete_in, lead_groups, stretches
 from fascicle.recording.limb_leads import check_identities, check_reversal
-from fascicle.recording.quality import (
-    CheckResult,
-    Severity,
-    check_leads,
-    check_mean_beat,
-    check_recording,
-    listed,
-)
 from fascicle.recording.recording import MissingMetadataError, Recording
 from fascicle.recording.spikes import find_spikes, remove_spikes
 from fascicle.recording.target import Target
-from fascicle.recording.window import (
-    NoQrsError,
-    qrs_window,
-    smoothing_against_ringing,
-    window_uncertainty,
-)
 
 
 @dataclass(frozen=True)
@@ -87,7 +74,7 @@ class Analysis:
     beats: tuple[DetectedBeat, ...]
     classes: tuple[BeatClass, ...]
     spikes: Floats
-    findings: tuple[CheckResult, ...]
+    findings: tuple[quality.CheckResult, ...]
     target: Target
     chosen: str
 
@@ -161,7 +148,7 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
     options = choices if choices is not None else TargetOptions()
     source, rate = recording.source, recording.sampling_rate
     complete = {lead: x for lead, x in recording.additional.items() if np.isfinite(x).all()}
-    findings = check_leads(replace(recording, additional=complete))
+    findings = quality.check_leads(replace(recording, additional=complete))
     _refuse(findings, recording)
     spikes = find_spikes(recording.signal, rate)
     clean = recording
@@ -179,7 +166,7 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
         checked = replace(clean, additional={lead: clean.additional[lead] for lead in complete})
         reversal = check_reversal(checked, r_peaks, paced=len(spikes) > 0)
         findings += (*check_identities(checked), reversal)
-        findings += check_recording(checked, r_peaks, filters)
+        findings += quality.check_recording(checked, r_peaks, filters)
         _refuse(findings, recording)
         by_group, label = select_beats(groups, options, source)
         pairs = zip(groups, by_group, strict=True)
@@ -188,11 +175,11 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
         )
         beats = tuple(beat for group_beats in by_group for beat in group_beats)
         target = _target(recording, aligned, beats, options, label, filters)
-    except NoQrsError as error:
+    except window.NoQrsError as error:
         raise InputError(
             f"{source}: {error}; leave bad leads out by --leads, or give a cleaner recording"
         ) from error
-    findings += check_mean_beat(target.qrs[: len(LEADS)], recording.simultaneous)
+    findings += quality.check_mean_beat(target.qrs[: len(LEADS)], recording.simultaneous)
     analysis = Analysis(
         recording=recording,
         signal=_recorded_signal(recording),
@@ -208,13 +195,13 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
     return analysis
 
 
-def _refuse(findings: Sequence[CheckResult], recording: Recording) -> None:
+def _refuse(findings: Sequence[quality.CheckResult], recording: Recording) -> None:
     """Raise the first finding that forbids a target, with the corrections that may be the fault."""
     notes = recording.provenance
     done = [f"{name} {notes[name]}" for name in ("inverted", "swapped") if name in notes]
     note = f" (after your options: {', '.join(done)}; they may be the fault)" if done else ""
     for finding in findings:
-        if finding.severity is Severity.FATAL:
+        if finding.severity is quality.Severity.FATAL:
             raise InputError(f"{recording.source}: {finding.message}{note}")
 
 
@@ -327,7 +314,7 @@ def _target(
         raise InputError(
             f"{source}: {count} beats show how they vary; --noise is for a single beat"
         )
-    smoothing = smoothing_against_ringing(filters)
+    smoothing = window.smoothing_against_ringing(filters)
     onset, offset, onset_sd, offset_sd = _window(aligned, smoothing, options, source)
     intervals = [beat.interval for beat in beats if math.isfinite(beat.interval)]
     notes = {
@@ -367,7 +354,7 @@ def _window(
 
     A stated end has an SD of 0; a detected one with an SD of more than 40 ms is refused.
     """
-    first, last = qrs_window(aligned.mean, aligned.not_before, smoothing)
+    first, last = window.qrs_window(aligned.mean, aligned.not_before, smoothing)
     time = aligned.time
     start = float(time[first]) if options.onset is None else float(options.onset)
     end = float(time[last]) if options.offset is None else float(options.offset)
@@ -382,7 +369,9 @@ def _window(
             f"{source}: QRS window {start:g} to {end:g} ms leaves the beat, which spans "
             f"{time[0]:g} to {time[-1]:g} ms from the R peak; give an onset and offset inside"
         )
-    uncertainties = window_uncertainty(aligned.beats, aligned.not_before, options.noise, smoothing)
+    uncertainties = window.window_uncertainty(
+        aligned.beats, aligned.not_before, options.noise, smoothing
+    )
     deviations = []
     for name, sd in zip(("onset", "offset"), uncertainties, strict=True):
         by_user = getattr(options, name) is not None
@@ -397,12 +386,18 @@ def _window(
 
 def _warnings(analysis: Analysis, options: TargetOptions) -> list[str]:
     recording, target, beats = analysis.recording, analysis.target, analysis.beats
-    warned = [finding for finding in analysis.findings if finding.severity is Severity.WARNING]
+    warned = [
+        finding for finding in analysis.findings if finding.severity is quality.Severity.WARNING
+    ]
     warnings = [finding.message for finding in warned if finding.message]
     if not recording.simultaneous:
         middles = [(first + stop) // 2 for first, stop in stretches(recording)]
         strips = np.array(LEADS)[np.isfinite(recording.signal[:, middles]).all(axis=1)]
-        how = f"by {listed(strips)}" if strips.size else "by the whole QRS, to within some 10 ms"
+        how = (
+            f"by {quality.listed(strips)}"
+            if strips.size
+            else "by the whole QRS, to within some 10 ms"
+        )
         warnings.append(
             "leads were recorded one group after another: beats of different groups are put "
             f"together, aligned {how}"

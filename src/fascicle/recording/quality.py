@@ -199,20 +199,17 @@ def _check_lowpass(recording: Recording, peaks: Integers, filters: Sequence[Filt
     # for adults, of P. Kligfield et al., Recommendations for the standardization and interpretation
     # of the electrocardiogram, part I, Circulation 115:1306 (2007)
     check = Check("recorder's low-pass", "Hz", 150.0)
-    lowpasses = (filter_ for filter_ in filters if filter_.kind is FilterKind.LOW_PASS)
-    lowpass = next(
-        (filter_ for filter_ in lowpasses if filter_.origin is not FilterOrigin.APPLIED), None
-    )
+    own, kind = FilterOrigin.APPLIED, FilterKind.LOW_PASS
+    lowpass = next((f for f in filters if f.kind is kind and f.origin is not own), None)
     if lowpass is None:
         return check.result(math.nan)
     messages = []
     if lowpass.frequency < check.limit:
         much = "strongly " if lowpass.frequency <= 40.0 else ""  # Hz; small deflections vanish
-        source = (
-            ", estimated from the spectrum," if lowpass.origin is FilterOrigin.ESTIMATED else ""
-        )
+        guessed = lowpass.origin is FilterOrigin.ESTIMATED
         messages.append(
-            f"the recorder's low-pass at {lowpass.frequency:.3g} Hz{source} {much}smooths the QRS "
+            f"the recorder's low-pass at {lowpass.frequency:.3g} Hz"
+            f"{', estimated from the spectrum,' * guessed} {much}smooths the QRS "
             f"({check.limit:g} Hz are recommended); export the recording unfiltered"
         )
     if lowpass.origin is FilterOrigin.STATED:
@@ -294,7 +291,7 @@ def _clipped(values: Floats, rate: float) -> float:
     steps = np.abs(np.diff(values, prepend=values[0], append=values[-1]))
     # A digit is the smallest step that is common: between digits lies what replaced a spike.
     sizes, counts = np.unique(np.round(steps[steps > 1e-7], 7), return_counts=True)
-    steep = 4.0 * float(sizes[counts >= 0.1 * counts.max()][0])
+    steep = 4.0 * float(sizes[counts >= 0.25 * counts.max()][0])
     count = 0
     for extreme in (values.min(), values.max()):
         if abs(extreme - middle) < 0.5 * furthest:
