@@ -8,7 +8,7 @@ import clinical_files as files
 import numpy as np
 import pytest
 from clinical_files import replaced, saved
-from refusals import read_as, refused, waves
+from refusals import read_as, refused
 
 from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_LEADS, LEADS
@@ -76,7 +76,7 @@ class TestSignal:
             ("a.xml", files.aecg, 2.5e-3, None),
             ("a.xml", lambda d: files.aecg(d, scale=("2500", "nV")), 2.5e-3, None),
             ("a.xml", files.mortara, 5e-3, None), ("a.ecg", files.ishne, 5e-3, None),
-            ("a.mwf", files.mfer, 5e-3, None),
+            ("a.mwf", files.mfer, 5e-3, None), ("a.xml", files.cardiosoft, 5e-3, None),
         ],
     )  # fmt: skip
     def test_of_each_format(self, tmp_path, digits, name, write, scale, filters):
@@ -330,22 +330,6 @@ class TestHostile:
         ranges = bytearray(sections[3])
         struct.pack_into("<II", ranges, 2 + 9 * 3, 2**32 - 500, 2**32 - 1)
         refused(saved(tmp_path, files.scp_record(sections | {3: bytes(ranges)})))
-
-
-def test_the_xml_of_cardiosoft(tmp_path):
-    signal = waves(2000)
-    leads = [
-        f'<WaveformData lead="{lead}">{",".join(map(str, digits))}\n\t</WaveformData>'
-        for lead, digits in zip(LEADS, np.round(signal / 0.005).astype(int), strict=True)
-    ]
-    about = '<SampleRate units="Hz">500</SampleRate><Resolution units="uVperLsb">5</Resolution>'
-    beat = f"<MedianSamples>{about}<WaveformData lead='I'>1,2</WaveformData></MedianSamples>"
-    head = '<?xml version="1.0" encoding="ISO-8859-1"?>\n<CardiologyXML>' + beat
-    path = tmp_path / "a.xml"
-    path.write_text(f"{head}<StripData>{about}{''.join(leads)}</StripData></CardiologyXML>")
-    assert read_as(path, signal, tolerance=0.003).sampling_rate == 500
-    path.write_text(f"{head}</CardiologyXML>")
-    refused(path, "holds 0 rhythms")
 
 
 def test_the_xml_of_schiller(data_folder):

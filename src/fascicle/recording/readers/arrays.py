@@ -109,11 +109,9 @@ def _content(item: h5py.Dataset) -> Any:
     return item[()]
 
 
-def _groups(
-    where: str, stored: Mapping[str, Any], around: Sequence[names.Entry]
-) -> Iterator[_Group]:
+def _groups(at: str, stored: Mapping[str, Any], around: Sequence[names.Entry]) -> Iterator[_Group]:
     """Yield a file or structure, sorted into metadata and arrays, and then those inside it."""
-    group = _Group(where or "/", list(around))
+    group = _Group(at or "/", list(around))
     for key, value in stored.items():
         name, array = printable(key), value if isinstance(value, _Array) else _Array(value)
         if isinstance(value, Mapping):
@@ -127,7 +125,7 @@ def _groups(
     yield group
     for name, value in stored.items():
         if isinstance(value, Mapping):
-            yield from _groups(f"{where}/{printable(name)}", value, group.metadata)
+            yield from _groups(f"{at}/{printable(name)}", value, group.metadata)
 
 
 def _raw_recording(stored: Mapping[str, Any], path: Path, format: str) -> RawRecording:

@@ -92,9 +92,7 @@ def _decimal_xml(path: Path, root: ET.Element) -> RawRecording:
     except ValueError as error:
         raise InputError(f"{path}: damaged ({one_line(error)}); export it again") from None
     if (exponent := wave.findtext("resolution/samplerate/exponent", "1")) != "1":
-        raise InputError(
-            f"{path}: a sampling rate of {rate:g}, exponent {printable(exponent)}, is not read"
-        )
+        raise InputError(f"{path}: a rate of {rate:g}, exponent {printable(exponent)}, is not read")
     unit = units[0].removesuffix("perLsb")
     channels = [Channel(str(n), step * x, unit, gain=1 / step) for n, x in digits.items()]
     return RawRecording(channels, rate, f"{'CardioSoft' if cardiosoft else 'Schiller'} XML")
@@ -171,10 +169,9 @@ def _check_one_recording(
         people = set()
         for person in (element for element in elements if element.tag in named):
             identity = (person.find(tag) for tag in ("id", "PatientID", ".//name"))
-            texts = [
-                (*part.attrib.values(), *part.itertext()) for part in identity if part is not None
-            ]
-            people.add(tuple(text.strip() for words in texts for text in words))
+            parts = [part for part in identity if part is not None]
+            words = " ".join(text for p in parts for text in (*p.attrib.values(), *p.itertext()))
+            people.add(" ".join(words.split()))
         if nested > 1:
             several = f"{nested} RestingECG elements"
         elif len(people) > 1:

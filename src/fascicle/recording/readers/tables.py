@@ -145,23 +145,20 @@ def read_labsystem(path: Path, sampling_rate: float | None) -> RawRecording:
     digits = np.array(re.split(r"[\s,]+", data.strip(" ,\r\n")), float)
     digits = digits.reshape(-1, len(sections)).T
 
-    def number(section: dict[str, str], key: str) -> float:
-        """Number of a field, in Hz or mV."""
-        text = re.sub("(?i)hz|mv", "", section[key]).strip()
-        return float(text.removesuffix("k")) * (1000.0 if text.endswith("k") else 1.0)
+    def numbers(key: str) -> list[float]:
+        """Numbers of a field, in Hz or mV, of all channels."""
+        texts = (re.sub("(?i)hz|mv", "", section[key]).strip() for section in sections)
+        return [float(text.replace("k", "")) * (1000.0 if "k" in text else 1.0) for text in texts]
 
-    leads = [section for section in sections if names.lead_name(section["Label"])] or sections
-    rates = {number(section, "Sample rate") for section in leads}
+    rates = set(numbers("Sample rate"))
     if len(rates) > 1:
-        raise InputError(
-            f"{path}: leads have the rates {sorted(rates)} Hz; export them at one rate"
-        )
-    low, high = ([number(section, key) for section in leads] for key in ("Low", "High"))
-    steps = [number(section, "Range") / 32768 for section in sections]  # mV
-    rows = zip(sections, steps, digits, strict=True)
+        raise InputError(f"{path}: channels at {sorted(rates)} Hz; export all at one rate")
     channels = [
-        Channel(printable(s["Label"]), step * x, "mV", gain=1 / step) for s, step, x in rows
+        Channel(printable(section["Label"]), x * span / 32768, "mV", gain=32768 / span)
+        for section, x, span in zip(sections, digits, numbers("Range"), strict=True)
     ]
+    are_leads = [names.lead_name(channel.name) is not None for channel in channels]
+    low, high = (np.extract(are_leads, numbers(key)).tolist() for key in ("Low", "High"))
     return RawRecording(channels, rates.pop(), filters=narrowest_passband(low, high, []))
 
 
@@ -273,9 +270,8 @@ def _column(spelt: str, others: Sequence[str], cells: pd.Series) -> _Column:
         brackets = re.fullmatch(r"(.+?)\s*[\[(]\s*([^\])]*?)\s*[\])]", name)  # "V1 [uV]"
         tail = re.fullmatch(r"(.+?)(?:[_ ]in[_ ]|[_ ]|\s*/\s*)([^_ /]+)", name)  # "V1_uV", "V1/uV"
         match = brackets or tail
-        if match and (
-            brackets or names.millivolts(match[2]) or names.plain_unit(match[2]) in names.PER_SECOND
-        ):
+        ending = names.plain_unit(match[2]) if match else ""
+        if match and (brackets or names.millivolts(ending) or ending in names.PER_SECOND):
             name, unit = match[1], printable(match[2])
             lead, rhythm = _lead_or_rhythm(name)
     return _Column(printable(spelt), name.lower().replace("_", " "), unit, lead, rhythm, cells)
@@ -382,10 +378,8 @@ def _read_long(
     if not rows:
         raise InputError(f"{path}: no lead in the column '{place.name}'; name them I, II, V1 to V6")
     # the longest lead knows the rate best
-    ordered, stated_rate = (
-        sorted(rows, key=lambda name: -len(rows[name])),
-        _agreed_rate(path, stated),
-    )
+    ordered = sorted(rows, key=lambda name: -len(rows[name]))
+    stated_rate = _agreed_rate(path, stated)
     rates: dict[str, float | None] = {
         f"of lead '{name}'": _rate_of(path, time, times[rows[name]], stated_rate, name)
         for name in ordered
