@@ -11,7 +11,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import butter, sosfiltfilt, welch
+from scipy.signal import welch
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import CHEST_LEADS, LEADS, LIMB_LEADS
@@ -118,8 +118,8 @@ def check_recording(
     The fine outcomes are returned, too. The recording is without pacing spikes, its R peaks are at
     the samples `peaks` (n_beats,), and it has passed the `filters`.
     """
-    kind, origin = FilterKind.NOTCH, FilterOrigin.APPLIED
-    notch = next((f for f in filters if f.kind is kind and f.origin is origin), None)
+    applied = (filter_ for filter_ in filters if filter_.origin is FilterOrigin.APPLIED)
+    notch = next((filter_ for filter_ in applied if filter_.kind is FilterKind.NOTCH), None)
     results = (check.of(recording, notch) for check in LEAD_CHECKS)
     return (*results, _check_lowpass(recording, peaks, filters))
 
@@ -220,8 +220,7 @@ def _check_lowpass(recording: Recording, peaks: Integers, filters: Sequence[Filt
         ):
             messages.append(
                 f"the spectrum shows a low-pass at {estimate.frequency:.3g} Hz of order "
-                f"{estimate.shape:.2g}, not one at {lowpass.frequency:.3g} Hz of order "
-                f"{lowpass.shape:.2g}, as --recorder-lowpass is taken: it rings, and the QRS is "
+                f"{estimate.shape:.2g}, not that of --recorder-lowpass: it rings, and the QRS is "
                 "marked too wide unless that option is left out"
             )
     return check.result(lowpass.frequency, "; ".join(messages))
@@ -255,19 +254,6 @@ def _interference(values: Floats, rate: float, mains: float) -> float:
             excess = spectrum[on_line].sum() - on_line.sum() * float(np.median(spectrum[nearby]))
             power += max(excess, 0.0)
     return 1e3 * float(np.sqrt(power))
-
-
-def _wander(values: Floats, rate: float) -> float:
-    """Peak-to-peak amplitude (mV), 1st to 99th percentile, of one lead below 0.5 Hz.
-
-    Below that frequency an ECG has no content (AHA/ACC/HRS, Circulation 115:1306, 2007).
-    """
-    x, coarse_rate = coarse(values, rate)
-    low = butter(2, 0.5, fs=coarse_rate, output="sos")
-    pad = min(len(x) - 1, round(2 * coarse_rate / 0.5))
-    slow = sosfiltfilt(low, x - np.median(x), padtype="even", padlen=pad)
-    below, above = np.percentile(slow, (1.0, 99.0))
-    return float(above - below)
 
 
 def _resolution(values: Floats, rate: float) -> float:
@@ -324,11 +310,6 @@ LEAD_CHECKS = (
             "record again away from the power line", mains=mains,
         )
         for mains in MAINS
-    ),
-    LeadCheck(
-        "baseline wander", "mV", 1.0, _wander,  # 10 mm on paper; every beat is detrended anyway
-        "the baseline of {leads} wanders (up to {largest:.2f} mV peak to peak)",
-        "look at the beats, or record again at rest",
     ),
     LeadCheck(
         "amplitude resolution", "uV", 20.0, _resolution,  # recorders store 5 uV or finer
