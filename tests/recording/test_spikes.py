@@ -236,6 +236,7 @@ def test_cases(data_folder, name, onset, offset, description):
     assert target.qrs_onset == pytest.approx(onset, abs=10)
     assert abs(target.qrs_offset - offset) <= 2 * target.offset_sd
     assert analysis.classes[0].description == description
+    assert not any(word in "\n".join(target.warnings) for word in ("--swap", "clipped"))
     assert not any(c.met for c in target.conventional_criteria if "left bundle" in c.name)
 
 

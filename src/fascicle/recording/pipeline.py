@@ -16,14 +16,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.ranges import check_kind, short_repr
 from fascicle.recording import quality, window
-from fascicle.recording.beats import (
-    AlignedBeats,
-    DetectedBeat,
-    by_name,
-    combine,
-    cut_beats,
-    select_beats,
-)
+from fascicle.recording.beats import AlignedBeats, DetectedBeat, combine, cut_beats, select_beats
 from fascicle.recording.choices import TargetOptions, check_window
 from fascicle.recording.detection import magnitude
 from fascicle.recording.filter_estimate import passed_filters
@@ -151,12 +144,10 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
     findings = quality.check_leads(replace(recording, additional=complete))
     _refuse(findings, recording)
     spikes = find_spikes(recording.signal, rate)
-    clean = recording
-    if len(spikes):
-        signals = np.array([*recording.signal, *recording.additional.values()])
-        signals = remove_spikes(signals, spikes, rate)
-        more = dict(zip(recording.additional, signals[len(LEADS) :], strict=True))
-        clean = replace(recording, signal=signals[: len(LEADS)], additional=more)
+    signals = np.array([*recording.signal, *recording.additional.values()])
+    signals = remove_spikes(signals, spikes, rate)
+    more = dict(zip(recording.additional, signals[len(LEADS) :], strict=True))
+    clean = replace(recording, signal=signals[: len(LEADS)], additional=more)
     try:
         groups = lead_groups(clean, spikes, options)
         recording = _with_beats_checked(recording, groups)
@@ -232,32 +223,28 @@ def _check_amplitude(recording: Recording, height: float) -> list[str]:
     percentiles of R and S are up to 3 mV in a lead (P. R. Rijnbeek et al., J. Electrocardiol.
     47:914, 2014), and hypertrophy adds to that.
     """
-    usual_range = (0.5, 5.0)  # mV, of a person
-    likely_range = (0.3, 6.0)  # mV; outside, gain or unit may be wrong, and the user is asked
-    possible, likely, usual = (
-        low <= height <= high for low, high in ((0.05, 20.0), likely_range, usual_range)
-    )
-    if not possible:
+    if not 0.05 <= height <= 20.0:
         raise InputError(
             f"{recording.source}: the largest lead spans {height:.3g} mV in one beat, expected "
             "0.05 to 20 mV; correct the unit or the gain of the file"
         )
-    if usual or not recording.from_file:
+    if 0.5 <= height <= 5.0 or not recording.from_file:
         return []
-    if not likely and not recording.amplitude_stated:
+    # gain or unit may be wrong
+    if not (0.3 <= height <= 6.0 or recording.amplitude_stated):
         gains, gain = recording.digits_per_millivolt, ""
         if gains is not None and np.isfinite(gains).any():
             gain = f" (--shared-gain --digits-per-mv, in place of {np.nanmedian(gains):g})"
         raise MissingMetadataError(
             f"{recording.source}: the QRS spans {height:.2g} mV in its largest lead, that of a "
-            f"person {likely_range[0]:g} to {likely_range[1]:g} mV; correct the gain{gain}, or "
-            "confirm the unit that the file states by --unit",
+            f"person 0.3 to 6 mV; correct the gain{gain}, or confirm the unit that the file states "
+            "by --unit",
             "unit",
         )
-    size = "low" if height < usual_range[0] else "high"
+    size = "low" if height < 0.5 else "high"
     return [
-        f"{size} voltage: the QRS spans {height:.2g} mV in its largest lead, usually "
-        f"{usual_range[0]:g} to {usual_range[1]:g} mV; are unit and gain right?"
+        f"{size} voltage: the QRS spans {height:.2g} mV in its largest lead, usually 0.5 to 5 mV; "
+        "are unit and gain right?"
     ]
 
 
@@ -290,7 +277,7 @@ def _recorded_signal(recording: Recording) -> Floats:
 def _classes(groups: Sequence[LeadGroup]) -> tuple[BeatClass, ...]:
     counts = Counter(label for group in groups for label in group.labels)
     first = {label: group for group in reversed(groups) for label in group.labels}
-    labels = sorted(counts, key=by_name)
+    labels = sorted(sorted(counts), key=len)  # Z before A2
     return tuple(BeatClass(label, counts[label], first[label].describe(label)) for label in labels)
 
 
@@ -369,11 +356,9 @@ def _window(
             f"{source}: QRS window {start:g} to {end:g} ms leaves the beat, which spans "
             f"{time[0]:g} to {time[-1]:g} ms from the R peak; give an onset and offset inside"
         )
-    uncertainties = window.window_uncertainty(
-        aligned.beats, aligned.not_before, options.noise, smoothing
-    )
+    sds = window.window_uncertainty(aligned.beats, aligned.not_before, options.noise, smoothing)
     deviations = []
-    for name, sd in zip(("onset", "offset"), uncertainties, strict=True):
+    for name, sd in zip(("onset", "offset"), sds, strict=True):
         by_user = getattr(options, name) is not None
         deviations.append(0.0 if by_user else math.hypot(sd, aligned.alignment_sd))
         if deviations[-1] > 40.0:
@@ -386,21 +371,15 @@ def _window(
 
 def _warnings(analysis: Analysis, options: TargetOptions) -> list[str]:
     recording, target, beats = analysis.recording, analysis.target, analysis.beats
-    warned = [
-        finding for finding in analysis.findings if finding.severity is quality.Severity.WARNING
-    ]
-    warnings = [finding.message for finding in warned if finding.message]
+    severe = quality.Severity.WARNING
+    warnings = [found.message for found in analysis.findings if found.severity is severe]
     if not recording.simultaneous:
         middles = [(first + stop) // 2 for first, stop in stretches(recording)]
         strips = np.array(LEADS)[np.isfinite(recording.signal[:, middles]).all(axis=1)]
-        how = (
-            f"by {quality.listed(strips)}"
-            if strips.size
-            else "by the whole QRS, to within some 10 ms"
-        )
+        how = quality.listed(strips) if strips.size else "the whole QRS, to within some 10 ms"
         warnings.append(
             "leads were recorded one group after another: beats of different groups are put "
-            f"together, aligned {how}"
+            f"together, aligned by {how}"
         )
     warnings += recording.remarks
     rate, qrs = target.heart_rate, target.qrs_duration

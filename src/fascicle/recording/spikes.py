@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -76,9 +77,8 @@ def remove_spikes(signal: Floats, spikes: Integers, sampling_rate: float) -> Flo
     """
     without, reach = signal.copy(), max(math.ceil(0.005 * sampling_rate), 2)  # s
     bends = _bends(signal)
-    nexts = [*spikes[1:, 0].tolist(), signal.shape[1]]
-    for (first, end), following in zip(spikes.tolist(), nexts, strict=False):
-        stop = max(end, min(_end_of_ringing(bends, end, reach), following))
+    for (first, end), following in pairwise([*spikes.tolist(), [signal.shape[1]] * 2]):
+        stop = max(end, min(_end_of_ringing(bends, end, reach), following[0]))
         before, after = max(first - 1, 0), min(stop, signal.shape[1] - 1)
         share = np.linspace(0, 1, after - before + 1)
         ends = without[:, [before, after]]

@@ -367,8 +367,8 @@ def _j_point(slope: Floats, core: int, elevation: float) -> int | None:
     """Sample after the core at which an elevated ST segment begins; None without one.
 
     Slopes (k, n), mV/ms, are those from rest to the end of the QRS. In the segment all leads go on
-    away from the level at rest in one direction, to an `elevation` (mV, root sum of squares) or
-    more, and slow down by less than a factor e in 15 ms. A QRS ends on the other side or faster.
+    away from rest in one direction, to an `elevation` (mV, root sum of squares) at least, and slow
+    down by less than a factor e in 15 ms. A QRS ends on the other side or faster.
     """
     away, slope = slope.cumsum(axis=1)[:, core:], slope[:, core:]
     speed, trend = np.linalg.norm(slope, axis=0), slope[:, -10:].mean(axis=1)
