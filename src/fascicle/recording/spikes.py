@@ -10,6 +10,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import find_peaks
 
 from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.core.leads import LEADS
 
 
 def find_spikes(signal: Floats, sampling_rate: float) -> Integers:
@@ -71,12 +72,12 @@ def find_spikes(signal: Floats, sampling_rate: float) -> Integers:
 
 
 def remove_spikes(signal: Floats, spikes: Integers, sampling_rate: float) -> Floats:
-    """Signal (12, n) with a straight line across each spike (k, 2), in every recorded lead.
+    """Signal (12 + k, n) with a straight line across each spike (m, 2), in every recorded lead.
 
     What rings after it, or a second spike within 5 ms, is taken out with it.
     """
     without, reach = signal.copy(), max(math.ceil(0.005 * sampling_rate), 2)  # s
-    bends = _bends(signal)
+    bends = _bends(signal[: len(LEADS)])  # additional leads decide nothing
     for (first, end), following in pairwise([*spikes.tolist(), [signal.shape[1]] * 2]):
         stop = max(end, min(_end_of_ringing(bends, end, reach), following[0]))
         before, after = max(first - 1, 0), min(stop, signal.shape[1] - 1)
