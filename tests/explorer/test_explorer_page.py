@@ -102,7 +102,7 @@ def change(page, act):
 
 
 def slide(page, name, value):
-    row = page.locator(f"[data-name={name}] input")
+    row = page.locator(f"[data-name={name}] input[type=range]")
     row.evaluate("(e, v) => { e.value = v; e.dispatchEvent(new Event('input')) }", value)
 
 
@@ -135,6 +135,10 @@ def test_a_slider_gives_the_ecg_that_simulate_gives(page, default_model):
     text = page.locator(".fx-measured").inner_text()
     assert f"{expected.qrs_duration:.0f} ms" in text
     change(page, lambda: page.keyboard.press("Control+z"))
+    latest = np.ceil(np.ptp(expected.activation[np.unique(default_model.heart.boundary[0])]))
+    bar = page.get_by_role("img", name="colours of activation (ms; 0: first ventricular")
+    assert bar.get_attribute("aria-label").endswith(f" from 0 to {latest:.0f}")
+    assert page.evaluate("explorer.heart.shared.high.value") == latest
     assert shown(page)["leads"] == before["leads"]
     slide_to = "e => { e.value = 30; e.dispatchEvent(new Event('input')) }"
     page.get_by_label("time after the first").evaluate(slide_to)
@@ -144,6 +148,24 @@ def test_a_slider_gives_the_ecg_that_simulate_gives(page, default_model):
 
 
 def test_what_was_found_is_saved(page, tmp_path):
+def test_a_value_is_typed(page):
+    speed = page.get_by_label("Purkinje conduction velocity (m/s)")
+    speed.fill("2,345")
+    change(page, lambda: speed.press("Enter"))
+    typed = shown(page)
+    assert typed["state"]["values"]["cv"] == 2.345
+    at = page.locator("[data-name=cv] input[type=range]").input_value()
+    assert float(at) == pytest.approx(2.345, abs=0.005)
+    for text, key in (("9", "Enter"), ("", "Enter"), ("x", "Tab"), ("3", "Escape")):
+        speed.fill(text)
+        speed.press(key)
+        assert speed.input_value() == "2.345"
+        words = "Purkinje conduction velocity: give 1.5 to 3.5 m/s" if key != "Escape" else ""
+        assert page.locator(".fx-status").inner_text() == words
+        page.evaluate("explorer.say('')")
+    assert shown(page) == typed
+
+
     kept = []
     page.on("download", lambda each: kept.append(each))
     page.get_by_role("button", name="save parameters").click()
@@ -209,7 +231,7 @@ def test_what_is_not_learnt_has_sliders_too(page, default_model):
     for name, value in (("endocardial_layer", 2), ("endocardial_speed", 3)):
         slide(page, name, value)  # nothing is asked before the hand rests
         assert name not in shown(page)["state"]["values"]
-        row = page.locator(f"[data-name={name}] input")
+        row = page.locator(f"[data-name={name}] input[type=range]")
         change(page, lambda row=row: row.dispatch_event("change"))
     assert total(page) < grown.total_activation_time
 
@@ -371,7 +393,7 @@ def test_the_heart_follows_its_number(atlas_model, explore):
     for number in (1, 0):
 
         def choose(number=number):
-            page.locator("[data-name=atlas_heart] input").evaluate(
+            page.locator("[data-name=atlas_heart] input[type=range]").evaluate(
                 "(e, v) => { e.value = v; e.dispatchEvent(new Event('change')) }", number
             )
 

@@ -340,7 +340,7 @@ class Session:
         drawn = None
         if name in values and len(values[name]):
             drawn = np.histogram(values[name], bins=30, range=(low, high))[0].tolist()
-        unit = "" if parameter.unit == "1" else parameter.unit
+        unit = {"1": "", "mm/ms": "m/s"}.get(parameter.unit, parameter.unit)
         along, across = self.model.conduction.speeds
         # where a state does not name the quantity; None for those that it must name
         numbers = {**self.model.rules.numbers, **vars(self.model.conduction)}
