@@ -1,15 +1,16 @@
 """What the explorer answers is what the forward model gives, or one line of what is wrong."""
 
 import json
-import socket
+import re
 import time
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
-from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 from builders import recorded
+from websockets.sync.client import connect
 
 import fascicle
 from fascicle.core.errors import InputError
@@ -271,14 +272,23 @@ def test_what_does_not_fit_the_heart_is_said(session, tmp_path):
         session_of("default", 3, None)
 
 
-def test_a_page_is_announced_when_it_can_be_opened(session):
-    def opened(url):
-        page = urlsplit(url)
-        socket.create_connection((page.hostname, page.port)).close()
-        raise InterruptedError
+def test_a_browser_in_the_foreground_is_served_and_not_told_the_token(session, monkeypatch):
+    opened = []
 
-    with pytest.raises(InterruptedError):
-        serve(session, opened=opened)
+    def foreground(address):  # returns when it is closed
+        page = Path(address.removeprefix("file://"))
+        url = re.search('url=(.*?)"', page.read_text())[1]
+        with connect(f"{url.replace('http', 'ws')}socket", origin=url[: url.index("/", 8)]) as one:
+            one.recv()
+        modes = [oct(path.stat().st_mode & 0o777) for path in (page.parent, page)]
+        opened.append((page, url.split("/")[-2], modes))
+
+    monkeypatch.setattr("webbrowser.open", foreground)
+    serve(session)
+    ((page, token, modes),) = opened
+    assert token not in str(page)
+    assert modes == ["0o700", "0o600"]
+    assert not page.parent.exists()
 
 
 class TestHeartsOfAnAtlas:
