@@ -376,7 +376,20 @@ def test_nobody_else_gets_in(url):
         assert b"missing parameters" in page.recv()
 
 
-def test_a_port_that_is_taken_is_said(session, url, monkeypatch, capsys):
+def test_damaged_messages_are_answered_in_a_line(session, url, capfd):
+    own = url[: url.index("/", 8)]
+    nested, long = "[" * 10**5, json.dumps({"state": {"values": {}, "scenario": "x" * 2**21}})
+    with connect(f"{url.replace('http', 'ws')}socket", origin=own, max_size=None) as page:
+        page.recv()
+        for damaged in ("{x", "", "3", "[1]", '{"state": 3}', b"\0\xff", "1" * 5000, nested, long):
+            page.send(damaged)
+            assert b"the page sent a damaged message; reload the page" in page.recv()
+        page.send(json.dumps({"id": float("nan"), "state": {"values": session.start}}))
+        assert b'{"id": null, "qrs": ' in page.recv()
+    assert capfd.readouterr().err == ""
+
+
+def test_a_port_that_is_taken_is_said(url, monkeypatch, capsys):
     from tests.cli.conftest import exit_status  # the script above cannot import it
 
     monkeypatch.setattr("fascicle.explorer.explore.session_of", None)  # refused before the work

@@ -189,6 +189,7 @@ def serve(
 async def in_thread(work: Callable[[], bytes]) -> bytes:
     """Result of `work`, run in a daemon thread: the program may end before it does."""
     loop, result = asyncio.get_running_loop(), Future[bytes]()
+    result.set_running_or_notify_cancel()  # from here on, only the await is cancelled
 
     def run() -> None:
         try:
@@ -247,6 +248,8 @@ class Application:
 
     async def socket(self, page: Any) -> None:
         """Serve the socket of one page until it is closed; messages are answered in order."""
+        from starlette.websockets import WebSocketDisconnect
+
         origin = page.headers.get("origin", "").removeprefix("http://")
         if origin not in self.hosts or page.headers.get("host") not in self.hosts:
             await page.close(1008)  # policy violation: a page of another host
@@ -263,16 +266,18 @@ class Application:
         self.pages -= 1
         loop = asyncio.get_running_loop()
         loop.call_later(self.reloaded_within, lambda: self.pages or self.end())
-        for task in ended:
-            task.result()  # raises the exception of a failed task
+        with suppress(WebSocketDisconnect):  # closed while an answer was sent
+            for task in ended:
+                task.result()  # raises the exception of a failed task
 
     async def messages(self, page: Any, messages: asyncio.Queue[Any]) -> None:
-        """Collect the messages of a page, until it is closed."""
-        from starlette.websockets import WebSocketDisconnect
-
-        with suppress(WebSocketDisconnect, json.JSONDecodeError):
-            while True:
-                messages.put_nowait(json.loads(await page.receive_text()))
+        """Collect the messages of a page, until it is closed; None for each that is damaged."""
+        while (frame := await page.receive())["type"] != "websocket.disconnect":
+            message = None
+            with suppress(ValueError, RecursionError):
+                # binary frames have no text; a page's messages have at most 10,000 characters
+                message = json.loads((frame.get("text") or "")[: 2**16])
+            messages.put_nowait(message)
 
     async def answers(self, page: Any, messages: asyncio.Queue[Any]) -> None:
         """Send the description, then the answer to each message, with progress of long ones."""

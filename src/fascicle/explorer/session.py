@@ -227,11 +227,12 @@ class Session:
             if report is not None:
                 report(packed({"progress": line}, {}))
 
-        number = message.get("id") if isinstance(message, Mapping) else None
+        number = None
         try:
-            if not isinstance(message, Mapping):
-                raise InputError("state: not a table; reload the page")
-            state = PageState.of(message.get("state"))
+            if not (isinstance(message, Mapping) and isinstance(message.get("state"), Mapping)):
+                raise InputError("the page sent a damaged message; reload the page")
+            number = message.get("id") if isinstance(message.get("id"), int) else None
+            state = PageState.of(message["state"])
             if message.get("ask") == "files":
                 return packed({"id": number, "files": self.files(state)}, {})
             lines = ProgressLines(note)
