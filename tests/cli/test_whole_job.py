@@ -350,7 +350,7 @@ def test_report(study, run):
     scenarios = json.loads(content[1])["scenarios"]
     assert [scenario["name"] for scenario in scenarios] == ["intrinsic", "his-pacing"]
     assert all(warning in html.unescape(text) for warning in study.warnings)
-    rows = dict(re.findall(r'<tr><th>([^<]*)</th>\s*<td class="number">(.*?)</tr>', text, re.S))
+    rows = dict(re.findall(r'<th[^>]*>([^<]*)</th>\s*<td class="number">(.*?)</tr>', text, re.S))
     said = json.loads((study.folder / "summary.json").read_text())
     cells = re.findall(r"[-\d.]+%", rows["variance explained"])
     assert cells == [f"{said['explained_power'][lead]:.0%}" for lead in (*LEADS, "all")]

@@ -375,17 +375,12 @@ def explore(
     save parameters and scenario for 'fascicle simulate', a picture or a film. It ends with the last
     page, or Ctrl-C. Only this machine can open the page, and nothing is loaded from elsewhere.
     """
-    from fascicle.explorer.explore import in_browser, serve, session_of
+    from fascicle.explorer.explore import listen, serve, session_of
 
-    with TerminalProgress() as progress:
-        session = session_of(heart, target, progress)
-
-    def opened(url: str) -> None:
-        print(f"exploring at {url}", flush=True)
-        if browser:
-            in_browser(url)
-
-    serve(session, port, opened)
+    with listen(port) as listening:
+        with TerminalProgress() as progress:
+            session = session_of(heart, target, progress)
+        serve(session, listening, browser=browser)
     return {}
 
 
