@@ -35,7 +35,12 @@ from fascicle.build.meshing import (
     remeshed_anatomy,
     subdivided,
 )
-from fascicle.build.segmentation import SegmentationLabels, regions_at
+from fascicle.build.segmentation import (
+    Segmentation,
+    SegmentationLabels,
+    part_of_segment,
+    regions_at,
+)
 from fascicle.build.segmentation_files import read_segmentation
 from fascicle.build.segmentation_surface import surface_from_segmentation
 from fascicle.build.surface_checks import Volumes, check_sides, compared, mirror_warning, volumes
@@ -181,16 +186,7 @@ def _from_segmentation(
 ) -> Anatomy:
     source.check_unused("a segmentation", "label_array", "labels_file", *source.of_tetrahedra)
     segmentation = read_segmentation(file)
-    if source.labels is None:
-        numbers = ", ".join(map(str, np.unique(segmentation.labels)))
-        raise InputError(
-            f"{segmentation.name}: the meaning of its labels ({numbers}) depends on the program "
-            "that wrote them; give it, as --labels lv=1,rv=2,myocardium=3,scar=4"
-        )
-    part_names = [part.name for part in fields(SegmentationLabels)]
-    if unknown := [name for name in source.labels if name not in part_names]:
-        raise InputError(f"--labels: unknown '{unknown[0]}'; the parts are {', '.join(part_names)}")
-    labels, notes = SegmentationLabels(**source.labels), []
+    labels, notes = _segmentation_labels(segmentation, source.labels)
     if segmentation.space:
         notes.append(
             f"coordinates: {segmentation.space}, as in the file; --pose "
@@ -209,6 +205,33 @@ def _from_segmentation(
     centres = mesh.vertices[mesh.tetrahedra].mean(axis=1)
     mesh = replace(mesh, regions=regions_at(segmentation, labels, centres))
     return replace(anatomy, mesh=mesh, notes=(*anatomy.notes, note), values={scar: 0.0})
+
+
+def _segmentation_labels(
+    segmentation: Segmentation, numbers: Mapping[str, int] | None
+) -> tuple[SegmentationLabels, list[str]]:
+    """Numbers of the parts, by the names of the file's segments if none are given; with notes."""
+    if numbers is not None:
+        parts = [part.name for part in fields(SegmentationLabels)]
+        if unknown := [name for name in numbers if name not in parts]:
+            raise InputError(f"--labels: unknown '{unknown[0]}'; the parts are {', '.join(parts)}")
+        return SegmentationLabels(**numbers), []
+    named = {n: segmentation.segments.get(n, "") for n in np.unique(segmentation.labels).tolist()}
+    by_part: dict[str, tuple[int, ...]] = {}
+    for number, name in named.items():
+        if (part := part_of_segment(name)) is not None:
+            by_part[part] = (*by_part.get(part, ()), number)
+    if not {"lv", "rv", "myocardium"} <= by_part.keys():
+        listed = ", ".join(f"{number} {name}".strip() for number, name in named.items())
+        raise InputError(
+            f"{segmentation.name}: the meaning of its labels ({listed}) depends on the program "
+            "that wrote them; give it, as --labels lv=1,rv=2,myocardium=3,scar=4"
+        )
+    listed = "; ".join(
+        f"{part} {', '.join(f'{number} {named[number]}' for number in found)}"
+        for part, found in by_part.items()
+    )
+    return SegmentationLabels(**by_part), [f"labels, by the names of segments: {listed}"]
 
 
 def _from_tetrahedra(

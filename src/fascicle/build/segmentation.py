@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
+from fascicle.heart.labelled_surface import ENDOCARDIA, label_of
 from fascicle.mesh.checks import check_units, place
 
 
@@ -20,13 +23,15 @@ class Segmentation:
     """Label map (i, j, k), in which 0 is background, with its position.
 
     The affine (4, 4) maps indices of voxel centres to mm in the file's coordinates. The space is
-    empty if the axes are not the patient's. The name is used in messages.
+    empty if the axes are not the patient's. The name is used in messages. Segments are the names
+    of numbers, if the file has any.
     """
 
     labels: NDArray[np.integer[Any]]
     affine: Floats
     name: str = "segmentation"
     space: str = ""  # "RAS" or "LPS"
+    segments: Mapping[int, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         spacing, axes = self.spacing, self.affine[:3, :3]
@@ -85,6 +90,17 @@ class SegmentationLabels:
         names = ("LV blood", "RV blood", "myocardium", "scar")
         parts = zip(names, (self.lv, self.rv, self.myocardium, self.scar), strict=True)
         return [(n, p if isinstance(p, tuple) else (p,)) for n, p in parts if p is not None]
+
+
+def part_of_segment(name: str) -> str | None:
+    """Part of `SegmentationLabels` that the name of a segment means, such as "LV blood pool"."""
+    name = name.lower().replace("_", " ")
+    if re.search(r"scar|infarct|fibrosis", name):
+        return "scar"
+    if re.search(r"myo|wall|muscle", name):
+        return None if re.search(r"atri|aort|papillary|\b[lr]a\b", name) else "myocardium"
+    label = label_of(re.sub(r"blood|pool", "", name))
+    return label.name[:2].lower() if label in ENDOCARDIA else None
 
 
 @dataclass(frozen=True)
