@@ -21,15 +21,27 @@ import numpy as np
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError, one_line
 from fascicle.core.isolated import DAMAGED
-from fascicle.mesh.mesh_file import GROUP, LINE, TETRAHEDRON, TRIANGLE, MeshFile, damaged
+from fascicle.mesh.mesh_file import (
+    CORNERS,
+    GROUP,
+    LINE,
+    QUADRANGLE,
+    TETRAHEDRON,
+    TRIANGLE,
+    MeshFile,
+    damaged,
+)
 
 # Element types by Gmsh's number: name, number of nodes, and VTK's cell type (None: not read). Of
 # quadratic ones the corners are read, which come first.
 GMSH_ELEMENTS = {
-    1: ("line", 2, LINE), 2: ("triangle", 3, TRIANGLE), 3: ("quadrangle", 4, None),
+    1: ("line", 2, LINE), 2: ("triangle", 3, TRIANGLE), 3: ("quad", 4, QUADRANGLE),
     4: ("tetra", 4, TETRAHEDRON), 5: ("hexahedron", 8, 12), 6: ("wedge", 6, 13),
     7: ("pyramid", 5, 14), 8: ("line3", 3, None), 9: ("triangle6", 6, TRIANGLE),
-    10: ("quadrangle9", 9, None), 11: ("tetra10", 10, TETRAHEDRON), 15: ("vertex", 1, None),
+    10: ("quad9", 9, QUADRANGLE), 11: ("tetra10", 10, TETRAHEDRON), 12: ("hexahedron27", 27, 12),
+    13: ("wedge18", 18, 13), 14: ("pyramid14", 14, 14), 15: ("vertex", 1, None),
+    16: ("quad8", 8, QUADRANGLE), 17: ("hexahedron20", 20, 12), 18: ("wedge15", 15, 13),
+    19: ("pyramid13", 13, 14),
 }  # fmt: skip
 
 
@@ -75,7 +87,7 @@ def _corners(nodes: Integers, kind: int, cells: dict[int, Integers]) -> Integers
     """Corners of cells of one kind, which may be quadratic; ValueError if there are such cells."""
     if kind in cells:
         raise ValueError("linear and quadratic elements of one shape")
-    return nodes[:, : {TRIANGLE: 3, TETRAHEDRON: 4}.get(kind)]
+    return nodes[:, : CORNERS[kind]]
 
 
 def _read_ply(path: Path) -> Any:
