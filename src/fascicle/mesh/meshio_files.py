@@ -182,8 +182,8 @@ def _sections(content: bytes) -> Iterator[tuple[str, bytes]]:
             raise ValueError(f"no section where one should start (byte {position})")
         end = b"$End" + start[1]
         end_position = content.find(end, start.end())
-        position = content.find(b"\n", end_position) + 1
-        if end_position < 0 or not position or content[end_position:position].strip() != end:
+        position = content.find(b"\n", end_position) + 1 or len(content)
+        if end_position < 0 or content[end_position:position].strip() != end:
             raise ValueError("ends within a section")
         yield start[1].decode(), content[start.end() : end_position]
 

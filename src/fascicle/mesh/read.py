@@ -24,7 +24,7 @@ from fascicle.mesh.mesh_file import (
 )
 from fascicle.mesh.meshio_files import gmsh22_header, read_gmsh22, read_meshio
 from fascicle.mesh.opencarp import read_opencarp_mesh
-from fascicle.mesh.vtk import is_ascii_vtk, read_vtk
+from fascicle.mesh.vtk import read_vtk
 
 MESH_FORMATS = (".vtk", ".vtu", ".vtp", ".obj", ".stl", ".ply", ".msh", *OPENCARP_FORMATS)
 
@@ -72,17 +72,17 @@ def _check_complete(path: Path) -> None:
     triangles = size >= 84 and size >= 84 + 50 * int.from_bytes(head[80:84], "little")
     complete_stl = (triangles and any(tail)) or b"endsolid" in tail.lower()
     endings = {
-        ".vtu": ("</VTKFile>", b"</VTKFile>" in tail),
-        ".vtp": ("</VTKFile>", b"</VTKFile>" in tail),
-        ".stl": ("as many triangles as announced", complete_stl),
-        ".obj": ("line end", tail[-1:].isspace()),
-        ".vtk": ("line end", tail[-1:].isspace() or not is_ascii_vtk(head)),
+        ".vtu": ("no </VTKFile> at its end", b"</VTKFile>" in tail),
+        ".vtp": ("no </VTKFile> at its end", b"</VTKFile>" in tail),
+        ".stl": ("not as many triangles as announced", complete_stl),
+        # without a count, a face that lost digits looks whole
+        ".obj": ("no line end at its end; add one if the file is whole", tail[-1:].isspace()),
     }
-    end, complete = endings.get(path.suffix.lower(), ("", True))
+    fault, complete = endings.get(path.suffix.lower(), ("", True))
     if size == 0:
         raise InputError(f"{path}: the file is empty; export or copy it again")
     if not complete:
-        raise damaged(path, f"no {end} at its end")
+        raise damaged(path, fault)
 
 
 def cut_into_simplices(mesh: MeshFile) -> MeshFile:

@@ -150,6 +150,8 @@ def _cells(grid: Any) -> tuple[dict[int, Integers], dict[int, Integers], dict[st
     kinds = linear[kinds]
     start = vtk_to_numpy(grid.GetCells().GetOffsetsArray()).astype(np.int64)
     points = vtk_to_numpy(grid.GetCells().GetConnectivityArray()).astype(np.int64)
+    if (np.diff(start)[kinds == 1] != 1).any():  # lone vertices, or kinds that lost a digit
+        raise ValueError("vertices of several points")
     cells, index = {}, {}
     for kind, corners in CORNERS.items():
         if kind != LINE and (rows := np.flatnonzero(kinds == kind)).size:
