@@ -10,6 +10,7 @@ import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
+from fascicle.build.segmentation import Segmentation
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledSurface
@@ -105,6 +106,26 @@ def join_surfaces(parts: Mapping[str, JoinedPart]) -> LabelledSurface:
     labels = (Label.EPICARDIUM, Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.BASE)
     of_triangles = np.repeat(labels, list(map(len, triangles))).astype(np.int64)
     return LabelledSurface(vertices, joined, of_triangles, name)
+
+
+def label_map_beside_lv(parts: Mapping[str, JoinedPart]) -> Segmentation | None:
+    """Label map of parts whose epicardium is the LV's alone; None if it encloses the RV, too.
+
+    Atlases of short-axis images have the RV's blood beside a shell of the LV's muscle. Voxels of
+    1.5 mm have the numbers of `SegmentationLabels`. The parts are those of `join_surfaces`.
+    """
+    lv, epicardium, rv = (_clean_part(parts[p], p, 1)[1:3] for p in ("lv", "epicardium", "rv"))
+    inside = [(winding_number(*epicardium, vertices) > 0.5).mean() for vertices, _ in (lv, rv)]
+    apart, _ = cKDTree(epicardium[0]).query(rv[0])
+    if inside[0] < 0.9 or inside[1] > 0.5 or apart.min() > 10.0:  # mm
+        return None
+    points, affine = np.concatenate([epicardium[0], rv[0]]), np.diag([1.5, 1.5, 1.5, 1.0])
+    affine[:3, 3] = points.min(axis=0)
+    shape = tuple(np.ceil(np.ptp(points, axis=0) / 1.5).astype(int).tolist())
+    voxels = 1.5 * np.indices(shape).reshape(3, -1).T + affine[:3, 3]
+    within = [winding_number(*part, voxels) > 0.5 for part in (lv, epicardium, rv)]
+    labels = np.select(within, [1, 3, 2]).reshape(shape)
+    return Segmentation(labels, affine, f"{parts['rv'].name}, {parts['epicardium'].name}")
 
 
 def _clean_part(part: JoinedPart, kind: str, needed: int) -> JoinedPart:

@@ -11,7 +11,7 @@ import numpy as np
 
 from fascicle.build.borders import cut_along_borders
 from fascicle.build.classify import classify_surface
-from fascicle.build.join import JoinedPart, join_surfaces
+from fascicle.build.join import JoinedPart, join_surfaces, label_map_beside_lv
 from fascicle.build.labelled_files import (
     Anatomy,
     FibreChoice,
@@ -113,6 +113,11 @@ def read_anatomy(source: Source, edge_length: float, progress: Progress | None =
             part: JoinedPart(str(mesh.path), mesh.points, mesh.require(TRIANGLE, "triangles"))
             for part, mesh in meshes.items()
         }
+        if (label_map := label_map_beside_lv(parts)) is not None:
+            note = (
+                f"{label_map.name}: the RV lies outside the epicardium, so that is the LV's alone"
+            )
+            return _from_label_map(label_map, SegmentationLabels(), [note], edge_length, progress)
         joined = join_surfaces(parts)
         return _meshed(*_fine_enough(joined, edge_length), joined, edge_length, progress)
     segmentations = (".nii", ".nii.gz", ".nrrd", ".nhdr")
@@ -187,6 +192,16 @@ def _from_segmentation(
     source.check_unused("a segmentation", "label_array", "labels_file", *source.of_tetrahedra)
     segmentation = read_segmentation(file)
     labels, notes = _segmentation_labels(segmentation, source.labels)
+    return _from_label_map(segmentation, labels, notes, edge_length, progress)
+
+
+def _from_label_map(
+    segmentation: Segmentation,
+    labels: SegmentationLabels,
+    notes: list[str],
+    edge_length: float,
+    progress: Progress | None,
+) -> Anatomy:
     if segmentation.space:
         notes.append(
             f"coordinates: {segmentation.space}, as in the file; --pose "
