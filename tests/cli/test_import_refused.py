@@ -122,7 +122,7 @@ TISSUES = {
     "no unit": (lambda m: tissue(m, m.points * 1e12), "largest extent is 6e+13", "; check the"),
     "there twice": (lambda m: tissue(m, None, np.vstack([m.tetrahedra, m.tetrahedra[100:110]])),
                     "tetrahedra overlap others", "; remove what is there twice"),
-    "two pieces": (gapped, "2 unconnected pieces", "; keep one piece"),
+    "two pieces": (gapped, "2 unconnected pieces: ", "(first: ", "heart build' joins them"),
     "corners that are no points": (beyond_the_points, "points that are not there"),
 }  # fmt: skip
 
