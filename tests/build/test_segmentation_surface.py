@@ -291,13 +291,11 @@ def test_scar_is_where_it_was_segmented():
     assert np.abs(off).max() < 0.3
 
 
-def test_outside_the_map_and_without_scar_there_is_none():
+def test_outside_the_map_there_is_no_scar():
     phantom = ellipsoid_segmentation((3.0, 3.0, 3.0))
     scar = SCAR_CENTRE @ phantom.turn.T + phantom.centre
     points = np.array([scar, scar + 500, scar - 500])
     assert regions_at(phantom.segmentation, LABELS, points).tolist() == [1, 0, 0]
-    without = SegmentationLabels(1, 2, (3, 4))
-    assert regions_at(phantom.segmentation, without, points).tolist() == [0, 0, 0]
 
 
 def test_scaled_labels_are_rounded(data_folder):

@@ -129,14 +129,15 @@ class Faces(NamedTuple):
     """Faces between voxels of a ventricle's blood and voxels that are not.
 
     Centres (n, 3) (mm) of the voxels of blood and of the faces; normals (n, 3) out of the blood,
-    with the face's area (mm²) as length; and whether the face is free (n,), with neither tissue nor
-    the other ventricle's blood on the other side.
+    with the face's area (mm²) as length; whether the face is free (n,), with neither tissue nor the
+    other ventricle's blood on the other side; and whether it is shared with that blood (n,).
     """
 
     voxels: Floats
     centres: Floats
     areas: Floats
     free: Booleans
+    shared: Booleans
 
 
 def blood_faces(masks: Masks, blood: Booleans, other: Booleans) -> Faces:
@@ -148,31 +149,31 @@ def blood_faces(masks: Masks, blood: Booleans, other: Booleans) -> Faces:
         across *= np.sign(across @ axes[:, k])
         for step in (-1, 1):
             index = np.argwhere(blood & ~np.roll(blood, -step, axis=k))
-            neighbour = index.copy()
-            neighbour[:, k] += step
+            neighbour = index + step * np.eye(3, dtype=np.int64)[k]
+            beyond = tuple(neighbour.T)
             voxels = index @ axes.T + masks.affine[:3, 3]
             centres = (index + neighbour) / 2 @ axes.T + masks.affine[:3, 3]
             areas = np.tile(step * across, (len(index), 1))
-            groups.append((voxels, centres, areas, ~(masks.tissue | other)[tuple(neighbour.T)]))
+            free = ~(masks.tissue | other)[beyond]
+            groups.append((voxels, centres, areas, free, other[beyond]))
     return Faces(*(np.concatenate(parts) for parts in zip(*groups, strict=True)))
 
 
 def regions_at(segmentation: Segmentation, labels: SegmentationLabels, points: Floats) -> Integers:
-    """Whether points (n, 3) in mm lie in scar (1) or not (0), by the nearest voxel of tissue.
+    """Whether points (n, 3) in mm lie in the scar (1) or not (0), by the nearest voxel of tissue.
 
     The voxel around a point of the tissue's surface may be blood or background. Points farther than
     a voxel's diagonal from all tissue are not scar.
     """
     parts = _parts(segmentation, labels)
-    voxels = np.argwhere(parts["myocardium"] | parts.get("scar", False))
+    voxels = np.argwhere(parts["myocardium"] | parts["scar"])
     affine = segmentation.affine
     diagonal = float(np.linalg.norm(segmentation.spacing))
     tree = cKDTree(voxels @ affine[:3, :3].T + affine[:3, 3])
     distance, nearest = tree.query(points, distance_upper_bound=diagonal)
     near = np.isfinite(distance)
     regions = np.zeros(len(points), dtype=np.int64)
-    if "scar" in parts:
-        regions[near] = parts["scar"][tuple(voxels[nearest[near]].T)]
+    regions[near] = parts["scar"][tuple(voxels[nearest[near]].T)]
     return regions
 
 
@@ -189,9 +190,9 @@ def masks_of(segmentation: Segmentation, labels: SegmentationLabels, notes: list
         parts[mask] = kinds[part]
     parts, affine = _cropped(parts, segmentation.affine)
     masks = Masks(parts == 1, parts == 2, parts == 3, affine, name)
-    faces = blood_faces(masks, masks.lv, np.zeros_like(masks.rv))
+    faces = blood_faces(masks, masks.lv, masks.rv)
     size = np.linalg.norm(faces.areas, axis=1)
-    if (bare := float(size[faces.free].sum() / size.sum())) > 0.5:
+    if (bare := float(size[faces.free | faces.shared].sum() / size.sum())) > 0.5:
         raise InputError(
             f"{name}: {bare:.0%} of the LV blood's surface borders on no tissue, so the "
             "labels seem to be exchanged; give those of this map (--labels; ACDC has lv=3,rv=1,"

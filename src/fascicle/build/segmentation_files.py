@@ -27,12 +27,16 @@ def read_segmentation(path: Path | str) -> Segmentation:
     LPS or RAS; a file that names no space gives spacings alone, and its own axes are kept, with the
     first voxel at the origin unless the file says otherwise.
     """
+    import nrrd
+
     path = Path(path)
     packed = path.name.lower().endswith(".nii.gz")
     check_file(path, (".gz",) if packed else (".nii", ".nrrd", ".nhdr"), "segmentation")
     if path.suffix.lower() not in (".nrrd", ".nhdr"):
         return Segmentation(*read_isolated(_read_nifti, path))
-    if (data_file := _nrrd_header(path).get("data file")) is None:
+    with _refusing_damage(path), path.open("rb") as file:
+        header = nrrd.read_header(file)
+    if (data_file := header.get("datafile", header.get("data file"))) is None:
         return Segmentation(*read_isolated(_read_nrrd, path))
     voxels = named_by(path, data_file)
     check_file(voxels, (voxels.suffix.lower(),), "voxels")
@@ -88,14 +92,6 @@ def _read_nifti(path: Path) -> tuple[NDArray[np.integer[Any]], Floats, str, str]
         values = np.asanyarray(image.dataobj).reshape(shape)
     affine = np.array(image.affine, dtype=np.float64)
     return _whole_numbers(path, values), _scaled(affine, factors[unit]), str(path), "RAS"
-
-
-def _nrrd_header(path: Path) -> dict[str, Any]:
-    import nrrd
-
-    with _refusing_damage(path), path.open("rb") as file:
-        header = dict(nrrd.read_header(file))
-        return header | {"data file": header.get("datafile", header.get("data file"))}
 
 
 def _read_nrrd(path: Path) -> tuple[NDArray[np.integer[Any]], Floats, str, str, dict[int, str]]:

@@ -115,9 +115,8 @@ def _check_septum(masks: Masks, plane: BasePlane, top: float, notes: list[str]) 
     Activation would be conducted across it.
     """
     largest = 100.0  # mm²
-    faces = blood_faces(masks, masks.lv, np.zeros_like(masks.rv))
-    hole = faces.free & ~blood_faces(masks, masks.lv, masks.rv).free
-    hole &= plane.height(faces.centres) < top
+    faces = blood_faces(masks, masks.lv, masks.rv)
+    hole = faces.shared & (plane.height(faces.centres) < top)
     if not hole.any():
         return
     area = float(np.linalg.norm(faces.areas[hole].sum(axis=0)))
