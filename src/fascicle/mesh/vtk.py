@@ -92,7 +92,7 @@ def _vtk_reader(path: Path) -> Any:
     }
     reader = kinds[path.suffix.lower()]()
     content = path.read_bytes() if path.suffix.lower() == ".vtk" else b""
-    if is_ascii_vtk(content):
+    if [line.strip().upper() for line in content.split(b"\n", 3)[2:3]] == [b"ASCII"]:
         # VTK accepts a file that ends within its last array; with an empty array after that one it
         # notices
         content += b"\n\nFIELD end 0\n"
@@ -233,8 +233,3 @@ def pyvista_blocks(grids: Mapping[str, Any]) -> Any:
     import pyvista as pv
 
     return pv.MultiBlock(dict(grids))
-
-
-def is_ascii_vtk(content: bytes) -> bool:
-    """True if the third line of a legacy VTK file says that numbers follow as text."""
-    return [line.strip().upper() for line in content.split(b"\n", 3)[2:3]] == [b"ASCII"]
