@@ -248,8 +248,6 @@ SURFACES = {
                  "from the tissue's", "; give both in the same frame"),
     "metres": (lambda m: cup(m, lambda p, t: (p / 1000, t)),
                "its largest extent is 0.045 mm", "; give both in mm"),
-    "nan": (lambda m: cup(m, lambda p, t: (edited(p, [3], np.nan), t)),
-            "1 of 217 points", "not finite (first: 3 at ("),
     "the other one": (lambda m: m.files["rv-endocardium"], "same surface", "; give one for each"),
 }  # fmt: skip
 
