@@ -116,7 +116,8 @@ def label_map_beside_lv(parts: Mapping[str, JoinedPart]) -> Segmentation | None:
     voxels = 1.5 * np.indices(shape).reshape(3, -1).T + affine[:3, 3]
     within = [winding_number(*part, voxels) > 0.5 for part in (lv, epicardium, rv)]
     labels = np.select(within, [1, 3, 2]).reshape(shape)
-    return Segmentation(labels, affine, f"{parts['rv'].name}, {parts['epicardium'].name}")
+    name = f"{parts['rv'].name}, outside {parts['epicardium'].name}"
+    return Segmentation(labels, affine, name, segments={1: "LV", 2: "RV", 3: "LV muscle"})
 
 
 def _clean_shells(parts: Mapping[str, JoinedPart]) -> list[JoinedPart]:
@@ -175,11 +176,23 @@ def _made_base(outline: Outline) -> Base:
 
 
 def _welded_base(outline: Outline, base: JoinedPart) -> Base | None:
-    """Base whose boundary vertices are those of the parts around it; None if they are not."""
+    """Base whose boundary vertices are those of the parts around it; None if they are not.
+
+    InputError if the parts' loops are more than 2.5 mm from those of the base.
+    """
     boundary = np.concatenate(base.loops)
     gap, nearest = cKDTree(outline.points).query(base.vertices[boundary])
     if gap.max() > 1e-3 or not np.array_equal(np.sort(nearest), np.arange(len(outline.points))):
-        _check_gap(outline, base, boundary)
+        edges, shared = unique_edges(base.triangles)
+        rim = base.vertices, edges[shared == 1]
+        apart = np.sqrt(igl.point_mesh_squared_distance(outline.points, *rim)[0])
+        if apart[worst := int(np.argmax(apart))] > 2.5:
+            raise InputError(
+                f"{base.name}: its boundary loops and that of "
+                f"{outline.names[outline.owner[worst]]} are up to {apart[worst]:.1f} mm apart (at "
+                f"{place(outline.points[worst])}), more than 2.5 mm; bring them together, or give "
+                "no base to have one made"
+            )
         return None
     within = np.setdiff1d(np.arange(len(base.vertices)), boundary)
     number = np.empty(len(base.vertices), dtype=np.int64)
@@ -210,22 +223,3 @@ def _triangulated(places: Floats, inner: Floats, outline: Outline) -> tuple[Floa
     used, number = np.unique(triangles[inside], return_inverse=True)
     triangles[inside] = count + number
     return inner[used - count], triangles
-
-
-def _check_gap(outline: Outline, base: JoinedPart, boundary: Integers) -> None:
-    """Refuse a base whose boundary loops are more than 2.5 mm from those of the parts."""
-    edges, shared = unique_edges(base.triangles)
-    rim = base.vertices[boundary]
-    to_base = igl.point_mesh_squared_distance(outline.points, base.vertices, edges[shared == 1])
-    from_base = igl.point_mesh_squared_distance(rim, outline.points, outline.sides)
-    _, nearest = cKDTree(outline.points).query(rim)
-    points = np.vstack([outline.points, rim])
-    owner = np.concatenate([outline.owner, outline.owner[nearest]])
-    gap = np.sqrt(np.concatenate([to_base[0], from_base[0]]))
-    worst = int(np.argmax(gap))
-    if gap[worst] > 2.5:
-        raise InputError(
-            f"{base.name}: its boundary loops and that of {outline.names[owner[worst]]} are up to "
-            f"{gap[worst]:.1f} mm apart (at {place(points[worst])}), more than 2.5 mm; bring them "
-            "together, or give no base to have one made"
-        )
