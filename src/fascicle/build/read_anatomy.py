@@ -114,15 +114,12 @@ def read_anatomy(source: Source, edge_length: float, progress: Progress | None =
             for part, mesh in meshes.items()
         }
         if (label_map := label_map_beside_lv(parts)) is not None:
-            note = (
-                f"{label_map.name}: the RV lies outside the epicardium, so that is the LV's alone"
-            )
-            return _from_label_map(label_map, SegmentationLabels(), [note], edge_length, progress)
+            return _from_segmentation(source, label_map, edge_length, progress)
         joined = join_surfaces(parts)
         return _meshed(*_fine_enough(joined, edge_length), joined, edge_length, progress)
     segmentations = (".nii", ".nii.gz", ".nrrd", ".nhdr")
     if source.file.name.lower().endswith(segmentations):
-        return _from_segmentation(source, source.file, edge_length, progress)
+        return _from_segmentation(source, read_segmentation(source.file), edge_length, progress)
     check_file(source.file, MESH_FORMATS + segmentations, "anatomy")
     mesh = read_mesh(source.file, "anatomy")
     if TETRAHEDRON in mesh.cells:
@@ -187,21 +184,10 @@ def _classified_surface(
 
 
 def _from_segmentation(
-    source: Source, file: Path, edge_length: float, progress: Progress | None
+    source: Source, segmentation: Segmentation, edge_length: float, progress: Progress | None
 ) -> Anatomy:
     source.check_unused("a segmentation", "label_array", "labels_file", *source.of_tetrahedra)
-    segmentation = read_segmentation(file)
     labels, notes = _segmentation_labels(segmentation, source.labels)
-    return _from_label_map(segmentation, labels, notes, edge_length, progress)
-
-
-def _from_label_map(
-    segmentation: Segmentation,
-    labels: SegmentationLabels,
-    notes: list[str],
-    edge_length: float,
-    progress: Progress | None,
-) -> Anatomy:
     if segmentation.space:
         notes.append(
             f"coordinates: {segmentation.space}, as in the file; --pose "

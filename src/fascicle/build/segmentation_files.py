@@ -113,7 +113,7 @@ def _merged(values: NDArray[Any], header: Mapping[str, Any]) -> tuple[NDArray[An
     """Label map and names of its numbers, from the segments of 3D Slicer.
 
     Segments that overlap are in several layers, the first axis of four. They get numbers from 1;
-    where they overlap, blood goes before muscle, and scar before both.
+    where they overlap, the last of myocardium, LV, RV and scar counts.
     """
     keys = [key for key in header if re.fullmatch(r"Segment\d+_Name", key)]
     names = [printable(header[key]) for key in keys]

@@ -22,7 +22,7 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError, one_line
 from fascicle.core.isolated import DAMAGED
 from fascicle.mesh.mesh_file import (
-    CORNERS,
+    CELL_CORNERS,
     GROUP,
     LINE,
     QUADRANGLE,
@@ -87,7 +87,7 @@ def _corners(nodes: Integers, kind: int, cells: dict[int, Integers]) -> Integers
     """Corners of cells of one kind, which may be quadratic; ValueError if there are such cells."""
     if kind in cells:
         raise ValueError("linear and quadratic elements of one shape")
-    return nodes[:, : CORNERS[kind]]
+    return nodes[:, : CELL_CORNERS[kind]]
 
 
 def _read_ply(path: Path) -> Any:

@@ -15,7 +15,7 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError, one_line
 from fascicle.core.files import write_text
 from fascicle.mesh.mesh_file import (
-    CORNERS,
+    CELL_CORNERS,
     LINE,
     QUADRANGLE,
     TETRAHEDRON,
@@ -153,7 +153,7 @@ def _cells(grid: Any) -> tuple[dict[int, Integers], dict[int, Integers], dict[st
     if (np.diff(start)[kinds == 1] != 1).any():  # lone vertices, or kinds that lost a digit
         raise ValueError("vertices of several points")
     cells, index = {}, {}
-    for kind, corners in CORNERS.items():
+    for kind, corners in CELL_CORNERS.items():
         if kind != LINE and (rows := np.flatnonzero(kinds == kind)).size:
             cells[kind] = points[start[rows][:, None] + np.arange(corners)]
             index[kind] = rows
@@ -164,7 +164,7 @@ def _cells(grid: Any) -> tuple[dict[int, Integers], dict[int, Integers], dict[st
         cells[LINE] = np.column_stack([points[:-1], points[1:]])[inside]
         index[LINE] = cell[:-1][inside]
     ignored = (0, 1, 2)  # empty cells and lone vertices
-    unused = kinds[~np.isin(kinds, (4, *CORNERS, *ignored))]
+    unused = kinds[~np.isin(kinds, (4, *CELL_CORNERS, *ignored))]
     other_kinds, counts = np.unique(unused, return_counts=True)
     names = (vtkCellTypes.GetClassNameFromTypeId(kind) for kind in other_kinds.tolist())
     other_cells = {
