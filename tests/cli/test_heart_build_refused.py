@@ -91,10 +91,6 @@ class TestAnatomy:
 
     def test_labels_that_are_not_there(self, build_refused, surface):
         build_refused(surface, "--label-array", "tags", words=["no array 'tags'", "class"])
-        (build_refused.folder / "labels.txt").write_text("1\n2\n3\n")
-        anatomies.write_surface(build_refused.folder / "heart.stl")
-        words = ["labels.txt: 3 labels", f"{len(ventricles().triangles)} triangles"]
-        build_refused("heart.stl", "--labels-file", "labels.txt", words=words)
 
     def test_unknown_label_names_of_a_mesh(self, build_refused, mesh):
         build_refused(mesh, "--labels", "myocardium=3", words=["unknown 'myocardium'"])

@@ -69,7 +69,6 @@ class Source:
     parts: Mapping[str, Path] = field(default_factory=dict)
     labels: Mapping[str, int] | None = None  # number of each label in the file
     label_array: str | None = None
-    labels_file: Path | None = None  # text
     remesh: bool | None = None  # the inside of a tetrahedral mesh
     regions: Regions | None = None  # region numbers of a whole heart; `region_array` is their array
     region_array: str | None = None
@@ -105,9 +104,7 @@ class Source:
 def read_anatomy(source: Source, edge_length: float, progress: Progress | None = None) -> Anatomy:
     """Read the files; surfaces and segmentations are meshed with this edge length (mm)."""
     if source.file is None:
-        source.check_unused(
-            "separate surfaces", "labels", "label_array", "labels_file", *source.of_tetrahedra
-        )
+        source.check_unused("separate surfaces", "labels", "label_array", *source.of_tetrahedra)
         meshes = {part: read_mesh(path, part) for part, path in source.parts.items()}
         parts = {
             part: JoinedPart(str(mesh.path), mesh.points, mesh.require(TRIANGLE, "triangles"))
@@ -160,8 +157,8 @@ def _from_surface(
     source: Source, mesh: MeshFile, edge_length: float, progress: Progress | None
 ) -> Anatomy:
     source.check_unused("a surface, which is meshed again anyway", *source.of_tetrahedra)
-    if has_labels(mesh, source.label_array, source.labels_file) or source.labels is not None:
-        labelled = labelled_surface(mesh, source.label_array, source.labels, source.labels_file)
+    if has_labels(mesh, source.label_array) or source.labels is not None:
+        labelled = labelled_surface(mesh, source.label_array, source.labels)
         return _meshed(*_fine_enough(labelled, edge_length), labelled, edge_length, progress)
     triangles = mesh.require(TRIANGLE, "triangles")
     unlabelled = np.zeros(len(triangles), dtype=np.int64)
@@ -186,7 +183,7 @@ def _classified_surface(
 def _from_segmentation(
     source: Source, segmentation: Segmentation, edge_length: float, progress: Progress | None
 ) -> Anatomy:
-    source.check_unused("a segmentation", "label_array", "labels_file", *source.of_tetrahedra)
+    source.check_unused("a segmentation", "label_array", *source.of_tetrahedra)
     labels, notes = _segmentation_labels(segmentation, source.labels)
     if segmentation.space:
         notes.append(
@@ -238,7 +235,6 @@ def _segmentation_labels(
 def _from_tetrahedra(
     source: Source, mesh: MeshFile, edge_length: float, progress: Progress | None
 ) -> Anatomy:
-    source.check_unused("tetrahedra", "labels_file")
     names = labels_by_number(source.labels if source.labels is not None else {})
     original, cut, notes = mesh, None, list(mesh.notes)
     if source.regions is not None:
