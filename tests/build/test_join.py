@@ -15,7 +15,7 @@ from fascicle.mesh.measures import closed_by_fan, triangle_areas
 from fascicle.mesh.mesh_file import TRIANGLE
 from fascicle.mesh.meshing import remeshed_triangles
 from fascicle.mesh.read import read_mesh
-from fascicle.mesh.topology import without_unused_vertices
+from fascicle.mesh.topology import directed_edges, unique_edges, without_unused_vertices
 
 LV, RV, EPI, BASE = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM, Label.BASE)
 
@@ -72,9 +72,8 @@ def area(surface, label):
 def assert_heart(surface, geo1, tolerance):
     """Closed, one piece, outwards, each label with its rims, volume and areas as they were."""
     vertices, triangles = surface.vertices, surface.triangles
-    directed = np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    assert len(np.unique(directed, axis=0)) == len(directed)
-    assert len(np.unique(np.sort(directed, axis=1), axis=0)) == len(directed) // 2
+    assert len(np.unique(directed_edges(triangles), axis=0)) == 3 * len(triangles)
+    assert (unique_edges(triangles)[1] == 2).all()
     assert np.max(igl.bfs_orient(triangles)[1]) == 0
     assert len(vertices) - len(triangles) // 2 == 2  # Euler characteristic of a sphere
     assert volume_of(surface) == pytest.approx(volume_of(geo1), rel=tolerance)

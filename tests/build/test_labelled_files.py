@@ -67,13 +67,6 @@ def test_own_numbers_are_translated_even_if_they_exchange_the_default_ones(tmp_p
     assert (read_labelled_surface(path, names={"lv": 4, "rv": 3}).labels == labels).all()
 
 
-def test_stl_has_no_labels(tmp_path):
-    path = write_surface(tmp_path / "heart.stl")
-    assert not has_labels(read_mesh(path))
-    with pytest.raises(InputError, match="no labels"):
-        read_labelled_surface(path)
-
-
 def test_labels_of_points_of_the_mean_heart(data_folder):
     surface = read_labelled_surface(data_folder / "hearts" / "cobiveco-geo1" / "heart.vtp")
     for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM):

@@ -64,8 +64,6 @@ class TestInput:
         for name in ("folder", "folder.vtp", "folder.nii", "folder.pts"):
             (build_refused.folder / name).mkdir()
             build_refused(name, words=[name, "; "])
-
-    def test_kinds_of_files_that_are_no_anatomy_are_told_those_that_are(self, build_refused):
         (build_refused.folder / "heart.csv").write_text("x,y,z\n")
         words = ["cannot read '.csv' as anatomy", ".vtu", ".nii.gz", ".nrrd"]
         build_refused("heart.csv", words=words)
@@ -89,11 +87,9 @@ class TestAnatomy:
         anatomies.write_vtu(file, labelled=True, labels=swapped)
         build_refused(file, words=["mesh.vtu: LV and RV endocardium seem to be swapped"])
 
-    def test_labels_that_are_not_there(self, build_refused, surface):
-        build_refused(surface, "--label-array", "tags", words=["no array 'tags'", "class"])
-
-    def test_unknown_label_names_of_a_mesh(self, build_refused, mesh):
+    def test_labels_that_are_not_there(self, build_refused, surface, mesh):
         build_refused(mesh, "--labels", "myocardium=3", words=["unknown 'myocardium'"])
+        build_refused(surface, "--label-array", "tags", words=["no array 'tags'", "class"])
 
     @pytest.mark.parametrize(
         ("given", "words"),
@@ -102,6 +98,7 @@ class TestAnatomy:
             ("lv=1,rv=7,myocardium=3", ["RV blood (label 7) has 0 voxels", "1 (", "4 ("]),
             ("lv=1,rv=2,atrium=3", ["unknown 'atrium'", "lv, rv, myocardium, scar"]),
             ("lv=0,rv=2,myocardium=3", ["other than 0"]),
+            ("myocardium=1", ["add up masks of one structure each"]),
             ("lv=3,rv=2,myocardium=1", ["; "]),
         ],
     )

@@ -118,7 +118,6 @@ TISSUES = {
                      "3072 of 3072", "inverted", "; swap two vertices"),
     "nan": (lambda m: tissue(m, edited(m.points, [5, 70], np.nan)),
             "2 of 729 points have", "not finite (first: 5 at (nan, nan, nan) mm, 70 at ("),
-    "metres": (lambda m: tissue(m, m.points * 1e-3), "metres", "multiply the coordinates by 1000"),
     "no unit": (lambda m: tissue(m, m.points * 1e12), "largest extent is 6e+13", "; check the"),
     "there twice": (lambda m: tissue(m, None, np.vstack([m.tetrahedra, m.tetrahedra[100:110]])),
                     "tetrahedra overlap others", "; remove what is there twice"),

@@ -93,8 +93,7 @@ def check_heart(heart: Heart, charts: Mapping[str, Chart]) -> HeartCheck:
             layers = ", ".join("-" if np.isnan(a) else f"{a:.0f}" for a in angles.in_layers())
             rows.append((f"helix, {name}", f"{layers} degrees, inside to outside"))
     rows += _torso_rows(heart)
-    warnings = tuple(_warnings(heart, walls, shape, charts, helix[WALLS[0]]))
-    warnings += tuple(_coarse_walls(mesh, walls))
+    warnings = *_warnings(heart, walls, shape, charts, helix[WALLS[0]]), *_coarse_walls(mesh, walls)
     return HeartCheck(mesh, tuple(rows), warnings, walls, helix)
 
 

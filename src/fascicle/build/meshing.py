@@ -115,8 +115,7 @@ def remeshed_anatomy(anatomy: Anatomy) -> Anatomy:
         f"degrees before, {after:.1f} after; fibres, sheets and regions are those of the nearest "
         "tetrahedra"
     )
-    carried = carried_over(anatomy, new)
-    return replace(carried, notes=(*anatomy.notes, note))
+    return replace(carried_over(anatomy, new), notes=(*anatomy.notes, note))
 
 
 def carried_over(anatomy: Anatomy, new: LabelledMesh) -> Anatomy:

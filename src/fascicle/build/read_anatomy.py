@@ -215,21 +215,16 @@ def _segmentation_labels(
             raise InputError(f"--labels: unknown '{unknown[0]}'; the parts are {', '.join(parts)}")
         return SegmentationLabels(**numbers), []
     named = {n: segmentation.segments.get(n, "") for n in np.unique(segmentation.labels).tolist()}
-    by_part: dict[str, tuple[int, ...]] = {}
-    for number, name in named.items():
-        if (part := part_of_segment(name)) is not None:
-            by_part[part] = (*by_part.get(part, ()), number)
+    part_of = {n: part_of_segment(name) for n, name in named.items()}
+    by_part = {p: tuple(n for n in named if part_of[n] == p) for p in part_of.values() if p}
     if not {"lv", "rv", "myocardium"} <= by_part.keys():
         listed = ", ".join(f"{number} {name}".strip() for number, name in named.items())
         raise InputError(
             f"{segmentation.name}: the meaning of its labels ({listed}) depends on the program "
             "that wrote them; give it, as --labels lv=1,rv=2,myocardium=3,scar=4"
         )
-    listed = "; ".join(
-        f"{part} {', '.join(f'{number} {named[number]}' for number in found)}"
-        for part, found in by_part.items()
-    )
-    return SegmentationLabels(**by_part), [f"labels, by the names of segments: {listed}"]
+    said = "; ".join(f"{part} {n} {named[n]}" for part in by_part for n in by_part[part])
+    return SegmentationLabels(**by_part), [f"labels, by the names of segments: {said}"]
 
 
 def _from_tetrahedra(

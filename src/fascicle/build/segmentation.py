@@ -170,11 +170,9 @@ def regions_at(segmentation: Segmentation, labels: SegmentationLabels, points: F
     affine = segmentation.affine
     diagonal = float(np.linalg.norm(segmentation.spacing))
     tree = cKDTree(voxels @ affine[:3, :3].T + affine[:3, 3])
-    distance, nearest = tree.query(points, distance_upper_bound=diagonal)
-    near = np.isfinite(distance)
-    regions = np.zeros(len(points), dtype=np.int64)
-    regions[near] = parts["scar"][tuple(voxels[nearest[near]].T)]
-    return regions
+    _, nearest = tree.query(points, distance_upper_bound=diagonal)
+    of_voxels = np.append(parts["scar"][tuple(voxels.T)], False)  # the last: no voxel is near
+    return of_voxels[nearest].astype(np.int64)
 
 
 def masks_of(segmentation: Segmentation, labels: SegmentationLabels, notes: list[str]) -> Masks:
@@ -199,7 +197,7 @@ def masks_of(segmentation: Segmentation, labels: SegmentationLabels, notes: list
             "myocardium=2, UK Biobank lv=1,rv=3,myocardium=2)"
         )
     for kind, part in ((3, "tissue"), (1, "LV blood"), (2, "RV blood")):
-        _remove_small_components(parts, kind, part, affine, segmentation, notes)
+        _remove_small_components(parts, kind, part, affine, name, notes)
     parts, affine = _cropped(parts, affine)
     check_units(name, np.array([[0, 0, 0], parts.shape]) * segmentation.spacing)
     return Masks(parts == 1, parts == 2, parts == 3, affine, name)
@@ -247,12 +245,7 @@ def largest_pieces(numbered: Integers, volumes: Floats, affine: Floats) -> str:
 
 
 def _remove_small_components(
-    parts: NDArray[np.int8],
-    kind: int,
-    part: str,
-    affine: Floats,
-    segmentation: Segmentation,
-    notes: list[str],
+    parts: NDArray[np.int8], kind: int, part: str, affine: Floats, name: str, notes: list[str]
 ) -> None:
     """Give components below 1 % of a part to the part around most of them, in place."""
     touching = np.ones((3, 3, 3), dtype=bool)
@@ -261,10 +254,10 @@ def _remove_small_components(
         return
     sizes = np.bincount(pieces.ravel())[1:]
     largest = int(sizes.argmax())
-    ml = sizes * segmentation.voxel_volume / 1000
+    ml = sizes * abs(np.linalg.det(affine)) / 1000
     if (large := sizes > 0.01 * sizes.sum()).sum() > 1:
         raise InputError(
-            f"{segmentation.name}: {part} falls into {large.sum()} unconnected pieces "
+            f"{name}: {part} falls into {large.sum()} unconnected pieces "
             f"({largest_pieces(pieces, np.where(large, ml, 0), affine)}); join them, or keep one"
         )
     for piece, box in enumerate(find_objects(pieces)):
@@ -275,6 +268,6 @@ def _remove_small_components(
         border = binary_dilation(component, touching) & ~component
         parts[around][component] = np.bincount(parts[around][border]).argmax()
     notes.append(
-        f"{segmentation.name}: {n - 1} small components of {part} ({ml.sum() - ml[largest]:.2g} ml "
+        f"{name}: {n - 1} small components of {part} ({ml.sum() - ml[largest]:.2g} ml "
         "in all) were given to what surrounds them"
     )

@@ -73,10 +73,8 @@ def surface_from_segmentation(
             f"most {longest:g} mm apart"
         )
     masks = masks_of(segmentation, labels, notes)
-    counted = masks.lv, masks.rv, masks.tissue
-    map_volumes = Volumes(
-        *(float(part.sum()) * segmentation.voxel_volume / 1e3 for part in counted)
-    )
+    counts = (float(part.sum()) for part in (masks.lv, masks.rv, masks.tissue))
+    map_volumes = Volumes(*(count * segmentation.voxel_volume / 1e3 for count in counts))
     masks = _coarsened(masks)
     progress(1, 6)
     plane = find_base_plane(masks)

@@ -61,10 +61,10 @@ def read_meshio(path: Path) -> MeshFile:
     cells: dict[int, Integers] = {}
     cell_data: dict[int, dict[str, Floats]] = {}
     used = {name: kind for name, _, kind in GMSH_ELEMENTS.values() if kind is not None}
-    for name, kind in used.items():
-        if blocks := [i for i, block in enumerate(data.cells) if block.type == name]:
-            nodes = np.concatenate([data.cells[i].data for i in blocks]).astype(np.int64)
-            cells[kind] = _corners(nodes, kind, cells)
+    for kind, corners in CELL_CORNERS.items():
+        if blocks := [i for i, block in enumerate(data.cells) if used.get(block.type) == kind]:
+            nodes = [data.cells[i].data[:, :corners] for i in blocks]
+            cells[kind] = np.concatenate(nodes).astype(np.int64)
             cell_data[kind] = {
                 key: np.concatenate([np.asarray(arrays[i]) for i in blocks])
                 for key, arrays in data.cell_data.items()
@@ -81,13 +81,6 @@ def read_meshio(path: Path) -> MeshFile:
     return MeshFile(
         path, points, cells, dict(data.point_data), cell_data, other_cells, groups=groups
     )
-
-
-def _corners(nodes: Integers, kind: int, cells: dict[int, Integers]) -> Integers:
-    """Corners of cells of one kind, which may be quadratic; ValueError if there are such cells."""
-    if kind in cells:
-        raise ValueError("linear and quadratic elements of one shape")
-    return nodes[:, : CELL_CORNERS[kind]]
 
 
 def _read_ply(path: Path) -> Any:
@@ -155,18 +148,19 @@ def _parsed(path: Path, content: bytes) -> MeshFile:
         raise ValueError("no nodes or no elements")
     ids = nodes[:, 0].astype(np.int64)
     cells, cell_data, other_cells = dict[int, Integers](), {}, {}
-    for element in sorted({element for element, _ in elements}):
+    for element, rows in elements:
         type_name, _, kind = GMSH_ELEMENTS[element]
-        rows = np.concatenate([rows for number, rows in elements if number == element])
-        if kind is not None:
-            places = _places(rows[:, 2:], ids)
-            if (places < 0).any():
-                raise ValueError(f"no node {rows[:, 2:][places < 0][0]}")
-            cells[kind] = _corners(places, kind, cells)
+        if kind is None and type_name != "vertex":
+            other_cells[type_name] = other_cells.get(type_name, 0) + len(rows)
+    for kind, corners in CELL_CORNERS.items():
+        of_kind = [rows[:, : 2 + corners] for e, rows in elements if GMSH_ELEMENTS[e][2] == kind]
+        if of_kind:
+            rows = np.concatenate(of_kind)
+            cells[kind] = _places(rows[:, 2:], ids)
+            if (absent := cells[kind] < 0).any():
+                raise ValueError(f"no node {rows[:, 2:][absent][0]}")
             arrays = {GROUP: rows[:, 1].astype(float)} | _arrays(data["ElementData"], rows[:, 0])
             cell_data[kind] = arrays
-        elif type_name != "vertex":
-            other_cells[type_name] = len(rows)
     point_data = _arrays(data["NodeData"], ids)
     return MeshFile(
         path, nodes[:, 1:].copy(), cells, point_data, cell_data, other_cells, groups=groups

@@ -120,8 +120,7 @@ def cut_into_simplices(mesh: MeshFile) -> MeshFile:
         fault = "are flat or folded, so that no tetrahedra of positive volume fill them"
         remedy = "correct the order of their corners, or remesh them"
         refuse(str(mesh.path), bad, f"{SOLIDS[kind]} {fault}", remedy, mesh.points, cells)
-    turned = high[parents] < 0
-    parts[turned] = parts[turned][:, [0, 2, 1, 3]]
+    parts = np.where((high[parents] < 0)[:, None], parts[:, [0, 2, 1, 3]], parts)
     count = ", ".join(f"{len(cells)} {SOLIDS[kind]}" for kind, cells in solids.items())
     note = f"mesh: {count} were cut into {len(parts)} tetrahedra"
     mesh = replace(mesh, notes=(*mesh.notes, note))
