@@ -300,8 +300,8 @@ def joined_pieces(
         "regions are those of the nearest tetrahedra"
     )
     unlabelled = np.zeros(len(triangles), dtype=np.int64)
-    surface = LabelledSurface(vertices, triangles, unlabelled, mesh.name, notes=(note,))
-    return oriented_outwards(surface)
+    united = LabelledSurface(vertices, triangles, unlabelled, mesh.name, notes=(note,))
+    return oriented_outwards(united)
 
 
 def _without_channels(tissue: SampledDistance, radii: Floats) -> SampledDistance | None:

@@ -147,7 +147,7 @@ def _parsed(path: Path, content: bytes) -> MeshFile:
     if not len(nodes) or not elements:
         raise ValueError("no nodes or no elements")
     ids = nodes[:, 0].astype(np.int64)
-    cells, cell_data, other_cells = dict[int, Integers](), {}, {}
+    cells, cell_data, other_cells = dict[int, Integers](), {}, dict[str, int]()
     for element, rows in elements:
         type_name, _, kind = GMSH_ELEMENTS[element]
         if kind is None and type_name != "vertex":
