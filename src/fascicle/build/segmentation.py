@@ -172,7 +172,7 @@ def regions_at(segmentation: Segmentation, labels: SegmentationLabels, points: F
     tree = cKDTree(voxels @ affine[:3, :3].T + affine[:3, 3])
     _, nearest = tree.query(points, distance_upper_bound=diagonal)
     of_voxels = np.append(parts["scar"][tuple(voxels.T)], False)  # the last: no voxel is near
-    return of_voxels[nearest].astype(np.int64)
+    return np.asarray(of_voxels[nearest], dtype=np.int64)
 
 
 def masks_of(segmentation: Segmentation, labels: SegmentationLabels, notes: list[str]) -> Masks:
