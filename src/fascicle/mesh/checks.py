@@ -91,7 +91,7 @@ def check_tetrahedra(name: str, vertices: Floats, tetrahedra: Integers) -> None:
         f"{name}: the tissue falls into {piece.max() + 1} unconnected pieces",
         piece != np.bincount(piece).argmax(),
         "vertices are outside the largest",
-        "keep one piece or join them",
+        "keep one piece, or 'fascicle heart build' joins them",
         vertices,
     )
 
