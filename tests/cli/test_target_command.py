@@ -144,6 +144,11 @@ def test_beats_class_and_window(quick, recording, run, outside):
     assert np.array_equal(same.beats, everything.beats)
 
 
+def test_pacing_spikes_are_printed(quick, data_folder, run, outside):
+    _, ended = made(run, outside, data_folder / "cases" / "two_spikes_8ms.csv")
+    assert re.search(r"(?m)^pacing spikes +7, cut out, at 0\.40, 1\.20, .*, … s$", ended.out)
+
+
 def test_leads_and_polarity(quick, recording, tmp_path, run, outside):
     truth, _ = made(run, outside, recording)
     without, ended = made(run, outside, recording, "--leads", "I,II,V1-V4,V6")
