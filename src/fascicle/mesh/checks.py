@@ -164,7 +164,10 @@ def check_edges(name: str, vertices: Floats, triangles: Integers, closed: str = 
     `closed` says what to do about open edges, which are no fault without it.
     """
     edges, count = unique_edges(triangles)
-    remedy = "remove what meets there, such as sheets inside the tissue, or remesh"
+    remedy = (
+        "remove what meets there, such as sheets inside the tissue (in MeshLab: Filters, Cleaning "
+        "and Repairing, Repair non Manifold Edges)"
+    )
     for bad, fault, advice in (
         (count > 2, "edges have more than two triangles", remedy),
         ((count < 2) & bool(closed), "edges are open", closed),
