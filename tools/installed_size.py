@@ -51,7 +51,7 @@ def size(package: Distribution) -> float:
 
 
 def main() -> None:
-    packages = needed("fascicle")
+    packages = needed("fascicle-ecg")
     sizes = {name: size(package) for name, package in packages.items()}
     for name in sorted(sizes, key=sizes.__getitem__, reverse=True)[:LISTED]:
         print(f"{name:<20}{sizes[name]:8.0f} MB")
