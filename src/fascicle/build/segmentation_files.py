@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fascicle.build.segmentation import Segmentation
 from fascicle.core.arrays import Floats
-from fascicle.core.errors import InputError, one_line
+from fascicle.core.errors import InputError, check_installed, one_line
 from fascicle.core.files import check_file, named_by
 from fascicle.core.isolated import read_isolated
 from fascicle.core.ranges import shown
@@ -29,7 +29,9 @@ def read_segmentation(path: Path | str) -> Segmentation:
     path = Path(path)
     packed = path.name.lower().endswith(".nii.gz")
     check_file(path, (".gz",) if packed else (".nii", ".nrrd", ".nhdr"), "segmentation")
-    if path.suffix.lower() not in (".nrrd", ".nhdr"):
+    is_nifti = path.suffix.lower() not in (".nrrd", ".nhdr")
+    check_installed("nibabel" if is_nifti else "nrrd", f"{path}: a label map")
+    if is_nifti:
         return Segmentation(*read_isolated(_read_nifti, path))
     if (data_file := _nrrd_header(path).get("data file")) is None:
         return Segmentation(*read_isolated(_read_nrrd, path))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fascicle.core.arrays import Integers
-from fascicle.core.errors import InputError
+from fascicle.core.errors import InputError, check_installed
 from fascicle.core.files import check_file
 from fascicle.core.isolated import read_isolated
 from fascicle.mesh.checks import refuse
@@ -41,6 +42,10 @@ def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
         mesh: MeshFile = read_gmsh22(path, content)
     else:
         by_meshio = path.suffix.lower() in (".ply", ".msh")
+        if path.suffix.lower() == ".vtu":  # meshio reads those written here, VTK all others, too
+            by_meshio = find_spec("pyvista") is None
+        elif not by_meshio:
+            check_installed("pyvista", f"{path}: a mesh in this format")
         mesh = read_isolated(read_meshio if by_meshio else read_vtk, path)
     if not len(mesh.points):
         raise InputError(f"{path}: no points could be read; the file is empty or truncated")
@@ -89,6 +94,7 @@ def cut_into_tetrahedra(mesh: MeshFile) -> MeshFile:
     solids = {kind: cells for kind, cells in mesh.cells.items() if kind in SOLIDS and len(cells)}
     if not solids:
         return mesh
+    check_installed("pyvista", f"{mesh.path}: cutting its cells into tetrahedra")
     tetrahedra = [mesh.cells.get(TETRAHEDRON, np.empty((0, 4), dtype=np.int64))]
     other_cells = {kind: cells for kind, cells in mesh.cells.items() if kind not in SOLIDS}
     arrays = {kind: mesh.cell_data.get(kind, {}) for kind in solids}
