@@ -1,5 +1,7 @@
 """Build the source distribution and the wheel, and compare their files with the repository's.
 
+The requirements of the conda recipe are compared with those of the project, too.
+
     python tools/distributions.py [FOLDER]
 
 Builds both as an index would get them (the wheel from the source distribution) into FOLDER, `dist`
@@ -13,7 +15,9 @@ import re
 import subprocess
 import sys
 import tarfile
+import tomllib
 import zipfile
+from collections.abc import Iterable
 from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -36,6 +40,30 @@ def packed(source: Path, wheel: Path) -> tuple[set[str], set[str]]:
     return in_source, {name for name in in_wheel if not GENERATED.match(name)}
 
 
+def requirements(lines: Iterable[str]) -> set[str]:
+    """Requirements in one spelling, by their names on PyPI."""
+    on_pypi = {"igl": "libigl", "matplotlib-base": "matplotlib"}
+    parts = (re.split("(?=[<>])", re.sub("[ ,]", "", line), maxsplit=1) for line in lines)
+    return {
+        on_pypi.get(name, name) + "".join(sorted(re.findall("[<>]=?[^<>]+", versions)))
+        for name, versions in parts
+    }
+
+
+def recipe_faults() -> list[str]:
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text("utf-8"))["project"]
+    needed = project["dependencies"] + project["optional-dependencies"]["build"]
+    recipe = (REPOSITORY / "conda" / "meta.yaml").read_text("utf-8")
+    run = re.findall(r"^    - ((?!python|setuptools)\S+ [<>][^ #\n]+)", recipe, re.MULTILINE)
+    differing = requirements(needed) ^ requirements(run)
+    versions = {"conda/meta.yaml": 'version = "{}"', "CITATION.cff": "version: {}"}
+    return [f"conda/meta.yaml: {requirement}" for requirement in sorted(differing)] + [
+        f"{file}: another version than in pyproject.toml"
+        for file, line in versions.items()
+        if line.format(project["version"]) not in (REPOSITORY / file).read_text("utf-8")
+    ]
+
+
 def main(folder: Path) -> None:
     command = [sys.executable, "-m", "build", "--outdir", str(folder), str(REPOSITORY)]
     built = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
@@ -52,6 +80,7 @@ def main(folder: Path) -> None:
         for fault, names in (("is missing", expected - files), ("is not in git", files - expected))
         for name in sorted(names)
     ]
+    faults += recipe_faults()
     print(*faults, f"{source.name}: {len(in_source)} files", sep="\n")
     print(f"{wheel.name}: {len(in_wheel)} files, {wheel.stat().st_size / 1e6:.0f} MB")
     if faults:
