@@ -21,6 +21,7 @@ test: $(INSTALLED) $(COMPILED)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python tools/plain_names.py
+	$(BIN)/python tools/readability.py
 	$(PYTEST) -m "not slow"
 
 test-slow: $(INSTALLED) $(COMPILED)

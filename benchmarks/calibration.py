@@ -51,6 +51,7 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
+import textwrap
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -81,7 +82,7 @@ from fascicle.core.leads import (
 )
 from fascicle.core.parameters import Infeasible, ParameterSpace
 from fascicle.core.progress import Progress
-from fascicle.core.quantities import stand_ins, torso_values
+from fascicle.core.quantities import parameter_name, stand_ins, torso_values
 from fascicle.emulation.ecg_emulator import EcgEmulator
 from fascicle.emulation.heart_emulator import (
     emulator_of,
@@ -666,7 +667,7 @@ def _draw(ranks: dict[str, np.ndarray], band: float, path: Path) -> None:
         panel.axhspan(-band, band, color="0.9")
         apart = np.searchsorted(np.sort(values), grid, side="right") / len(values) - grid
         panel.plot(grid, apart)
-        panel.set_title(name.replace("_", " "), fontsize=7)
+        panel.set_title(textwrap.fill(parameter_name(name), 24), fontsize=7)
         panel.set_ylim(-0.35, 0.35)
     for panel in list(axes.flat)[len(ranks) :]:
         panel.set_axis_off()

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 import fascicle
 from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
 from fascicle.core.parameters import Infeasible, read_parameters
-from fascicle.core.quantities import QUANTITIES, TORSO_QUANTITIES
+from fascicle.core.quantities import QUANTITIES, TORSO_QUANTITIES, parameter_name
 from fascicle.forward.electrocardiogram import (
     SAMPLE_STEP,
     build_electrocardiograph,
@@ -236,9 +236,12 @@ def draw(losses: dict[str, list[float]], title: str, file: Path) -> None:
     def bars() -> Figure:
         figure = new_figure(6.5, 5.0, f"ECG changed by the torso alone, {title}")
         axes = figure.subplots()
-        axes.barh(names, ends, color=Colour.BLUE, alpha=0.35, label="at the worse end of its range")
-        axes.barh(names, near, color=Colour.BLUE, label="at one standard deviation of its prior")
+        titles = [parameter_name(name) for name in names]
+        worse = "at the worse end of its range"
+        axes.barh(titles, ends, color=Colour.BLUE, alpha=0.35, label=worse)
+        axes.barh(titles, near, color=Colour.BLUE, label="at one standard deviation of its prior")
         axes.legend(loc="lower right")
+        axes.set_ylabel("quantity of the torso")
         axes.set_xlabel("mismatch with the ECG in the neutral torso (% of a flat line's)")
         return figure
 

@@ -11,10 +11,14 @@ import anatomies
 import numpy as np
 import pytest
 from anatomies import CENTRE_X, EPI, HALF_AXES, LV, PLACES, RV
+from shapes import biventricular_surface
 
 from fascicle.build.build_heart import heart_of
 from fascicle.build.check import cavity_volume, check_heart
 from fascicle.build.labelled_files import Anatomy
+from fascicle.build.meshing import filled
+from fascicle.build.refinement import refined
+from fascicle.build.surface_repair import prepared_surface
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.fibres import FibreAngles
 from fascicle.heart.heart import Heart
@@ -102,6 +106,15 @@ def assert_only_warning(heart, start):
     (warning,) = check(heart).warnings
     assert warning.startswith(start)
     assert "\n" not in warning
+
+
+def test_walls_thinner_than_the_edges_give_a_warning():
+    """An RV wall of 5 mm with edges of 6.5 mm; the refined heart has no such warning."""
+    mesh = filled(prepared_surface(biventricular_surface(3.0)), 6.5)
+    heart = replace(heart_of(Anatomy(mesh)), electrodes=ELECTRODE_PLACES)
+    (warning,) = (w for w in check(heart).warnings if w.startswith("mesh: "))
+    assert re.search(r"longer than the RV free wall is thick in \d\d% of it", warning)
+    assert not [w for w in check(refined(heart)).warnings if w.startswith("mesh: ")]
 
 
 def test_fibres_of_the_wrong_helix_sense_give_a_warning():

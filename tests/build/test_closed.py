@@ -197,6 +197,24 @@ def test_sheets_that_touch_in_vertices_or_edges_are_moved_apart(corners):
     )
 
 
+def test_a_sheet_that_ends_on_the_surface_is_left_out():
+    """Two triangles stand on two edges of the left endocardium, as a papillary muscle's skin."""
+    sound = ventricles()
+    first, middle, last = sound.having(Label.LV_ENDOCARDIUM)[40][[0, 1, 2]]
+    tip = sound.vertices[middle] + [0.0, 0.0, 5.0]
+    fin = [[first, middle, len(sound.vertices)], [middle, last, len(sound.vertices)]]
+    given = replace(
+        sound,
+        vertices=np.vstack([sound.vertices, tip]),
+        triangles=np.vstack([sound.triangles, fin]),
+        labels=np.append(sound.labels, [Label.LV_ENDOCARDIUM] * 2),
+    )
+    found = prepared_surface(given)
+    assert volume_of(found) == pytest.approx(volume_of(sound), rel=1e-9)
+    assert "sheets that ended on it were left out: 1 (first: " in found.notes[0]
+    assert f"with 2 of {len(given.triangles)} triangles" in found.notes[0]
+
+
 def _path(edges, right, positions, wanted):
     """Vertices of the right endocardium opposite to some of the left one, linked as these are."""
     first = right[np.argmin(np.linalg.norm(positions[right] - wanted[0], axis=1))]

@@ -213,20 +213,35 @@ def test_a_tree_comes_back_with_its_lengths_or_those_of_chords(folder, tree):
     np.testing.assert_allclose(fibre, along / np.linalg.norm(along), atol=1e-14)
 
 
+def test_counts_and_the_last_line_end_may_be_missing(folder):
+    before = read_mesh(folder / "heart.pts"), read_surf(folder / "heart_epi.surf", 125)
+    numbers = read_vtx(folder / "heart_epi.vtx", 125)
+    for name in ("heart.pts", "heart.elem", "heart.lon", "heart_epi.surf", "heart_epi.vtx"):
+        count, lines = (folder / name).read_text().split("\n", 1)
+        assert count.isdecimal()
+        (folder / name).write_text(lines.rstrip())
+    after = read_mesh(folder / "heart.pts")
+    np.testing.assert_array_equal(after.points, before[0].points)
+    np.testing.assert_array_equal(after.cells[TETRAHEDRON], before[0].cells[TETRAHEDRON])
+    for name, values in before[0].cell_data[TETRAHEDRON].items():
+        np.testing.assert_array_equal(after.cell_data[TETRAHEDRON][name], values)
+    np.testing.assert_array_equal(read_surf(folder / "heart_epi.surf", 125), before[1])
+    np.testing.assert_array_equal(read_vtx(folder / "heart_epi.vtx", 125), numbers)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
         ("heart.pts", "3\n1 2 3\n4 5 6\n", "the first line is '3', and 2 lines follow"),
-        ("heart.pts", "1\n1 2 3", "no line end"),
         ("heart.pts", "2\n\n4 5 6\n", "a line without numbers"),
         ("heart.pts", "2\n1 2 3\nnan 5 6\n", "not finite (first: 'nan 5 6')"),
         ("heart.pts", b"125\n\x80\xff\n", "not a text file"),
         ("heart.elem", "1\nTt 0 1 2 125 1\n", "1 indices are out of range (first: 125)"),
         ("heart.elem", "1\nTt 0 1 2 3.5 1\n", "3.5 is not a whole number"),
-        ("heart.elem", "1\nT4 0 1 2 3 1\n", "unknown element type 'T4'"),
+        ("heart.elem", "1\nT4 0 1 2 3 1\n", "element 0 is of an unknown type 'T4'"),
         ("heart.elem", "1\nTt 0 1 2\n", "need 1 with 4 or 5"),
         ("heart.lon", "1\n1 0 0\n", "1 lines of fibres for 384 elements"),
-        ("heart_epi.surf", "2\nTr 0 1 2\nQd 0 1 2 3\n", "line 3 is 'Qd 0 1 2 3'"),
+        ("heart_epi.surf", "2\nTr 0 1 2\nQd 0 1 2 3\n", "triangle 1 is 'Qd 0 1 2 3'"),
         ("heart_epi.vtx", "2\n1\n2\n", "must be 'intra' or 'extra'"),
         ("heart_epi.vtx", "1\nextra\n-4\n", "out of range (first: -4)"),
         ("lv_tree_length.dat", "1\n1\n1\n1\n", "4 lengths for 5 lines"),

@@ -5,12 +5,17 @@ import numpy as np
 import pytest
 from shapes import read_labelled_surface, volume_of
 
-from fascicle.build.join import JoinedPart, join_surfaces
+from fascicle.build.join import JoinedPart, join_surfaces, label_map_beside_lv
+from fascicle.build.segmentation import SegmentationLabels
+from fascicle.build.segmentation_surface import surface_from_segmentation
+from fascicle.build.surface_checks import volumes, wall_thickness
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label
-from fascicle.mesh.measures import triangle_areas
+from fascicle.mesh.measures import closed_by_fan, triangle_areas
+from fascicle.mesh.mesh_file import TRIANGLE
 from fascicle.mesh.meshing import remeshed_triangles
-from fascicle.mesh.topology import without_unused_vertices
+from fascicle.mesh.read import read_mesh
+from fascicle.mesh.topology import directed_edges, unique_edges, without_unused_vertices
 
 LV, RV, EPI, BASE = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM, Label.BASE)
 
@@ -67,9 +72,8 @@ def area(surface, label):
 def assert_heart(surface, geo1, tolerance):
     """Closed, one piece, outwards, each label with its rims, volume and areas as they were."""
     vertices, triangles = surface.vertices, surface.triangles
-    directed = np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    assert len(np.unique(directed, axis=0)) == len(directed)
-    assert len(np.unique(np.sort(directed, axis=1), axis=0)) == len(directed) // 2
+    assert len(np.unique(directed_edges(triangles), axis=0)) == 3 * len(triangles)
+    assert (unique_edges(triangles)[1] == 2).all()
     assert np.max(igl.bfs_orient(triangles)[1]) == 0
     assert len(vertices) - len(triangles) // 2 == 2  # Euler characteristic of a sphere
     assert volume_of(surface) == pytest.approx(volume_of(geo1), rel=tolerance)
@@ -105,3 +109,22 @@ def test_gap_is_named_measured_and_placed(coarse):
     words = r"base\.stl .* that of epicardium\.stl .* are up to [34]\.\d mm apart \(at \(-?\d.* mm"
     with pytest.raises(InputError, match=f"^.*{words}.*$"):
         joined({**coarse, BASE: away})
+
+
+def test_blood_beside_the_lv_becomes_a_label_map_that_gets_a_wall(parts, data_folder):
+    """The RV's blood lies 1.4 mm from the epicardium, which is the LV's alone."""
+    given = {}
+    for part, name in (("lv", "lv_endo"), ("epicardium", "lv_epi"), ("rv", "rv")):
+        mesh = read_mesh(data_folder / "cases" / f"nowall_{name}.stl")
+        given[part] = JoinedPart(str(mesh.path), mesh.points, mesh.require(TRIANGLE, "triangles"))
+    label_map, notes = label_map_beside_lv(given), []
+    numbers = SegmentationLabels()
+    surface, _ = surface_from_segmentation(label_map, numbers, notes=notes, edge_length=3.0)
+    assert "100% of the RV blood borders on no tissue, so an RV wall of 4.5" in str(notes)
+    assert np.median(wall_thickness(surface).rv) == pytest.approx(4.5, abs=0.2)
+    # the file's RV crosses itself where its sides meet
+    for side, volume, off in (("lv", volumes(surface).lv, 0.02), ("rv", volumes(surface).rv, 0.06)):
+        exact = abs(closed_by_fan(*given[side][1:3])[0]) / 1e3
+        assert volume == pytest.approx(exact, rel=off)
+    named = zip(("lv", "rv", "epicardium"), (LV, RV, EPI), strict=True)
+    assert label_map_beside_lv({k: JoinedPart(k, *parts[label]) for k, label in named}) is None

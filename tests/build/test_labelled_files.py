@@ -67,26 +67,6 @@ def test_own_numbers_are_translated_even_if_they_exchange_the_default_ones(tmp_p
     assert (read_labelled_surface(path, names={"lv": 4, "rv": 3}).labels == labels).all()
 
 
-def test_stl_with_a_file_of_labels_that_must_fit(tmp_path):
-    path = write_surface(tmp_path / "heart.stl")
-    labels = tmp_path / "labels.csv"
-    labels.write_text("\n".join(map(str, ventricles().labels)))
-    assert not has_labels(read_mesh(path))
-    surface = read_labelled_surface(path, labels_file=labels)
-    assert (surface.labels == ventricles().labels).all()
-    assert len(surface.vertices) == len(ventricles().vertices)
-    assert len(boundary_loops(surface.triangles)) == 0
-    with pytest.raises(InputError, match="no labels"):
-        read_labelled_surface(path)
-    labels.write_text("1 2 3")
-    count = len(ventricles().triangles)
-    with pytest.raises(InputError, match=f"3 labels, but .* has {count} triangles"):
-        read_labelled_surface(path, labels_file=labels)
-    labels.write_text("label\n1\n")
-    with pytest.raises(InputError, match="entry 1 is 'label'"):
-        read_labelled_surface(path, labels_file=labels)
-
-
 def test_labels_of_points_of_the_mean_heart(data_folder):
     surface = read_labelled_surface(data_folder / "hearts" / "cobiveco-geo1" / "heart.vtp")
     for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM):

@@ -1,10 +1,15 @@
 """Label maps in NIfTI and NRRD: the same positions from both, and damaged ones in one line."""
 
+from dataclasses import replace
+
 import nibabel
 import nrrd
 import numpy as np
 import pytest
+from phantoms import ellipsoid_segmentation
 
+from fascicle.build.read_anatomy import _segmentation_labels
+from fascicle.build.segmentation import part_of_segment
 from fascicle.build.segmentation_files import read_segmentation
 from fascicle.core.errors import InputError
 
@@ -51,11 +56,15 @@ def refused(path):
     return message
 
 
-@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.nrrd", "a.nhdr"])
+@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.nrrd", "a.nhdr", "one.nrrd"])
 def test_labels_and_positions_are_read_unchanged(tmp_path, labels, name):
     nifti = ".nii" in name
-    write = write_nifti if nifti else write_nrrd
-    found = read_segmentation(write(tmp_path / name, labels))
+    if name == "one.nrrd":  # an axis of one entry
+        directions = np.concatenate([np.full((1, 3), np.nan), (TO_LPS @ AFFINE)[:3, :3].T])
+        path = write_nrrd(tmp_path / name, labels[None], **{"space directions": directions})
+    else:
+        path = (write_nifti if nifti else write_nrrd)(tmp_path / name, labels)
+    found = read_segmentation(path)
     np.testing.assert_array_equal(found.labels, labels)
     np.testing.assert_allclose(found.affine, AFFINE if nifti else TO_LPS @ AFFINE, atol=1e-4)
     assert found.space == ("RAS" if nifti else "LPS")
@@ -131,3 +140,42 @@ def test_other_formats_and_damaged_files_are_refused(tmp_path, labels, name):
     for other in (".mha", ".gz"):
         (tmp_path / f"a{other}").write_bytes(b"\x80\x04K\x01.")
         assert f"cannot read '{other}'" in refused(tmp_path / f"a{other}")
+
+
+SEGMENTS = {
+    "LV blood pool": "lv", "heart_ventricle_left": "lv", "Right Ventricle": "rv", "RV": "rv",
+    "heart_myocardium": "myocardium", "LV wall": "myocardium", "left ventricular scar": "scar",
+    "heart_atrium_left": None, "LA wall": None, "papillary muscle": None, "Segment_1": None,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("layered", [False, True])
+def test_names_of_segments_take_the_place_of_labels(tmp_path, layered):
+    """3D Slicer's names: overlapping segments are in layers, each with numbers of its own."""
+    assert {name: part_of_segment(name) for name in SEGMENTS} == SEGMENTS
+    phantom = ellipsoid_segmentation((3.0, 3.0, 3.0)).segmentation
+    names, header, voxels = ("LV blood", "RV", "scar", "Myocardium"), {}, phantom.labels
+    order = (1, 2, 4, 3)  # numbers of these in the phantom
+    in_order = (*names[:2], *names[:1:-1])
+    if layered:
+        voxels = np.array([voxels == 1, voxels == 2, voxels == 4, voxels >= 3], dtype=np.uint8)
+        none = np.full((1, 3), np.nan)
+        header["space directions"] = np.concatenate([none, phantom.affine[:3, :3].T])
+    for k, name in enumerate(names):
+        header |= {f"Segment{k}_Name": name, f"Segment{k}_LabelValue": str(order[k])}
+        if layered:
+            header |= {f"Segment{k}_Layer": str(k), f"Segment{k}_LabelValue": "1"}
+    path = write_nrrd(tmp_path / "a.seg.nrrd", voxels, phantom.affine, **header)
+    found = read_segmentation(path)
+    numbers = dict(zip(found.segments.values(), found.segments, strict=True))
+    for name, number in zip(names, order, strict=True):
+        np.testing.assert_array_equal(found.labels == numbers[name], phantom.labels == number)
+    parts, (note,) = _segmentation_labels(found, None)
+    assert parts.parts() == [
+        (part, (numbers[name],))
+        for part, name in zip(("LV blood", "RV blood", "myocardium", "scar"), in_order, strict=True)
+    ]
+    assert f"lv {numbers['LV blood']} LV blood; rv {numbers['RV']} RV" in note
+    segments = found.segments | {numbers["RV"]: "A"}
+    with pytest.raises(InputError, match=r"labels \(0, 1 LV blood, 2 A, .*\) depends .* lv=1,rv=2"):
+        _segmentation_labels(replace(found, segments=segments), None)

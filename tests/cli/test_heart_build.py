@@ -36,10 +36,6 @@ SURFACE_KINDS = {
         ),
         *("--label-array", "part", "--labels", "base=10,epicardium=20,lv=30,rv=40"),
     ],
-    "file of labels": lambda folder: [
-        anatomies.write_surface(folder / "heart.stl"),
-        *("--labels-file", write_numbers(folder / "labels.txt", anatomies.ventricles().labels)),
-    ],
     "unlabelled STL": lambda folder: [anatomies.write_surface(folder / "heart.stl")],
     "parts": lambda folder: anatomies.options_of(anatomies.write_parts(folder)),
     "parts 1 mm apart": lambda folder: anatomies.options_of(anatomies.write_parts(folder, 1.0)),
@@ -47,11 +43,6 @@ SURFACE_KINDS = {
         anatomies.write_parts(folder), "base"
     ),
 }
-
-
-def write_numbers(path: Path, numbers: np.ndarray) -> Path:
-    path.write_text("\n".join(map(str, numbers)) + "\n")
-    return path
 
 
 MESHED: dict[str, LabelledMesh] = {}

@@ -7,8 +7,7 @@ tests/torso; here one of each kind, and what the options say.
 import anatomies
 import numpy as np
 import pytest
-import pyvista as pv
-from anatomies import COARSER, EDGE, EPI, ventricles
+from anatomies import COARSER, EDGE, ventricles
 
 # Options that leave the volume conductor unbounded, so that little is done before an error
 AROUND = ("--torso", "none", "--electrodes", "electrodes.csv", "--edge-length", EDGE)
@@ -65,8 +64,6 @@ class TestInput:
         for name in ("folder", "folder.vtp", "folder.nii", "folder.pts"):
             (build_refused.folder / name).mkdir()
             build_refused(name, words=[name, "; "])
-
-    def test_kinds_of_files_that_are_no_anatomy_are_told_those_that_are(self, build_refused):
         (build_refused.folder / "heart.csv").write_text("x,y,z\n")
         words = ["cannot read '.csv' as anatomy", ".vtu", ".nii.gz", ".nrrd"]
         build_refused("heart.csv", words=words)
@@ -84,51 +81,15 @@ class TestInput:
 
 
 class TestAnatomy:
-    @pytest.mark.parametrize("labelled", [True, False])
-    def test_an_open_surface(self, build_refused, labelled):
-        whole = ventricles()
-        hole = (whole.labels == EPI) & (whole.vertices[whole.triangles][:, :, 2].max(axis=1) < -50)
-        arrays = {"class": whole.labels[~hole]} if labelled else {}
-        file = build_refused.folder / "heart.vtp"
-        anatomies.write_surface(file, triangles=whole.triangles[~hole], **arrays)
-        build_refused(file, words=["heart.vtp", "hole"])
-
-    @pytest.mark.parametrize("labelled", [True, False])
-    def test_cavities_that_reach_through_the_wall(self, build_refused, labelled):
-        vertices = ventricles().vertices.copy()
-        rv = np.unique(ventricles().having(anatomies.RV))
-        vertices[rv[vertices[rv, 2] < -5], 0] += 15.0  # the free wall is 11 mm thick
-        arrays = {"class": ventricles().labels} if labelled else {}
-        anatomies.write_surface(build_refused.folder / "heart.vtp", vertices, **arrays)
-        found = " at (" if labelled else "3 cavities"
-        build_refused("heart.vtp", words=["heart.vtp: ", found])
-
-    def test_tetrahedra_in_pieces(self, build_refused):
-        mesh = anatomies.tissue()
-        middle = mesh.vertices[mesh.tetrahedra].mean(axis=1)[:, 2]
-        apart = mesh.tetrahedra[(middle < -35) | (middle > -15)]
-        grid = pv.UnstructuredGrid({pv.CellType.TETRA: apart}, mesh.vertices)
-        grid.save(build_refused.folder / "mesh.vtu")
-        build_refused("mesh.vtu", words=[
-            "mesh.vtu: its pieces of tissue (79.3 ml about (", ", 60.7 ml about (",
-            "are more than 2 mm apart",
-        ])  # fmt: skip
-
     def test_swapped_labels_of_tetrahedra(self, build_refused):
         swapped = np.array([0, 1, 2, 4, 3])[anatomies.tissue().labels]
         file = build_refused.folder / "mesh.vtu"
         anatomies.write_vtu(file, labelled=True, labels=swapped)
         build_refused(file, words=["mesh.vtu: LV and RV endocardium seem to be swapped"])
 
-    def test_labels_that_are_not_there(self, build_refused, surface):
-        build_refused(surface, "--label-array", "tags", words=["no array 'tags'", "class"])
-        (build_refused.folder / "labels.txt").write_text("1\n2\n3\n")
-        anatomies.write_surface(build_refused.folder / "heart.stl")
-        words = ["labels.txt: 3 labels", f"{len(ventricles().triangles)} triangles"]
-        build_refused("heart.stl", "--labels-file", "labels.txt", words=words)
-
-    def test_unknown_label_names_of_a_mesh(self, build_refused, mesh):
+    def test_labels_that_are_not_there(self, build_refused, surface, mesh):
         build_refused(mesh, "--labels", "myocardium=3", words=["unknown 'myocardium'"])
+        build_refused(surface, "--label-array", "tags", words=["no array 'tags'", "class"])
 
     @pytest.mark.parametrize(
         ("given", "words"),
@@ -137,6 +98,7 @@ class TestAnatomy:
             ("lv=1,rv=7,myocardium=3", ["RV blood (label 7) has 0 voxels", "1 (", "4 ("]),
             ("lv=1,rv=2,atrium=3", ["unknown 'atrium'", "lv, rv, myocardium, scar"]),
             ("lv=0,rv=2,myocardium=3", ["other than 0"]),
+            ("myocardium=1", ["add up masks of one structure each"]),
             ("lv=3,rv=2,myocardium=1", ["; "]),
         ],
     )
@@ -229,5 +191,5 @@ class TestTorso:
 def test_places_of_others(refused, mesh, outside):
     """Told before the work is done, so that the error stands alone; more: test_import_refused."""
     (outside / "notes.txt").write_text("mine")
-    words = "holds files and is not a heart folder (no heart.toml); give another --out"
+    words = "holds 'notes.txt', which would be lost; give another --out"
     refused(["heart", "build", mesh, *AROUND, "--out", outside], words)

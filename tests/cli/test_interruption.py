@@ -60,6 +60,22 @@ def test_compiled_code_does_not_hold_it_up(name, status, tmp_path):
     assert os.listdir(tmp_path) == []
 
 
+@pytest.mark.parametrize("name", NUMBER)
+@pytest.mark.parametrize("waits", ["minutes_in_compiled_code", "signal.pause"])
+def test_what_resumes_says_so(name, waits, tmp_path):
+    program = f"""
+    def work():
+        with fascicle.cli.resumable(Path("study")):
+            print("running", flush=True)
+            {waits}()
+
+    program(work)
+    """
+    ended = interrupted(START + textwrap.dedent(program), NUMBER[name], tmp_path)
+    words = "interrupted; evaluations are stored in study; run the same command again to resume\n"
+    assert ended == (128 + NUMBER[name], words)
+
+
 def test_it_may_come_out_of_a_callback_as_another_error(tmp_path):
     """SciPy's differential evolution makes a RuntimeError of what its callback raises."""
     program = """

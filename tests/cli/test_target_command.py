@@ -10,7 +10,7 @@ from pydicom.data import get_testdata_file
 
 from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import LEADS
-from fascicle.recording import filter_estimate, pipeline
+from fascicle.recording import filter_estimate, window
 from fascicle.recording.filters import FilterOrigin
 from fascicle.recording.target_files import read_target
 
@@ -123,7 +123,7 @@ def made(run, outside, recording, *options):
 def quick(monkeypatch):
     """Look for no filters, and estimate no uncertainty: most of the time of a target."""
     monkeypatch.setattr(filter_estimate, "estimated_lowpass", lambda *_: None)
-    monkeypatch.setattr(pipeline, "window_uncertainty", lambda *_: (4.0, 5.0))
+    monkeypatch.setattr(window, "window_uncertainty", lambda *_: (4.0, 5.0))
 
 
 def test_beats_class_and_window(quick, recording, run, outside):
@@ -142,6 +142,11 @@ def test_beats_class_and_window(quick, recording, run, outside):
     assert one.noise == 0.03
     same, _ = made(run, outside, recording, "--class", "A")
     assert np.array_equal(same.beats, everything.beats)
+
+
+def test_pacing_spikes_are_printed(quick, data_folder, run, outside):
+    _, ended = made(run, outside, data_folder / "cases" / "two_spikes_8ms.csv")
+    assert re.search(r"(?m)^pacing spikes +7, cut out, at 0\.40, 1\.20, .*, … s$", ended.out)
 
 
 def test_leads_and_polarity(quick, recording, tmp_path, run, outside):

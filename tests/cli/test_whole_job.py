@@ -7,6 +7,7 @@ import re
 import shutil
 import sqlite3
 from dataclasses import replace
+from pathlib import Path
 
 import arviz as az
 import numpy as np
@@ -159,10 +160,10 @@ def test_damaged_copies_are_restored(study, ventricles, run, tmp_path):
 
 def test_another_target_heart_or_growth_says_what_differs(study, ventricles, target):
     later = fascicle.make_target(fascicle.read_recording(demo_recording()), onset=-40.0)
-    with pytest.raises(fascicle.InputError, match=r"holds another study \(target: there "):
+    with pytest.raises(fascicle.InputError, match=r"holds another study \(of another target\)"):
         fascicle.fit(ventricles, later, study.folder, **BUDGET)
     faster = replace(load_heart(ventricles), values={"alpha": 0.07})
-    wanted = r"\(heart: there .*conduction alpha: there 0.05, now 0.07\)"
+    wanted = r"\(of another heart; .*conduction alpha: there 0.05, now 0.07\)"
     with pytest.raises(fascicle.InputError, match=wanted):
         fascicle.fit(faster, target, study.folder, **BUDGET)
     longer = GrowthRules(branch_length=10.0)
@@ -323,9 +324,11 @@ def test_sweep(blank_pictures, study, tmp_path, run, refused):
 
 
 def test_report(study, run):
-    asked = ["report", study.folder, "--scenario", "his-pacing", "--format", "png"]
+    asked = ["report", study.folder, "--scenario", "his-pacing", "--format", "png", "--pdf"]
     pyplot.close("all")
-    verdict, *figures, page = run(*asked).out.splitlines()
+    verdict, pdf, *figures, page = run(*asked).out.splitlines()
+    assert Path(pdf) == study.folder / "report.pdf"
+    assert len(re.findall(rb"/Type /Page\b", Path(pdf).read_bytes())) == 1
     assert study.verdict in verdict
     assert [figure.rsplit("/", 1)[1] for figure in figures] == [
         "ecg.png", "activation.png", "activation-spread.png", "indices.png", "priors.png",
@@ -347,7 +350,7 @@ def test_report(study, run):
     scenarios = json.loads(content[1])["scenarios"]
     assert [scenario["name"] for scenario in scenarios] == ["intrinsic", "his-pacing"]
     assert all(warning in html.unescape(text) for warning in study.warnings)
-    rows = dict(re.findall(r'<tr><th>([^<]*)</th>\s*<td class="number">(.*?)</tr>', text, re.S))
+    rows = dict(re.findall(r'<th[^>]*>([^<]*)</th>\s*<td class="number">(.*?)</tr>', text, re.S))
     said = json.loads((study.folder / "summary.json").read_text())
     cells = re.findall(r"[-\d.]+%", rows["variance explained"])
     assert cells == [f"{said['explained_power'][lead]:.0%}" for lead in (*LEADS, "all")]

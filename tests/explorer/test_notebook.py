@@ -6,7 +6,7 @@ import pytest
 
 import fascicle
 from fascicle.explorer import explore as explore_module
-from fascicle.explorer.explore import in_browser, widget
+from fascicle.explorer.explore import widget
 from fascicle.explorer.session import Session
 
 # A cell of a notebook, with a kernel that answers
@@ -71,10 +71,7 @@ def test_a_kernel_gets_a_widget_and_a_script_a_page(session, monkeypatch):
     assert fascicle.explore("default") == ("widget", session)
 
 
-def test_without_anywidget_or_a_browser_it_says_so(session, monkeypatch):
+def test_without_anywidget_it_says_so(session, monkeypatch):
     monkeypatch.setattr("fascicle.core.errors.find_spec", lambda name: None)
     with pytest.raises(fascicle.InputError, match=r"pip install .fascicle-ecg\[notebook\]"):
         widget(session)
-    monkeypatch.setattr("webbrowser.open", lambda url: False)
-    with pytest.warns(UserWarning, match="open http://127.0.0.1:1/x/"):
-        in_browser("http://127.0.0.1:1/x/")

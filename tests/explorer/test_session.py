@@ -1,20 +1,27 @@
 """What the explorer answers is what the forward model gives, or one line of what is wrong."""
 
+import asyncio
 import json
-import socket
+import re
 import time
+from contextlib import suppress
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from queue import Queue
 from types import SimpleNamespace
-from urllib.parse import urlsplit
+from unittest.mock import AsyncMock
 
 import numpy as np
 import pytest
 from builders import recorded
+from starlette.websockets import WebSocketDisconnect
+from websockets.sync.client import connect
 
 import fascicle
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import HUMAN_SPACE, ParameterSpace, free, read_parameters
-from fascicle.explorer.explore import serve, session_of
+from fascicle.explorer.explore import Application, in_thread, serve, session_of
 from fascicle.explorer.session import PageState, Session, _spoken
 from fascicle.forward.scenario_files import read_scenario
 from fascicle.forward.simulation_files import write_ecg
@@ -243,7 +250,7 @@ def test_a_recording_lies_under_the_simulation(default_model, tmp_path):
 @pytest.mark.parametrize(
     ("message", "words"),
     [
-        (3, "state: not a table"),
+        (3, "a damaged message"),
         ({"state": {"values": {"cv": "fast"}}}, "state: 'values.cv'"),
         ({"state": {"values": {}, "other": 1}}, "state: 'other'"),
         ({"state": {"values": {"cv": 3.0}}}, "missing parameters"),
@@ -271,14 +278,43 @@ def test_what_does_not_fit_the_heart_is_said(session, tmp_path):
         session_of("default", 3, None)
 
 
-def test_a_page_is_announced_when_it_can_be_opened(session):
-    def opened(url):
-        page = urlsplit(url)
-        socket.create_connection((page.hostname, page.port)).close()
-        raise InterruptedError
+def test_a_page_that_closes_while_it_is_answered_is_no_error(session, monkeypatch):
+    errors, answer = [], Queue()
+    monkeypatch.setattr("threading.excepthook", errors.append)
 
-    with pytest.raises(InterruptedError):
-        serve(session, opened=opened)
+    async def closed():
+        with suppress(TimeoutError):
+            await asyncio.wait_for(in_thread(answer.get), 0.1)
+        answer.put(b"")
+        await asyncio.sleep(0.1)
+
+    asyncio.run(closed())
+    assert errors == []
+    application, host = Application(session, 1), "127.0.0.1:1"
+    page = AsyncMock(headers={"origin": f"http://{host}", "host": host})
+    page.receive.side_effect = partial(asyncio.sleep, 60)
+    page.send_bytes.side_effect = WebSocketDisconnect
+    asyncio.run(application.socket(page))
+    assert (page.send_bytes.await_count, application.pages) == (1, 0)
+
+
+def test_a_browser_in_the_foreground_is_served_and_not_told_the_token(session, monkeypatch):
+    opened = []
+
+    def foreground(address):  # returns when it is closed
+        page = Path(address.removeprefix("file://"))
+        url = re.search('url=(.*?)"', page.read_text())[1]
+        with connect(f"{url.replace('http', 'ws')}socket", origin=url[: url.index("/", 8)]) as one:
+            one.recv()
+        modes = [oct(path.stat().st_mode & 0o777) for path in (page.parent, page)]
+        opened.append((page, url.split("/")[-2], modes))
+
+    monkeypatch.setattr("webbrowser.open", foreground)
+    serve(session)
+    ((page, token, modes),) = opened
+    assert token not in str(page)
+    assert modes == ["0o700", "0o600"]
+    assert not page.parent.exists()
 
 
 class TestHeartsOfAnAtlas:

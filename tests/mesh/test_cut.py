@@ -9,10 +9,11 @@ from fascicle.core.errors import InputError
 from fascicle.mesh.measures import signed_volumes
 from fascicle.mesh.mesh_file import TETRAHEDRON, TRIANGLE
 from fascicle.mesh.read import read_mesh
-from fascicle.mesh.topology import boundary_triangles
+from fascicle.mesh.topology import boundary_triangles, places_in
 
 N = 4
 CORNERS = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
+FACES = [(0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
 ROTATED = [range(8), (1, 2, 3, 0, 5, 6, 7, 4), (4, 0, 3, 7, 5, 1, 2, 6), (3, 2, 6, 7, 0, 1, 5, 4)]
 
 
@@ -72,14 +73,37 @@ def test_wedges_and_pyramids_either_way_round(tmp_path):
     assert len(boundary_triangles(tetrahedra)[0]) == 2 * 5 + 4
 
 
-@pytest.mark.parametrize("form", ["gmsh", "gmsh22"])
-def test_gmsh(tmp_path, form):
+def test_gmsh_with_labelled_quadrangles(tmp_path):
+    """Quadrangles of the boundary are cut like the hexahedra, and keep their groups."""
     points, cells = warped_blocks(np.random.default_rng(1))
-    data = meshio.Mesh(points, [("hexahedron", cells)])
-    meshio.write(tmp_path / "blocks.msh", data, file_format=form, binary=False)
-    mesh = read_mesh(tmp_path / "blocks.msh")
+    sides = np.concatenate([cells[:, side] for side in FACES])
+    _, first, count = np.unique(np.sort(sides), axis=0, return_index=True, return_counts=True)
+    outer = sides[first[count == 1]]
+    groups = [np.ones(len(cells), int), 2 + np.arange(len(outer))]
+    data = {"gmsh:physical": groups, "gmsh:geometrical": groups}
+    blocks = meshio.Mesh(points, [("hexahedron", cells), ("quad", outer)], cell_data=data)
+    meshio.gmsh.write(tmp_path / "a.msh", blocks, fmt_version="2.2", binary=False)
+    mesh = read_mesh(tmp_path / "a.msh")
     by_vtk = read_mesh(saved(tmp_path, points, {12: cells})).cells[TETRAHEDRON]
     np.testing.assert_array_equal(mesh.cells[TETRAHEDRON], by_vtk)
+    rows = places_in(boundary_triangles(by_vtk)[0], mesh.cells[TRIANGLE])
+    assert sorted(rows) == list(range(2 * len(outer)))
+    groups = mesh.cell_data[TRIANGLE]["gmsh:physical"]
+    np.testing.assert_array_equal(groups, 2 + np.repeat(np.arange(len(outer)), 2))
+
+
+@pytest.mark.parametrize("name", ["a.vtu", "a.msh"])
+def test_quadratic_hexahedra(tmp_path, name):
+    """Their corners; the points between them are not used."""
+    points, cells = warped_blocks(np.random.default_rng(2))
+    middles = np.zeros((12 * len(cells), 3))
+    numbers = len(points) + np.arange(len(middles)).reshape(-1, 12)
+    cells20 = [("hexahedron20", np.column_stack([cells, numbers]))]
+    form = "vtu" if name == "a.vtu" else "gmsh"
+    meshio.Mesh(np.concatenate([points, middles]), cells20).write(tmp_path / name, form)
+    found = read_mesh(tmp_path / name).require(TETRAHEDRON, "tetrahedra")
+    by_vtk = read_mesh(saved(tmp_path, points, {12: cells})).cells[TETRAHEDRON]
+    np.testing.assert_array_equal(found, by_vtk)
 
 
 def test_folded(tmp_path):

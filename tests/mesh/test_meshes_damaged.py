@@ -59,10 +59,14 @@ def files(tmp_path_factory):
 @pytest.mark.parametrize("name", TISSUE + SURFACES)
 def test_whole_files_are_read_quietly(files, tmp_path, capfd, name):
     path = tmp_path / name
-    path.write_bytes(files[name])
-    mesh = read_mesh(path)
     kind, number = (TETRAHEDRON, 384) if name in TISSUE else (TRIANGLE, 128)
-    assert len(mesh.require(kind, "cells")) == number
+    for content in (files[name], files[name].rstrip() if name.startswith("a") else files[name]):
+        path.write_bytes(content)
+        if name == "a.obj" and not content.endswith(b"\n"):
+            with pytest.raises(InputError, match="no line end at its end; add one if the file is"):
+                read_mesh(path)
+        else:
+            assert len(read_mesh(path).require(kind, "cells")) == number
     assert capfd.readouterr() == ("", "")
 
 
@@ -93,7 +97,8 @@ def test_truncated(files, tmp_path, capfd, name, cut):
         assert name.endswith(".vtk")
         cells = [len(mesh.cells.get(kind, ())) for kind in (TETRAHEDRON, TRIANGLE)]
         assert sum(cells) in (0, 384 if name in TISSUE else 128)
-        assert "fibre" not in mesh.point_data
+        # a last number that lost digits is still a number
+        assert "fibre" not in mesh.point_data or -12 < cut < 0
 
 
 @pytest.mark.parametrize("suffix", [".vtk", ".vtu", ".vtp", ".ply", ".stl", ".obj", ".msh"])
@@ -134,5 +139,5 @@ def test_text_vtk_without_arrays_or_with_long_title(tmp_path, name, newline):
     (tmp_path / name).write_bytes(content)
     assert len(read_mesh(tmp_path / name).require(kind, "cells")) == data.n_cells
     (tmp_path / name).write_bytes(content.rstrip()[:-1])
-    with pytest.raises(InputError, match=r"no line end at its end|Error reading ascii"):
+    with pytest.raises(InputError, match=r"contradicts itself|Error reading ascii"):
         read_mesh(tmp_path / name)

@@ -19,8 +19,9 @@ def independent(recording):
 
 
 def found_beats(recording):
-    spikes = find_spikes(recording.signal, recording.sampling_rate)
-    clean = replace(recording, signal=remove_spikes(recording.signal, spikes))
+    signal, rate = recording.signal, recording.sampling_rate
+    spikes = find_spikes(signal, rate)
+    clean = replace(recording, signal=remove_spikes(signal, spikes, rate))
     (found,) = lead_groups(clean, spikes, TargetOptions())
     return found
 

@@ -23,22 +23,13 @@ from quality_recordings import (
 
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import CHEST_LEADS, LEADS, LIMB_LEADS
+from fascicle.recording import quality
 from fascicle.recording.choices import swap
 from fascicle.recording.detection import r_peaks
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
 from fascicle.recording.limb_leads import check_identities, check_reversal
 from fascicle.recording.pipeline import Analysis, analyse, make_target
-from fascicle.recording.quality import (
-    CHEST,
-    FASTEST_QRS,
-    LEAD_CHECKS,
-    CheckResult,
-    Severity,
-    check_chest_leads,
-    check_leads,
-    check_mean_beat,
-    check_recording,
-)
+from fascicle.recording.quality import CheckResult, Severity, check_leads, check_recording
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Recording
 
@@ -74,13 +65,13 @@ def every(recording: Recording, filters: tuple[Filter, ...] = ()) -> list[CheckR
 
 def one(recording: Recording, name: str) -> CheckResult:
     """The finding of the check of leads whose name begins so."""
-    (check,) = (check for check in LEAD_CHECKS if check.name.startswith(name))
+    (check,) = (check for check in quality.LEAD_CHECKS if check.name.startswith(name))
     return check.of(recording)
 
 
 def test_nothing_against_good_and_real_recordings(good, patients) -> None:
     findings = every(good)
-    assert len({finding.check for finding in findings}) == len(findings) == 15
+    assert len({finding.check for finding in findings}) == len(findings) == 14
     for recording in (good, *patients.values()):
         assert fatal(every(recording)) + warned(every(recording)) == []
 
@@ -170,7 +161,7 @@ def test_noise_is_measured_between_the_beats() -> None:
 
 
 @pytest.mark.parametrize("frequency", [49.8, 60.0])
-def test_power_line_interference_and_wander(good, frequency: float) -> None:
+def test_power_line_interference(good, frequency: float) -> None:
     time = np.arange(good.signal.shape[1]) / good.sampling_rate
     name = f"power-line interference, {round(frequency, -1):g} Hz"
     assert one(good, name).value < 5
@@ -178,11 +169,6 @@ def test_power_line_interference_and_wander(good, frequency: float) -> None:
     finding = one(with_lead(good, "aVL", row(good, "aVL") + wave), name)
     assert finding.value == pytest.approx(1e3 * np.hypot(0.06, 0.02), rel=0.05)
     assert "in lead aVL" in finding.message
-    slow = 0.6 * np.sin(2 * np.pi * 0.2 * time)
-    assert one(good, "baseline").value < 0.15
-    finding = one(with_lead(good, "V1", row(good, "V1") + slow), "baseline")
-    assert finding.value == pytest.approx(1.2, rel=0.1)
-    assert "baseline of lead V1 wanders" in finding.message
 
 
 def test_low_pass_of_the_recorder(good) -> None:
@@ -235,18 +221,14 @@ def test_lead_that_is_something_else_and_chaos(good, disturbed) -> None:
     found = fatal(check_identities(with_lead(disturbed, "aVL", other)))
     assert "lead aVL does not follow from the other limb leads; leave it out" in found[0]
     shifted = np.stack([np.roll(lead, 37 * k) for k, lead in enumerate(good.signal)])
-    findings = check_identities(replace(good, signal=shifted))
-    assert fatal(findings) == []
-    assert "no single lead, gain or exchange explains it" in warned(findings)[0]
-
-
-def test_gain_of_its_own_for_each_lead(good, disturbed) -> None:
-    gain = np.array([1.0, 1.5, 0.7, 1.2, 2.0, 0.8, *[1.0] * 6])
-    noisy = replace(disturbed, signal=gain[:, None] * disturbed.signal)
-    assert "each lead has a gain of its own" in fatal(check_identities(noisy))[0]
-    found = fatal(check_identities(replace(good, signal=gain[:, None] * good.signal)))
-    ratios = dict(part.split() for part in found[0].split("(")[-1].split(")")[0].split(", "))
-    assert [float(ratios[lead]) for lead in LIMB_LEADS] == pytest.approx(gain[:6], abs=0.01)
+    gains = np.array([1.0, 1.5, 0.7, 1.2, 2.0, 0.8, *[1.0] * 6])[:, None]
+    for signal in (shifted, gains * disturbed.signal):  # a gain of its own for each lead
+        found = fatal(check_identities(replace(good, signal=signal)))
+        assert "no single lead, gain or exchange explains it" in found[0]
+        assert found[0].endswith("go on with two of them: --leads I,II,V1,V2,V3,V4,V5,V6")
+    late = [np.roll(lead, k) for k, lead in enumerate(good.signal)]  # 2 ms each
+    (warning, *_) = warned(check_identities(replace(good, signal=np.stack(late))))
+    assert "no single lead, gain or exchange explains it" in warning
 
 
 @pytest.mark.parametrize("per_millivolt", [1000, 120])
@@ -310,14 +292,6 @@ def test_no_reversal_is_advised_for_paced_beats_or_without_p_waves(good) -> None
     assert finding.message == "not checked: leads I and II show no P wave"
 
 
-def test_paced_recordings_are_neither_reversed_nor_clipped(data_folder) -> None:
-    for name in ("c05_spike_decay.hea", "c08_rv_slow_150.xml"):
-        target = make_target(read_recording(data_folder / "cases" / name))
-        warnings = "\n".join(target.warnings)
-        assert "--swap" not in warnings
-        assert "clipped" not in warnings
-
-
 def test_an_axis_to_the_right_is_no_reversal(good) -> None:
     """Lead I is negative in the QRS, but not in the P wave; V5 serves where there is no V6."""
     signal = good.signal.copy()
@@ -334,7 +308,9 @@ def test_an_axis_to_the_right_is_no_reversal(good) -> None:
 
 def mean_beat_checks(analysis: Analysis) -> list[CheckResult]:
     """Both checks of the mean beat."""
-    return [found for found in analysis.findings if found.check in (FASTEST_QRS, CHEST)]
+    return [
+        found for found in analysis.findings if found.check in (quality.FASTEST_QRS, quality.CHEST)
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -347,21 +323,23 @@ def test_nothing_against_real_mean_beats(data_folder: Path) -> None:
     for analysis in (analyse(philips), *analysed(data_folder).values()):
         speed, chest = mean_beat_checks(analysis)
         assert speed.severity is chest.severity is Severity.FINE
-        assert speed.value > 2 * FASTEST_QRS.limit
-        assert chest.value < 0.8 * CHEST.limit
+        assert speed.value > 2 * quality.FASTEST_QRS.limit
+        assert chest.value < 0.8 * quality.CHEST.limit
 
 
 def test_exchanged_and_inverted_chest_leads(qrs: Floats) -> None:
-    assert check_chest_leads(qrs).severity is Severity.FINE
+    assert quality.check_chest_leads(qrs).severity is Severity.FINE
     for k, lead in enumerate(CHEST_LEADS):
         wrong = qrs.copy()
         wrong[6 + k] *= -1
-        assert check_chest_leads(wrong).message.endswith(f"to undo it: --invert {lead}")
-        assert check_chest_leads(3 * wrong).value == pytest.approx(check_chest_leads(wrong).value)
+        assert quality.check_chest_leads(wrong).message.endswith(f"to undo it: --invert {lead}")
+        assert quality.check_chest_leads(3 * wrong).value == pytest.approx(
+            quality.check_chest_leads(wrong).value
+        )
     for k in range(3):
         wrong = qrs.copy()
         wrong[[6 + k, 7 + k]] = qrs[[7 + k, 6 + k]]
-        assert check_chest_leads(wrong).message.endswith(f"--swap V{k + 1}-V{k + 2}")
+        assert quality.check_chest_leads(wrong).message.endswith(f"--swap V{k + 1}-V{k + 2}")
 
 
 def test_the_remedy_removes_the_warning_of_a_patient(data_folder: Path) -> None:
@@ -381,10 +359,10 @@ def test_the_remedy_removes_the_warning_of_a_patient(data_folder: Path) -> None:
 def test_limb_leads_and_absent_leads_raise_no_alarm(qrs: Floats) -> None:
     changed = qrs.copy()
     changed[:6] *= -1
-    assert check_chest_leads(changed).value == check_chest_leads(qrs).value
+    assert quality.check_chest_leads(changed).value == quality.check_chest_leads(qrs).value
     changed[8] = np.nan
-    assert check_chest_leads(changed).severity is Severity.FINE
-    assert np.isnan(check_chest_leads(changed).value)
+    assert quality.check_chest_leads(changed).severity is Severity.FINE
+    assert np.isnan(quality.check_chest_leads(changed).value)
 
 
 def test_t_waves_alone(good: Recording, qrs: Floats) -> None:
@@ -393,11 +371,11 @@ def test_t_waves_alone(good: Recording, qrs: Floats) -> None:
         beat = slice(peak - 150, peak + 40)  # P wave and QRS
         signal[:, beat] = np.linspace(signal[:, beat.start], signal[:, beat.stop], 190, axis=1)
     speed, chest = mean_beat_checks(analyse(replace(good, signal=signal)))
-    assert speed.value < 0.5 * FASTEST_QRS.limit
+    assert speed.value < 0.5 * quality.FASTEST_QRS.limit
     assert "a T or P wave was probably taken for the beat" in speed.message
     assert chest.message == "not checked: no QRS"
     slow = np.repeat(qrs, 3, axis=1)  # as slow as the slowest QRS
-    assert check_mean_beat(slow)[0].severity is Severity.FINE
+    assert quality.check_mean_beat(slow)[0].severity is Severity.FINE
 
 
 def test_the_right_leg_on_an_arm_is_named(data_folder) -> None:
@@ -415,4 +393,8 @@ def test_one_bad_lead_may_be_left_out(data_folder) -> None:
     assert len(target.beats) < 7
     kept = [lead for lead in LEADS if lead != "V6"]
     assert f"go on without: --leads {','.join(kept)}" in target.warnings[0]
+    assert "take it away by --notch 50, or record again" in target.warnings[1]
+    (_, hum) = make_target(read_recording(path), notch=50.0).warnings
+    assert hum.startswith("power-line interference at 50 Hz in lead V6")
+    assert "--notch" not in hum
     assert len(make_target(read_recording(path, leads=kept)).beats) == 7

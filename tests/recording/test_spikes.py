@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from quality_recordings import real, synthetic
+from scipy.ndimage import gaussian_filter1d
 
 import fascicle
 from benchmarks.pacing_spikes import DISTURBANCES, PACING, UNPACED, counts, disturbed, paced
@@ -65,7 +66,7 @@ def test_spikes_lie_about_the_pulse_and_what_is_left_is_the_beat(rate):
     bare, _ = synthetic(3, spike_size=1e-9, **options)
     assert np.abs(recording.signal - bare.signal).max() > 10
     spikes = find_spikes(recording.signal, rate)
-    assert np.abs(remove_spikes(recording.signal, spikes) - bare.signal).max() < 0.1
+    assert np.abs(remove_spikes(recording.signal, spikes, rate) - bare.signal).max() < 0.1
     assert len(spikes) == len(truth.spikes) > 5
     assert (spikes[:, 0] / rate <= truth.spikes + 1 / rate).all()
     assert (spikes[:, 1] / rate >= truth.spikes).all()
@@ -217,7 +218,7 @@ def test_spike_into_a_qrs_that_has_begun():
     assert analysis.classes[0].description == ""
 
 
-# Right values: onset and offset (ms from R) of the file's QRS, and of the class what is said.
+# Right values: onset and offset (ms from R) of the file's QRS, and the features of its class
 @pytest.mark.parametrize(
     ("name", "onset", "offset", "description"),
     [
@@ -225,6 +226,8 @@ def test_spike_into_a_qrs_that_has_begun():
         ("c05_spike_decay.hea", -68, 62, "paced"),
         ("c03_triangle_muse.xml", -72, 72, ""),
         ("biventricular_vv15.csv", -90, 65, "paced"),  # 15 ms apart, the first fires the QRS
+        ("two_spikes_8ms.csv", -90, 65, "paced"),
+        ("st_elevation_convex.csv", -45, 45, ""),  # of 0.96 mV, from the J point on
     ],
 )
 def test_cases(data_folder, name, onset, offset, description):
@@ -233,6 +236,16 @@ def test_cases(data_folder, name, onset, offset, description):
     assert target.qrs_onset == pytest.approx(onset, abs=10)
     assert abs(target.qrs_offset - offset) <= 2 * target.offset_sd
     assert analysis.classes[0].description == description
+    assert not any(word in "\n".join(target.warnings) for word in ("--swap", "clipped"))
+    assert not any(c.met for c in target.conventional_criteria if "left bundle" in c.name)
+
+
+def test_nothing_is_left_of_two_spikes_in_the_qrs(data_folder):
+    """They ring at 150 Hz, faster than a QRS."""
+    recording = fascicle.read_recording(data_folder / "cases" / "two_spikes_8ms.csv")
+    qrs = fascicle.make_target(recording).qrs
+    ringing = qrs - gaussian_filter1d(qrs, 5.0)
+    assert np.abs(ringing).max() < 0.05  # mV
 
 
 @pytest.mark.parametrize("count", ["3", "7", "arms_reversed"])

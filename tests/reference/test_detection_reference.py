@@ -106,10 +106,10 @@ def synthetic_outcome(rhythm, noise_db, seeds, **options):
                 np.random.default_rng([seed, heart_rate]),
                 Synthesis(rhythm=rhythm, heart_rate=heart_rate, noise_db=noise_db, **options),
             )
-            signal = recording.signal
+            signal, rate = recording.signal, recording.sampling_rate
             if rhythm == "paced":
-                signal = remove_spikes(signal, find_spikes(signal, recording.sampling_rate))
-            peaks = r_peaks(signal, recording.sampling_rate) / recording.sampling_rate
+                signal = remove_spikes(signal, find_spikes(signal, rate), rate)
+            peaks = r_peaks(signal, rate) / rate
             total += outcome(peaks, truth)
     return total
 
@@ -152,7 +152,9 @@ def test_beats_among_t_waves_higher_than_the_qrs():
                 Synthesis(rhythm=rhythm, tall_t=6.0, noise_db=20.0),
             )
             spikes = find_spikes(recording.signal, recording.sampling_rate)
-            clean = replace(recording, signal=remove_spikes(recording.signal, spikes))
+            clean = replace(
+                recording, signal=remove_spikes(recording.signal, spikes, recording.sampling_rate)
+            )
             (group,) = lead_groups(clean, spikes, TargetOptions())
             total += outcome(group.times, truth)
     assert total[:2].sum() > 600

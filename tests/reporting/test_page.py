@@ -7,12 +7,14 @@ import json
 import re
 import zlib
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import igl
 import numpy as np
 import pytest
 
+import fascicle
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, Parameter, ParameterSpace
 from fascicle.emulation.predictive import Checks
 from fascicle.forward.primitives import His, SlowConduction, Stimulus
@@ -350,9 +352,16 @@ def test_numbers_and_criteria_of_an_ecg_stand_in_its_tables():
     cells = re.findall('<td class="number">(.*?)</td>', text)
     assert cells == ["83%", "0.91", "59 degrees", "61 (50 to 71) degrees", "2 (1 to 3)"]
     assert "<td>apex (25%)</td>" in text
+    assert '<th scope="row">a</th><td class="number">2 (1 to 3)</td>' in text
     found = [Criterion(f"block {met}", met, "QRS 90 ms", "them") for met in (True, False, None)]
-    rows = re.findall("<th>block (.*?) \\(them\\)</th><td>(.*?)</td>", page(criteria=[found]))
+    rows = re.findall(">block (.*?) \\(them\\)</th><td>(.*?)</td>", page(criteria=[found]))
     assert rows == [("True", "yes"), ("False", "no"), ("None", "not decided")]
+
+
+def test_headers_of_tables_say_what_they_head():
+    pages = [page.read_text("utf-8") for page in Path(fascicle.__file__).parent.rglob("*.html")]
+    headers = [re.findall(r"<th(?: scope=.(\w+))?", page.replace("<thead", "")) for page in pages]
+    assert {"col", "row"} == {scope for scopes in headers for scope in scopes}
 
 
 def test_no_text_can_end_the_page_or_its_script():

@@ -3,6 +3,9 @@
 // without its dark ends, early is red.
 
 import { DataTexture, LinearFilter, RGBAFormat, SRGBColorSpace } from "three";
+import { make } from "./controls.js";
+
+export const ZERO = "first ventricular activation"; // of times
 
 const STOPS = {
   time: ["#fde725", "#b5de2b", "#6ece58", "#35b779", "#1f9e89", "#26828e", "#31688e", "#3e4989",
@@ -37,8 +40,26 @@ export function texture(kind) {
   return map;
 }
 
-// The bar beside the heart: colours from low to high, with ticks.
-export function drawBar(canvas, field, ink) {
+// The bar below the heart: colours from low to high, with ticks, and what they are.
+export class ColourBar {
+  constructor() {
+    this.canvas = make("canvas", { class: "fv-bar", role: "img" });
+    this.text = make("span", {});
+  }
+
+  // `colours` are those of the field: its kind, or the map that its times have.
+  show(field, colours, ink) {
+    const { label, unit, kind, low, high } = field;
+    drawBar(this.canvas, { low, high, kind: colours }, ink);
+    const zero = kind === "time" ? `; 0: ${ZERO}` : "";
+    this.text.textContent = unit === "1" ? label : `${label} (${unit}${zero})`;
+    const ends = ticks(low, high);
+    this.canvas.setAttribute("aria-label",
+      `colours of ${this.text.textContent}, from ${ends[0]} to ${ends.at(-1)}`);
+  }
+}
+
+function drawBar(canvas, field, ink) {
   const ratio = Math.min(window.devicePixelRatio || 1, 2);
   const [width, height] = [280, 40];
   canvas.width = width * ratio;
@@ -60,13 +81,13 @@ export function drawBar(canvas, field, ink) {
   }
 }
 
+// Both ends, and round numbers between them that leave room for their digits.
 export function ticks(low, high) {
   const rough = (high - low) / 5;
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((k) => k * power).find((s) => s >= rough);
-  const found = [];
-  for (let k = Math.ceil(low / step); k * step <= high * (1 + 1e-9); k++) {
-    found.push(Number((k * step).toPrecision(6)));
-  }
-  return found;
+  const room = (high - low) / 9;
+  const found = [low];
+  for (let k = Math.ceil((low + room) / step); k * step <= high - room; k++) found.push(k * step);
+  return [...found, high].map((tick) => Number(tick.toPrecision(3)));
 }

@@ -2,6 +2,7 @@
 
 import { Vector2, Vector3 } from "three";
 import { GIFEncoder, applyPalette, quantize } from "gifenc";
+import { ColourBar, ZERO } from "./colours.js";
 import { addStyle, button, check, choice, hasWebGL, make } from "./controls.js";
 import { EcgPaper } from "./ecg.js";
 import { EXERCISES } from "./exercises.js";
@@ -76,12 +77,14 @@ export class Explorer {
       up: said.up, front: said.front, base: said.base, points: fixed.vertices,
     });
     this.paper = make("div", { class: "fx-paper" });
+    this.bar = new ColourBar();
     this.status = make("p", { role: "status", class: "fx-status" });
     this.measured = make("dl", { class: "fx-measured" });
     this.element.replaceChildren(
       make("h1", {}, said.heart, make("small", {}, said.verdict ?? "example network")),
       make("div", { class: "fx-top" },
-        make("section", { "aria-label": "heart" }, this.actions(), this.picture, this.timeRow()),
+        make("section", { "aria-label": "heart" }, this.actions(), this.picture, this.timeRow(),
+          make("div", { class: "fv-row" }, this.bar.canvas, this.bar.text)),
         make("section", { "aria-label": "ECG" }, this.paper, this.measured, this.status)),
       this.networkRow(),
       this.sliders(),
@@ -196,30 +199,47 @@ export class Explorer {
       make("details", {}, make("summary", {}, titles[k]), NOTES[titles[k]] ?? "", rows)));
   }
 
-  // A parameter of a group: its slider, with the distribution in the study above it.
+  // A parameter of a group: its slider, with the distribution in the study above it, and its value,
+  // which can be typed: Enter applies it, Escape restores what it was.
   parameter({ name, low, high, label, unit, meaning, posterior, value: own, step }, group) {
     const input = make("input", {
       type: "range", min: low, max: high, step: step ?? (high - low) / 400, "aria-label": label,
       title: meaning,
     });
-    const value = make("output", {});
+    const field = make("input", {
+      type: "text", inputmode: "decimal", autocomplete: "off", title: `${low} to ${high} ${unit}`,
+      "aria-label": unit ? `${label} (${unit})` : label,
+    });
     const digits = step || high - low > 20 ? 0 : high - low > 1 ? 2 : 3;
     const slow = ["tissue", "heart"].includes(group);
-    this.inputs[name] = { input, value, unit, digits, own };
+    const written = (at) => (Number.isFinite(at) ? at.toFixed(digits) : "∞");
+    this.inputs[name] = { input, field, written, own };
     input.addEventListener("input", () => {
       if (!slow) this.slide(name, { [name]: Number(input.value) });
-      else value.textContent = `${Number(input.value).toFixed(digits)} ${unit}`;
+      else field.value = written(Number(input.value));
     });
-    input.addEventListener("change", () => {
-      if (!slow) return this.rest();
-      this.say(`The ${group} is being prepared …`);
+    const apply = (at) => {
+      if (slow) this.say(`The ${group} is being prepared …`);
       this.change((state) => {
-        if (group === "heart") this.leave(state, Number(input.value));
-        state.values[name] = Number(input.value);
+        if (group === "heart") this.leave(state, at);
+        state.values[name] = at;
       });
+    };
+    input.addEventListener("change", () => (slow ? apply(Number(input.value)) : this.rest()));
+    field.addEventListener("change", () => {
+      const at = field.value.trim() ? Number(field.value.replace(",", ".")) : NaN;
+      if (at >= low && at <= high && !(step && at % step)) {
+        field.defaultValue = at;
+        return apply(at);
+      }
+      this.showState();
+      this.say(`${label}: give ${step ? "a whole number, " : ""}${low} to ${high} ${unit}`.trim());
+    });
+    field.addEventListener("keydown", (event) => {
+      if (event.key === "Escape") this.showState();
     });
     return make("div", { class: "fx-slider", "data-name": name },
-      make("span", {}, label), value, density(posterior), input);
+      make("span", {}, label), field, make("span", {}, unit), density(posterior), input);
   }
 
   exercises() {
@@ -280,10 +300,13 @@ export class Explorer {
 
   showState() {
     const { values, scenario, network } = this.state;
-    for (const [name, { input, value, unit, digits, own }] of Object.entries(this.inputs)) {
+    for (const [name, { input, field, written, own }] of Object.entries(this.inputs)) {
       const at = Number(values[name] ?? own ?? NaN); // "Infinity" comes as a word
       input.value = Math.min(at, input.max);
-      value.textContent = Number.isNaN(at) ? "" : `${Number.isFinite(at) ? at.toFixed(digits) : "∞"} ${unit}`;
+      // the default of the field is the state's value, with all digits if they were typed
+      if (Number.isNaN(at)) field.defaultValue = "";
+      else if (Number(field.defaultValue || NaN) !== at) field.defaultValue = written(at);
+      field.value = field.defaultValue;
     }
     this.scenario.select.value = Object.keys(this.said.scenarios).indexOf(scenario);
     this.conduction.select.value = values.conduction ?? 0;
@@ -313,6 +336,7 @@ export class Explorer {
       label: "activation", unit: "ms",
     };
     this.heart.show(field);
+    this.bar.show(field, this.heart.early, getComputedStyle(this.element).color);
     this.trees.forEach((tree) => {
       this.stage.remove(tree.mesh);
       tree.dispose();
@@ -344,8 +368,8 @@ export class Explorer {
       const before = trace("pinned", PINNED, this.pinned, this.pinned.arrays.simulated);
       traces.unshift({ ...before, dashed: true });
     }
-    const zero = "first ventricular activation";
-    this.ecg.show({ leads: this.said.leads, start: FROM, step: 1, traces, zero, scale: SCALE });
+    const { leads } = this.said;
+    this.ecg.show({ leads, start: FROM, step: 1, traces, zero: ZERO, scale: SCALE });
   }
 
   // Potentials of each lead every ms from FROM to an end, of samples that begin at a time.

@@ -1,7 +1,7 @@
 // The heart of a report: scenarios in the networks of a population, with the ECG, in one time.
 
 import { BullsEye } from "./bullseye.js";
-import { drawBar } from "./colours.js";
+import { ColourBar, ZERO } from "./colours.js";
 import { addStyle, button, check, choice, hasWebGL, make } from "./controls.js";
 import { potentials } from "./data.js";
 import { EcgPaper } from "./ecg.js";
@@ -10,7 +10,6 @@ import { Player } from "./player.js";
 import "./explorer.js";
 
 const PLAYED_IN = 5; // seconds
-const ZERO = "first ventricular activation";
 const RECORDED = "#1a1a1a";
 const SIMULATED = ["#d55e00", "#0072b2"]; // of the scenario, and of the one it is compared with
 
@@ -68,8 +67,7 @@ class Viewer {
     this.labelled = check("isochrones in ms", true, looked);
     this.early = choice("colours", ["early is bright", "early is red"], looked);
     this.read = make("span", { "aria-live": "polite" });
-    this.barUnit = make("span", {});
-    this.bar = make("canvas", { class: "fv-bar", role: "img" });
+    this.bar = new ColourBar();
     this.pictures = make("div", { class: "fv-pictures" });
     this.views = make("div", { class: "fv-row" });
     const paper = make("div", { class: "fv-ecg" });
@@ -83,7 +81,7 @@ class Viewer {
         make("div", { class: "fv-row" }, this.networks.row, this.opaque.row, this.only.row,
           this.labelled.row, make("label", {}, "cut", this.cut)), this.segments), paper),
       make("div", { class: "fv-row" }, this.player.button, this.slider, this.clock),
-      make("div", { class: "fv-row fv-keep" }, this.bar, this.barUnit, ...scarred),
+      make("div", { class: "fv-row fv-keep" }, this.bar.canvas, this.bar.text, ...scarred),
       make("div", { class: "fv-row" }, make("label", { class: "fv-long" }, "network",
         this.networkSlider), this.networkText, order.row),
       make("div", { class: "fv-row fv-keep fv-read" }, this.read),
@@ -192,18 +190,15 @@ class Viewer {
 
   // What is coloured besides the hearts.
   drawColours() {
-    this.drawBar();
-    const kind = this.barKind;
+    const field = this.shown;
+    const kind = field.kind === "time" ? this.panels[0].heart.early : field.kind;
     const ink = getComputedStyle(this.root).color;
+    this.bar.show(field, kind, ink);
     this.panels.forEach(({ bullsEye, scenario }) => {
       const { one, all } = scenario.segments;
       const shown = this.field ? all[this.field - 1] : { values: one[this.network] };
-      bullsEye.show(shown, { ...this.shown, kind }, scenario.title, ink);
+      bullsEye.show(shown, { ...field, kind }, scenario.title, ink);
     });
-  }
-
-  get barKind() {
-    return this.shown.kind === "time" ? this.panels[0].heart.early : this.shown.kind;
   }
 
   showEcg() {
@@ -271,14 +266,6 @@ class Viewer {
     if (Number.isNaN(value)) return "never activated";
     const { unit } = this.shown;
     return unit === "1" ? value.toFixed(2) : `${value.toFixed(0)} ${unit}`;
-  }
-
-  drawBar() {
-    const { label, unit, kind } = this.shown;
-    drawBar(this.bar, { ...this.shown, kind: this.barKind }, getComputedStyle(this.root).color);
-    const zero = kind === "time" ? `; 0: ${ZERO}` : "";
-    this.barUnit.textContent = unit === "1" ? label : `${label} (${unit}${zero})`;
-    this.bar.setAttribute("aria-label", `colours of ${this.barUnit.textContent}`);
   }
 
   state() {

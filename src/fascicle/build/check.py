@@ -17,7 +17,14 @@ from fascicle.heart.endocardium import Endocardium, about_long_axis, long_axis
 from fascicle.heart.fibres import placeholder
 from fascicle.heart.heart import Heart, TorsoTissue
 from fascicle.heart.labelled_surface import Label, LabelledMesh, labelled_mesh
-from fascicle.mesh.measures import Quality, closed_by_fan, quality, signed_volumes, unit
+from fascicle.mesh.measures import (
+    Quality,
+    closed_by_fan,
+    edge_lengths,
+    quality,
+    signed_volumes,
+    unit,
+)
 from fascicle.purkinje.chart import Chart, stretch
 from fascicle.torso.electrode_sites import electrode_warnings
 from fascicle.torso.lead_fields import is_up_to_date
@@ -86,7 +93,7 @@ def check_heart(heart: Heart, charts: Mapping[str, Chart]) -> HeartCheck:
             layers = ", ".join("-" if np.isnan(a) else f"{a:.0f}" for a in angles.in_layers())
             rows.append((f"helix, {name}", f"{layers} degrees, inside to outside"))
     rows += _torso_rows(heart)
-    warnings = tuple(_warnings(heart, walls, shape, charts, helix[WALLS[0]]))
+    warnings = *_warnings(heart, walls, shape, charts, helix[WALLS[0]]), *_coarse_walls(mesh, walls)
     return HeartCheck(mesh, tuple(rows), warnings, walls, helix)
 
 
@@ -177,6 +184,21 @@ def _torso_rows(heart: Heart) -> list[tuple[str, str]]:
         if (heart.torso.tissues == tissue).any()
     )
     return [*rows, ("torso", f"{parts}; {len(heart.torso.vertices)} points")]
+
+
+def _coarse_walls(mesh: LabelledMesh, walls: Walls) -> Iterator[str]:
+    """Warnings of walls that are mostly thinner (median) than the edges at their endocardium."""
+    edges = np.asarray(igl.edges(mesh.tetrahedra))
+    lined = Label.LV_ENDOCARDIUM, Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM
+    for name, wall, label in zip(WALLS, walls, lined, strict=True):
+        near = np.isin(edges, mesh.having(label)).any(axis=1)
+        length = edge_lengths(mesh.vertices, edges[near]).mean() if near.any() else 0.0
+        if median_thickness(wall) < length:
+            yield (
+                f"mesh: edges of {length:.1f} mm are longer than the {name} is thick in "
+                f"{(wall < length).mean():.0%} of it: fewer than two elements across; ECGs "
+                "may be 6 to 9 % off: halve the edges (fascicle heart refine)"
+            )
 
 
 def _warnings(

@@ -4,23 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
+from fascicle.build.segmentation import Segmentation
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledSurface
 from fascicle.mesh.checks import check_edges, check_units, open_loops, oriented_piece, place, refuse
-from fascicle.mesh.measures import (
-    best_plane,
-    edge_lengths,
-    mean_edge_length,
-    turned_outwards,
-    winding_number,
-)
+from fascicle.mesh.measures import best_plane, edge_lengths, turned_outwards, winding_number
 from fascicle.mesh.meshing import constrained_delaunay
 from fascicle.mesh.topology import (
     merged_vertices,
@@ -51,9 +46,6 @@ class Outline:
     vertex belongs to (k,).
     """
 
-    # distance that inner points of the base keep from the loops, in parts of their spacing
-    clearance: ClassVar[float] = 0.7
-
     points: Floats
     sides: Integers
     names: tuple[str, ...]
@@ -80,19 +72,19 @@ Base = tuple[Floats, Integers]
 def join_surfaces(parts: Mapping[str, JoinedPart]) -> LabelledSurface:
     """Join separate surfaces of the ventricles to one closed surface.
 
-    Endocardia and epicardium do not move. A base whose boundary loops lie within 2.5 mm of theirs
-    is fitted to them; without a base, one is spanned between them.
+    Endocardia and epicardium do not move. Without a base, or if its boundary loops, which may be up
+    to 2.5 mm from theirs, have other vertices, one is spanned between them.
 
     Parts are ``lv``, ``rv`` and ``epicardium``, each open at the base, with one boundary loop; and
     perhaps the ``base`` between the loops.
     """
     name = ", ".join(part.name for part in parts.values())
-    named = {"epicardium": "epicardium", "lv": "LV endocardium", "rv": "RV endocardium"}
-    clean = [_clean_part(parts[part], kind, 1) for part, kind in named.items()]
+    clean = _clean_shells(parts)
     base = _clean_part(parts["base"], "base", 3) if "base" in parts else None
     _check_places(*clean)
     outline = Outline.of(clean)
-    inner, between = _made_base(outline) if base is None else _fitted_base(outline, base)
+    welded = None if base is None else _welded_base(outline, base)
+    inner, between = _made_base(outline) if welded is None else welded
     starts = np.cumsum([0, *(len(part.vertices) for part in clean)])
     number = [part.loops[0] + start for part, start in zip(clean, starts, strict=False)]
     number.append(starts[-1] + np.arange(len(inner)))
@@ -105,6 +97,33 @@ def join_surfaces(parts: Mapping[str, JoinedPart]) -> LabelledSurface:
     labels = (Label.EPICARDIUM, Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.BASE)
     of_triangles = np.repeat(labels, list(map(len, triangles))).astype(np.int64)
     return LabelledSurface(vertices, joined, of_triangles, name)
+
+
+def label_map_beside_lv(parts: Mapping[str, JoinedPart]) -> Segmentation | None:
+    """Label map of parts whose epicardium is the LV's alone; None if it encloses the RV, too.
+
+    Atlases of short-axis images have the RV's blood beside a shell of the LV's muscle. Voxels of
+    1.5 mm have the numbers of `SegmentationLabels`. The parts are those of `join_surfaces`.
+    """
+    epicardium, lv, rv = (part[1:3] for part in _clean_shells(parts))
+    inside = [(winding_number(*epicardium, vertices) > 0.5).mean() for vertices, _ in (lv, rv)]
+    apart, _ = cKDTree(epicardium[0]).query(rv[0])
+    if inside[0] < 0.9 or inside[1] > 0.5 or apart.min() > 10.0:  # mm
+        return None
+    points, affine = np.concatenate([epicardium[0], rv[0]]), np.diag([1.5, 1.5, 1.5, 1.0])
+    affine[:3, 3] = points.min(axis=0)
+    shape = tuple(np.ceil(np.ptp(points, axis=0) / 1.5).astype(int).tolist())
+    voxels = 1.5 * np.indices(shape).reshape(3, -1).T + affine[:3, 3]
+    within = [winding_number(*part, voxels) > 0.5 for part in (lv, epicardium, rv)]
+    labels = np.select(within, [1, 3, 2]).reshape(shape)
+    name = f"{parts['rv'].name}, outside {parts['epicardium'].name}"
+    return Segmentation(labels, affine, name, segments={1: "LV", 2: "RV", 3: "LV muscle"})
+
+
+def _clean_shells(parts: Mapping[str, JoinedPart]) -> list[JoinedPart]:
+    """Epicardium, LV and RV, as `_clean_part` gives them."""
+    kinds = {"epicardium": "epicardium", "lv": "LV endocardium", "rv": "RV endocardium"}
+    return [_clean_part(parts[part], kind, 1) for part, kind in kinds.items()]
 
 
 def _clean_part(part: JoinedPart, kind: str, needed: int) -> JoinedPart:
@@ -147,7 +166,7 @@ def _made_base(outline: Outline) -> Base:
     columns = np.arange(low[0], high[0], spacing)
     x = columns + spacing / 2 * (np.arange(len(rows)) % 2)[:, np.newaxis]
     grid = np.column_stack([x.ravel(), np.repeat(rows, len(columns))])
-    grid = grid[cKDTree(flat[:, :2]).query(grid)[0] > outline.clearance * spacing]
+    grid = grid[cKDTree(flat[:, :2]).query(grid)[0] > 0.7 * spacing]  # clear of the loops
     inner, triangles = _triangulated(flat[:, :2], grid, outline)
     fixed = np.arange(len(flat))
     plane = np.vstack([flat, np.column_stack([inner, np.zeros(len(inner))])])
@@ -156,43 +175,30 @@ def _made_base(outline: Outline) -> Base:
     return plane[len(flat) :] @ frame + centre, triangles
 
 
-def _fitted_base(outline: Outline, base: JoinedPart) -> Base:
-    """Fit a given base to the boundary loops of the parts around it, which do not move.
+def _welded_base(outline: Outline, base: JoinedPart) -> Base | None:
+    """Base whose boundary vertices are those of the parts around it; None if they are not.
 
-    Where all boundary vertices coincide, nothing changes. Otherwise the vertices within the base
-    and those of the loops are triangulated again in the plane that fits the loops best, and within
-    7.5 mm of the loops the base rises or sinks to their height.
+    InputError if the parts' loops are more than 2.5 mm from those of the base.
     """
     boundary = np.concatenate(base.loops)
-    within = np.setdiff1d(np.arange(len(base.vertices)), boundary)
     gap, nearest = cKDTree(outline.points).query(base.vertices[boundary])
-    if gap.max() < 1e-3 and np.array_equal(np.sort(nearest), np.arange(len(outline.points))):
-        number = np.empty(len(base.vertices), dtype=np.int64)
-        number[boundary] = nearest
-        number[within] = len(boundary) + np.arange(len(within))
-        return base.vertices[within], number[base.triangles]
-    _check_gap(outline, base, boundary)
-    flat, centre, frame = _flattened(outline)
-    in_plane = (base.vertices - centre) @ frame.T
-    a, b, c = in_plane[base.triangles, :2].transpose(1, 2, 0)
-    area = (b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0]
-    folded = min(area[area > 0].sum(), -area[area < 0].sum()) / np.abs(area).sum()
-    if folded > 0.05:
-        raise InputError(
-            f"{base.name}: its boundary loops do not meet those of the other parts, and it cannot "
-            f"be fitted to them, as {folded:.0%} of it is folded over the rest; make them meet, or "
-            "give no base to have one made"
-        )
-    distance, nearest = cKDTree(flat[:, :2]).query(in_plane[within, :2])
-    clear = distance > outline.clearance * mean_edge_length(base.vertices, base.triangles)
-    within, distance, nearest = within[clear], distance[clear], nearest[clear]
-    opposite = boundary[cKDTree(in_plane[boundary]).query(flat)[1]]
-    in_plane[within, 2] += (flat[:, 2] - in_plane[opposite, 2])[nearest] * np.maximum(
-        1 - distance / 7.5, 0
-    )
-    inner, triangles = _triangulated(flat[:, :2], in_plane[within, :2], outline)
-    _, row = cKDTree(in_plane[within, :2]).query(inner)
-    return in_plane[within[row]] @ frame + centre, triangles
+    if gap.max() > 1e-3 or not np.array_equal(np.sort(nearest), np.arange(len(outline.points))):
+        edges, shared = unique_edges(base.triangles)
+        rim = base.vertices, edges[shared == 1]
+        apart = np.sqrt(igl.point_mesh_squared_distance(outline.points, *rim)[0])
+        if apart[worst := int(np.argmax(apart))] > 2.5:
+            raise InputError(
+                f"{base.name}: its boundary loops and that of "
+                f"{outline.names[outline.owner[worst]]} are up to {apart[worst]:.1f} mm apart (at "
+                f"{place(outline.points[worst])}), more than 2.5 mm; bring them together, or give "
+                "no base to have one made"
+            )
+        return None
+    within = np.setdiff1d(np.arange(len(base.vertices)), boundary)
+    number = np.empty(len(base.vertices), dtype=np.int64)
+    number[boundary] = nearest
+    number[within] = len(boundary) + np.arange(len(within))
+    return base.vertices[within], number[base.triangles]
 
 
 def _flattened(outline: Outline) -> tuple[Floats, Floats, Floats]:
@@ -217,22 +223,3 @@ def _triangulated(places: Floats, inner: Floats, outline: Outline) -> tuple[Floa
     used, number = np.unique(triangles[inside], return_inverse=True)
     triangles[inside] = count + number
     return inner[used - count], triangles
-
-
-def _check_gap(outline: Outline, base: JoinedPart, boundary: Integers) -> None:
-    """Refuse a base whose boundary loops are more than 2.5 mm from those of the parts."""
-    edges, shared = unique_edges(base.triangles)
-    rim = base.vertices[boundary]
-    to_base = igl.point_mesh_squared_distance(outline.points, base.vertices, edges[shared == 1])
-    from_base = igl.point_mesh_squared_distance(rim, outline.points, outline.sides)
-    _, nearest = cKDTree(outline.points).query(rim)
-    points = np.vstack([outline.points, rim])
-    owner = np.concatenate([outline.owner, outline.owner[nearest]])
-    gap = np.sqrt(np.concatenate([to_base[0], from_base[0]]))
-    worst = int(np.argmax(gap))
-    if gap[worst] > 2.5:
-        raise InputError(
-            f"{base.name}: its boundary loops and that of {outline.names[owner[worst]]} are up to "
-            f"{gap[worst]:.1f} mm apart (at {place(points[worst])}), more than 2.5 mm; bring them "
-            "together, or give no base to have one made"
-        )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -12,7 +11,6 @@ import numpy as np
 from fascicle.build.endocardia import labels_from_points
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.core.files import check_file
 from fascicle.heart.assembly import ARRAY_NAMES, read_coordinates, region_labels
 from fascicle.heart.fibres import is_placeholder
 from fascicle.heart.heart import VentricularCoordinates
@@ -87,9 +85,9 @@ def find_label_array(mesh: MeshFile, array: str | None) -> LabelArray | None:
     return None
 
 
-def has_labels(mesh: MeshFile, array: str | None = None, labels_file: Path | None = None) -> bool:
-    """True if there are labels: in a file, a named array, or an array with a usual name."""
-    if labels_file is not None or array is not None:
+def has_labels(mesh: MeshFile, array: str | None = None) -> bool:
+    """True if there are labels: in a named array, or an array with a usual name."""
+    if array is not None:
         return True
     labels = find_label_array(mesh, None)
     # a surface that is all one physical group, or in none, has no labels
@@ -97,36 +95,23 @@ def has_labels(mesh: MeshFile, array: str | None = None, labels_file: Path | Non
 
 
 def labelled_surface(
-    mesh: MeshFile,
-    array: str | None = None,
-    names: Mapping[str, int] | None = None,
-    labels_file: Path | None = None,
+    mesh: MeshFile, array: str | None = None, names: Mapping[str, int] | None = None
 ) -> LabelledSurface:
     """Surface of a file (mm) with labels of its triangles; repeated points are merged.
 
     There is a label for each triangle or point, in the array of this name, by default a usual one
-    (`ARRAY_NAMES`), or in a text file of whole numbers. Names give the number of each label, as in
-    ``{"lv": 3}``; the other labels have `Label`'s numbers.
+    (`ARRAY_NAMES`). Names give the number of each label, as in ``{"lv": 3}``; the other labels have
+    `Label`'s numbers.
     """
     check_units(str(mesh.path), mesh.points)
     triangles = mesh.require(TRIANGLE, "triangles")
-    if labels_file is None:
-        if (label_array := find_label_array(mesh, array)) is None:
-            arrays = sorted({*mesh.point_data, *mesh.cell_data.get(TRIANGLE, {})})
-            usual = ", ".join(ARRAY_NAMES["label"][:-1])
-            raise InputError(
-                f"{mesh.path}: no labels: no array called {usual} on "
-                f"triangles or points (arrays: {', '.join(arrays) or 'none'}); name the array "
-                "(--label-array) or give a file of labels (--labels-file)"
-            )
-    else:
-        values = _read_numbers(labels_file)
-        if len(values) not in (len(triangles), len(mesh.points)):
-            raise InputError(
-                f"{labels_file}: {len(values)} labels, but {mesh.path} has {len(triangles)} "
-                f"triangles and {len(mesh.points)} points; give one a triangle or point"
-            )
-        label_array = LabelArray(str(labels_file), values, len(values) == len(triangles), None)
+    if (label_array := find_label_array(mesh, array)) is None:
+        arrays = sorted({*mesh.point_data, *mesh.cell_data.get(TRIANGLE, {})})
+        usual = ", ".join(ARRAY_NAMES["label"][:-1])
+        raise InputError(
+            f"{mesh.path}: no labels: no array called {usual} on triangles or points (arrays: "
+            f"{', '.join(arrays) or 'none'}); name the array (--label-array)"
+        )
     numbers = {} if names is None else labels_by_number(names)
     label_numbers = whole_numbers(label_array.source, label_array.values)
     labels = labels_of(label_array.source, label_numbers, numbers, label_array.groups or {})
@@ -137,19 +122,6 @@ def labelled_surface(
         at_vertices[number] = labels
         labels = labels_from_points(vertices, triangles, at_vertices)
     return LabelledSurface(vertices, triangles, labels, str(mesh.path))
-
-
-def _read_numbers(path: Path) -> Integers:
-    """Whole numbers of a text file, one a line or separated by commas or blanks."""
-    check_file(path, (".txt", ".csv", ".dat"), "labels")
-    words = path.read_text(encoding="utf-8", errors="replace").replace(",", " ").split()
-    for place, word in enumerate(words):
-        if not word.lstrip("+-").isdecimal():
-            raise InputError(
-                f"{path}: entry {place + 1} is {word[:20]!r}; give one whole number a triangle or "
-                "point, and no heading"
-            )
-    return np.array(words, dtype=np.int64)
 
 
 def labelled_tetrahedra(

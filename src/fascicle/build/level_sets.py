@@ -10,6 +10,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinat
 
 from fascicle.build.segmentation import Faces, Masks, blood_faces
 from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.mesh.measures import best_plane
 
 
 @dataclass(frozen=True)
@@ -106,31 +107,21 @@ def _sections(masks: Masks, along: Floats, axis: Floats) -> tuple[Integers, floa
 
 
 def _flat_opening(masks: Masks, faces: Faces, centre: Floats) -> BasePlane | None:
-    """Plane with most of the opening within half a voxel, by random samples; None if < 60 %."""
+    """Plane with most of the opening within half a voxel, fitted to it; None if < 60 %."""
     points, areas = faces.centres[faces.free], faces.areas[faces.free]
-    size = np.linalg.norm(areas, axis=1)
-    rng = np.random.default_rng(0)
-    best, inliers = 0.0, np.zeros(len(points), dtype=bool)
-    for corners in rng.choice(len(points), size=(300, 3), p=size / size.sum()):
-        a, b, c = points[corners]
-        normal = np.cross(b - a, c - a)
-        if (length := np.linalg.norm(normal)) == 0:
-            continue
-        normal /= length
-        near = np.abs((points - a) @ normal) <= masks.thickness(normal) / 2
-        # faces of a slanted staircase count by their area projected along the normal
-        projected_area = abs(float((areas[near] @ normal).sum()))
-        if projected_area > best:
-            best, inliers = projected_area, near
-    if best < 0.6 * float(np.linalg.norm(areas.sum(axis=0))):
-        return None
-    points, areas = points[inliers], areas[inliers]
-    normal = areas.sum(axis=0)
-    for _ in range(5):
+    # the areas of a closed surface without its opening add up to that of the opening
+    normal, opening = areas.sum(axis=0), float(np.linalg.norm(areas.sum(axis=0)))
+    for _ in range(8):
+        normal = normal / np.linalg.norm(normal)
         weight = np.abs(areas @ normal)  # the sides of gaps in the ring do not count
-        middle = np.average(points, axis=0, weights=weight)
-        spread = (points - middle) * np.sqrt(weight)[:, None]
-        normal = np.linalg.svd(spread, full_matrices=False)[2][2]
+        height = points @ normal
+        order = np.argsort(height)
+        median = np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)
+        near = np.abs(height - height[order[median]]) <= masks.thickness(normal) / 2
+        middle, axes = best_plane(points[near], weight[near])
+        normal = axes[2]
+    if abs(float((areas[near] @ normal).sum())) < 0.6 * opening:
+        return None
     normal = normal * np.sign(normal @ (middle - centre))
     return BasePlane(middle, normal, "the flat end of the label map")
 

@@ -300,9 +300,8 @@ def joined_pieces(
         "regions are those of the nearest tetrahedra"
     )
     unlabelled = np.zeros(len(triangles), dtype=np.int64)
-    return oriented_outwards(
-        LabelledSurface(vertices, triangles, unlabelled, mesh.name, notes=(note,))
-    )
+    united = LabelledSurface(vertices, triangles, unlabelled, mesh.name, notes=(note,))
+    return oriented_outwards(united)
 
 
 def _without_channels(tissue: SampledDistance, radii: Floats) -> SampledDistance | None:

@@ -115,8 +115,7 @@ def remeshed_anatomy(anatomy: Anatomy) -> Anatomy:
         f"degrees before, {after:.1f} after; fibres, sheets and regions are those of the nearest "
         "tetrahedra"
     )
-    carried = carried_over(anatomy, new)
-    return replace(carried, notes=(*anatomy.notes, note))
+    return replace(carried_over(anatomy, new), notes=(*anatomy.notes, note))
 
 
 def carried_over(anatomy: Anatomy, new: LabelledMesh) -> Anatomy:
@@ -126,7 +125,9 @@ def carried_over(anatomy: Anatomy, new: LabelledMesh) -> Anatomy:
     principal axis of the mean of f fᵀ over the four nearest, weighted by the inverse distance.
     """
     regions = anatomy.mesh.regions
-    near, weights = nearest_tetrahedra(anatomy.mesh, new)
+    centres = [mesh.vertices[mesh.tetrahedra].mean(axis=1) for mesh in (anatomy.mesh, new)]
+    distance, near = cKDTree(centres[0]).query(centres[1], k=4)
+    weights = 1 / (distance + 1e-9)  # an unchanged tetrahedron outweighs all others
     return replace(
         anatomy,
         mesh=replace(new, regions=None if regions is None else regions[near[:, 0]]),
@@ -135,13 +136,6 @@ def carried_over(anatomy: Anatomy, new: LabelledMesh) -> Anatomy:
         coordinates=None,
         own_mesh=False,
     )
-
-
-def nearest_tetrahedra(mesh: LabelledMesh, new: LabelledMesh) -> tuple[Integers, Floats]:
-    """Four tetrahedra (n, 4) of a mesh nearest to each one of a new mesh, and their weights."""
-    centres = [labelled.vertices[labelled.tetrahedra].mean(axis=1) for labelled in (mesh, new)]
-    distance, near = cKDTree(centres[0]).query(centres[1], k=4)
-    return near, 1 / (distance + 1e-9)  # an unchanged tetrahedron outweighs all others
 
 
 def mean_axes(directions: Floats, weights: Floats) -> Floats:

@@ -11,7 +11,7 @@ import numpy as np
 
 from fascicle.build.borders import cut_along_borders
 from fascicle.build.classify import classify_surface
-from fascicle.build.join import JoinedPart, join_surfaces
+from fascicle.build.join import JoinedPart, join_surfaces, label_map_beside_lv
 from fascicle.build.labelled_files import (
     Anatomy,
     FibreChoice,
@@ -35,7 +35,12 @@ from fascicle.build.meshing import (
     remeshed_anatomy,
     subdivided,
 )
-from fascicle.build.segmentation import SegmentationLabels, regions_at
+from fascicle.build.segmentation import (
+    Segmentation,
+    SegmentationLabels,
+    part_of_segment,
+    regions_at,
+)
 from fascicle.build.segmentation_files import read_segmentation
 from fascicle.build.segmentation_surface import surface_from_segmentation
 from fascicle.build.surface_checks import Volumes, check_sides, compared, mirror_warning, volumes
@@ -64,7 +69,6 @@ class Source:
     parts: Mapping[str, Path] = field(default_factory=dict)
     labels: Mapping[str, int] | None = None  # number of each label in the file
     label_array: str | None = None
-    labels_file: Path | None = None  # text
     remesh: bool | None = None  # the inside of a tetrahedral mesh
     regions: Regions | None = None  # region numbers of a whole heart; `region_array` is their array
     region_array: str | None = None
@@ -100,19 +104,19 @@ class Source:
 def read_anatomy(source: Source, edge_length: float, progress: Progress | None = None) -> Anatomy:
     """Read the files; surfaces and segmentations are meshed with this edge length (mm)."""
     if source.file is None:
-        source.check_unused(
-            "separate surfaces", "labels", "label_array", "labels_file", *source.of_tetrahedra
-        )
+        source.check_unused("separate surfaces", "labels", "label_array", *source.of_tetrahedra)
         meshes = {part: read_mesh(path, part) for part, path in source.parts.items()}
         parts = {
             part: JoinedPart(str(mesh.path), mesh.points, mesh.require(TRIANGLE, "triangles"))
             for part, mesh in meshes.items()
         }
+        if (label_map := label_map_beside_lv(parts)) is not None:
+            return _from_segmentation(source, label_map, edge_length, progress)
         joined = join_surfaces(parts)
         return _meshed(*_fine_enough(joined, edge_length), joined, edge_length, progress)
     segmentations = (".nii", ".nii.gz", ".nrrd", ".nhdr")
     if source.file.name.lower().endswith(segmentations):
-        return _from_segmentation(source, source.file, edge_length, progress)
+        return _from_segmentation(source, read_segmentation(source.file), edge_length, progress)
     check_file(source.file, MESH_FORMATS + segmentations, "anatomy")
     mesh = read_mesh(source.file, "anatomy")
     if TETRAHEDRON in mesh.cells:
@@ -153,8 +157,8 @@ def _from_surface(
     source: Source, mesh: MeshFile, edge_length: float, progress: Progress | None
 ) -> Anatomy:
     source.check_unused("a surface, which is meshed again anyway", *source.of_tetrahedra)
-    if has_labels(mesh, source.label_array, source.labels_file) or source.labels is not None:
-        labelled = labelled_surface(mesh, source.label_array, source.labels, source.labels_file)
+    if has_labels(mesh, source.label_array) or source.labels is not None:
+        labelled = labelled_surface(mesh, source.label_array, source.labels)
         return _meshed(*_fine_enough(labelled, edge_length), labelled, edge_length, progress)
     triangles = mesh.require(TRIANGLE, "triangles")
     unlabelled = np.zeros(len(triangles), dtype=np.int64)
@@ -177,20 +181,10 @@ def _classified_surface(
 
 
 def _from_segmentation(
-    source: Source, file: Path, edge_length: float, progress: Progress | None
+    source: Source, segmentation: Segmentation, edge_length: float, progress: Progress | None
 ) -> Anatomy:
-    source.check_unused("a segmentation", "label_array", "labels_file", *source.of_tetrahedra)
-    segmentation = read_segmentation(file)
-    if source.labels is None:
-        numbers = ", ".join(map(str, np.unique(segmentation.labels)))
-        raise InputError(
-            f"{segmentation.name}: the meaning of its labels ({numbers}) depends on the program "
-            "that wrote them; give it, as --labels lv=1,rv=2,myocardium=3,scar=4"
-        )
-    part_names = [part.name for part in fields(SegmentationLabels)]
-    if unknown := [name for name in source.labels if name not in part_names]:
-        raise InputError(f"--labels: unknown '{unknown[0]}'; the parts are {', '.join(part_names)}")
-    labels, notes = SegmentationLabels(**source.labels), []
+    source.check_unused("a segmentation", "label_array", *source.of_tetrahedra)
+    labels, notes = _segmentation_labels(segmentation, source.labels)
     if segmentation.space:
         notes.append(
             f"coordinates: {segmentation.space}, as in the file; --pose "
@@ -211,10 +205,31 @@ def _from_segmentation(
     return replace(anatomy, mesh=mesh, notes=(*anatomy.notes, note), values={scar: 0.0})
 
 
+def _segmentation_labels(
+    segmentation: Segmentation, numbers: Mapping[str, int] | None
+) -> tuple[SegmentationLabels, list[str]]:
+    """Numbers of the parts, by the names of the file's segments if none are given; with notes."""
+    if numbers is not None:
+        parts = [part.name for part in fields(SegmentationLabels)]
+        if unknown := [name for name in numbers if name not in parts]:
+            raise InputError(f"--labels: unknown '{unknown[0]}'; the parts are {', '.join(parts)}")
+        return SegmentationLabels(**numbers), []
+    named = {n: segmentation.segments.get(n, "") for n in np.unique(segmentation.labels).tolist()}
+    part_of = {n: part_of_segment(name) for n, name in named.items()}
+    by_part = {p: tuple(n for n in named if part_of[n] == p) for p in part_of.values() if p}
+    if not {"lv", "rv", "myocardium"} <= by_part.keys():
+        listed = ", ".join(f"{number} {name}".strip() for number, name in named.items())
+        raise InputError(
+            f"{segmentation.name}: the meaning of its labels ({listed}) depends on the program "
+            "that wrote them; give it, as --labels lv=1,rv=2,myocardium=3,scar=4"
+        )
+    said = "; ".join(f"{part} {n} {named[n]}" for part in by_part for n in by_part[part])
+    return SegmentationLabels(**by_part), [f"labels, by the names of segments: {said}"]
+
+
 def _from_tetrahedra(
     source: Source, mesh: MeshFile, edge_length: float, progress: Progress | None
 ) -> Anatomy:
-    source.check_unused("tetrahedra", "labels_file")
     names = labels_by_number(source.labels if source.labels is not None else {})
     original, cut, notes = mesh, None, list(mesh.notes)
     if source.regions is not None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
+from fascicle.heart.labelled_surface import ENDOCARDIA, label_of
 from fascicle.mesh.checks import check_units, place
 
 
@@ -20,13 +23,15 @@ class Segmentation:
     """Label map (i, j, k), in which 0 is background, with its position.
 
     The affine (4, 4) maps indices of voxel centres to mm in the file's coordinates. The space is
-    empty if the axes are not the patient's. The name is used in messages.
+    empty if the axes are not the patient's. The name is used in messages. Segments are the names
+    of numbers, if the file has any.
     """
 
     labels: NDArray[np.integer[Any]]
     affine: Floats
     name: str = "segmentation"
     space: str = ""  # "RAS" or "LPS"
+    segments: Mapping[int, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         spacing, axes = self.spacing, self.affine[:3, :3]
@@ -87,6 +92,17 @@ class SegmentationLabels:
         return [(n, p if isinstance(p, tuple) else (p,)) for n, p in parts if p is not None]
 
 
+def part_of_segment(name: str) -> str | None:
+    """Part of `SegmentationLabels` that the name of a segment means, such as "LV blood pool"."""
+    name = name.lower().replace("_", " ")
+    if re.search(r"scar|infarct|fibrosis", name):
+        return "scar"
+    if re.search(r"myo|wall|muscle", name):
+        return None if re.search(r"atri|aort|papillary|\b[lr]a\b", name) else "myocardium"
+    label = label_of(re.sub(r"blood|pool", "", name))
+    return label.name[:2].lower() if label in ENDOCARDIA else None
+
+
 @dataclass(frozen=True)
 class Masks:
     """Masks of each ventricle's blood, and of muscle with scar, on a grid that just holds them.
@@ -113,14 +129,15 @@ class Faces(NamedTuple):
     """Faces between voxels of a ventricle's blood and voxels that are not.
 
     Centres (n, 3) (mm) of the voxels of blood and of the faces; normals (n, 3) out of the blood,
-    with the face's area (mm²) as length; and whether the face is free (n,), with neither tissue nor
-    the other ventricle's blood on the other side.
+    with the face's area (mm²) as length; whether the face is free (n,), with neither tissue nor the
+    other ventricle's blood on the other side; and whether it is shared with that blood (n,).
     """
 
     voxels: Floats
     centres: Floats
     areas: Floats
     free: Booleans
+    shared: Booleans
 
 
 def blood_faces(masks: Masks, blood: Booleans, other: Booleans) -> Faces:
@@ -132,32 +149,30 @@ def blood_faces(masks: Masks, blood: Booleans, other: Booleans) -> Faces:
         across *= np.sign(across @ axes[:, k])
         for step in (-1, 1):
             index = np.argwhere(blood & ~np.roll(blood, -step, axis=k))
-            neighbour = index.copy()
-            neighbour[:, k] += step
+            neighbour = index + step * np.eye(3, dtype=np.int64)[k]
+            beyond = tuple(neighbour.T)
             voxels = index @ axes.T + masks.affine[:3, 3]
             centres = (index + neighbour) / 2 @ axes.T + masks.affine[:3, 3]
             areas = np.tile(step * across, (len(index), 1))
-            groups.append((voxels, centres, areas, ~(masks.tissue | other)[tuple(neighbour.T)]))
+            free = ~(masks.tissue | other)[beyond]
+            groups.append((voxels, centres, areas, free, other[beyond]))
     return Faces(*(np.concatenate(parts) for parts in zip(*groups, strict=True)))
 
 
 def regions_at(segmentation: Segmentation, labels: SegmentationLabels, points: Floats) -> Integers:
-    """Whether points (n, 3) in mm lie in scar (1) or not (0), by the nearest voxel of tissue.
+    """Whether points (n, 3) in mm lie in the scar (1) or not (0), by the nearest voxel of tissue.
 
     The voxel around a point of the tissue's surface may be blood or background. Points farther than
     a voxel's diagonal from all tissue are not scar.
     """
     parts = _parts(segmentation, labels)
-    voxels = np.argwhere(parts["myocardium"] | parts.get("scar", False))
+    voxels = np.argwhere(parts["myocardium"] | parts["scar"])
     affine = segmentation.affine
     diagonal = float(np.linalg.norm(segmentation.spacing))
     tree = cKDTree(voxels @ affine[:3, :3].T + affine[:3, 3])
-    distance, nearest = tree.query(points, distance_upper_bound=diagonal)
-    near = np.isfinite(distance)
-    regions = np.zeros(len(points), dtype=np.int64)
-    if "scar" in parts:
-        regions[near] = parts["scar"][tuple(voxels[nearest[near]].T)]
-    return regions
+    _, nearest = tree.query(points, distance_upper_bound=diagonal)
+    of_voxels = np.append(parts["scar"][tuple(voxels.T)], False)  # the last: no voxel is near
+    return np.asarray(of_voxels[nearest], dtype=np.int64)
 
 
 def masks_of(segmentation: Segmentation, labels: SegmentationLabels, notes: list[str]) -> Masks:
@@ -173,16 +188,16 @@ def masks_of(segmentation: Segmentation, labels: SegmentationLabels, notes: list
         parts[mask] = kinds[part]
     parts, affine = _cropped(parts, segmentation.affine)
     masks = Masks(parts == 1, parts == 2, parts == 3, affine, name)
-    faces = blood_faces(masks, masks.lv, np.zeros_like(masks.rv))
+    faces = blood_faces(masks, masks.lv, masks.rv)
     size = np.linalg.norm(faces.areas, axis=1)
-    if (bare := float(size[faces.free].sum() / size.sum())) > 0.5:
+    if (bare := float(size[faces.free | faces.shared].sum() / size.sum())) > 0.5:
         raise InputError(
             f"{name}: {bare:.0%} of the LV blood's surface borders on no tissue, so the "
             "labels seem to be exchanged; give those of this map (--labels; ACDC has lv=3,rv=1,"
             "myocardium=2, UK Biobank lv=1,rv=3,myocardium=2)"
         )
     for kind, part in ((3, "tissue"), (1, "LV blood"), (2, "RV blood")):
-        _remove_small_components(parts, kind, part, affine, segmentation, notes)
+        _remove_small_components(parts, kind, part, affine, name, notes)
     parts, affine = _cropped(parts, affine)
     check_units(name, np.array([[0, 0, 0], parts.shape]) * segmentation.spacing)
     return Masks(parts == 1, parts == 2, parts == 3, affine, name)
@@ -230,12 +245,7 @@ def largest_pieces(numbered: Integers, volumes: Floats, affine: Floats) -> str:
 
 
 def _remove_small_components(
-    parts: NDArray[np.int8],
-    kind: int,
-    part: str,
-    affine: Floats,
-    segmentation: Segmentation,
-    notes: list[str],
+    parts: NDArray[np.int8], kind: int, part: str, affine: Floats, name: str, notes: list[str]
 ) -> None:
     """Give components below 1 % of a part to the part around most of them, in place."""
     touching = np.ones((3, 3, 3), dtype=bool)
@@ -244,10 +254,10 @@ def _remove_small_components(
         return
     sizes = np.bincount(pieces.ravel())[1:]
     largest = int(sizes.argmax())
-    ml = sizes * segmentation.voxel_volume / 1000
+    ml = sizes * abs(np.linalg.det(affine)) / 1000
     if (large := sizes > 0.01 * sizes.sum()).sum() > 1:
         raise InputError(
-            f"{segmentation.name}: {part} falls into {large.sum()} unconnected pieces "
+            f"{name}: {part} falls into {large.sum()} unconnected pieces "
             f"({largest_pieces(pieces, np.where(large, ml, 0), affine)}); join them, or keep one"
         )
     for piece, box in enumerate(find_objects(pieces)):
@@ -258,6 +268,6 @@ def _remove_small_components(
         border = binary_dilation(component, touching) & ~component
         parts[around][component] = np.bincount(parts[around][border]).argmax()
     notes.append(
-        f"{segmentation.name}: {n - 1} small components of {part} ({ml.sum() - ml[largest]:.2g} ml "
+        f"{name}: {n - 1} small components of {part} ({ml.sum() - ml[largest]:.2g} ml "
         "in all) were given to what surrounds them"
     )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.build.segmentation import Segmentation
+from fascicle.build.segmentation import Segmentation, part_of_segment
 from fascicle.core.arrays import Floats
-from fascicle.core.errors import InputError, check_installed, one_line
+from fascicle.core.errors import InputError, check_installed, one_line, printable
 from fascicle.core.files import check_file, named_by
 from fascicle.core.isolated import read_isolated
 from fascicle.core.ranges import shown
@@ -29,11 +30,14 @@ def read_segmentation(path: Path | str) -> Segmentation:
     path = Path(path)
     packed = path.name.lower().endswith(".nii.gz")
     check_file(path, (".gz",) if packed else (".nii", ".nrrd", ".nhdr"), "segmentation")
-    is_nifti = path.suffix.lower() not in (".nrrd", ".nhdr")
-    check_installed("nibabel" if is_nifti else "nrrd", f"{path}: a label map")
-    if is_nifti:
+    check_installed("nrrd", f"{path}: a label map")
+    import nrrd
+
+    if path.suffix.lower() not in (".nrrd", ".nhdr"):
         return Segmentation(*read_isolated(_read_nifti, path))
-    if (data_file := _nrrd_header(path).get("data file")) is None:
+    with _refusing_damage(path), path.open("rb") as file:
+        header = nrrd.read_header(file)
+    if (data_file := header.get("datafile", header.get("data file"))) is None:
         return Segmentation(*read_isolated(_read_nrrd, path))
     voxels = named_by(path, data_file)
     check_file(voxels, (voxels.suffix.lower(),), "voxels")
@@ -91,23 +95,38 @@ def _read_nifti(path: Path) -> tuple[NDArray[np.integer[Any]], Floats, str, str]
     return _whole_numbers(path, values), _scaled(affine, factors[unit]), str(path), "RAS"
 
 
-def _nrrd_header(path: Path) -> dict[str, Any]:
+def _read_nrrd(path: Path) -> tuple[NDArray[np.integer[Any]], Floats, str, str, dict[int, str]]:
+    """Labels, affine, name, space and names of the segments."""
     import nrrd
 
-    with _refusing_damage(path), path.open("rb") as file:
-        header = dict(nrrd.read_header(file))
-        return header | {"data file": header.get("datafile", header.get("data file"))}
-
-
-def _read_nrrd(path: Path) -> tuple[NDArray[np.integer[Any]], Floats, str, str]:
-    """Labels, affine, name and space."""
-    import nrrd
-
-    affine, space = _nrrd_affine(path, _nrrd_header(path))
     with _refusing_damage(path):
-        values, _ = nrrd.read(str(path))
+        values, header = nrrd.read(str(path))
+        axes = [k for k, n in enumerate(values.shape) if n > 1 or values.ndim <= 3]
+        values, names = _merged(values.squeeze() if values.ndim > 3 else values, header)
+        for key in {"space directions", "spacings"} & header.keys():
+            header[key] = np.asarray(header[key])[axes[-values.ndim :]]  # without that of layers
+    affine, space = _nrrd_affine(path, header)
     _check_shape(path, values.shape, values.dtype)
-    return _whole_numbers(path, values), affine, str(path), space
+    return _whole_numbers(path, values), affine, str(path), space, names
+
+
+def _merged(values: NDArray[Any], header: Mapping[str, Any]) -> tuple[NDArray[Any], dict[int, str]]:
+    """Label map and names of its numbers, from the segments of 3D Slicer.
+
+    Segments that overlap are in several layers, the first axis of four. They get numbers from 1;
+    where they overlap, the last of myocardium, LV, RV and scar counts.
+    """
+    keys = [key for key in header if re.fullmatch(r"Segment\d+_Name", key)]
+    names = [printable(header[key]) for key in keys]
+    numbers = [int(header.get(key.replace("Name", "LabelValue"), 1)) for key in keys]
+    if not names or values.ndim != 4:
+        return values, dict(zip(numbers, names, strict=True))
+    merged = np.zeros(values.shape[1:], dtype=np.int32)
+    parts = (None, "myocardium", "lv", "rv", "scar")
+    for k in sorted(range(len(names)), key=lambda k: parts.index(part_of_segment(names[k]))):
+        layer = int(header.get(keys[k].replace("Name", "Layer"), k))
+        merged[values[layer] == numbers[k]] = k + 1
+    return merged, dict(enumerate(names, start=1))
 
 
 def _nrrd_affine(path: Path, header: dict[str, Any]) -> tuple[Floats, str]:

@@ -73,10 +73,8 @@ def surface_from_segmentation(
             f"most {longest:g} mm apart"
         )
     masks = masks_of(segmentation, labels, notes)
-    counted = masks.lv, masks.rv, masks.tissue
-    map_volumes = Volumes(
-        *(float(part.sum()) * segmentation.voxel_volume / 1e3 for part in counted)
-    )
+    counts = (float(part.sum()) for part in (masks.lv, masks.rv, masks.tissue))
+    map_volumes = Volumes(*(count * segmentation.voxel_volume / 1e3 for count in counts))
     masks = _coarsened(masks)
     progress(1, 6)
     plane = find_base_plane(masks)
@@ -115,9 +113,8 @@ def _check_septum(masks: Masks, plane: BasePlane, top: float, notes: list[str]) 
     Activation would be conducted across it.
     """
     largest = 100.0  # mm²
-    faces = blood_faces(masks, masks.lv, np.zeros_like(masks.rv))
-    hole = faces.free & ~blood_faces(masks, masks.lv, masks.rv).free
-    hole &= plane.height(faces.centres) < top
+    faces = blood_faces(masks, masks.lv, masks.rv)
+    hole = faces.shared & (plane.height(faces.centres) < top)
     if not hole.any():
         return
     area = float(np.linalg.norm(faces.areas[hole].sum(axis=0)))

@@ -27,6 +27,7 @@ from fascicle.mesh.measures import closed_volume, loop_length, self_intersection
 from fascicle.mesh.meshing import marching_cubes
 from fascicle.mesh.topology import (
     boundary_loops,
+    directed_edges,
     fan,
     merged_vertices,
     unique_edges,
@@ -71,8 +72,34 @@ def closed_surface(surface: LabelledSurface) -> LabelledSurface:
     merged = merged_vertices(surface.vertices)[surface.triangles]
     valid = whole_triangles(merged)
     merged_surface = replace(surface, triangles=merged[valid], labels=surface.labels[valid])
-    one_piece = _without_crumbs(_separated(compacted(merged_surface)))
+    one_piece = _without_crumbs(_separated(_without_sheets(compacted(merged_surface))))
     return oriented_outwards(_with_holes_filled(one_piece))
+
+
+def _without_sheets(surface: LabelledSurface) -> LabelledSurface:
+    """Leave out sheets that end on the surface: small patches with open edges where it forks."""
+    patches, patch = igl.extract_manifold_patches(surface.triangles)
+    sizes = np.bincount(np.asarray(patch))
+    edges = np.sort(directed_edges(surface.triangles), axis=1)
+    _, which, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+    times = count[which.ravel()].reshape(-1, 3)
+    forked, is_open = (
+        np.bincount(patch, edge.any(axis=1), patches) > 0 for edge in (times > 2, times < 2)
+    )
+    sheets = np.flatnonzero(forked & is_open & (sizes < sizes.max()))
+    if not len(sheets):
+        return surface
+    left_out = np.isin(patch, sheets)
+    middles = surface.vertices[surface.triangles].mean(axis=1)
+    at = [middles[patch == k].mean(axis=0) for k in sheets[:3]]
+    note = (
+        f"surface: sheets that ended on it were left out: {len(sheets)} (first: "
+        f"{first_places(sheets, np.array(at))}), with {left_out.sum()} of {len(patch)} triangles"
+    )
+    remaining = replace(
+        surface, triangles=surface.triangles[~left_out], labels=surface.labels[~left_out]
+    )
+    return compacted(replace(remaining, notes=(*surface.notes, note)))
 
 
 def _separated(surface: LabelledSurface) -> LabelledSurface:

@@ -17,16 +17,21 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
-from typing import NoReturn
+from typing import ClassVar, NoReturn
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import remove_unfinished
+
+
+class Terminated(SystemExit):
+    """End of the program at SIGTERM."""
 
 
 @dataclass
 class Interruption:
     """Signal that asked the program to end, if any, and whether it has ended by itself."""
 
+    advice: ClassVar[str] = ""  # to print at the end, from `resumable`
     number: int | None = None
     grace: float = 1.5  # s in which the process may end by itself
     over: threading.Event = field(default_factory=threading.Event)
@@ -41,13 +46,14 @@ class Interruption:
         self.number = number
         if number == signal.SIGINT:
             raise KeyboardInterrupt
-        sys.exit(self.status)
+        raise Terminated(self.status)
 
     def watch(self, reader: int) -> None:
         """End the process `grace` after a signal whose number comes through a pipe."""
         while (number := os.read(reader, 1)) != b"":
             if number[0] in (signal.SIGINT, signal.SIGTERM) and not self.over.wait(self.grace):
                 remove_unfinished()
+                os.write(2, self.advice.encode())  # not `sys.stderr`, which may be redirected
                 os._exit(128 + number[0])
 
 
@@ -81,15 +87,17 @@ def ended_promptly() -> Iterator[Interruption]:
 
 @contextmanager
 def resumable(out: Path) -> Iterator[None]:
-    """On Ctrl-C, report that the evaluations are in `out`; exit with status 130."""
+    """On Ctrl-C or SIGTERM, report that the evaluations are in `out`, and how to go on."""
+    Interruption.advice = (
+        f"interrupted; evaluations are stored in {out}; run the same command again to resume\n"
+    )
     try:
         yield
-    except KeyboardInterrupt:
-        print(
-            f"interrupted; evaluations are stored in {out}; run the same command again to go on",
-            file=sys.stderr,
-        )
-        sys.exit(128 + signal.SIGINT)
+    except (KeyboardInterrupt, Terminated) as ended:
+        print(Interruption.advice, end="", file=sys.stderr)
+        sys.exit(ended.code if isinstance(ended, Terminated) else 128 + signal.SIGINT)
+    finally:
+        Interruption.advice = ""
 
 
 def main() -> None:

@@ -375,17 +375,12 @@ def explore(
     save parameters and scenario for 'fascicle simulate', a picture or a film. It ends with the last
     page, or Ctrl-C. Only this machine can open the page, and nothing is loaded from elsewhere.
     """
-    from fascicle.explorer.explore import in_browser, serve, session_of
+    from fascicle.explorer.explore import listen, serve, session_of
 
-    with TerminalProgress() as progress:
-        session = session_of(heart, target, progress)
-
-    def opened(url: str) -> None:
-        print(f"exploring at {url}", flush=True)
-        if browser:
-            in_browser(url)
-
-    serve(session, port, opened)
+    with listen(port) as listening:
+        with TerminalProgress() as progress:
+            session = session_of(heart, target, progress)
+        serve(session, listening, browser=browser)
     return {}
 
 
@@ -632,6 +627,9 @@ def report(
             "may be given several times.",
         ),
     ] = None,
+    pdf: Annotated[
+        bool, Option("--pdf", help="Also write the answer on one page next to it, as PDF.")
+    ] = False,
     scheduler: SchedulerOption = None,
 ) -> Result:
     """Write the results of a study as one HTML file that opens offline.
@@ -644,7 +642,7 @@ def report(
     kinds, scenarios = figures or [], fascicle.read_scenarios(scenario or PACINGS)
     with TerminalProgress() as progress:
         fitted = fascicle.load_study(study, progress, pool_at(scheduler, progress))
-        page, *drawn = fascicle.report(fitted, scenarios, out, progress, kinds, against)
+        page, *drawn = fascicle.report(fitted, scenarios, out, progress, kinds, against, pdf)
     print_row("result", fitted.verdict)
     for path in (*drawn, page.resolve().as_uri()):
         print(path)

@@ -119,9 +119,6 @@ def heart_build(
             "'surface' or 'boundary'."
         ),
     ] = None,
-    labels_file: Annotated[
-        Path | None, _anatomy(help="Labels of an STL: one number per line.")
-    ] = None,
     regions: RegionsOption = None,
     region_array: RegionArrayOption = None,
     remesh: Annotated[
@@ -183,7 +180,6 @@ def heart_build(
         parts={part: path for part, path in parts.items() if path is not None},
         labels={name: values[0] for name, values in numbers.items()} if numbers else None,
         label_array=label_array,
-        labels_file=labels_file,
         remesh=remesh or None,
         regions=_numbers("--regions", regions),
         region_array=region_array,
@@ -192,7 +188,7 @@ def heart_build(
     angles = _fibre_angles(lv_angles, rv_angles)
     seeds, torso = _seeds(around), _torso(around, electrodes)
     folder = out if out is not None else Path(source.name)
-    files = (anatomy, *parts.values(), labels_file, electrodes, Path(around["torso"]), *torso.lungs)
+    files = (anatomy, *parts.values(), electrodes, Path(around["torso"]), *torso.lungs)
     check_heart_folder(folder, [path for path in files if path is not None and path.is_file()])
     with TerminalProgress() as progress:
         built = build_heart(

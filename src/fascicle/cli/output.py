@@ -102,6 +102,7 @@ class Output:
     def note(self, text: str) -> None:
         """Add a line to the log, with the time."""
         if self.log is not None:
+            text = re.sub(r"(http://127\.0\.0\.1:\d+/)\S+", r"\1…", text)  # a token is secret
             self.log.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
             self.log.flush()
 

@@ -66,7 +66,11 @@ def target(
         float | None, Option(help="Sampling rate (Hz), if the file does not state it.")
     ] = None,
     unit: Annotated[
-        str | None, Option(help="Unit of the leads (nV, uV, mV, V), if the file states none.")
+        str | None,
+        Option(
+            help="Unit of the leads (nV, uV, mV, V), if the file states none; stated again, it "
+            "confirms a size that was asked about."
+        ),
     ] = None,
     lowpass: Annotated[
         float | None, Option(help="Zero-phase low-pass (Hz); none by default.")
@@ -159,6 +163,9 @@ def print_analysis(analysis: Analysis) -> None:
     ):
         if parts:
             print_row(label, ", ".join(parts))
+    if len(spikes := analysis.spikes):
+        times = ", ".join(f"{time:.2f}" for time in spikes[:5]) + (", …" if len(spikes) > 5 else "")
+        print_row("pacing spikes", f"{len(spikes)}, cut out, at {times} s")
     print_table([("checks", "found", "limit", "", ""), *map(_check_row, analysis.findings)])
     for group in analysis.classes:
         notable = f": {group.description}" if group.description else ""

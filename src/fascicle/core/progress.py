@@ -185,6 +185,8 @@ def time_left(task: Task) -> str:
     left = task.time_remaining
     if left is None:  # the steps are further apart than the period of rich's pace
         left = elapsed * (task.total - task.completed) / done
+    if left > 50 * elapsed:  # too early to tell
+        return ""
     most = "at most " if task.description == "sampling" else ""  # its total is a maximum
     return f"{most}{duration(left)} left"
 

@@ -583,6 +583,7 @@ def refined(
     usual: Singles,
     rng: np.random.Generator,
     latest: int,
+    progress: Progress | None = None,
     folds: int = 4,
 ) -> EcgEmulator:
     """Train the networks further on networks of a posterior, and replace the residuals by theirs.
@@ -614,8 +615,12 @@ def refined(
     fold = np.arange(len(inputs)) % folds
     fold[:-latest] = folds  # never held out
     trainings = [(network, fold != k) for k in range(folds + 1) for network in emulator.networks]
+    networks, report = [], stage_progress(progress, "training", "on networks of the posterior")
+    report(0, len(trainings))
     with ThreadPoolExecutor(2) as pool:
-        networks = list(pool.map(tuned, *zip(*trainings, strict=True), rng.spawn(len(trainings))))
+        for network in pool.map(tuned, *zip(*trainings, strict=True), rng.spawn(len(trainings))):
+            networks.append(network)
+            report(len(networks), len(trainings))
     count, emulated = len(emulator.networks), np.empty_like(true)
     for k in range(folds):
         without_fold = replace(emulator, networks=tuple(networks[k * count : (k + 1) * count]))

@@ -249,7 +249,7 @@ def refined_emulators(
             )
             training_sets[key].append((inputs, new_examples.ecgs))
             examples = map(np.concatenate, zip(*training_sets[key], strict=True))
-            trained[key] = refined(emulator, *examples, prior_inputs, rng, latest=len(inputs))
+            trained[key] = refined(emulator, *examples, prior_inputs, rng, len(inputs), progress)
         previous, likelihoods = likelihoods, emulated_by([trained[key] for key in keys])
         log_weights = of_all(likelihoods, run_points) - of_all(previous, run_points)
         # where fewer than 2 % of a round's draws are effective, the posterior has moved

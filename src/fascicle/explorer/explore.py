@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import secrets
 import socket
 import sys
 import threading
-import warnings
 import webbrowser
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -19,6 +19,7 @@ from contextlib import suppress
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import NoneType
 from typing import Any
 
@@ -128,59 +129,65 @@ export default {
     return explorer
 
 
-def serve(session: Session, port: int = 0, opened: Callable[[str], object] | None = None) -> None:
+def listen(port: int = 0) -> socket.socket:
+    """Socket of a local port, of any free one if 0; raises InputError if the port is taken."""
+    try:
+        return socket.create_server((Application.address, port))
+    except OSError as error:
+        reason = os.strerror(error.errno or 0)
+        raise InputError(f"port {port}: {reason}; leave out --port, or give another") from None
+
+
+def serve(
+    session: Session,
+    listening: socket.socket | None = None,
+    announce: Callable[[str], object] | None = None,
+    browser: bool = True,
+) -> None:
     """Show a session on a local web page; returns when its last page is closed, or at Ctrl-C.
 
     Parameters
     ----------
     session : Session
         Session to show.
-    port : int
-        Port of the page; any free one if 0.
-    opened : callable, optional
-        Called with the address of the page, which can then be opened; a browser by default.
-
-    Raises
-    ------
-    InputError
-        If the port is taken.
+    listening : socket, optional
+        Socket of the page, from `listen`; of any free port by default.
+    announce : callable, optional
+        Called with the address of the page; prints it by default.
+    browser : bool
+        Whether a browser opens the page.
     """
     import uvicorn
 
-    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listening.bind((Application.address, port))
-        listening.listen()  # from now on a browser waits for the server instead of being refused
-    except OSError as error:
-        listening.close()
-        raise InputError(
-            f"port {port}: {error.strerror}; leave out --port, or give another"
-        ) from None
+    listening = listening or listen()
     app = Application(session, listening.getsockname()[1])
     config = uvicorn.Config(
-        app.asgi(), log_level="error", ws="websockets-sansio", ws_max_size=2**20, lifespan="off",
+        app.asgi(), log_level="error", ws="websockets-sansio", lifespan="off",
         ws_per_message_deflate=False,  # compression takes longer than the simulation
         timeout_graceful_shutdown=1,
     )  # fmt: skip
     server = uvicorn.Server(config)
     app.end = lambda: setattr(server, "should_exit", True)
-    try:
-        (opened or in_browser)(app.url)
+    with TemporaryDirectory(prefix="fascicle-explorer-") as folder, listening:
+        (announce or partial(print, "exploring at", flush=True))(app.url)
+        if browser:
+            # the token stays in a private file: others can read the command line of a browser
+            page = Path(folder) / "explorer.html"
+            page.touch(0o600)
+            page.write_text(
+                f'<!DOCTYPE html><title>fascicle explore</title><meta http-equiv="refresh" '
+                f'content="0; url={app.url}"><a href="{app.url}">Open the explorer</a>'
+            )
+            # in a thread: some browsers return only when they are closed
+            open_page = partial(webbrowser.open, page.as_uri())
+            threading.Thread(target=open_page, daemon=True).start()
         server.run(sockets=[listening])
-    finally:
-        listening.close()
-
-
-def in_browser(url: str) -> None:
-    """Open a page; a warning says where it is if no browser can be opened."""
-    if not webbrowser.open(url):
-        warnings.warn(f"no browser could be opened here; open {url}", stacklevel=2)
 
 
 async def in_thread(work: Callable[[], bytes]) -> bytes:
     """Result of `work`, run in a daemon thread: the program may end before it does."""
     loop, result = asyncio.get_running_loop(), Future[bytes]()
+    result.set_running_or_notify_cancel()  # from here on, only the await is cancelled
 
     def run() -> None:
         try:
@@ -239,6 +246,8 @@ class Application:
 
     async def socket(self, page: Any) -> None:
         """Serve the socket of one page until it is closed; messages are answered in order."""
+        from starlette.websockets import WebSocketDisconnect
+
         origin = page.headers.get("origin", "").removeprefix("http://")
         if origin not in self.hosts or page.headers.get("host") not in self.hosts:
             await page.close(1008)  # policy violation: a page of another host
@@ -255,16 +264,18 @@ class Application:
         self.pages -= 1
         loop = asyncio.get_running_loop()
         loop.call_later(self.reloaded_within, lambda: self.pages or self.end())
-        for task in ended:
-            task.result()  # raises the exception of a failed task
+        with suppress(WebSocketDisconnect):  # closed while an answer was sent
+            for task in ended:
+                task.result()  # raises the exception of a failed task
 
     async def messages(self, page: Any, messages: asyncio.Queue[Any]) -> None:
-        """Collect the messages of a page, until it is closed."""
-        from starlette.websockets import WebSocketDisconnect
-
-        with suppress(WebSocketDisconnect, json.JSONDecodeError):
-            while True:
-                messages.put_nowait(json.loads(await page.receive_text()))
+        """Collect the messages of a page, until it is closed; None for each that is damaged."""
+        while (frame := await page.receive())["type"] != "websocket.disconnect":
+            message = None
+            with suppress(ValueError, RecursionError):
+                # binary frames have no text; a page's messages have at most 10,000 characters
+                message = json.loads((frame.get("text") or "")[: 2**16])
+            messages.put_nowait(message)
 
     async def answers(self, page: Any, messages: asyncio.Queue[Any]) -> None:
         """Send the description, then the answer to each message, with progress of long ones."""

@@ -227,11 +227,12 @@ class Session:
             if report is not None:
                 report(packed({"progress": line}, {}))
 
-        number = message.get("id") if isinstance(message, Mapping) else None
+        number = None
         try:
-            if not isinstance(message, Mapping):
-                raise InputError("state: not a table; reload the page")
-            state = PageState.of(message.get("state"))
+            if not (isinstance(message, Mapping) and isinstance(message.get("state"), Mapping)):
+                raise InputError("the page sent a damaged message; reload the page")
+            number = message.get("id") if isinstance(message.get("id"), int) else None
+            state = PageState.of(message["state"])
             if message.get("ask") == "files":
                 return packed({"id": number, "files": self.files(state)}, {})
             lines = ProgressLines(note)
@@ -340,7 +341,7 @@ class Session:
         drawn = None
         if name in values and len(values[name]):
             drawn = np.histogram(values[name], bins=30, range=(low, high))[0].tolist()
-        unit = "" if parameter.unit == "1" else parameter.unit
+        unit = {"1": "", "mm/ms": "m/s"}.get(parameter.unit, parameter.unit)
         along, across = self.model.conduction.speeds
         # where a state does not name the quantity; None for those that it must name
         numbers = {**self.model.rules.numbers, **vars(self.model.conduction)}

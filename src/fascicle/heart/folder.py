@@ -261,12 +261,6 @@ def check_heart_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
             raise InputError(
                 f"{folder}: holds the input {path.name}, which would be lost; give another --out"
             )
-    if not folder.is_dir() or not any(folder.iterdir()):
-        return
-    if not (folder / HEART_FILES["manifest"]).exists():
-        raise InputError(
-            f"{folder}: holds files and is not a heart folder (no heart.toml); give another --out"
-        )
     check_nothing_lost(folder, set(HEART_FILES.values()))
 
 

@@ -91,7 +91,7 @@ def check_tetrahedra(name: str, vertices: Floats, tetrahedra: Integers) -> None:
         f"{name}: the tissue falls into {piece.max() + 1} unconnected pieces",
         piece != np.bincount(piece).argmax(),
         "vertices are outside the largest",
-        "keep one piece or join them",
+        "keep one piece, or 'fascicle heart build' joins them",
         vertices,
     )
 
@@ -164,7 +164,10 @@ def check_edges(name: str, vertices: Floats, triangles: Integers, closed: str = 
     `closed` says what to do about open edges, which are no fault without it.
     """
     edges, count = unique_edges(triangles)
-    remedy = "remove what meets there, such as sheets inside the tissue, or remesh"
+    remedy = (
+        "remove what meets there, such as sheets inside the tissue (in MeshLab: Filters, Cleaning "
+        "and Repairing, Repair non Manifold Edges)"
+    )
     for bad, fault, advice in (
         (count > 2, "edges have more than two triangles", remedy),
         ((count < 2) & bool(closed), "edges are open", closed),

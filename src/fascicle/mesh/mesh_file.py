@@ -12,9 +12,11 @@ from fascicle.core.errors import InputError
 
 OPENCARP_FORMATS = (".pts", ".elem")  # either names both files, and the `.lon`
 # VTK's numbers for the cells that are used here
-VERTEX, LINE, TRIANGLE, TETRAHEDRON = 1, 3, 5, 10
-# Cells that are cut into tetrahedra: name, and number of corners
-SOLIDS = {11: ("voxels", 8), 12: ("hexahedra", 8), 13: ("wedges", 6), 14: ("pyramids", 5)}
+VERTEX, LINE, TRIANGLE, QUADRANGLE, TETRAHEDRON = 1, 3, 5, 9, 10
+# Cells that are cut into tetrahedra
+SOLIDS = {11: "voxels", 12: "hexahedra", 13: "wedges", 14: "pyramids"}
+# Number of corners; a quadratic cell has more points, which come after them
+CELL_CORNERS = {LINE: 2, TRIANGLE: 3, QUADRANGLE: 4, TETRAHEDRON: 4, 11: 8, 12: 8, 13: 6, 14: 5}
 GROUP = "gmsh:physical"  # meshio's name for the number of a cell's physical group
 
 

@@ -22,15 +22,27 @@ import numpy as np
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError, one_line
 from fascicle.core.isolated import DAMAGED
-from fascicle.mesh.mesh_file import GROUP, LINE, TETRAHEDRON, TRIANGLE, MeshFile, damaged
+from fascicle.mesh.mesh_file import (
+    CELL_CORNERS,
+    GROUP,
+    LINE,
+    QUADRANGLE,
+    TETRAHEDRON,
+    TRIANGLE,
+    MeshFile,
+    damaged,
+)
 
 # Element types by Gmsh's number: name, number of nodes, and VTK's cell type (None: not read). Of
 # quadratic ones the corners are read, which come first.
 GMSH_ELEMENTS = {
-    1: ("line", 2, LINE), 2: ("triangle", 3, TRIANGLE), 3: ("quadrangle", 4, None),
+    1: ("line", 2, LINE), 2: ("triangle", 3, TRIANGLE), 3: ("quad", 4, QUADRANGLE),
     4: ("tetra", 4, TETRAHEDRON), 5: ("hexahedron", 8, 12), 6: ("wedge", 6, 13),
     7: ("pyramid", 5, 14), 8: ("line3", 3, None), 9: ("triangle6", 6, TRIANGLE),
-    10: ("quadrangle9", 9, None), 11: ("tetra10", 10, TETRAHEDRON), 15: ("vertex", 1, None),
+    10: ("quad9", 9, QUADRANGLE), 11: ("tetra10", 10, TETRAHEDRON), 12: ("hexahedron27", 27, 12),
+    13: ("wedge18", 18, 13), 14: ("pyramid14", 14, 14), 15: ("vertex", 1, None),
+    16: ("quad8", 8, QUADRANGLE), 17: ("hexahedron20", 20, 12), 18: ("wedge15", 15, 13),
+    19: ("pyramid13", 13, 14),
 }  # fmt: skip
 
 
@@ -52,10 +64,10 @@ def read_meshio(path: Path) -> MeshFile:
     cells: dict[int, Integers] = {}
     cell_data: dict[int, dict[str, Floats]] = {}
     used = {name: kind for name, _, kind in GMSH_ELEMENTS.values() if kind is not None}
-    for name, kind in used.items():
-        if blocks := [i for i, block in enumerate(data.cells) if block.type == name]:
-            nodes = np.concatenate([data.cells[i].data for i in blocks]).astype(np.int64)
-            cells[kind] = _corners(nodes, kind, cells)
+    for kind, corners in CELL_CORNERS.items():
+        if blocks := [i for i, block in enumerate(data.cells) if used.get(block.type) == kind]:
+            nodes = [data.cells[i].data[:, :corners] for i in blocks]
+            cells[kind] = np.concatenate(nodes).astype(np.int64)
             cell_data[kind] = {
                 key: np.concatenate([np.asarray(arrays[i]) for i in blocks])
                 for key, arrays in data.cell_data.items()
@@ -73,13 +85,6 @@ def read_meshio(path: Path) -> MeshFile:
     return MeshFile(
         path, points, cells, dict(data.point_data), cell_data, other_cells, groups=groups
     )
-
-
-def _corners(nodes: Integers, kind: int, cells: dict[int, Integers]) -> Integers:
-    """Corners of cells of one kind, which may be quadratic; ValueError if there are such cells."""
-    if kind in cells:
-        raise ValueError("linear and quadratic elements of one shape")
-    return nodes[:, : {TRIANGLE: 3, TETRAHEDRON: 4}.get(kind)]
 
 
 def _read_ply(path: Path) -> Any:
@@ -146,19 +151,20 @@ def _parsed(path: Path, content: bytes) -> MeshFile:
     if not len(nodes) or not elements:
         raise ValueError("no nodes or no elements")
     ids = nodes[:, 0].astype(np.int64)
-    cells, cell_data, other_cells = dict[int, Integers](), {}, {}
-    for element in sorted({element for element, _ in elements}):
+    cells, cell_data, other_cells = dict[int, Integers](), {}, dict[str, int]()
+    for element, rows in elements:
         type_name, _, kind = GMSH_ELEMENTS[element]
-        rows = np.concatenate([rows for number, rows in elements if number == element])
-        if kind is not None:
-            places = _places(rows[:, 2:], ids)
-            if (places < 0).any():
-                raise ValueError(f"no node {rows[:, 2:][places < 0][0]}")
-            cells[kind] = _corners(places, kind, cells)
+        if kind is None and type_name != "vertex":
+            other_cells[type_name] = other_cells.get(type_name, 0) + len(rows)
+    for kind, corners in CELL_CORNERS.items():
+        of_kind = [rows[:, : 2 + corners] for e, rows in elements if GMSH_ELEMENTS[e][2] == kind]
+        if of_kind:
+            rows = np.concatenate(of_kind)
+            cells[kind] = _places(rows[:, 2:], ids)
+            if (absent := cells[kind] < 0).any():
+                raise ValueError(f"no node {rows[:, 2:][absent][0]}")
             arrays = {GROUP: rows[:, 1].astype(float)} | _arrays(data["ElementData"], rows[:, 0])
             cell_data[kind] = arrays
-        elif type_name != "vertex":
-            other_cells[type_name] = len(rows)
     point_data = _arrays(data["NodeData"], ids)
     return MeshFile(
         path, nodes[:, 1:].copy(), cells, point_data, cell_data, other_cells, groups=groups
@@ -174,8 +180,8 @@ def _sections(content: bytes) -> Iterator[tuple[str, bytes]]:
             raise ValueError(f"no section where one should start (byte {position})")
         end = b"$End" + start[1]
         end_position = content.find(end, start.end())
-        position = content.find(b"\n", end_position) + 1
-        if end_position < 0 or not position or content[end_position:position].strip() != end:
+        position = content.find(b"\n", end_position) + 1 or len(content)
+        if end_position < 0 or content[end_position:position].strip() != end:
             raise ValueError("ends within a section")
         yield start[1].decode(), content[start.end() : end_position]
 

@@ -1,8 +1,8 @@
 """The text files of openCARP: `.pts`, `.elem`, `.lon`, `.surf` and `.vtx`.
 
 The formats are those of the openCARP user manual (Plank et al., Comput. Methods Programs Biomed.
-208, 106223, 2021): every file but `.lon` starts with the number of lines that follow, indices count
-from 0, and lengths are in µm.
+208, 106223, 2021): every file but `.lon` starts with the number of lines that follow, which may be
+missing, indices count from 0, and lengths are in µm.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def read_opencarp_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
     for code, rows_of_type in by_type.items():
         if (element := OPENCARP_ELEMENTS.get(code)) is None:
             raise InputError(
-                f"{elements}: line {rows_of_type[0] + 2} is of an unknown element type "
+                f"{elements}: element {rows_of_type[0]} is of an unknown type "
                 f"'{printable(code)}'; the types are {', '.join(OPENCARP_ELEMENTS)}"
             )
         if isinstance(element, str):
@@ -76,7 +76,9 @@ def read_opencarp_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
 
 def _read_directions(path: Path, count: int) -> dict[str, Floats]:
     """Fibres and sheets of all elements from a `.lon` file."""
-    header, *lines = _lines(path, "fibres")
+    lines = _lines(path, "fibres")
+    # a file without the number of vectors has the vectors themselves in the first line
+    header = {3: "1", 6: "2"}.get(len(lines[0].split())) or lines.pop(0)
     if header.strip() not in ("1", "2"):
         raise InputError(
             f"{path}: the first line is '{_start(header)}'; it must be the number of vectors in a "
@@ -98,7 +100,7 @@ def read_surf(path: Path, points: int) -> Integers:
     bad = next((row for row, line in enumerate(lines) if line.split()[:1] != ["Tr"]), None)
     if bad is not None:
         raise InputError(
-            f"{path}: line {bad + 2} is '{_start(lines[bad])}'; every line must be a triangle "
+            f"{path}: triangle {bad} is '{_start(lines[bad])}'; every line must be a triangle "
             "('Tr' and three indices)"
         )
     triangles = _indices(path, [line.lstrip()[2:] for line in lines], 3, points)
@@ -126,22 +128,23 @@ def _lines(path: Path, purpose: str) -> list[str]:
         ) from None
     if not text.strip():
         raise InputError(f"{path}: the file is empty; export or copy it again")
-    if not text.endswith("\n"):  # the last number may have lost digits
-        raise damaged(path, "no line end at its end")
     return text.rstrip().split("\n")
 
 
 def _counted_lines(path: Path, purpose: str, has_domain: bool = False) -> list[str]:
-    """Lines after the header and perhaps a domain, if they are as many as the header says."""
-    header, *lines = _lines(path, purpose)
-    if has_domain:
-        domain = lines.pop(0).strip() if lines else ""
-        if domain not in ("intra", "extra"):
-            raise InputError(
-                f"{path}: the second line is '{_start(domain)}'; it must be 'intra' or 'extra'"
-            )
-    if not lines or header.strip() != str(len(lines)):
-        raise damaged(path, f"the first line is '{_start(header)}', and {len(lines)} lines follow")
+    """Lines after the count and perhaps a domain, if they are as many as the count says.
+
+    Where the first line holds other than one number, the file has no count.
+    """
+    lines, domains = _lines(path, purpose), ("intra", "extra")
+    counted = len(lines[0].split()) == 1 and lines[0].strip() not in domains
+    count = lines.pop(0).strip() if counted else ""
+    if has_domain and (domain := lines.pop(0).strip() if lines else "") not in domains:
+        raise InputError(
+            f"{path}: the second line is '{_start(domain)}'; it must be 'intra' or 'extra'"
+        )
+    if not lines or (counted and count != str(len(lines))):
+        raise damaged(path, f"the first line is '{_start(count)}', and {len(lines)} lines follow")
     return lines
 
 

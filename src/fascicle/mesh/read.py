@@ -1,11 +1,10 @@
-"""Mesh files of any format; hexahedra, wedges and pyramids are cut into tetrahedra."""
+"""Mesh files of any format, whose cells are cut into tetrahedra and triangles."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,10 +13,19 @@ from fascicle.core.errors import InputError, check_installed
 from fascicle.core.files import check_file
 from fascicle.core.isolated import read_isolated
 from fascicle.mesh.checks import refuse
-from fascicle.mesh.mesh_file import OPENCARP_FORMATS, SOLIDS, TETRAHEDRON, MeshFile, damaged
+from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.mesh_file import (
+    OPENCARP_FORMATS,
+    QUADRANGLE,
+    SOLIDS,
+    TETRAHEDRON,
+    TRIANGLE,
+    MeshFile,
+    damaged,
+)
 from fascicle.mesh.meshio_files import gmsh22_header, read_gmsh22, read_meshio
 from fascicle.mesh.opencarp import read_opencarp_mesh
-from fascicle.mesh.vtk import is_ascii_vtk, read_vtk
+from fascicle.mesh.vtk import read_vtk
 
 MESH_FORMATS = (".vtk", ".vtu", ".vtp", ".obj", ".stl", ".ply", ".msh", *OPENCARP_FORMATS)
 
@@ -25,7 +33,7 @@ MESH_FORMATS = (".vtk", ".vtu", ".vtp", ".obj", ".stl", ".ply", ".msh", *OPENCAR
 def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
     """Read a mesh file of any supported format.
 
-    Hexahedra, wedges and pyramids are cut into tetrahedra.
+    Hexahedra, wedges and pyramids are cut into tetrahedra, quadrangles into triangles.
 
     Raises
     ------
@@ -55,7 +63,7 @@ def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
     for cells in mesh.cells.values():
         if cells.size and (cells.min() < 0 or cells.max() >= len(mesh.points)):
             raise damaged(path, "cells refer to points that are not there")
-    return cut_into_tetrahedra(mesh)
+    return cut_into_simplices(mesh)
 
 
 def _check_complete(path: Path) -> None:
@@ -69,97 +77,77 @@ def _check_complete(path: Path) -> None:
     triangles = size >= 84 and size >= 84 + 50 * int.from_bytes(head[80:84], "little")
     complete_stl = (triangles and any(tail)) or b"endsolid" in tail.lower()
     endings = {
-        ".vtu": ("</VTKFile>", b"</VTKFile>" in tail),
-        ".vtp": ("</VTKFile>", b"</VTKFile>" in tail),
-        ".stl": ("as many triangles as announced", complete_stl),
-        ".obj": ("line end", tail[-1:].isspace()),
-        ".vtk": ("line end", tail[-1:].isspace() or not is_ascii_vtk(head)),
+        ".vtu": ("no </VTKFile> at its end", b"</VTKFile>" in tail),
+        ".vtp": ("no </VTKFile> at its end", b"</VTKFile>" in tail),
+        ".stl": ("not as many triangles as announced", complete_stl),
+        # without a count, a face that lost digits looks whole
+        ".obj": ("no line end at its end; add one if the file is whole", tail[-1:].isspace()),
     }
-    end, complete = endings.get(path.suffix.lower(), ("", True))
+    fault, complete = endings.get(path.suffix.lower(), ("", True))
     if size == 0:
         raise InputError(f"{path}: the file is empty; export or copy it again")
     if not complete:
-        raise damaged(path, f"no {end} at its end")
+        raise damaged(path, fault)
 
 
-def cut_into_tetrahedra(mesh: MeshFile) -> MeshFile:
-    """Cut the hexahedra, wedges and pyramids of a file into tetrahedra, which inherit their data.
+def cut_into_simplices(mesh: MeshFile) -> MeshFile:
+    """Cut hexahedra, wedges and pyramids of a file into tetrahedra, quadrangles into triangles.
 
-    VTK orders the corners of a cell by their numbers (Schroeder, Geveci and Malaterre 2004,
-    "Compatible triangulations of spatial decompositions", IEEE Visualization), so neighbours agree
-    on the diagonal of their common face. Corners that coincide, as at an apex, are allowed. The
-    tetrahedra of inverted cells are reversed. InputError if a cell is flat or folded, so that its
-    tetrahedra do not all have a positive volume.
+    The parts inherit the data of their cell. VTK orders the corners of a cell by their numbers
+    (Schroeder, Geveci and Malaterre 2004, "Compatible triangulations of spatial decompositions",
+    IEEE Visualization), so neighbours agree on the diagonal of their common face. Corners that
+    coincide, as at an apex, are allowed. The tetrahedra of inverted cells are reversed. InputError
+    if a cell is flat or folded, so that its tetrahedra do not all have a positive volume.
     """
+    if len(quadrangles := mesh.cells.get(QUADRANGLE, ())):
+        # VTK cuts off the corner of the largest number, which it adds last
+        corners = np.argmax(quadrangles, axis=1)[:, None] + np.array([3, 0, 1, 1, 2, 3])
+        corners = np.take_along_axis(quadrangles, corners % 4, axis=1)
+        parents = np.repeat(np.arange(len(quadrangles)), 2)
+        mesh = _replaced(mesh, [QUADRANGLE], TRIANGLE, corners.reshape(-1, 3), parents)
     solids = {kind: cells for kind, cells in mesh.cells.items() if kind in SOLIDS and len(cells)}
     if not solids:
         return mesh
     check_installed("pyvista", f"{mesh.path}: cutting its cells into tetrahedra")
-    tetrahedra = [mesh.cells.get(TETRAHEDRON, np.empty((0, 4), dtype=np.int64))]
-    other_cells = {kind: cells for kind, cells in mesh.cells.items() if kind not in SOLIDS}
-    arrays = {kind: mesh.cell_data.get(kind, {}) for kind in solids}
-    if len(tetrahedra[0]):
-        arrays[TETRAHEDRON] = mesh.cell_data.get(TETRAHEDRON, {})
-    names = set.intersection(*map(set, arrays.values()))
-    rows = {name: [arrays[TETRAHEDRON][name]] if len(tetrahedra[0]) else [] for name in names}
-    for kind, cells in solids.items():
-        parts, parent = _parts(mesh, kind, cells)
-        tetrahedra.append(parts)
-        for name in names:
-            rows[name].append(arrays[kind][name][parent])
-    count = ", ".join(f"{len(cells)} {SOLIDS[kind][0]}" for kind, cells in solids.items())
-    kept = {kind: values for kind, values in mesh.cell_data.items() if kind not in SOLIDS}
-    note = f"mesh: {count} were cut into {sum(map(len, tetrahedra[1:]))} tetrahedra"
-    return replace(
-        mesh,
-        cells={**other_cells, TETRAHEDRON: np.concatenate(tetrahedra)},
-        cell_data={
-            **kept, TETRAHEDRON: {name: np.concatenate(values) for name, values in rows.items()}
-        },
-        notes=(*mesh.notes, note),
-    )  # fmt: skip
+    import pyvista as pv
+
+    grid = pv.UnstructuredGrid(solids, mesh.points)
+    grid.cell_data["parent"] = np.arange(grid.n_cells)
+    cut = grid.triangulate()
+    parts, parents = cut.cells_dict[TETRAHEDRON].astype(np.int64), cut.cell_data["parent"]
+    distinct = (np.diff(np.sort(parts, axis=1), axis=1) > 0).all(axis=1)  # corners may coincide
+    parts, parents = parts[distinct], parents[distinct]
+    volumes = signed_volumes(mesh.points, parts)
+    low, high = np.full(grid.n_cells, np.inf), np.full(grid.n_cells, -np.inf)
+    np.minimum.at(low, parents, volumes)
+    np.maximum.at(high, parents, volumes)
+    folded = np.split(~((low > 0) | (high < 0)), np.cumsum([*map(len, solids.values())]))
+    for (kind, cells), bad in zip(solids.items(), folded, strict=False):
+        fault = "are flat or folded, so that no tetrahedra of positive volume fill them"
+        remedy = "correct the order of their corners, or remesh them"
+        refuse(str(mesh.path), bad, f"{SOLIDS[kind]} {fault}", remedy, mesh.points, cells)
+    parts = np.where((high[parents] < 0)[:, None], parts[:, [0, 2, 1, 3]], parts)
+    count = ", ".join(f"{len(cells)} {SOLIDS[kind]}" for kind, cells in solids.items())
+    note = f"mesh: {count} were cut into {len(parts)} tetrahedra"
+    mesh = replace(mesh, notes=(*mesh.notes, note))
+    return _replaced(mesh, list(solids), TETRAHEDRON, parts, parents)
 
 
-def _parts(mesh: MeshFile, kind: int, cells: Integers) -> tuple[Integers, Integers]:
-    """Tetrahedra (m, 4) that cells of one kind are cut into, and the cell (m,) of each."""
-    from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
-    from vtkmodules.vtkCommonCore import vtkPoints
-    from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkUnstructuredGrid
-    from vtkmodules.vtkFiltersGeneral import vtkDataSetTriangleFilter
+def _replaced(
+    mesh: MeshFile, kinds: list[int], new: int, cells: Integers, parents: Integers
+) -> MeshFile:
+    """Mesh whose cells of some kinds are replaced by those of a new kind, with their data.
 
-    grid, points, cell_array = vtkUnstructuredGrid(), vtkPoints(), vtkCellArray()
-    points.SetData(numpy_to_vtk(np.ascontiguousarray(mesh.points)))
-    corners = numpy_to_vtkIdTypeArray(np.ascontiguousarray(cells, dtype=np.int64).ravel())
-    cell_array.SetData(cells.shape[1], corners)
-    grid.SetPoints(points)
-    grid.SetCells(kind, cell_array)
-    number: Any = numpy_to_vtk(np.arange(len(cells)))
-    number.SetName("cell")
-    grid.GetCellData().AddArray(number)
-    cutter = vtkDataSetTriangleFilter()
-    cutter.TetrahedraOnlyOn()
-    cutter.SetInputData(grid)
-    cutter.Update()
-    output = cutter.GetOutput()
-    connections = vtk_to_numpy(output.GetCells().GetConnectivityArray())
-    parts = connections.reshape(-1, 4).astype(np.int64)
-    parent = vtk_to_numpy(output.GetCellData().GetArray("cell")).astype(np.int64)
-    ordered = np.sort(parts, axis=1)
-    distinct = (np.diff(ordered, axis=1) > 0).all(axis=1)  # without coinciding corners
-    parts, parent = parts[distinct], parent[distinct]
-    origin, a, b, c = (mesh.points[parts[:, k]] for k in range(4))
-    volume = np.einsum("ij,ij->i", a - origin, np.cross(b - origin, c - origin))
-    low, high = np.full(len(cells), np.inf), np.full(len(cells), -np.inf)
-    np.minimum.at(low, parent, volume)
-    np.maximum.at(high, parent, volume)
-    refuse(
-        str(mesh.path),
-        ~((low > 0) | (high < 0)),
-        f"{SOLIDS[kind][0]} are flat or folded, so that no tetrahedra of positive volume fill them",
-        "correct the order of their corners, or remesh them",
-        mesh.points,
-        cells,
-    )
-    turned = high[parent] < 0
-    parts[turned] = parts[turned][:, [0, 2, 1, 3]]
-    return parts, parent
+    Parents are rows of the replaced cells, one kind after another.
+    """
+    count = len(mesh.cells.get(new, ()))
+    sources = [new, *kinds] if count else kinds
+    arrays = [mesh.cell_data.get(kind, {}) for kind in sources]
+    rows = np.concatenate([np.arange(count), count + parents])
+    data = {
+        name: np.concatenate([values[name] for values in arrays])[rows]
+        for name in set.intersection(*map(set, arrays))
+    }
+    kept = {kind: values for kind, values in mesh.cells.items() if kind not in kinds}
+    all_cells = np.concatenate([kept[new], cells]) if count else cells
+    return replace(mesh, cells=kept | {new: all_cells}, cell_data=mesh.cell_data | {new: data})

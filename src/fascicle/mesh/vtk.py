@@ -14,7 +14,16 @@ from numpy.typing import NDArray
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError, check_installed, one_line
 from fascicle.core.files import MADE_WITH, atomic_path
-from fascicle.mesh.mesh_file import LINE, SOLIDS, TETRAHEDRON, TRIANGLE, VERTEX, MeshFile, damaged
+from fascicle.mesh.mesh_file import (
+    CELL_CORNERS,
+    LINE,
+    QUADRANGLE,
+    TETRAHEDRON,
+    TRIANGLE,
+    VERTEX,
+    MeshFile,
+    damaged,
+)
 
 
 def read_vtk(path: Path) -> MeshFile:
@@ -84,7 +93,7 @@ def _vtk_reader(path: Path) -> Any:
     }
     reader = kinds[path.suffix.lower()]()
     content = path.read_bytes() if path.suffix.lower() == ".vtk" else b""
-    if is_ascii_vtk(content):
+    if [line.strip().upper() for line in content.split(b"\n", 3)[2:3]] == [b"ASCII"]:
         # VTK accepts a file that ends within its last array; with an empty array after that one it
         # notices
         content += b"\n\nFIELD end 0\n"
@@ -136,14 +145,17 @@ def _cells(grid: Any) -> tuple[dict[int, Integers], dict[int, Integers], dict[st
         return {}, {}, {}
     version = vtkVersion.GetVTKMajorVersion(), vtkVersion.GetVTKMinorVersion()
     kinds = vtk_to_numpy(grid.GetCellTypes() if version >= (9, 6) else grid.GetCellTypesArray())
-    # the corners of quadratic cells come first, then the middles of their edges
-    kinds = np.select([kinds == 22, kinds == 24], [TRIANGLE, TETRAHEDRON], kinds.astype(int))
+    linear = np.arange(256)  # kind of the corners of quadratic cells
+    linear[22:30] = TRIANGLE, QUADRANGLE, TETRAHEDRON, 12, 13, 14, QUADRANGLE, 12
+    linear[32:35] = 13, 12, TRIANGLE
+    kinds = linear[kinds]
     start = vtk_to_numpy(grid.GetCells().GetOffsetsArray()).astype(np.int64)
     points = vtk_to_numpy(grid.GetCells().GetConnectivityArray()).astype(np.int64)
+    if (np.diff(start)[kinds == 1] != 1).any():  # lone vertices, or kinds that lost a digit
+        raise ValueError("vertices of several points")
     cells, index = {}, {}
-    used = {TRIANGLE: 3, TETRAHEDRON: 4} | {kind: n for kind, (_, n) in SOLIDS.items()}
-    for kind, corners in used.items():
-        if (rows := np.flatnonzero(kinds == kind)).size:
+    for kind, corners in CELL_CORNERS.items():
+        if kind != LINE and (rows := np.flatnonzero(kinds == kind)).size:
             cells[kind] = points[start[rows][:, None] + np.arange(corners)]
             index[kind] = rows
     is_line = np.isin(kinds, (LINE, 4))  # 4: several segments in one
@@ -153,7 +165,7 @@ def _cells(grid: Any) -> tuple[dict[int, Integers], dict[int, Integers], dict[st
         cells[LINE] = np.column_stack([points[:-1], points[1:]])[inside]
         index[LINE] = cell[:-1][inside]
     ignored = (0, 1, 2)  # empty cells and lone vertices
-    unused = kinds[~np.isin(kinds, (LINE, 4, *used, *ignored))]
+    unused = kinds[~np.isin(kinds, (4, *CELL_CORNERS, *ignored))]
     other_kinds, counts = np.unique(unused, return_counts=True)
     names = (vtkCellTypes.GetClassNameFromTypeId(kind) for kind in other_kinds.tolist())
     other_cells = {
@@ -216,8 +228,3 @@ def pyvista_blocks(grids: Mapping[str, Any]) -> Any:
     import pyvista as pv
 
     return pv.MultiBlock(dict(grids))
-
-
-def is_ascii_vtk(content: bytes) -> bool:
-    """True if the third line of a legacy VTK file says that numbers follow as text."""
-    return [line.strip().upper() for line in content.split(b"\n", 3)[2:3]] == [b"ASCII"]

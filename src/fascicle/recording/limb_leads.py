@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
-from operator import itemgetter
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.core.leads import LEADS, LIMB_LEADS, lead_matrix, limb_leads_from
+from fascicle.core.leads import CHEST_LEADS, LEADS, LIMB_LEADS, lead_matrix, limb_leads_from
 from fascicle.recording.filters import coarse
-from fascicle.recording.lead_groups import cut
+from fascicle.recording.lead_groups import cut, stretches
 from fascicle.recording.quality import Check, CheckResult, Severity, leave_out
 from fascicle.recording.recording import Recording
 
@@ -30,28 +29,16 @@ def check_identities(recording: Recording) -> list[CheckResult]:
     W. Einthoven, G. Fahr, A. de Waart, Pflügers Arch. 150:275 (1913); E. Goldberger, Am. Heart J.
     23:483 (1942).
     """
-    spans = recording.spans.tolist()
-    rows = [row for row, lead in enumerate(LIMB_LEADS) if lead in recording.measured_leads]
-    times = {}  # samples (1 s or more) that at least three limb leads share, by set of leads
-    for start, stop in {tuple(spans[row]) for row in rows}:
-        covering = tuple(
-            row
-            for row in rows
-            if min(spans[row][1], stop) - max(spans[row][0], start) >= 0.9 * (stop - start)
-        )
-        begin = max([start, *(spans[row][0] for row in covering)])
-        end = min([stop, *(spans[row][1] for row in covering)])
-        if len(covering) >= 3 and end - begin >= recording.sampling_rate:
-            times[covering] = slice(begin, end)
-    if not times:
+    measured = [row for row, lead in enumerate(LIMB_LEADS) if lead in recording.measured_leads]
+    results: list[CheckResult] = []
+    for first, stop in stretches(recording):
+        rows = [row for row in measured if np.isfinite(recording.signal[row, first:stop]).all()]
+        if len(rows) >= 3 and stop - first >= recording.sampling_rate:  # 1 s
+            results += _check_group(recording, rows, slice(first, stop))
+    if not results:
         message = "not checked: no three limb leads were recorded at the same time"
-        return [Check("limb leads", "mV", 0.05).result(np.nan, message, Severity.FINE)]
-    together = sorted(times.items(), key=itemgetter(0))
-    return [
-        result
-        for covering, time in together
-        for result in _check_group(recording, list(covering), time)
-    ]
+        results = [Check("limb leads", "mV", 0.05).result(np.nan, message, Severity.FINE)]
+    return results
 
 
 def _check_group(recording: Recording, rows: list[int], time: slice) -> list[CheckResult]:
@@ -136,24 +123,25 @@ def _explain(
     """Find the simplest change of the leads (m, n) that makes their relations (m - 2, m) hold.
 
     The changes are, in order: one lead inverted, or two exchanged; one lead with another gain, or
-    wrong altogether; all leads with different gains. Reversed electrodes leave every relation
-    intact. FATAL with an explanation, WARNING without one.
+    wrong altogether. Reversed electrodes leave every relation intact. FATAL with an explanation, or
+    where the relations are off by a third of the leads' height, WARNING else.
     """
     names, before = [LIMB_LEADS[row] for row in rows], float(_misfits(leads, zeros).max())
 
     def holds(changed: Floats) -> bool:
         return float(_misfits(changed, zeros).max()) <= min(_limit_of(changed), REMAINING * before)
 
-    mistakes = []
     identity = np.eye(len(rows))
+    changes = {}
     for k, name in enumerate(names):
-        if holds((identity - 2 * np.outer(identity[k], identity[k])) @ leads):
-            mistakes.append(f"lead {name} is upside down, give --invert {name}")
+        mistake = f"lead {name} is upside down, give --invert {name}"
+        changes[mistake] = identity * np.where(identity[k], -1.0, 1.0)
     for i, j in combinations(range(len(rows)), 2):
-        order = [{i: j, j: i}.get(k, k) for k in range(len(rows))]
-        if holds(leads[order]):
-            lead, other = names[i], names[j]
-            mistakes.append(f"leads {lead} and {other} are exchanged, give --swap {lead}-{other}")
+        mistake = (
+            f"leads {names[i]} and {names[j]} are exchanged, give --swap {names[i]}-{names[j]}"
+        )
+        changes[mistake] = identity[[{i: j, j: i}.get(k, k) for k in range(len(rows))]]
+    mistakes = [mistake for mistake, change in changes.items() if holds(change @ leads)]
     if mistakes:
         return Severity.FATAL, ", or ".join(mistakes)
     remaining = np.array([_without(k, leads, zeros) for k in range(len(rows))])
@@ -167,17 +155,11 @@ def _explain(
         advice = "leave it out, it is then computed from the others:"
         advice = f"{advice} {leave_out(recording, [names[best]])}"
         return Severity.FATAL, f"lead {names[best]} {fault}; {advice}"
-    factors = _factors(leads, zeros)
-    # below a ratio of 1.2 they may still be in mV
-    if factors is not None and factors.max() > 1.2 * factors.min() and holds(factors * leads):
-        ratios = (factors[0] / factors).ravel()
-        gains = ", ".join(f"{n} {g:.2f}" for n, g in zip(names, ratios, strict=True))
-        return Severity.FATAL, (
-            f"each lead has a gain of its own ({gains}); export the recording in mV, with one gain "
-            "for all leads"
-        )
-    return Severity.WARNING, (
-        "no single lead, gain or exchange explains it; check how the limb leads were exported"
+    # more than noise, delays and different filters do; leads may have gains of their own
+    severity = Severity.FATAL if before > _height(leads) / 3 else Severity.WARNING
+    return severity, (
+        "no single lead, gain or exchange explains it; export the limb leads again, in mV with one "
+        f"gain, or go on with two of them: --leads {','.join([*names[:2], *CHEST_LEADS])}"
     )
 
 
@@ -202,8 +184,7 @@ def _limit_of(leads: Floats) -> float:
 def _without(k: int, leads: Floats, zeros: Floats) -> float:
     """Worst misfit (mV) when lead k is left out or, where too few remain, has the best gain."""
     if len(leads) > 3:
-        # relations in which the lead no longer occurs
-        pivot = int(np.argmax(np.abs(zeros[:, k])))
+        pivot = int(np.argmax(np.abs(zeros[:, k])))  # of the relations in which the lead occurs
         free = zeros - np.outer(zeros[:, k] / zeros[pivot, k], zeros[pivot])
         return float(_misfits(leads, np.delete(free, pivot, axis=0)).max())
     changed = leads.copy()
@@ -216,21 +197,6 @@ def _gain(k: int, leads: Floats, zeros: Floats) -> float:
     part = zeros[:, k, None] * leads[k]
     other_terms = zeros @ leads - part
     return float(-(part * other_terms).sum() / max((part * part).sum(), np.finfo(float).tiny))
-
-
-def _factors(leads: Floats, zeros: Floats) -> Floats | None:
-    """Positive factors (m, 1) of all leads that make the relations hold best, if they are clear."""
-    size = np.sqrt((leads**2).mean(axis=1))
-    if not size.all():
-        return None
-    unit = leads / size[:, None]
-    # the squared misfits as a quadratic form of the factors
-    values, vectors = np.linalg.eigh((zeros.T @ zeros) * (unit @ unit.T))
-    factors = vectors[:, 0] / size
-    factors = factors if factors.sum() > 0 else -factors
-    if factors.min() <= 0 or values[1] * REMAINING <= values[0]:
-        return None
-    return np.asarray(factors / np.exp(np.log(factors).mean()))[:, None]
 
 
 def check_reversal(recording: Recording, peaks: Integers, paced: bool = False) -> CheckResult:
@@ -248,9 +214,7 @@ def check_reversal(recording: Recording, peaks: Integers, paced: bool = False) -
     check = Check("lead reversal, I and II against V6", "", -0.4)
     rate = recording.sampling_rate
     median = _median_beat(recording, peaks)
-    lateral = [
-        row for row in (LEADS.index("V6"), LEADS.index("V5")) if np.isfinite(median[row]).all()
-    ]
+    lateral = [row for row in (11, 10) if np.isfinite(median[row]).all()]  # V6, or else V5
     if not lateral or not np.isfinite(median[:2]).all():
         message = "not checked: needs leads I, II and V6 or V5, and two beats"
         return check.result(np.nan, message, Severity.FINE)
@@ -266,9 +230,8 @@ def check_reversal(recording: Recording, peaks: Integers, paced: bool = False) -
         return check.result(-1.0, message)
     reference = median[lateral[0]]
     waves = (-0.26, -0.10), (-0.06, 0.08)  # s from R: P wave and QRS
-    if (
-        paced or np.ptp(_wave(median[:2], waves[0], rate), axis=1).max() < 0.05
-    ):  # mV; half a mm on paper
+    p_wave = np.ptp(_wave(median[:2], waves[0], rate), axis=1).max()
+    if paced or p_wave < 0.05:  # mV; half a mm on paper
         why = "the rhythm is paced" if paced else "leads I and II show no P wave"
         return check.result(np.nan, f"not checked: {why}", Severity.FINE)
     correlations = _likeness(median[:2], reference, waves, rate)
@@ -307,15 +270,12 @@ def _median_beat(recording: Recording, peaks: Integers) -> Floats:
 
 def _likeness(
     leads: Floats, reference: Floats, waves: Sequence[tuple[float, float]], rate: float
-) -> list[float]:
+) -> Floats:
     """Mean of the correlations of leads with another, in two `waves` of median beats (n,)."""
-    likeness = [0.0] * len(leads)
-    for wave in waves:
-        shapes = _wave(np.vstack([leads, reference]), wave, rate)
-        for k, shape in enumerate(shapes[:-1]):
-            scale = float(np.linalg.norm(shape) * np.linalg.norm(shapes[-1]))
-            likeness[k] += float(shape @ shapes[-1]) / scale / 2 if scale > 0 else 0.0
-    return likeness
+    with np.errstate(invalid="ignore"):  # of flat leads
+        shapes = (_wave(np.vstack([leads, reference]), wave, rate) for wave in waves)
+        correlations = [np.atleast_2d(np.corrcoef(shape))[-1, :-1] for shape in shapes]
+    return np.asarray(np.nan_to_num(correlations).mean(axis=0))
 
 
 def _wave(leads: Floats, wave: tuple[float, float], rate: float) -> Floats:
@@ -323,5 +283,5 @@ def _wave(leads: Floats, wave: tuple[float, float], rate: float) -> Floats:
     edge = max(round(0.01 * rate), 1)
     start, stop = (round((0.26 + end) * rate) for end in wave)
     x = leads[:, start : stop + 1]
-    x = x - np.linspace(x[:, :edge].mean(axis=1), x[:, -edge:].mean(axis=1), x.shape[1], axis=1)
-    return np.asarray(x - x.mean(axis=1, keepdims=True))
+    ends = x[:, :edge].mean(axis=1), x[:, -edge:].mean(axis=1)
+    return np.asarray(x - np.linspace(*ends, x.shape[1], axis=1))

@@ -15,37 +15,17 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.ranges import check_kind, short_repr
-from fascicle.recording.beats import (
-    AlignedBeats,
-    DetectedBeat,
-    by_name,
-    combine,
-    cut_beats,
-    select_beats,
-)
+from fascicle.recording import quality, window
+from fascicle.recording.beats import AlignedBeats, DetectedBeat, combine, cut_beats, select_beats
 from fascicle.recording.choices import TargetOptions, check_window
 from fascicle.recording.detection import magnitude
 from fascicle.recording.filter_estimate import passed_filters
 from fascicle.recording.filters import TARGET_RATE, Filter, resample
 from fascicle.recording.lead_groups import LeadGroup, complete_in, lead_groups, stretches
 from fascicle.recording.limb_leads import check_identities, check_reversal
-from fascicle.recording.quality import (
-    CheckResult,
-    Severity,
-    check_leads,
-    check_mean_beat,
-    check_recording,
-    listed,
-)
 from fascicle.recording.recording import MissingMetadataError, Recording
 from fascicle.recording.spikes import find_spikes, remove_spikes
 from fascicle.recording.target import Target
-from fascicle.recording.window import (
-    NoQrsError,
-    qrs_window,
-    smoothing_against_ringing,
-    window_uncertainty,
-)
 
 
 @dataclass(frozen=True)
@@ -87,7 +67,7 @@ class Analysis:
     beats: tuple[DetectedBeat, ...]
     classes: tuple[BeatClass, ...]
     spikes: Floats
-    findings: tuple[CheckResult, ...]
+    findings: tuple[quality.CheckResult, ...]
     target: Target
     chosen: str
 
@@ -161,13 +141,13 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
     options = choices if choices is not None else TargetOptions()
     source, rate = recording.source, recording.sampling_rate
     complete = {lead: x for lead, x in recording.additional.items() if np.isfinite(x).all()}
-    findings = check_leads(replace(recording, additional=complete))
+    findings = quality.check_leads(replace(recording, additional=complete))
     _refuse(findings, recording)
     spikes = find_spikes(recording.signal, rate)
-    clean = recording
-    if len(spikes):
-        more = {lead: remove_spikes(x[None], spikes)[0] for lead, x in recording.additional.items()}
-        clean = replace(recording, signal=remove_spikes(recording.signal, spikes), additional=more)
+    signals = np.array([*recording.signal, *recording.additional.values()])
+    signals = remove_spikes(signals, spikes, rate)
+    more = dict(zip(recording.additional, signals[len(LEADS) :], strict=True))
+    clean = replace(recording, signal=signals[: len(LEADS)], additional=more)
     try:
         groups = lead_groups(clean, spikes, options)
         recording = _with_beats_checked(recording, groups)
@@ -177,7 +157,7 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
         checked = replace(clean, additional={lead: clean.additional[lead] for lead in complete})
         reversal = check_reversal(checked, r_peaks, paced=len(spikes) > 0)
         findings += (*check_identities(checked), reversal)
-        findings += check_recording(checked, r_peaks, filters)
+        findings += quality.check_recording(checked, r_peaks, filters)
         _refuse(findings, recording)
         by_group, label = select_beats(groups, options, source)
         pairs = zip(groups, by_group, strict=True)
@@ -186,11 +166,11 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
         )
         beats = tuple(beat for group_beats in by_group for beat in group_beats)
         target = _target(recording, aligned, beats, options, label, filters)
-    except NoQrsError as error:
+    except window.NoQrsError as error:
         raise InputError(
             f"{source}: {error}; leave bad leads out by --leads, or give a cleaner recording"
         ) from error
-    findings += check_mean_beat(target.qrs[: len(LEADS)], recording.simultaneous)
+    findings += quality.check_mean_beat(target.qrs[: len(LEADS)], recording.simultaneous)
     analysis = Analysis(
         recording=recording,
         signal=_recorded_signal(recording),
@@ -206,13 +186,13 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
     return analysis
 
 
-def _refuse(findings: Sequence[CheckResult], recording: Recording) -> None:
+def _refuse(findings: Sequence[quality.CheckResult], recording: Recording) -> None:
     """Raise the first finding that forbids a target, with the corrections that may be the fault."""
     notes = recording.provenance
     done = [f"{name} {notes[name]}" for name in ("inverted", "swapped") if name in notes]
     note = f" (after your options: {', '.join(done)}; they may be the fault)" if done else ""
     for finding in findings:
-        if finding.severity is Severity.FATAL:
+        if finding.severity is quality.Severity.FATAL:
             raise InputError(f"{recording.source}: {finding.message}{note}")
 
 
@@ -243,32 +223,28 @@ def _check_amplitude(recording: Recording, height: float) -> list[str]:
     percentiles of R and S are up to 3 mV in a lead (P. R. Rijnbeek et al., J. Electrocardiol.
     47:914, 2014), and hypertrophy adds to that.
     """
-    usual_range = (0.5, 5.0)  # mV, of a person
-    likely_range = (0.3, 6.0)  # mV; outside, gain or unit may be wrong, and the user is asked
-    possible, likely, usual = (
-        low <= height <= high for low, high in ((0.05, 20.0), likely_range, usual_range)
-    )
-    if not possible:
+    if not 0.05 <= height <= 20.0:
         raise InputError(
             f"{recording.source}: the largest lead spans {height:.3g} mV in one beat, expected "
             "0.05 to 20 mV; correct the unit or the gain of the file"
         )
-    if usual or not recording.from_file:
+    if 0.5 <= height <= 5.0 or not recording.from_file:
         return []
-    if not likely and not recording.amplitude_stated:
+    # gain or unit may be wrong
+    if not (0.3 <= height <= 6.0 or recording.amplitude_stated):
         gains, gain = recording.digits_per_millivolt, ""
         if gains is not None and np.isfinite(gains).any():
             gain = f" (--shared-gain --digits-per-mv, in place of {np.nanmedian(gains):g})"
         raise MissingMetadataError(
             f"{recording.source}: the QRS spans {height:.2g} mV in its largest lead, that of a "
-            f"person {likely_range[0]:g} to {likely_range[1]:g} mV; correct the gain{gain}, or "
-            "confirm the unit that the file states by --unit",
+            f"person 0.3 to 6 mV; correct the gain{gain}, or confirm the unit that the file states "
+            "by --unit",
             "unit",
         )
-    size = "low" if height < usual_range[0] else "high"
+    size = "low" if height < 0.5 else "high"
     return [
-        f"{size} voltage: the QRS spans {height:.2g} mV in its largest lead, usually "
-        f"{usual_range[0]:g} to {usual_range[1]:g} mV; are unit and gain right?"
+        f"{size} voltage: the QRS spans {height:.2g} mV in its largest lead, usually 0.5 to 5 mV; "
+        "are unit and gain right?"
     ]
 
 
@@ -301,7 +277,7 @@ def _recorded_signal(recording: Recording) -> Floats:
 def _classes(groups: Sequence[LeadGroup]) -> tuple[BeatClass, ...]:
     counts = Counter(label for group in groups for label in group.labels)
     first = {label: group for group in reversed(groups) for label in group.labels}
-    labels = sorted(counts, key=by_name)
+    labels = sorted(sorted(counts), key=len)  # Z before A2
     return tuple(BeatClass(label, counts[label], first[label].describe(label)) for label in labels)
 
 
@@ -325,7 +301,7 @@ def _target(
         raise InputError(
             f"{source}: {count} beats show how they vary; --noise is for a single beat"
         )
-    smoothing = smoothing_against_ringing(filters)
+    smoothing = window.smoothing_against_ringing(filters)
     onset, offset, onset_sd, offset_sd = _window(aligned, smoothing, options, source)
     intervals = [beat.interval for beat in beats if math.isfinite(beat.interval)]
     notes = {
@@ -365,7 +341,7 @@ def _window(
 
     A stated end has an SD of 0; a detected one with an SD of more than 40 ms is refused.
     """
-    first, last = qrs_window(aligned.mean, aligned.not_before, smoothing)
+    first, last = window.qrs_window(aligned.mean, aligned.not_before, smoothing)
     time = aligned.time
     start = float(time[first]) if options.onset is None else float(options.onset)
     end = float(time[last]) if options.offset is None else float(options.offset)
@@ -380,9 +356,9 @@ def _window(
             f"{source}: QRS window {start:g} to {end:g} ms leaves the beat, which spans "
             f"{time[0]:g} to {time[-1]:g} ms from the R peak; give an onset and offset inside"
         )
-    uncertainties = window_uncertainty(aligned.beats, aligned.not_before, options.noise, smoothing)
+    sds = window.window_uncertainty(aligned.beats, aligned.not_before, options.noise, smoothing)
     deviations = []
-    for name, sd in zip(("onset", "offset"), uncertainties, strict=True):
+    for name, sd in zip(("onset", "offset"), sds, strict=True):
         by_user = getattr(options, name) is not None
         deviations.append(0.0 if by_user else math.hypot(sd, aligned.alignment_sd))
         if deviations[-1] > 40.0:
@@ -395,20 +371,26 @@ def _window(
 
 def _warnings(analysis: Analysis, options: TargetOptions) -> list[str]:
     recording, target, beats = analysis.recording, analysis.target, analysis.beats
-    warned = [finding for finding in analysis.findings if finding.severity is Severity.WARNING]
-    warnings = [finding.message for finding in warned if finding.message]
+    severe = quality.Severity.WARNING
+    warnings = [found.message for found in analysis.findings if found.severity is severe]
     if not recording.simultaneous:
         middles = [(first + stop) // 2 for first, stop in stretches(recording)]
         strips = np.array(LEADS)[np.isfinite(recording.signal[:, middles]).all(axis=1)]
-        how = f"by {listed(strips)}" if strips.size else "by the whole QRS, to within some 10 ms"
+        how = quality.listed(strips) if strips.size else "the whole QRS, to within some 10 ms"
         warnings.append(
             "leads were recorded one group after another: beats of different groups are put "
-            f"together, aligned {how}"
+            f"together, aligned by {how}"
         )
     warnings += recording.remarks
-    rate = target.heart_rate
-    if rate is not None and not 20.0 <= rate <= 300.0:
-        warnings.append(f"{rate:.0f} beats per minute; is the sampling rate right?")
+    rate, qrs = target.heart_rate, target.qrs_duration
+    # Of the adults of PTB-XL none has a QRS below 75 ms.
+    too_fast = rate is not None and (rate > 300.0 or (rate > 90.0 and qrs < 65.0))
+    if rate is not None and (too_fast or rate < 20.0):
+        warnings.append(
+            f"{rate:.0f} beats per minute with a QRS of {qrs:.0f} ms: the sampling rate "
+            f"({recording.sampling_rate:g} Hz) may be too {'high' if too_fast else 'low'}; compare "
+            "it with the recorder's"
+        )
     if len(target.beats) == 2:
         warnings.append("two beats show little of how beats vary; give a longer recording")
     alike = sum(beat.label == analysis.chosen for beat in beats)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
 from itertools import combinations, pairwise
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import butter, sosfiltfilt, welch
+from scipy.signal import welch
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import CHEST_LEADS, LEADS, LIMB_LEADS
@@ -84,13 +84,20 @@ class LeadCheck(Check):
     message: str  # with {leads} for those over the limit and {largest} for the largest figure
     advice: str  # what the user should do
     refused: float = math.inf  # limit beyond which a lead cannot be used, unless all are
+    mains: float | None = None  # Hz; frequency of the notch that would help
 
-    def of(self, recording: Recording) -> CheckResult:
-        """Outcome in a recording."""
+    def of(self, recording: Recording, notch: Filter | None = None) -> CheckResult:
+        """Outcome in a recording, of which the `notch` that the user asked for is to be applied."""
         rate, leads = recording.sampling_rate, measured(recording) | recording.additional
+        advice = self.advice
+        if notch is not None and notch.frequency == self.mains:
+            notch = replace(notch, sampling_rate=rate)
+            leads = {lead: notch.apply(values) for lead, values in leads.items()}
+        elif self.mains is not None:
+            advice = f"take it away by --notch {self.mains:g}, or {advice}"
         figures = {lead: self.figure(values, rate) for lead, values in leads.items()}
         largest = max(figures.values())
-        named, advice = [lead for lead in figures if figures[lead] > self.limit], self.advice
+        named = [lead for lead in figures if figures[lead] > self.limit]
         lost, severity = [lead for lead in named if figures[lead] > self.refused], Severity.WARNING
         if lost and len(lost) < len(figures):
             named, severity = lost, Severity.FATAL
@@ -111,7 +118,9 @@ def check_recording(
     The fine outcomes are returned, too. The recording is without pacing spikes, its R peaks are at
     the samples `peaks` (n_beats,), and it has passed the `filters`.
     """
-    results = (check.of(recording) for check in LEAD_CHECKS)
+    applied = (filter_ for filter_ in filters if filter_.origin is FilterOrigin.APPLIED)
+    notch = next((filter_ for filter_ in applied if filter_.kind is FilterKind.NOTCH), None)
+    results = (check.of(recording, notch) for check in LEAD_CHECKS)
     return (*results, _check_lowpass(recording, peaks, filters))
 
 
@@ -190,20 +199,17 @@ def _check_lowpass(recording: Recording, peaks: Integers, filters: Sequence[Filt
     # for adults, of P. Kligfield et al., Recommendations for the standardization and interpretation
     # of the electrocardiogram, part I, Circulation 115:1306 (2007)
     check = Check("recorder's low-pass", "Hz", 150.0)
-    lowpasses = (filter_ for filter_ in filters if filter_.kind is FilterKind.LOW_PASS)
-    lowpass = next(
-        (filter_ for filter_ in lowpasses if filter_.origin is not FilterOrigin.APPLIED), None
-    )
+    own, kind = FilterOrigin.APPLIED, FilterKind.LOW_PASS
+    lowpass = next((f for f in filters if f.kind is kind and f.origin is not own), None)
     if lowpass is None:
         return check.result(math.nan)
     messages = []
     if lowpass.frequency < check.limit:
         much = "strongly " if lowpass.frequency <= 40.0 else ""  # Hz; small deflections vanish
-        source = (
-            ", estimated from the spectrum," if lowpass.origin is FilterOrigin.ESTIMATED else ""
-        )
+        guessed = lowpass.origin is FilterOrigin.ESTIMATED
         messages.append(
-            f"the recorder's low-pass at {lowpass.frequency:.3g} Hz{source} {much}smooths the QRS "
+            f"the recorder's low-pass at {lowpass.frequency:.3g} Hz"
+            f"{', estimated from the spectrum,' * guessed} {much}smooths the QRS "
             f"({check.limit:g} Hz are recommended); export the recording unfiltered"
         )
     if lowpass.origin is FilterOrigin.STATED:
@@ -214,8 +220,7 @@ def _check_lowpass(recording: Recording, peaks: Integers, filters: Sequence[Filt
         ):
             messages.append(
                 f"the spectrum shows a low-pass at {estimate.frequency:.3g} Hz of order "
-                f"{estimate.shape:.2g}, not one at {lowpass.frequency:.3g} Hz of order "
-                f"{lowpass.shape:.2g}, as --recorder-lowpass is taken: it rings, and the QRS is "
+                f"{estimate.shape:.2g}, not that of --recorder-lowpass: it rings, and the QRS is "
                 "marked too wide unless that option is left out"
             )
     return check.result(lowpass.frequency, "; ".join(messages))
@@ -251,19 +256,6 @@ def _interference(values: Floats, rate: float, mains: float) -> float:
     return 1e3 * float(np.sqrt(power))
 
 
-def _wander(values: Floats, rate: float) -> float:
-    """Peak-to-peak amplitude (mV), 1st to 99th percentile, of one lead below 0.5 Hz.
-
-    Below that frequency an ECG has no content (AHA/ACC/HRS, Circulation 115:1306, 2007).
-    """
-    x, coarse_rate = coarse(values, rate)
-    low = butter(2, 0.5, fs=coarse_rate, output="sos")
-    pad = min(len(x) - 1, round(2 * coarse_rate / 0.5))
-    slow = sosfiltfilt(low, x - np.median(x), padtype="even", padlen=pad)
-    below, above = np.percentile(slow, (1.0, 99.0))
-    return float(above - below)
-
-
 def _resolution(values: Floats, rate: float) -> float:
     """Smallest difference between distinct (n,) values (uV); 0 where all are the same."""
     gaps = np.diff(np.unique(values[:: max(len(values) // 100_000, 1)]))
@@ -285,7 +277,7 @@ def _clipped(values: Floats, rate: float) -> float:
     steps = np.abs(np.diff(values, prepend=values[0], append=values[-1]))
     # A digit is the smallest step that is common: between digits lies what replaced a spike.
     sizes, counts = np.unique(np.round(steps[steps > 1e-7], 7), return_counts=True)
-    steep = 4.0 * float(sizes[counts >= 0.1 * counts.max()][0])
+    steep = 4.0 * float(sizes[counts >= 0.25 * counts.max()][0])
     count = 0
     for extreme in (values.min(), values.max()):
         if abs(extreme - middle) < 0.5 * furthest:
@@ -315,14 +307,9 @@ LEAD_CHECKS = (
             f"power-line interference, {mains:g} Hz", "uV", 25.0,  # a quarter of a mm on paper
             partial(_interference, mains=mains),
             f"power-line interference at {mains:g} Hz in {{leads}} (up to {{largest:.0f}} uV)",
-            f"take it away by --notch {mains:g}, or record again away from the power line",
+            "record again away from the power line", mains=mains,
         )
         for mains in MAINS
-    ),
-    LeadCheck(
-        "baseline wander", "mV", 1.0, _wander,  # 10 mm on paper; every beat is detrended anyway
-        "the baseline of {leads} wanders (up to {largest:.2f} mV peak to peak)",
-        "look at the beats, or record again at rest",
     ),
     LeadCheck(
         "amplitude resolution", "uV", 20.0, _resolution,  # recorders store 5 uV or finer

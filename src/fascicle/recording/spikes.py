@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import find_peaks
 
 from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.core.leads import LEADS
 
 
 def find_spikes(signal: Floats, sampling_rate: float) -> Integers:
@@ -65,15 +67,20 @@ def find_spikes(signal: Floats, sampling_rate: float) -> Integers:
     spikes = _extents(signal, tops, reach)
     # spikes that are accepted even where there are only one or two
     striking = (best[tops] > 0.2) & (prominence[tops] > 10.0**2 * surroundings[tops])  # mV
-    without = remove_spikes(signal, spikes)
+    without = remove_spikes(signal, spikes, sampling_rate)
     return spikes[_given_by_a_pacemaker(without, tops, patterns, striking, reach)]
 
 
-def remove_spikes(signal: Floats, spikes: Integers) -> Floats:
-    """Signal (12, n) with a straight line across each spike (k, 2), in every recorded lead."""
-    without = signal.copy()
-    for first, stop in spikes:
-        before, after = max(int(first) - 1, 0), min(int(stop), signal.shape[1] - 1)
+def remove_spikes(signal: Floats, spikes: Integers, sampling_rate: float) -> Floats:
+    """Signal (12 + k, n) with a straight line across each spike (m, 2), in every recorded lead.
+
+    What rings after it, or a second spike within 5 ms, is taken out with it.
+    """
+    without, reach = signal.copy(), max(math.ceil(0.005 * sampling_rate), 2)  # s
+    bends = _bends(signal[: len(LEADS)])  # additional leads decide nothing
+    for (first, end), following in pairwise([*spikes.tolist(), [signal.shape[1]] * 2]):
+        stop = max(end, min(_end_of_ringing(bends, end, reach), following[0]))
+        before, after = max(first - 1, 0), min(stop, signal.shape[1] - 1)
         share = np.linspace(0, 1, after - before + 1)
         ends = without[:, [before, after]]
         line = ends[:, :1] + share * (ends[:, 1:] - ends[:, :1])
@@ -214,19 +221,36 @@ def _before_beats(after: Floats, usual: float, striking: Booleans) -> Booleans:
     return np.asarray((energy > 0.3 * usual) & shared)
 
 
+def _bends(signal: Floats) -> Floats:
+    """Largest second difference (mV) over the leads (12, n) at each sample but the outermost."""
+    bends = np.abs(np.diff(signal, 2, axis=1))
+    return np.pad(np.fmax.reduce(bends, axis=0, initial=0.0), 1)
+
+
+def _end_of_ringing(bends: Floats, stop: int, reach: int) -> int:
+    """Sample after `stop` up to which the leads bend more than a QRS, four reaches at most."""
+    limit = 1.0 / reach**2  # 0.04 mV/ms²: ringing of 0.05 mV at 150 Hz
+    for start in range(stop, stop + 4 * reach, reach):
+        ringing = np.flatnonzero(bends[start : start + reach] > limit)
+        if not ringing.size:
+            break
+        stop = start + int(ringing[-1]) + 1
+    return stop
+
+
 def _extents(signal: Floats, tops: Integers, reach: int) -> Integers:
-    """First sample of each spike, where any lead leaves a line, and the one after its last."""
-    spikes = []
+    """First sample of each spike, where any lead leaves a line, and the one after its last.
+
+    It rings until then, unless a second spike follows at once, of another chamber.
+    """
+    bends, spikes = _bends(signal), []
     for top in tops:
         before, after = max(int(top) - reach, 0), min(int(top) + reach, signal.shape[1] - 1)
         piece = signal[:, before : after + 1]
         share = np.linspace(0, 1, after - before + 1)
         away = np.abs(piece - piece[:, :1] - share * (piece[:, -1:] - piece[:, :1]))
         inside = np.flatnonzero((away > 0.03).any(axis=0))  # mV
-        stop = before + int(inside[-1]) + 1
-        # steps between samples of the ringing
-        steps = np.abs(np.diff(signal[:, stop - 1 : stop + reach], axis=1))
-        ringing = np.flatnonzero((steps > 0.02).any(axis=0))  # mV
-        stop += int(ringing[-1]) + 1 if ringing.size else 0
-        spikes.append((before + int(inside[0]), stop))
+        first, stop = before + int(inside[0]), before + int(inside[-1]) + 1
+        second = bends[stop : stop + 4 * reach].max(initial=0.0) > 0.3 * bends[first:stop].max()
+        spikes.append((first, stop if second else _end_of_ringing(bends, stop, reach)))
     return np.array(spikes, dtype=np.int64).reshape(-1, 2)

@@ -171,10 +171,8 @@ def _attributes(target: Target) -> dict[str, str | float | int]:
             "their standard deviations are 0 where the user has given them. 'earliest_onset_ms', "
             "of paced beats, is the end of the pacing spike. Attributes that begin with "
             "'provenance_' say where the beats came from and what was chosen. 'filters' lists (as "
-            "JSON) what the potentials have passed: the kind of each filter, its frequency "
-            "(cut-off, or middle of a notch), the order of a low-pass (Butterworth) or the quality "
-            "factor of a notch, how it is known, and the sampling rate of a digital one that was "
-            "run forward and backward (null: an analogue one, run once)."
+            "JSON) what the potentials have passed: Butterworth low-passes and notches; one with a "
+            "sampling rate is digital and was run forward and backward, others analogue, run once."
         ),
         "filters": json.dumps(filters),
         "qrs_duration_ms": float(target.qrs_duration),

@@ -175,7 +175,7 @@ def _marks(signal: Floats, not_before: int, smoothing: float) -> _Marks:
         high = _highest(velocity.speed(search.turning))
         # mV/ms from which the leads are not at rest
         level = float(np.clip(0.001, 0.005 * high, 0.04 * high))
-        isoelectric = _isoelectric_from(moving, start, search, level)
+        isoelectric = _isoelectric_from(moving, start, search, level, max(first - search.trend, 0))
         away = _away_from_segment(outward, isoelectric, search, smoothing)
         noise = np.sqrt((away[:, isoelectric : isoelectric + search.trend] ** 2).mean(axis=1))
         least = np.maximum(visible, 3.0 * np.maximum(noise, np.median(noise)))
@@ -333,8 +333,13 @@ def _core_of(leads: Floats, paced: bool) -> tuple[int, int]:
     )
 
 
-def _isoelectric_from(velocity: _Velocity, core: int, search: _Search, level: float) -> int:
-    """First sample after the core from which the leads follow the straight line of the segment."""
+def _isoelectric_from(
+    velocity: _Velocity, core: int, search: _Search, level: float, rest: int
+) -> int:
+    """First sample after the core from which the leads follow the straight line of the segment.
+
+    An ST segment that is elevated from the level at the sample `rest` need not be straight.
+    """
     speed = velocity.speed(search.turning)
     end = core + _slow_after(speed, core, level, search.reach)
     if search.sloping and end - core >= 2:
@@ -343,6 +348,10 @@ def _isoelectric_from(velocity: _Velocity, core: int, search: _Search, level: fl
         t_wave = speed[slowest:end].max()
         if 1.2 * speed[slowest] < t_wave < 0.06 * _highest(speed):
             end = slowest
+        elevation = 300.0 * level  # 0.3 mV; less moves the J point of normal ECGs
+        j_point = _j_point(velocity.slope[:, rest : end + 1], core - rest, elevation)
+        if j_point is not None:
+            return rest + j_point
     start = end + 5  # nearer, the slope of the QRS is smoothed in
     beyond = velocity.slope[:, start : start + search.trend]
     if not beyond.shape[1]:
@@ -352,6 +361,24 @@ def _isoelectric_from(velocity: _Velocity, core: int, search: _Search, level: fl
         trend = np.clip(trend, -0.3 * level, 0.3 * level)
     relative = velocity.speed(search.turning, trend)
     return core + _slow_after(relative, core, level, search.reach)
+
+
+def _j_point(slope: Floats, core: int, elevation: float) -> int | None:
+    """Sample after the core at which an elevated ST segment begins; None without one.
+
+    Slopes (k, n), mV/ms, are those from rest to the end of the QRS. In the segment all leads go on
+    away from rest in one direction, to an `elevation` (mV, root sum of squares) at least, and slow
+    down by less than a factor e in 15 ms. A QRS ends on the other side or faster.
+    """
+    away, slope = slope.cumsum(axis=1)[:, core:], slope[:, core:]
+    speed, trend = np.linalg.norm(slope, axis=0), slope[:, -10:].mean(axis=1)
+    last = max(float(np.linalg.norm(trend)), np.finfo(float).tiny)
+    before = np.maximum(np.arange(len(speed))[::-1] - 4.5, 0)  # ms, from the middle of the trend
+    elevated = trend @ away / last
+    in_segment = (elevated >= 0) & (trend @ slope >= 0.9 * speed * last)
+    in_segment &= speed <= 1.1 * last * np.exp(before / 15)
+    length = int(np.argmin(np.append(in_segment[::-1], False)))
+    return core + len(speed) - length if length > 15 and elevated[-1] >= elevation else None
 
 
 def _slow_after(speed: Floats, core: int, level: float, reach: int) -> int:

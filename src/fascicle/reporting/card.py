@@ -34,7 +34,7 @@ def card(shown: object) -> str:
     """HTML view of an object: a table of facts with a picture."""
     facts, figure = _facts(shown)
     rows = "".join(
-        f'<tr><th style="text-align:left">{escape(name)}</th>'
+        f'<tr><th scope="row" style="text-align:left">{escape(name)}</th>'
         f'<td style="text-align:left;overflow-wrap:anywhere">{escape(str(fact))}</td></tr>'
         for name, fact in facts.items()
     )

@@ -310,8 +310,8 @@ def _read(folder: Path) -> StudyConfig:
     if version != STUDY_FORMAT:
         raise InputError(
             f"{path}: a study of format {version}, made by another version of fascicle, with which "
-            f"losses cannot be compared (this one has format {STUDY_FORMAT}); fit it again: "
-            f"{remedy}"
+            f"losses cannot be compared (this one has format {STUDY_FORMAT}); fit it again into "
+            f"another folder, or read it with the version that made it"
         )
     try:
         return StudyConfig.model_validate_json(text)
@@ -331,8 +331,11 @@ def check_same(folder: Path, stored: StudyConfig, now: StudyConfig) -> None:
             f"'{now.growth_term}'; give fascicle.fit or fascicle.load_study the same rules="
         )
     before, after = _identity(stored), _identity(now)
+    digests = ("heart", "target", "other targets", "scenarios")
     different = [
-        f"{name}: there {before.get(name, 'none')}, now {after.get(name, 'none')}"
+        f"of another {name}"
+        if name in digests
+        else f"{name}: there {before.get(name, 'none')}, now {after.get(name, 'none')}"
         for name in before | after
         if before.get(name) != after.get(name)
     ]

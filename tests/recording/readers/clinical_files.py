@@ -160,6 +160,18 @@ def mortara(digits) -> bytes:
     return f'<?xml version="1.0"?><ECG VENT_RATE="60">{source}{channels}</ECG>'.encode()
 
 
+def cardiosoft(digits) -> bytes:
+    """CardioSoft XML of 5 uV a digit at 500 Hz, with an averaged beat."""
+    about = '<SampleRate units="Hz">500</SampleRate><Resolution units="uVperLsb">5</Resolution>'
+    leads = "".join(
+        f'<WaveformData lead="{name}">{",".join(map(str, row))}\n\t</WaveformData>'
+        for name, row in zip(INDEPENDENT_LEADS, digits, strict=True)
+    )
+    beat, rhythm = (f"<{kind}>{about}{leads}</{kind}>" for kind in ("MedianSamples", "StripData"))
+    head = '<?xml version="1.0" encoding="ISO-8859-1"?>'
+    return f"{head}<CardiologyXML>{beat}{rhythm}</CardiologyXML>".encode()
+
+
 def philips(beat, *, rate="") -> str:
     """Philips XML of representative beats alone, of 5 uV a digit at 500 Hz."""
     beats = "".join(

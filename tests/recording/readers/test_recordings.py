@@ -14,6 +14,7 @@ from fascicle.core.leads import LEADS, lead_matrix
 from fascicle.recording.readers.formats import READERS, Reader, reader_of, register_reader
 from fascicle.recording.readers.read import Channel, RawRecording, read_recording
 
+XML = "HL7 aECG, GE MUSE or CardioSoft, Philips, Mortara or Schiller XML"
 DOCS = Path(__file__).resolve().parents[3] / "docs"
 
 
@@ -34,8 +35,7 @@ def test_content_counts_before_the_name(tmp_path, dicom, name):
 @pytest.mark.parametrize(
     ("start", "format"),
     [
-        (b"<?xml version='1.0'?><a/>", "HL7 aECG, GE MUSE, Philips, Mortara or Schiller XML"),
-        (b"\xef\xbb\xbf<AnnotatedECG/>", "HL7 aECG, GE MUSE, Philips, Mortara or Schiller XML"),
+        (b"<?xml version='1.0'?><a/>", XML), (b"\xef\xbb\xbf<AnnotatedECG/>", XML),
         (b"0       " + 300 * b" ", "EDF"), (16 * b"\0" + b"SCPECG" + 40 * b"\0", "SCP-ECG"),
         (b"MATLAB 5.0 MAT-file" + 500 * b" ", "MATLAB"), (b"\x89HDF\r\n\x1a\n\0", "HDF5"),
         (b"ISHNE1.0\0", "ISHNE"), (b"time_ms,I_mV", "table"),
@@ -65,6 +65,7 @@ def test_paths_that_are_no_files(tmp_path):
     (tmp_path / "a.hea").mkdir()
     refused(tmp_path / "a.hea", "is not an ordinary file")
     refused(tmp_path / "none.hea", "no such file")
+    refused(Path("https://physionet.org/rec.hea"), "no such file")
     (tmp_path / "loop.csv").symlink_to(tmp_path / "loop.csv")
     refused(tmp_path / "loop.csv", "no such file")
     os.mkfifo(tmp_path / "pipe.csv")

@@ -76,7 +76,7 @@ class TestSignal:
             ("a.xml", files.aecg, 2.5e-3, None),
             ("a.xml", lambda d: files.aecg(d, scale=("2500", "nV")), 2.5e-3, None),
             ("a.xml", files.mortara, 5e-3, None), ("a.ecg", files.ishne, 5e-3, None),
-            ("a.mwf", files.mfer, 5e-3, None),
+            ("a.mwf", files.mfer, 5e-3, None), ("a.xml", files.cardiosoft, 5e-3, None),
         ],
     )  # fmt: skip
     def test_of_each_format(self, tmp_path, digits, name, write, scale, filters):

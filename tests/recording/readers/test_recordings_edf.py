@@ -11,8 +11,6 @@ from fascicle.recording.recording import Filters
 
 RANGE = 5000.0  # uV; 16 bits resolve 0.15 uV of it
 DIGIT = 2 * RANGE / 65535 / 1000  # mV
-# Byte offsets of the fields of a signal, times the number of signals
-PHYSICAL_MIN, PHYSICAL_MAX, DIGITAL_MIN = 104, 112, 120
 
 
 @pytest.fixture
@@ -30,15 +28,6 @@ def signals(signal, labels=LEADS, **options):
 
 def write(path, signals, annotations=None):
     edfio.Edf(signals, annotations=annotations, data_record_duration=1).write(path)
-    return path
-
-
-def patch(path, field, number, text):
-    """Change a field of one of twelve signals."""
-    data = bytearray(path.read_bytes())
-    offset = 256 + 12 * field + 8 * number
-    data[offset : offset + 8] = text.encode().ljust(8)
-    path.write_bytes(data)
     return path
 
 
@@ -83,15 +72,6 @@ def test_filters(tmp_path, signal, texts, filters):
     assert read_recording(write(tmp_path / "a.edf", made)).filters == filters
 
 
-def test_physical_range_may_run_downward(tmp_path, signal):
-    path = write(tmp_path / "a.edf", signals(signal))
-    patch(path, PHYSICAL_MIN, 0, "5000")
-    patch(path, PHYSICAL_MAX, 0, "-5000")
-    recording = read_recording(path)
-    assert recording.signal[0] == pytest.approx(-signal[0], abs=DIGIT)
-    assert recording.signal[1] == pytest.approx(signal[1], abs=DIGIT)
-
-
 def test_gaps_and_bdf_are_refused(tmp_path, signal):
     path = write(tmp_path / "a.edf", signals(signal), [edfio.EdfAnnotation(0, None, "x")])
     path.write_bytes(path.read_bytes().replace(b"EDF+C", b"EDF+D"))
@@ -104,17 +84,3 @@ def test_gaps_and_bdf_are_refused(tmp_path, signal):
     ]
     edfio.Bdf(bdf).write(path)
     refused(path, "BDF", "export")
-
-
-@pytest.mark.parametrize(
-    ("field", "value", "word"),
-    [
-        (DIGITAL_MIN, "32767", "unknown amplitude of lead aVR"),
-        (PHYSICAL_MIN, "nan", "unknown amplitude of lead aVR"),
-        (PHYSICAL_MAX, "x", "damaged"),
-    ],
-)
-def test_no_calibration(tmp_path, signal, field, value, word):
-    path = patch(write(tmp_path / "a.edf", signals(signal)), field, 3, value)
-    refused(path, word)
-    refused(path, word, unit="uV")

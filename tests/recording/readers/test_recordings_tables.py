@@ -12,6 +12,7 @@ from refusals import read_as, refused, waves
 
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
+from fascicle.recording.pipeline import make_target
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import MissingMetadataError
 
@@ -45,15 +46,6 @@ class TestUnits:
         recording = read_as(save(table(signal), tmp_path / "ecg.csv"), signal)
         assert recording.sampling_rate == 500
         assert len(recording.provenance["source_sha256"]) == 64
-
-    @pytest.mark.parametrize(
-        ("pattern", "factor"),
-        [("lead {} (µV)", 1e3), ("{}_V", 1e-3), ("{} / μV", 1e3), ("{} (Wilson) [nV]", 1e6)],
-    )
-    def test_in_the_header(self, tmp_path, signal, pattern, factor):
-        names = [pattern.format(lead.upper()) for lead in LEADS]
-        path = save(table(factor * signal, names, "time_s"), tmp_path / "a.csv")
-        assert_allclose(read_recording(path).signal, signal, rtol=0, atol=1e-9)
 
     def test_by_the_user_or_a_comment(self, tmp_path, signal):
         path = save(table(1e3 * signal, time="time_s"), tmp_path / "a.csv")
@@ -95,11 +87,15 @@ class TestNumbers:
         frame["V6_mV"] = frame["V6_mV"].str.replace(".", ",")
         refused(save(frame, tmp_path / "b.csv", sep=";"), "column 'V6_mV' holds", "decimal mark")
 
-    @pytest.mark.parametrize(("encoding", "line_end"), [("utf-16", "\r"), ("mac-roman", "\r\n")])
-    def test_encodings_and_line_ends(self, tmp_path, signal, encoding, line_end):
+    @pytest.mark.parametrize(
+        ("encoding", "first", "line_end", "end"),
+        [("utf-16", "", "\r", ""), ("mac-roman", "", "\r\n", "\r\n"),
+         ("utf-8-sig", "sep=,\n", ",\n", ""), ("utf-8", "", "\n", "\n\x1a")],
+    )  # fmt: skip
+    def test_encodings_and_line_ends(self, tmp_path, signal, encoding, first, line_end, end):
         names = [f"{lead} (µV)" for lead in LEADS]
         frame = table(1e3 * signal[:, :800], names)
-        text = frame.to_csv(index=False, lineterminator=line_end)
+        text = first + line_end.join(frame.to_csv(index=False).splitlines()) + end
         read_as(write(tmp_path / "a.csv", text, encoding), signal[:, :800])
 
     def test_text_and_holes(self, tmp_path, signal):
@@ -133,18 +129,6 @@ class TestNumbers:
 
 
 class TestTimes:
-    @pytest.mark.parametrize(
-        ("name", "per_second"),
-        [("t_ms", 1e3), ("seconds", 1), ("msec", 1e3), ("Time in s", 1),
-         ("timestamp_us", 1e6), ("Elapsed time [s]", 1), ("T (µs)", 1e6)],
-    )  # fmt: skip
-    def test_units(self, tmp_path, signal, name, per_second):
-        frame = table(signal, IN_MV, name)
-        frame[name] = np.arange(N) / RATE * per_second + 0.5 * per_second
-        recording = read_recording(save(frame, tmp_path / "a.csv"))
-        assert recording.sampling_rate == pytest.approx(500, abs=1e-5)
-        assert recording.ignored == ()
-
     def test_without_a_unit_the_rate_must_be_given(self, tmp_path, signal):
         path = save(table(signal, IN_MV, "time"), tmp_path / "a.csv")
         refused(path, "unknown unit of the time column 'time'", "sampling_rate=")
@@ -295,12 +279,38 @@ def test_no_tables(tmp_path, content):
     refused(path, sampling_rate=500.0, unit="mV")
 
 
+def test_the_text_of_the_labsystem(tmp_path, signal):
+    """Digits of 16 bits; a channel of a catheter is left out."""
+    labels = [*LEADS, "HIS 1,2"]
+    about = "Channel #: {}\r\nLabel: {}\r\nRange: 5mv \r\nLow: 0.05Hz\r\nHigh: 100Hz\r\n"
+    about += "Sample rate: .5kHz\r\nColor: 0000FF\r\nScale: -7\r\n"
+    header = "[Header]\r\nFile Type: 1\r\nVersion: 1\r\nChannels exported: 13\r\nData Format 1\r\n"
+    header += "".join(about.format(k + 1, label) for k, label in enumerate(labels))
+    digits = np.round(np.vstack([signal, signal[:1]]) / 5 * 32768).astype(int)
+    rows = "\r\n".join(",".join(map(str, row)) for row in digits.T)
+    path = write(tmp_path / "a.txt", header + "[Data]\r\n" + rows)
+    recording = read_as(path, signal, tolerance=1e-4)
+    assert (recording.sampling_rate, recording.filters.lowpass) == (500.0, 100.0)
+    assert recording.ignored == ("HIS 1,2",)
+    text = path.read_text()
+    refused(write(path, text[:-30]), "damaged", "export it again")
+    refused(write(path, text.replace(".5kHz", "1kHz", 1)), "500.0, 1000.0")
+
+
+def test_the_text_of_cardiolab_becomes_a_table(tmp_path, signal):
+    rows = [" ".join([str(k), *map(str, row)]) for k, row in enumerate(signal.T)]
+    refused(write(tmp_path / "a.txt", "\n".join(rows)), "GE CardioLab put commas for blanks")
+    names = ",".join(["sample", *IN_MV])
+    path = write(tmp_path / "a.txt", "\n".join([names, *rows]).replace(" ", ","))
+    read_as(path, signal, sampling_rate=500)
+
+
 SPELT = {lead: [lead, lead.upper(), lead.lower(), f"Lead {lead}", f"MDC_ECG_LEAD_{lead}"]
          for lead in LEADS}  # fmt: skip
 
 
 @settings(
-    max_examples=15,
+    max_examples=25,
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
@@ -312,12 +322,16 @@ def test_however_it_is_written_the_signal_is_the_same(tmp_path, data):
     separator = draw(st.sampled_from([",", ";", "\t"]))
     decimal = "." if separator == "," else draw(st.sampled_from(".,"))
     columns = {}
-    clock, scale = draw(st.sampled_from([("time_s", 1), ("t [ms]", 1e3), ("Time (us)", 1e6)]))
-    columns[clock] = np.arange(1000) * scale / RATE
+    clock, scale = draw(st.sampled_from(
+        [("time_s", 1), ("t [ms]", 1e3), ("Time (us)", 1e6), ("t_ms", 1e3), ("seconds", 1),
+         ("msec", 1e3), ("Time in s", 1), ("timestamp_us", 1e6), ("Elapsed time [s]", 1)]
+    ))  # fmt: skip
+    columns[clock] = (np.arange(1000) / RATE + draw(st.sampled_from([0.0, 0.5]))) * scale
     for lead in draw(st.permutations(LEADS)):
         row = signal[LEADS.index(lead)]
         form, factor = draw(st.sampled_from(
-            [("{}_mV", 1), ("{} [uV]", 1e3), ("{} (µV)", 1e3), ("{}/nV", 1e6), ("{} in V", 1e-3)]
+            [("{}_mV", 1), ("{} [uV]", 1e3), ("{} (µV)", 1e3), ("{}/nV", 1e6), ("{} in V", 1e-3),
+             ("{}_V", 1e-3), ("{} / µV", 1e3), ("{} (Wilson) [nV]", 1e6)]
         ))  # fmt: skip
         columns[form.format(draw(st.sampled_from(SPELT[lead])))] = factor * row
     if draw(st.booleans()):
@@ -336,9 +350,15 @@ def test_however_it_is_written_the_signal_is_the_same(tmp_path, data):
 
 def test_a_counter_of_samples_says_nothing_of_the_rate(data_folder):
     """Its 5000 samples are ten seconds at 500 Hz; read as ms, times would be half as long."""
+    path = data_folder / "cases" / "pandas_index_column.csv"
     with pytest.raises(MissingMetadataError, match="counts samples") as refused:
-        read_recording(data_folder / "cases" / "pandas_index_column.csv")
+        read_recording(path)
     assert refused.value.guess == 500.0
+    assert make_target(read_recording(path, sampling_rate=500)).warnings == ()
+    twice = make_target(read_recording(path, sampling_rate=1000)).warnings
+    assert (
+        "150 beats per minute with a QRS of 51 ms: the sampling rate (1000 Hz) may be" in twice[-1]
+    )
 
 
 def test_one_lead_of_a_watch_is_named_and_the_person_is_not(data_folder):

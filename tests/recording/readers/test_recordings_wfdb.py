@@ -10,7 +10,6 @@ import pytest
 import wfdb
 from refusals import read_as, refused, waves
 
-from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.recording.readers.read import read_recording
 
@@ -215,12 +214,6 @@ def test_odd_paths(tmp_path, monkeypatch, folder):
     refused(tmp_path / "link.hea", "no file in its folder")
     (tmp_path / "rec.dat").symlink_to(path.with_suffix(".dat"))
     assert read_recording(tmp_path / "link").signal.shape == (12, N)
-
-
-def test_addresses_are_paths():
-    for address in ("http://physionet.org/rec.hea", "s3://bucket/rec"):
-        with pytest.raises(InputError, match="no such file"):
-            read_recording(address)
 
 
 @pytest.mark.parametrize("name", ["24", "24_common"])

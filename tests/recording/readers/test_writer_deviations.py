@@ -155,6 +155,12 @@ def test_read(tmp_path, name, what):
     assert bool(said) == bool(remarks), remarks
 
 
+def test_the_range_of_edf_may_run_downward(tmp_path):
+    turned = put(256 + 8 * PHYSICAL_MAX, "-5000", data=put(256 + 8 * PHYSICAL_MIN, "5000"))
+    recording = read_recording(saved(tmp_path, "a.edf", turned))
+    assert recording.signal[:2] == pytest.approx(MV[:2] * [[-1], [1]], abs=1e-9)
+
+
 @pytest.mark.parametrize("begin", [132, 144])
 def test_dicom_without_its_beginning(tmp_path, begin):
     """Without its preamble, or all that comes before the data set."""
@@ -184,6 +190,9 @@ def test_a_rate_that_is_not_there_is_asked(tmp_path, name, content):
     [
         ("a.edf", put_all(PHYSICAL_MAX, "5,000"), "physical maximum '5,000'"),
         ("a.edf", put_all(PHYSICAL_MIN, "5000"), "unknown amplitude"),
+        ("a.edf", put_all(PHYSICAL_MIN, "nan"), "unknown amplitude"),
+        ("a.edf", put_all(PHYSICAL_MAX, "x"), "damaged"),
+        ("a.edf", put_all(DIGITAL_MIN, "32767"), "unknown amplitude of lead I"),
         ("a.edf", EDF[: HEAD + 5000], "none is complete"), ("a.edf", put(252, "7", 4), ""),
         ("rec.hea", wfdb(gain="0"), "the gain of lead I"), ("rec.hea", wfdb(gain="1,000/mV"), ""),
         ("rec.hea", wfdb("rec 9 500 2000"), "9 signals declared"),

@@ -12,18 +12,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, printable
-from fascicle.recording.readers.names import (
-    Entry,
-    additional_lead_name,
-    check_physical,
-    declared_rate,
-    declared_unit,
-    entry_of,
-    fill_values,
-    key_of,
-    lead_name,
-    name_lists,
-)
+from fascicle.recording.readers import names
 from fascicle.recording.readers.read import Channel, RawRecording
 
 if TYPE_CHECKING:
@@ -35,7 +24,7 @@ class _Array:
     """Numbers of a file, and the metadata about them alone."""
 
     numbers: Any
-    metadata: Sequence[Entry] = ()
+    metadata: Sequence[names.Entry] = ()
 
     @property
     def values(self) -> Floats:
@@ -48,7 +37,7 @@ class _Group:
     """A file, or a group or structure in it; `metadata` are its own and those of its parents."""
 
     name: str
-    metadata: list[Entry]
+    metadata: list[names.Entry]
     arrays: dict[str, _Array] = field(default_factory=dict)
     textual: list[str] = field(default_factory=list)
 
@@ -93,7 +82,7 @@ def _stored(node: h5py.Group, depth: int = 0) -> dict[str, Any]:
         if isinstance(item, h5py.Group) and depth < 4:  # deeper nesting may be circular
             members[key] = {} if key.startswith("#") else _stored(item, depth + 1)  # MATLAB's own
         elif isinstance(item, h5py.Dataset) and not item.is_virtual and not item.external:
-            entries = (entry_of(name, value) for name, value in _attributes(item).items())
+            entries = (names.entry_of(name, value) for name, value in _attributes(item).items())
             content = _content(item)
             numeric = isinstance(content, np.ndarray) and content.dtype.kind in "iuf"
             metadata = [entry for entry in entries if entry is not None]
@@ -104,7 +93,7 @@ def _stored(node: h5py.Group, depth: int = 0) -> dict[str, Any]:
 
 
 def _attributes(item: Any) -> dict[str, Any]:
-    return {key: item.attrs[key] for key in item.attrs if key_of(key) is not None}
+    return {key: item.attrs[key] for key in item.attrs if names.key_of(key) is not None}
 
 
 def _content(item: h5py.Dataset) -> Any:
@@ -120,14 +109,14 @@ def _content(item: h5py.Dataset) -> Any:
     return item[()]
 
 
-def _groups(where: str, stored: Mapping[str, Any], around: Sequence[Entry]) -> Iterator[_Group]:
+def _groups(at: str, stored: Mapping[str, Any], around: Sequence[names.Entry]) -> Iterator[_Group]:
     """Yield a file or structure, sorted into metadata and arrays, and then those inside it."""
-    group = _Group(where or "/", list(around))
+    group = _Group(at or "/", list(around))
     for key, value in stored.items():
         name, array = printable(key), value if isinstance(value, _Array) else _Array(value)
         if isinstance(value, Mapping):
             continue
-        if (entry := entry_of(name, array.numbers)) is not None:
+        if (entry := names.entry_of(name, array.numbers)) is not None:
             group.metadata.append(entry)
         elif isinstance(array.numbers, np.ndarray) and array.numbers.dtype.kind in "iuf":
             group.arrays[name] = array
@@ -136,7 +125,7 @@ def _groups(where: str, stored: Mapping[str, Any], around: Sequence[Entry]) -> I
     yield group
     for name, value in stored.items():
         if isinstance(value, Mapping):
-            yield from _groups(f"{where}/{printable(name)}", value, group.metadata)
+            yield from _groups(f"{at}/{printable(name)}", value, group.metadata)
 
 
 def _raw_recording(stored: Mapping[str, Any], path: Path, format: str) -> RawRecording:
@@ -159,41 +148,43 @@ def _raw_recording(stored: Mapping[str, Any], path: Path, format: str) -> RawRec
             f"{path}: leads in {' and '.join(list(places)[:3])}; keep one recording in the file"
         )
     ((channels, metadata),) = places.values()
-    check_physical(metadata, path)
-    return RawRecording(channels, declared_rate(metadata, path), format)
+    names.check_physical(metadata, path)
+    return RawRecording(channels, names.declared_rate(metadata, path), format)
 
 
-def _leads(group: _Group, path: Path) -> dict[str, tuple[list[Channel], list[Entry]]]:
+def _leads(group: _Group, path: Path) -> dict[str, tuple[list[Channel], list[names.Entry]]]:
     """Leads of a group and their metadata, by place: arrays named after leads, named matrices."""
     vectors, vector_metadata, places = [], list(group.metadata), {}
     for name, array in group.arrays.items():
         values, metadata = array.values, [*array.metadata, *group.metadata]
         if values.ndim == 1:
-            named = lead_name(name) or additional_lead_name(name)
-            unit = None if named is None else declared_unit(metadata, path, name)
-            vectors.append(Channel(name, values, unit, missing=fill_values(metadata)))
-            vector_metadata += [] if lead_name(name) is None else array.metadata
-        names = [n for n in name_lists(metadata) if len(n) in values.shape and _are_leads(n)]
-        if values.ndim != 2 or not names:
+            named = names.lead_name(name) or names.additional_lead_name(name)
+            unit = None if named is None else names.declared_unit(metadata, path, name)
+            vectors.append(Channel(name, values, unit, missing=names.fill_values(metadata)))
+            vector_metadata += [] if names.lead_name(name) is None else array.metadata
+        lists = [n for n in names.name_lists(metadata) if len(n) in values.shape and _are_leads(n)]
+        if values.ndim != 2 or not lists:
             continue
-        if len(set(names)) > 1 or values.shape[0] == values.shape[1]:
+        if len(set(lists)) > 1 or values.shape[0] == values.shape[1]:
             raise InputError(
                 f"{path}: lead names of '{name}' ({_size(array)}) are ambiguous; keep one list of "
                 "names, as long as one side of the matrix only"
             )
-        rows, count = values if len(names[0]) == len(values) else values.T, len(names[0])
-        units = [declared_unit(metadata, path, lead, (k, count)) for k, lead in enumerate(names[0])]
-        leads = zip(names[0], rows, units, strict=True)
-        channels = [Channel(*lead, missing=fill_values(metadata)) for lead in leads]
+        rows, count = values if len(lists[0]) == len(values) else values.T, len(lists[0])
+        units = [
+            names.declared_unit(metadata, path, lead, (k, count)) for k, lead in enumerate(lists[0])
+        ]
+        leads = zip(lists[0], rows, units, strict=True)
+        channels = [Channel(*lead, missing=names.fill_values(metadata)) for lead in leads]
         places[f"'{name}' of {group.name}"] = (channels, metadata)
     if _are_leads([vector.name for vector in vectors]):
         places[f"arrays named after leads of {group.name}"] = (vectors, vector_metadata)
     return places
 
 
-def _are_leads(names: Sequence[str]) -> bool:
+def _are_leads(spelt: Sequence[str]) -> bool:
     """True if two names at least are leads: one alone may be a variable named `i`."""
-    return sum(lead_name(name) is not None for name in names) > 1
+    return sum(names.lead_name(name) is not None for name in spelt) > 1
 
 
 def _size(array: _Array) -> str:

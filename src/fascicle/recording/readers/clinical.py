@@ -36,8 +36,8 @@ def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
 
     data = path.read_bytes()
     content, root, mends = deviations.mended(data)
-    if root is not None and root.tag.endswith("SchillerEDI"):
-        return _schiller(path, root)
+    if root is not None and root.tag.endswith(("SchillerEDI", "CardiologyXML")):
+        return _decimal_xml(path, root)
     with _copy(path, {path.name: content} if content != data else {}) as copy:
         detected = FileParser.detect_format(path) or FileParser.detect_format(copy)
         if detected is None:
@@ -68,30 +68,34 @@ def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
     )
 
 
-def _schiller(path: Path, root: ET.Element) -> RawRecording:
-    """Rhythm leads of the XML export of Schiller's electrocardiographs (SEMA, AT-10, CS-200)."""
-    waves = [wave for wave in root.iter("wavedata") if wave.findtext("type") == "ECG_RHYTHMS"]
+def _decimal_xml(path: Path, root: ET.Element) -> RawRecording:
+    """Rhythm leads of XML in decimal digits, of Schiller (SEMA, AT-10, CS-200) and CardioSoft."""
+    cardiosoft = root.tag == "CardiologyXML"
+    waves = list(root.iter("StripData" if cardiosoft else "wavedata"))
+    waves = [wave for wave in waves if wave.findtext("type") in (None, "ECG_RHYTHMS")]
     if len(waves) != 1:
-        raise InputError(f"{path}: {len(waves)} rhythms (ECG_RHYTHMS); give a file of one")
+        raise InputError(f"{path}: holds {len(waves)} rhythms; give a file of one")
     (wave,) = waves
-    text = {tag: wave.findtext(f"resolution/{tag}", "") for tag in (
-        "samplerate/value", "samplerate/exponent", "yres/unitperbit", "yres/units",
-    )}  # fmt: skip
+    if cardiosoft:
+        tags = ["SampleRate", "Resolution"]
+        units = [element.get("units", "") for element in wave.iterfind("Resolution")]
+        texts = {lead.get("lead"): lead.text or "" for lead in wave.iter("WaveformData")}
+    else:
+        tags = ["resolution/samplerate/value", "resolution/yres/unitperbit"]
+        units = [wave.findtext("resolution/yres/units", "").replace("UV", "uV").replace("MV", "mV")]
+        texts = {lead.findtext("name"): lead.findtext("data", "") for lead in wave.iter("channel")}
     try:
-        rate, exponent, step = (float(value) for value in list(text.values())[:3])
-        samples = {
-            str(channel.findtext("name")): np.array(
-                channel.findtext("data", "").strip(" ,\n").split(","), float
-            )
-            for channel in wave.iter("channel")
+        rate, step = (float(wave.findtext(tag, "")) for tag in tags)
+        digits = {
+            n: np.array(text.strip(" ,\t\r\n").split(","), float) for n, text in texts.items()
         }
     except ValueError as error:
         raise InputError(f"{path}: damaged ({one_line(error)}); export it again") from None
-    if exponent != 1:
-        raise InputError(f"{path}: a sampling rate of {rate:g}, exponent {exponent:g}, is not read")
-    unit = text["yres/units"].replace("UV", "uV").replace("MV", "mV")
-    channels = [Channel(n, step * digits, unit, gain=1 / step) for n, digits in samples.items()]
-    return RawRecording(channels, rate, "Schiller XML")
+    if (exponent := wave.findtext("resolution/samplerate/exponent", "1")) != "1":
+        raise InputError(f"{path}: a rate of {rate:g}, exponent {printable(exponent)}, is not read")
+    unit = units[0].removesuffix("perLsb")
+    channels = [Channel(str(n), step * x, unit, gain=1 / step) for n, x in digits.items()]
+    return RawRecording(channels, rate, f"{'CardioSoft' if cardiosoft else 'Schiller'} XML")
 
 
 @contextlib.contextmanager
@@ -165,10 +169,9 @@ def _check_one_recording(
         people = set()
         for person in (element for element in elements if element.tag in named):
             identity = (person.find(tag) for tag in ("id", "PatientID", ".//name"))
-            texts = [
-                (*part.attrib.values(), *part.itertext()) for part in identity if part is not None
-            ]
-            people.add(tuple(text.strip() for words in texts for text in words))
+            parts = [part for part in identity if part is not None]
+            words = " ".join(text for p in parts for text in (*p.attrib.values(), *p.itertext()))
+            people.add(" ".join(words.split()))
         if nested > 1:
             several = f"{nested} RestingECG elements"
         elif len(people) > 1:

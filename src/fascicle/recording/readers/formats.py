@@ -63,7 +63,8 @@ READERS = [
     _built_in("WFDB", ".hea", "clinical:read_wfdb"),
     _built_in("DICOM waveform", ".dcm", "dicom:read_dicom", b".{128}DICM"),
     _built_in(
-        "HL7 aECG, GE MUSE, Philips, Mortara or Schiller XML", ".xml", "clinical:read_clinical",
+        "HL7 aECG, GE MUSE or CardioSoft, Philips, Mortara or Schiller XML", ".xml",
+        "clinical:read_clinical",
         b"[\xef\xbb\xbf\xff\xfe \t\r\n\0]*<",
     ),
     _built_in("SCP-ECG", ".scp", "clinical:read_clinical", b".{16}SCPECG"),
@@ -73,6 +74,7 @@ READERS = [
     _built_in("HDF5", ".h5 .hdf5 .nc", "arrays:read_hdf5", b"\x89HDF\r\n\x1a\n"),
     _built_in("MATLAB", ".mat", "arrays:read_matlab", b"MATLAB "),
     _built_in("table", ".csv .tsv .txt", "tables:read_table"),
+    _built_in("LabSystem Pro text", ".txt", "tables:read_labsystem", rb"\s*\[Header\]"),
 ]  # fmt: skip
 
 

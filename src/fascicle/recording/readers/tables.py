@@ -16,21 +16,8 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, one_line, printable
 from fascicle.core.leads import LEADS
-from fascicle.recording.readers.names import (
-    PER_SECOND,
-    Entry,
-    additional_lead_name,
-    check_physical,
-    declared_rate,
-    declared_unit,
-    entry_of,
-    fill_values,
-    lead_name,
-    millivolts,
-    plain_unit,
-    same_unit,
-)
-from fascicle.recording.readers.read import Channel, RawRecording, without_fill
+from fascicle.recording.readers import names
+from fascicle.recording.readers.read import Channel, RawRecording, narrowest_passband, without_fill
 from fascicle.recording.recording import Recording, missing_rate, missing_time_unit
 
 if TYPE_CHECKING:
@@ -55,7 +42,9 @@ class _Column:
     @property
     def per_second(self) -> float | None:
         """Number of the column's units in a second; None where it has no unit of time."""
-        return PER_SECOND.get(plain_unit(self.quantity if self.unit is None else self.unit))
+        return names.PER_SECOND.get(
+            names.plain_unit(self.quantity if self.unit is None else self.unit)
+        )
 
     def numbers(self, path: Path) -> Floats:
         """Cells as numbers (n,); empty cells are NaN."""
@@ -86,9 +75,12 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
     and a rhythm strip of the same lead, the longer one is the lead.
     """
     columns, metadata = _parsed(path)
-    check_physical(metadata, path)
-    missing = fill_values(metadata)
-    stated = {"by --sampling-rate": sampling_rate, "by a comment": declared_rate(metadata, path)}
+    names.check_physical(metadata, path)
+    missing = names.fill_values(metadata)
+    stated = {
+        "by --sampling-rate": sampling_rate,
+        "by a comment": names.declared_rate(metadata, path),
+    }
     # tables that this package writes are in mV
     from_fascicle = [column.name for column in columns][: 1 + len(LEADS)] == ["time_ms", *LEADS]
     leads = [column for column in columns if column.lead is not None]
@@ -136,9 +128,38 @@ def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
     more = []
     for c in (c for c in extra if c.name not in not_numbers):
         unit = c.unit if c.unit is not None else _unit(c, from_fascicle, metadata, path)
-        lead, values = additional_lead_name(c.quantity), c.numbers(path)[kept]
+        lead, values = names.additional_lead_name(c.quantity), c.numbers(path)[kept]
         more.append(Channel(c.name, values, unit, lead, missing=missing))
     return _with_rest_around(replace(table, channels=[*table.channels, *more]))
+
+
+def read_labsystem(path: Path, sampling_rate: float | None) -> RawRecording:
+    """Read the text export of the LabSystem Pro (Bard, Boston Scientific), of an EP laboratory.
+
+    The channels follow one another in a header. Their digits, of 16 bits, are interleaved; 32768
+    are the range of the channel.
+    """
+    header, _, data = path.read_text("latin-1").partition("[Data]")
+    sections = [dict(re.findall(r"^\s*([^:\n]+):[ \t]*(.*?)\s*$", text, re.MULTILINE))
+                for text in header.split("Channel #:")[1:]]  # fmt: skip
+    digits = np.array(re.split(r"[\s,]+", data.strip(" ,\r\n")), float)
+    digits = digits.reshape(-1, len(sections)).T
+
+    def numbers(key: str) -> list[float]:
+        """Numbers of a field, in Hz or mV, of all channels."""
+        texts = (re.sub("(?i)hz|mv", "", section[key]).strip() for section in sections)
+        return [float(text.replace("k", "")) * (1000.0 if "k" in text else 1.0) for text in texts]
+
+    rates = set(numbers("Sample rate"))
+    if len(rates) > 1:
+        raise InputError(f"{path}: channels at {sorted(rates)} Hz; export all at one rate")
+    channels = [
+        Channel(printable(section["Label"]), x * span / 32768, "mV", gain=32768 / span)
+        for section, x, span in zip(sections, digits, numbers("Range"), strict=True)
+    ]
+    are_leads = [names.lead_name(channel.name) is not None for channel in channels]
+    low, high = (np.extract(are_leads, numbers(key)).tolist() for key in ("Low", "High"))
+    return RawRecording(channels, rates.pop(), filters=narrowest_passband(low, high, []))
 
 
 def _with_rest_around(table: RawRecording) -> RawRecording:
@@ -160,7 +181,7 @@ def _with_rest_around(table: RawRecording) -> RawRecording:
     return replace(table, channels=channels, remarks=(*table.remarks, remark))
 
 
-def _parsed(path: Path) -> tuple[list[_Column], list[Entry]]:
+def _parsed(path: Path) -> tuple[list[_Column], list[names.Entry]]:
     """Read the columns of a table, and what its comments declare."""
     import pandas as pd
 
@@ -170,7 +191,8 @@ def _parsed(path: Path) -> tuple[list[_Column], list[Entry]]:
         text = content.decode("utf-16" if wide else "utf-8-sig")
     except UnicodeDecodeError:
         text = content.decode("latin-1")  # has the letter µ at the same code as Windows
-    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    text = text.replace("\r\n", "\n").replace("\r", "\n").rstrip("\0\x1a")  # ends of old files
+    text = re.sub(r"\Asep=.\n", "", text)  # of Excel
     comments = re.findall(r"^[ \t]*#+[ \t]*(.*)$", text, re.MULTILINE)
     body = _one_header(re.sub(r"^[ \t]*#.*\n?", "", text, flags=re.MULTILINE).lstrip("\n"))
     header, _, cells = body.partition("\n")
@@ -181,9 +203,15 @@ def _parsed(path: Path) -> tuple[list[_Column], list[Entry]]:
             "II and V1 to V6"
         )
     if separator is None or header.count(separator) > 256 or "\0" in text:
+        advice = "separated by commas, semicolons or tabs, such as time_ms,I_mV,II_mV"
+        if re.fullmatch(r"[\d\s.eE+-]+", header):
+            advice += (
+                "; in an export of GE CardioLab put commas for blanks, and add the labels of its "
+            )
+            advice += ".inf file as first line (sample,I_mV,II_mV)"
         raise InputError(
             f"{path}: no table of samples (its first line is '{header[:40]}'); the first line must "
-            "name the columns, separated by commas, semicolons or tabs, such as time_ms,I_mV,II_mV"
+            f"name the columns, {advice}"
         )
     # where a table holds both 1,5 and 0.5, one of them is not a number
     commas = separator != "," and re.search(r"\d,\d", cells) and not re.search(r"\d\.\d", cells)
@@ -208,11 +236,11 @@ def _parsed(path: Path) -> tuple[list[_Column], list[Entry]]:
     for _, column in frame.select_dtypes(object).items():
         if column.astype(str).str.contains("\n", regex=False).any():
             raise InputError(f"{path}: a quotation mark is not closed in its line; remove it")
-    names = [str(name) for name in frame.columns]
-    columns = [_column(name, names, frame.iloc[:, k]) for k, name in enumerate(names)]
+    spelt = [str(name) for name in frame.columns]
+    columns = [_column(name, spelt, frame.iloc[:, k]) for k, name in enumerate(spelt)]
     # "fs: 500"
     matches = (re.fullmatch(r"([\w -]{1,40}?)\s*[:=]\s*(\S.{0,40}?)\s*", line) for line in comments)
-    entries = (entry_of(match[1], match[2]) for match in matches if match is not None)
+    entries = (names.entry_of(match[1], match[2]) for match in matches if match is not None)
     return columns, [entry for entry in entries if entry is not None]
 
 
@@ -222,27 +250,28 @@ def _one_header(text: str) -> str:
     Its clock times (``'0:10.002'``) become seconds.
     """
     clock = re.compile(r"^'(?:(\d{1,4}):)?(\d{1,4}):(\d{1,4}\.\d{1,9})'", re.ASCII | re.MULTILINE)
-    names, _, rows = text.partition("\n")
-    if not names.startswith("'"):
+    first, _, rows = text.partition("\n")
+    if not first.startswith("'"):
         return text
     if rows.startswith("'") and not clock.match(rows):
         units, _, rows = rows.replace("hh:mm:ss.mmm", "s", 1).partition("\n")
-        pairs = zip(names.split(","), units.split(","), strict=False)
-        names = ",".join(f"{name} [{unit}]" for name, unit in pairs)
+        pairs = zip(first.split(","), units.split(","), strict=False)
+        first = ",".join(f"{name} [{unit}]" for name, unit in pairs)
     rows = clock.sub(lambda at: f"{60 * (60 * int(at[1] or 0) + int(at[2])) + float(at[3])}", rows)
-    return names.replace("'", "") + "\n" + rows
+    return first.replace("'", "") + "\n" + rows
 
 
-def _column(spelt: str, names: Sequence[str], cells: pd.Series) -> _Column:
+def _column(spelt: str, others: Sequence[str], cells: pd.Series) -> _Column:
     name, unit = spelt[:100].strip(), None  # bounds what matching takes
     renamed = re.fullmatch(r"(.+)\.\d+", name)  # pandas numbers columns of the same name
-    name = renamed[1] if renamed and renamed[1] in names else name
+    name = renamed[1] if renamed and renamed[1] in others else name
     lead, rhythm = _lead_or_rhythm(name)
     if lead is None:  # "V1 (Wilson)" has no unit
         brackets = re.fullmatch(r"(.+?)\s*[\[(]\s*([^\])]*?)\s*[\])]", name)  # "V1 [uV]"
         tail = re.fullmatch(r"(.+?)(?:[_ ]in[_ ]|[_ ]|\s*/\s*)([^_ /]+)", name)  # "V1_uV", "V1/uV"
         match = brackets or tail
-        if match and (brackets or millivolts(match[2]) or plain_unit(match[2]) in PER_SECOND):
+        ending = names.plain_unit(match[2]) if match else ""
+        if match and (brackets or names.millivolts(ending) or ending in names.PER_SECOND):
             name, unit = match[1], printable(match[2])
             lead, rhythm = _lead_or_rhythm(name)
     return _Column(printable(spelt), name.lower().replace("_", " "), unit, lead, rhythm, cells)
@@ -252,16 +281,16 @@ def _lead_or_rhythm(name: str) -> tuple[str | None, bool]:
     """Return the lead that a name means, and whether it is a rhythm strip."""
     strip = r"[\s_(.-]*(?<![a-z])(?:rhythm(?:[\s_]strip)?|long)(?![a-z])\)?[\s_.-]*"
     base_name, strips = re.subn(strip, "", name, count=1, flags=re.IGNORECASE)
-    return lead_name(base_name), strips > 0
+    return names.lead_name(base_name), strips > 0
 
 
 def _unit(
-    column: _Column, from_fascicle: bool, metadata: Sequence[Entry], path: Path
+    column: _Column, from_fascicle: bool, metadata: Sequence[names.Entry], path: Path
 ) -> str | None:
     """Unit of a lead, which header and comments must agree about; mV in tables of fascicle."""
-    commented = declared_unit(metadata, path, column.name)
+    commented = names.declared_unit(metadata, path, column.name)
     unit = "mV" if from_fascicle else column.unit
-    if unit is not None and commented is not None and not same_unit(unit, commented):
+    if unit is not None and commented is not None and not names.same_unit(unit, commented):
         raise InputError(
             f"{path}: column '{column.name}' is in '{unit}', a comment says '{commented}'; correct "
             "the wrong one"
@@ -343,15 +372,14 @@ def _read_long(
     rows = {
         str(name): index
         for name, index in leads.groupby(leads.to_numpy()).indices.items()
-        if len(index) > 1 and (_lead_or_rhythm(str(name))[0] or additional_lead_name(str(name)))
+        if len(index) > 1
+        and (_lead_or_rhythm(str(name))[0] or names.additional_lead_name(str(name)))
     }
     if not rows:
         raise InputError(f"{path}: no lead in the column '{place.name}'; name them I, II, V1 to V6")
     # the longest lead knows the rate best
-    ordered, stated_rate = (
-        sorted(rows, key=lambda name: -len(rows[name])),
-        _agreed_rate(path, stated),
-    )
+    ordered = sorted(rows, key=lambda name: -len(rows[name]))
+    stated_rate = _agreed_rate(path, stated)
     rates: dict[str, float | None] = {
         f"of lead '{name}'": _rate_of(path, time, times[rows[name]], stated_rate, name)
         for name in ordered
@@ -369,7 +397,7 @@ def _read_long(
                 f"{path}: lead '{name}' is not sampled at the {rate:g} Hz of the others; resample "
                 "all leads at one rate"
             )
-        lead = _lead_or_rhythm(name)[0] or additional_lead_name(name)
+        lead = _lead_or_rhythm(name)[0] or names.additional_lead_name(name)
         channel = Channel(printable(name), values[index], unit, lead, missing=missing)
         channels.append(channel.placed(starts[name], length))
     rhythm = [_lead_or_rhythm(name)[1] for name in rows]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+import textwrap
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment
 from markupsafe import Markup
+from matplotlib.figure import Figure
 from PIL import Image
 
 from fascicle.core.errors import InputError
@@ -36,7 +38,7 @@ from fascicle.reporting.page import content as words
 from fascicle.reporting.page.scene import scene
 from fascicle.reporting.prediction import SHOWN, latest_segments
 from fascicle.reporting.study import Drawing, drawings, write_figures
-from fascicle.reporting.style import check_kinds
+from fascicle.reporting.style import check_kinds, new_figure, save
 from fascicle.study.fitted import FittedStudy, StudyLike, as_study
 from fascicle.study.population import Posterior
 
@@ -50,6 +52,7 @@ def report(
     progress: Progress | Lines | None = "lines",
     figures: Sequence[str] = (),
     against: str = INTRINSIC,
+    pdf: bool = False,
 ) -> list[Path]:
     """Write a study and its predicted scenarios as one HTML file.
 
@@ -68,11 +71,13 @@ def report(
         next to it.
     against : str
         The scenario that the others are compared with, if not the intrinsic beat.
+    pdf : bool
+        Also write the answer, the ECG and the activation on one page next to it, as PDF.
 
     Returns
     -------
     list of Path
-        The report, and then the figures.
+        The report, its page as PDF, and then the figures.
 
     Raises
     ------
@@ -93,11 +98,12 @@ def report(
     out = as_path(out, "out") if out is not None else fitted.folder / "report.html"
     if out.suffix.lower() != ".html":
         raise InputError(f"{out}: the report is a page; give a name such as report.html (--out)")
-    check_replaceable(out)
+    for path in (out, out.with_suffix(".pdf"))[: 1 + pdf]:
+        check_replaceable(path)
     with shown_progress(progress) as shown:
         networks = fitted.networks(shown)
         predicted = predict(fitted, scenarios, shown, networks)
-        return write_report(fitted, networks, predicted, out, figures, against, shown)
+        return write_report(fitted, networks, predicted, out, figures, against, shown, pdf)
 
 
 def write_report(
@@ -108,6 +114,7 @@ def write_report(
     figures: Sequence[str] = (),
     against: str = INTRINSIC,
     progress: Progress | None = None,
+    pdf: bool = False,
 ) -> list[Path]:
     """Write the `report` of a population and of scenarios over it, the intrinsic beat first."""
     drawn, model = drawings(fitted, networks, predicted), fitted.simulator.model
@@ -126,7 +133,35 @@ def write_report(
     }
     files = write_figures(drawn, out.parent / "figures", figures)
     write_text(out, _template().render(content))
+    if pdf:
+        files.insert(0, save(one_page(content), out.with_suffix(".pdf")))
     return [out, *files]
+
+
+def one_page(content: Mapping[str, Any]) -> Figure:
+    """A4 page with the beginning of the report: answer, warnings, ECG and activation."""
+    figure = new_figure(8.27, 11.69)
+    parts: Any = figure.subfigures(3, 1, height_ratios=(4, 4, 3))
+    predictions = (f"{name}: {sentence}" for name, sentence in content["predictions"])
+    paragraphs = [
+        f"Purkinje network of the heart “{content['heart']}”, learnt from "
+        f"{', '.join(content['recordings'])}. Research software: not for clinical decisions.",
+        content["verdict"], *map(str, content["warnings"]), *predictions,
+        f"Medians, with the range of 90 % of the networks in brackets. fascicle "
+        f"{content['version']}, study {content['study']}.",
+    ]  # fmt: skip
+    height = 0.95
+    for number, paragraph in enumerate(paragraphs):
+        weight, width = ("bold", 90) if number == 1 else ("normal", 105)
+        text = textwrap.fill(paragraph, width)
+        parts[0].text(0.05, height, text, va="top", fontsize=9.5, weight=weight, parse_math=False)
+        height -= (text.count("\n") + 1.6) / 26
+    for part, name in zip(parts[1:], ("ecg", "activation"), strict=True):
+        source = content["pictures"][name]["source"].partition(",")[2]
+        axes = part.subplots()
+        axes.imshow(Image.open(io.BytesIO(base64.b64decode(source))).convert("RGB"))
+        axes.axis("off")
+    return figure
 
 
 def picture(drawing: Drawing) -> dict[str, Any]:
