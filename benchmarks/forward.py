@@ -194,7 +194,7 @@ def measure_fascicle(case: Case, repeats: int) -> Report:
         "nodes": sum(len(tree.nodes) for tree in trees),
         "junctions": sum(len(tree.junctions) for tree in trees),
         "cpu_share": share,
-        "versions": {name: version(name) for name in ("fascicle", "numba", "numpy")},
+        "versions": {name: version(name) for name in ("fascicle-ecg", "numba", "numpy")},
     }
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import ast
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import jupytext
+
+import fascicle
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 NOTEBOOKS = REPOSITORY / "build" / "notebooks"
@@ -15,7 +16,7 @@ EXAMPLES = ("simulate_and_pace.py", "learn_and_predict.py")
 
 project = "fascicle"
 author = "the authors of fascicle"
-release = metadata.version("fascicle")
+release = fascicle.__version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["figures"]
 html_theme = "furo"

@@ -2,6 +2,7 @@
 
 import json
 import re
+import runpy
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,20 @@ def test_every_public_name_is_in_the_api():
         re.findall(r"^`([A-Z_]+)`$", page, re.MULTILINE)
     )
     assert named == set(fascicle.__all__)
+
+
+def test_readme_on_a_package_index():
+    long_description = runpy.run_path(str(REPOSITORY / "setup.py"))["long_description"]
+    text = "A.\n\n![B](c.png)\n\n*D [e](f.md).*\n\n[G](h.md), [i](https://j.k)\n"
+    assert long_description(text, None) == "A.\n\nG, [i](https://j.k)\n"
+    assert long_description(text, "https://l.m") == (
+        "A.\n\n![B](https://l.m/raw/HEAD/c.png)\n\n*D [e](https://l.m/blob/HEAD/f.md).*\n\n"
+        "[G](https://l.m/blob/HEAD/h.md), [i](https://j.k)\n"
+    )
+    readme = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    page = long_description(readme, None)
+    assert not re.search(r"!\[|\]\((?!https?:|#)", page)
+    assert re.findall("^#.*", page, re.MULTILINE) == re.findall("^#.*", readme, re.MULTILINE)
 
 
 @pytest.fixture(scope="module")

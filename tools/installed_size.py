@@ -3,8 +3,9 @@
     python tools/installed_size.py
 
 Sums the files of every distribution that `pip install .` would bring, found by walking the
-requirements of those installed here, and lists the largest. It fails if PyTorch is among them,
-which on Linux may bring gigabytes of CUDA packages.
+requirements of those installed here, and lists the largest, with the extra `build` and without. It
+fails if an install without it takes 1 GB or more, or brings PyTorch, which on Linux may bring
+gigabytes of CUDA packages.
 """
 
 from __future__ import annotations
@@ -19,12 +20,13 @@ from packaging.requirements import Requirement
 UNWANTED = "torch"
 LISTED = 12  # of the largest
 MEGABYTE = 1e6
+MOST = 1000  # MB
 
 
-def needed(name: str) -> dict[str, Distribution]:
-    """Distributions that a package needs, itself included, by normalised name."""
+def needed(name: str, extra: str) -> dict[str, Distribution]:
+    """Distributions that a package needs with an extra, itself included, by normalised name."""
     distributions: dict[str, Distribution] = {}
-    names = [name]
+    names = [name, *required(distribution(name), extra)]
     while names:
         current = names.pop()
         key = re.sub(r"[-_.]+", "-", current).lower()
@@ -38,9 +40,9 @@ def needed(name: str) -> dict[str, Distribution]:
     return distributions
 
 
-def required(package: Distribution) -> Iterator[str]:
+def required(package: Distribution, extra: str = "") -> Iterator[str]:
     for requirement in map(Requirement, package.requires or []):
-        if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):
+        if requirement.marker is None or requirement.marker.evaluate({"extra": extra}):
             yield requirement.name
 
 
@@ -51,11 +53,14 @@ def size(package: Distribution) -> float:
 
 
 def main() -> None:
-    packages = needed("fascicle")
-    sizes = {name: size(package) for name, package in packages.items()}
-    for name in sorted(sizes, key=sizes.__getitem__, reverse=True)[:LISTED]:
-        print(f"{name:<20}{sizes[name]:8.0f} MB")
-    print(f"{f'all {len(sizes)}':<20}{sum(sizes.values()):8.0f} MB")
+    for extra in ("build", ""):
+        sizes = {name: size(package) for name, package in needed("fascicle-ecg", extra).items()}
+        print(f"with the extra `{extra}`:" if extra else "\nwithout extras:")
+        for name in sorted(sizes, key=sizes.__getitem__, reverse=True)[:LISTED]:
+            print(f"{name:<20}{sizes[name]:8.0f} MB")
+        print(f"{f'all {len(sizes)}':<20}{sum(sizes.values()):8.0f} MB")
+    if sum(sizes.values()) >= MOST:
+        sys.exit(f"a plain install takes more than {MOST} MB")
     if UNWANTED in sizes:
         sys.exit(f"a plain install brings {UNWANTED}; only the extra `reference` may")
 

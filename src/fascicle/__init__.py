@@ -15,7 +15,7 @@ import lazy_loader
 
 from fascicle import core
 
-__version__ = version("fascicle")
+__version__ = version("fascicle-ecg")
 
 # What `__init__.pyi` lists is loaded when first used: the package imports in milliseconds, its
 # numerics do not.

@@ -86,7 +86,7 @@ def test_manifest_that_says_something_else(heart, check_refused, old, new, words
 
 
 @pytest.mark.parametrize(
-    "name", ["mesh.vtu", "lv_endocardium.vtp", "rv_endocardium.vtp", "electrodes.csv"]
+    "name", ["mesh.vtu", "lv_endocardium.vtu", "rv_endocardium.vtu", "electrodes.csv"]
 )
 def test_missing_and_damaged_files(heart, check_refused, name):
     content = (heart / name).read_bytes()

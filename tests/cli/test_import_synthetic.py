@@ -36,7 +36,7 @@ def test_import(materials, outside, run):
     (electrodes := materials.folder / "electrodes.json").write_text(json.dumps(content))
     first = outside / "heart"
     files = {"mesh": first / "mesh.vtu", "fibres": first / "mesh.vtu", "electrodes": electrodes}
-    files |= {f"{side}-endocardium": first / f"{side}_endocardium.vtp" for side in ("lv", "rv")}
+    files |= {f"{side}-endocardium": first / f"{side}_endocardium.vtu" for side in ("lv", "rv")}
     assert run(*materials.command(outside / "second", **files)).status == 0
     assert load_heart(outside / "second").digest == heart.digest
 

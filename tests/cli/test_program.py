@@ -1,10 +1,17 @@
 """The program as a program: help, imports, exit statuses."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+import pyvista
+
+from fascicle.build.segmentation_files import read_segmentation
 from fascicle.core.errors import InputError
+from fascicle.heart.folder import load_heart, write_heart
+from fascicle.mesh.read import read_mesh
 from fascicle.networks.settings import FitSettings
 
 PROGRAM = Path(sys.executable).with_name("fascicle")
@@ -72,3 +79,23 @@ def test_names_that_no_file_system_takes(refused, outside):
     name = "x" * 300
     refused(["simulate", "default", "--params", f"{name}.toml", "--out", outside / "s"], name)
     assert list(outside.iterdir()) == []
+
+
+def test_without_the_extra_build(monkeypatch, tmp_path, refused, run):
+    """Hearts are read, checked and written; what takes VTK or reads label maps names the extra."""
+    (label_map := tmp_path / "labels.nii").write_bytes(bytes(400))
+    pyvista.Sphere().save(surface := tmp_path / "heart.vtp")
+    digest = load_heart("camps-dti004").digest
+    for module in ("pyvista", "vtkmodules", "nibabel", "nrrd"):
+        monkeypatch.setitem(sys.modules, module, None)
+    extra = "install it: pip install 'fascicle-ecg[build]'\n"
+    refused(["heart", "build", surface, "--out", tmp_path / "new"], "building a heart", extra)
+    for call, needed in ((read_mesh, surface), (read_segmentation, label_map)):
+        with pytest.raises(InputError, match=re.escape(extra.strip())) as error:
+            call(needed)
+        assert str(error.value).startswith(str(needed))
+    write_heart(load_heart("camps-dti004"), tmp_path / "heart")
+    assert load_heart(tmp_path / "heart").digest == digest
+    assert (
+        run("heart", "check", tmp_path / "heart", "--picture", tmp_path / "heart.png").status == 0
+    )

@@ -72,6 +72,6 @@ def test_a_kernel_gets_a_widget_and_a_script_a_page(session, monkeypatch):
 
 
 def test_without_anywidget_it_says_so(session, monkeypatch):
-    monkeypatch.setattr(explore_module, "find_spec", lambda name: None)
-    with pytest.raises(fascicle.InputError, match="pip install anywidget"):
+    monkeypatch.setattr("fascicle.core.errors.find_spec", lambda name: None)
+    with pytest.raises(fascicle.InputError, match=r"pip install .fascicle-ecg\[notebook\]"):
         widget(session)

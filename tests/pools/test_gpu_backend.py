@@ -10,7 +10,6 @@ from builders import case
 import fascicle
 from fascicle.cli import main
 from fascicle.core.parameters import ParameterSpace, free
-from fascicle.forward.device import card as card_module
 from fascicle.forward.device.backend import GpuBackend
 from fascicle.forward.device.batch import Simulator
 from fascicle.forward.primitives import His
@@ -102,10 +101,10 @@ def test_networks_are_simulated_here(backend, simulator, recordings):
 
 
 def test_the_command_says_in_one_line_what_is_missing(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(card_module, "find_spec", lambda name: None)
+    monkeypatch.setattr("fascicle.core.errors.find_spec", lambda name: None)
     arguments = ["fascicle", "fit", "default", "target.nc", "--out", f"{tmp_path}/study"]
     for more, message in (
-        (["cuda"], "device 'cuda' needs CuPy; install it"),
+        (["cuda"], "device 'cuda' needs cupy; install it"),
         (["gpu"], "unknown device 'gpu'; give cuda"),
     ):
         monkeypatch.setattr("sys.argv", [*arguments, "--device", *more])

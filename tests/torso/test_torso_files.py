@@ -71,14 +71,14 @@ def test_reads_and_welds_stl(tmp_path):
 
 def test_remeshes_what_is_too_fine(tmp_path):
     fine = ellipsoid(HEART_CENTRE, (150.0, 110.0, 180.0), 6)
-    write_grid(tmp_path / "skin.vtp", fine.vertices, fine.triangles, TRIANGLE)
-    body = read_torso_surfaces(tmp_path / "skin.vtp", [], block_heart())
+    write_grid(tmp_path / "skin.vtu", fine.vertices, fine.triangles, TRIANGLE)
+    body = read_torso_surfaces(tmp_path / "skin.vtu", [], block_heart())
     assert 1000 < len(body.skin.triangles) < len(fine.triangles) / 3
     assert body.skin.litres == pytest.approx(fine.litres, rel=0.01)
     assert np.abs(signed_distance(body.skin.vertices, fine)).max() < 2.75
-    write_grid(tmp_path / "skin.vtp", fine.vertices / 1000, fine.triangles, TRIANGLE)
+    write_grid(tmp_path / "skin.vtu", fine.vertices / 1000, fine.triangles, TRIANGLE)
     with pytest.raises(InputError, match="seems to be in metres"):
-        read_torso_surfaces(tmp_path / "skin.vtp", [], block_heart())
+        read_torso_surfaces(tmp_path / "skin.vtu", [], block_heart())
 
 
 def test_takes_the_outside_of_tetrahedra(tmp_path):
@@ -93,15 +93,15 @@ def test_takes_the_outside_of_tetrahedra(tmp_path):
 
 def test_refuses_surfaces_by_the_name_of_their_file(tmp_path):
     body = skin()
-    write_grid(tmp_path / "open.vtp", body.vertices, body.triangles[3:], TRIANGLE)
-    write_grid(tmp_path / "m.vtp", body.vertices / 1000, body.triangles, TRIANGLE)
+    write_grid(tmp_path / "open.vtu", body.vertices, body.triangles[3:], TRIANGLE)
+    write_grid(tmp_path / "m.vtu", body.vertices / 1000, body.triangles, TRIANGLE)
     twice = np.concatenate([body.triangles, body.triangles + len(body.vertices)])
     both = np.concatenate([body.vertices, body.vertices + 500])
-    write_grid(tmp_path / "two.vtp", both, twice, TRIANGLE)
+    write_grid(tmp_path / "two.vtu", both, twice, TRIANGLE)
     for name, message in (
-        ("open.vtp", r"open\.vtp: \d of \d+ edges are open \("),
-        ("m.vtp", r"m\.vtp: .* seems to be in metres; multiply the coordinates by 1000"),
-        ("two.vtp", r"two\.vtp: the surface falls into 2 pieces"),
+        ("open.vtu", r"open\.vtu: \d of \d+ edges are open \("),
+        ("m.vtu", r"m\.vtu: .* seems to be in metres; multiply the coordinates by 1000"),
+        ("two.vtu", r"two\.vtu: the surface falls into 2 pieces"),
         ("none.vtp", r"none\.vtp: no such file \(torso\)"),
     ):
         with pytest.raises(InputError, match=message):

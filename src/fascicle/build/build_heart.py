@@ -14,7 +14,7 @@ from fascicle.build.endocardia import endocardia
 from fascicle.build.labelled_files import Anatomy
 from fascicle.build.read_anatomy import Source, read_anatomy
 from fascicle.core.arrays import Floats
-from fascicle.core.errors import InputError
+from fascicle.core.errors import InputError, check_installed
 from fascicle.core.leads import ADDITIONAL_LEADS, ELECTRODES, FRANK, FRANK_ELECTRODES
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.ranges import check_items
@@ -113,6 +113,7 @@ def build_heart(
     side, the root of the bundle and a point that it heads for; by default they follow from the
     anatomy. InputError if the anatomy or the torso cannot be used.
     """
+    check_installed("pyvista", "building a heart")
     anatomy = read_anatomy(source, edge_length, progress)
     check_tetrahedra(anatomy.mesh.name, anatomy.mesh.vertices, anatomy.mesh.tetrahedra)
     heart = heart_of(anatomy, angles, seeds, name, progress)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fascicle.build.segmentation import Segmentation, part_of_segment
 from fascicle.core.arrays import Floats
-from fascicle.core.errors import InputError, one_line, printable
+from fascicle.core.errors import InputError, check_installed, one_line, printable
 from fascicle.core.files import check_file, named_by
 from fascicle.core.isolated import read_isolated
 from fascicle.core.ranges import shown
@@ -27,11 +27,12 @@ def read_segmentation(path: Path | str) -> Segmentation:
     LPS or RAS; a file that names no space gives spacings alone, and its own axes are kept, with the
     first voxel at the origin unless the file says otherwise.
     """
-    import nrrd
-
     path = Path(path)
     packed = path.name.lower().endswith(".nii.gz")
     check_file(path, (".gz",) if packed else (".nii", ".nrrd", ".nhdr"), "segmentation")
+    check_installed("nrrd", f"{path}: a label map")
+    import nrrd
+
     if path.suffix.lower() not in (".nrrd", ".nhdr"):
         return Segmentation(*read_isolated(_read_nifti, path))
     with _refusing_damage(path), path.open("rb") as file:

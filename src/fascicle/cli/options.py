@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -13,7 +12,7 @@ import typer
 from typer import Argument, Option
 
 import fascicle
-from fascicle.core.errors import InputError, given_in
+from fascicle.core.errors import InputError, check_installed, given_in
 from fascicle.core.files import check_folder, check_replaceable
 from fascicle.core.progress import Progress
 from fascicle.networks.settings import FitSettings
@@ -173,8 +172,7 @@ def pool_at(scheduler: str | None, progress: Progress) -> fascicle.Cluster | Non
     """Workers of the Dask scheduler at an address; None without an address."""
     if scheduler is None:
         return None
-    if find_spec("distributed") is None:
-        raise InputError("--scheduler needs Dask; install it: pip install distributed")
+    check_installed("distributed", "--scheduler", "cluster")
     return fascicle.Cluster(scheduler, progress)
 
 

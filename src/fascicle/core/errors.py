@@ -6,6 +6,7 @@ import copyreg
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from typing import Any, ClassVar
 
 
@@ -47,6 +48,13 @@ class OutputError(InputError):
 
 class ValueRefusedError(InputError):
     """A number, a name or an object given as an argument is invalid."""
+
+
+def check_installed(module: str, purpose: str, extra: str = "build") -> None:
+    """Raise InputError if a module is missing that an extra of the installation brings."""
+    if find_spec(module) is None:
+        install = f"pip install 'fascicle-ecg[{extra}]'"
+        raise InputError(f"{purpose} needs {module}; install it: {install}")
 
 
 @contextmanager

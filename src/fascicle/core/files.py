@@ -13,13 +13,13 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
-from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import platformdirs
 
+from fascicle import __version__
 from fascicle.core.errors import FileError, InputError, OutputError, printable
 from fascicle.core.ranges import shown
 
@@ -290,7 +290,7 @@ class ArrayCache:
 
     def file(self, key: str) -> Path:
         """Path of the arrays that depend on `key`, a text."""
-        name = hashlib.sha256(f"{version('fascicle')} {key}".encode()).hexdigest()[:32]
+        name = hashlib.sha256(f"{__version__} {key}".encode()).hexdigest()[:32]
         return self.folder / f"{self.kind}-{name}.npz"
 
     def read(self, key: str) -> dict[str, NDArray[Any]] | None:

@@ -18,13 +18,12 @@ from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
 from importlib.resources import files
-from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import NoneType
 from typing import Any
 
-from fascicle.core.errors import InputError
+from fascicle.core.errors import InputError, check_installed
 from fascicle.core.files import as_path
 from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.ranges import check_kind
@@ -96,8 +95,7 @@ def session_of(
 
 def widget(session: Session) -> Any:
     """Notebook widget of a session; raises InputError if anywidget is missing."""
-    if find_spec("anywidget") is None:
-        raise InputError("a notebook needs anywidget; install it: pip install anywidget")
+    check_installed("anywidget", "a notebook", "notebook")
     from anywidget import AnyWidget
 
     page = files("fascicle") / "reporting" / "page"

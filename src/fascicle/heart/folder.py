@@ -45,8 +45,8 @@ from fascicle.mesh.vtk import write_grid
 HEART_FILES = {
     "manifest": "heart.toml",
     "mesh": "mesh.vtu",
-    "lv_endocardium": "lv_endocardium.vtp",
-    "rv_endocardium": "rv_endocardium.vtp",
+    "lv_endocardium": "lv_endocardium.vtu",
+    "rv_endocardium": "rv_endocardium.vtu",
     "electrodes": "electrodes.csv",
     "torso": "torso.vtu",
     "action_potential": "action_potential.csv",

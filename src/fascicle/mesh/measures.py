@@ -159,19 +159,21 @@ class Quality(NamedTuple):
 def quality(vertices: Floats, tetrahedra: Integers) -> Quality:
     """Measure the positively oriented tetrahedra (m, 4) of a mesh (mm).
 
-    Radius ratios are VTK's, dihedral angles libigl's: VTK's ``min_angle`` looks at four of the six
-    edges only.
+    Dihedral angles are libigl's. With edges a, b, c from one corner, volume V and area A of the
+    faces, the radius of the inscribed sphere is 3V/A, and that of the circumscribed one
+    |a²(b×c) + b²(c×a) + c²(a×b)|/(12V).
     """
-    import pyvista as pv
-
-    grid = pv.UnstructuredGrid({pv.CellType.TETRA: tetrahedra}, vertices)
+    edges = np.moveaxis(vertices[tetrahedra[:, 1:]] - vertices[tetrahedra[:, :1]], 1, 0)  # a, b, c
+    normals = np.cross(np.roll(edges, -1, axis=0), np.roll(edges, -2, axis=0))
+    faces = np.linalg.norm([*normals, normals.sum(axis=0)], axis=2).sum(axis=0) / 2
+    centre = np.einsum("kmi,kmi,kmj->mj", edges, edges, normals)
+    volumes = signed_volumes(vertices, tetrahedra)
     angles, _ = igl.dihedral_angles(vertices, tetrahedra)
     return Quality(
         vertices=len(vertices),
-        volumes=signed_volumes(vertices, tetrahedra),
+        volumes=volumes,
         angles=np.degrees(angles).min(axis=1),
-        # VTK's is the inverse: 1 for a regular tetrahedron, larger for worse ones
-        radius_ratios=1 / np.asarray(grid.cell_quality("radius_ratio")["radius_ratio"]),
+        radius_ratios=108 * volumes**2 / (faces * np.linalg.norm(centre, axis=1)),
         edges=edge_lengths(vertices, np.asarray(igl.edges(tetrahedra))),
     )
 

@@ -1,4 +1,4 @@
-"""Readers of PLY and Gmsh files: by meshio, but for Gmsh's format 2, which is read here.
+"""Readers of PLY, VTU and Gmsh files: by meshio, but for Gmsh's format 2, which is read here.
 
 VTK's PLY reader crashes on truncated files, so meshio reads these. In Gmsh's format 2 (Gmsh
 reference manual, "MSH file format version 2 (Legacy)") meshio mixes up element data if there are
@@ -12,6 +12,7 @@ import contextlib
 import io
 import re
 import struct
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -46,15 +47,17 @@ GMSH_ELEMENTS = {
 
 
 def read_meshio(path: Path) -> MeshFile:
-    """Read a Gmsh file of format 4 or a PLY file by meshio."""
+    """Read a Gmsh file of format 4, a PLY or a VTU file by meshio."""
     import meshio
 
+    faults = (*DAMAGED, meshio.ReadError, MemoryError, SyntaxError, struct.error, zlib.error)
     printed = io.StringIO()
     try:
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
             # meshio.read would exit the program if it could not read the file
-            data = meshio.gmsh.read(path) if path.suffix.lower() == ".msh" else _read_ply(path)
-    except (*DAMAGED, meshio.ReadError, MemoryError, struct.error) as error:
+            readers = {".msh": meshio.gmsh.read, ".vtu": meshio.vtu.read, ".ply": _read_ply}
+            data = readers[path.suffix.lower()](path)
+    except faults as error:
         raise damaged(path, one_line(error)) from None
     if "not closed" in printed.getvalue():  # meshio's warning about a section of a Gmsh file
         raise damaged(path, one_line(printed.getvalue()))
@@ -76,8 +79,9 @@ def read_meshio(path: Path) -> MeshFile:
         block.type: len(block.data) for block in data.cells if block.type not in (*used, "vertex")
     }
     groups = {
-        name: (int(dimension), int(number)) for name, (number, dimension) in data.field_data.items()
-    }
+        name: (int(values[1]), int(values[0])) for name, values in data.field_data.items()
+        if path.suffix.lower() == ".msh"
+    }  # fmt: skip
     return MeshFile(
         path, points, cells, dict(data.point_data), cell_data, other_cells, groups=groups
     )

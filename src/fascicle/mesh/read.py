@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
 from fascicle.core.arrays import Integers
-from fascicle.core.errors import InputError
+from fascicle.core.errors import InputError, check_installed
 from fascicle.core.files import check_file
 from fascicle.core.isolated import read_isolated
 from fascicle.mesh.checks import refuse
@@ -49,6 +50,10 @@ def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
         mesh: MeshFile = read_gmsh22(path, content)
     else:
         by_meshio = path.suffix.lower() in (".ply", ".msh")
+        if path.suffix.lower() == ".vtu":  # meshio reads those written here, VTK all others, too
+            by_meshio = find_spec("pyvista") is None
+        elif not by_meshio:
+            check_installed("pyvista", f"{path}: a mesh in this format")
         mesh = read_isolated(read_meshio if by_meshio else read_vtk, path)
     if not len(mesh.points):
         raise InputError(f"{path}: no points could be read; the file is empty or truncated")
@@ -103,6 +108,7 @@ def cut_into_simplices(mesh: MeshFile) -> MeshFile:
     solids = {kind: cells for kind, cells in mesh.cells.items() if kind in SOLIDS and len(cells)}
     if not solids:
         return mesh
+    check_installed("pyvista", f"{mesh.path}: cutting its cells into tetrahedra")
     import pyvista as pv
 
     grid = pv.UnstructuredGrid(solids, mesh.points)

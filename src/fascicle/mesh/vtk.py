@@ -12,14 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.core.errors import InputError, one_line
-from fascicle.core.files import MADE_WITH, write_text
+from fascicle.core.errors import InputError, check_installed, one_line
+from fascicle.core.files import MADE_WITH, atomic_path
 from fascicle.mesh.mesh_file import (
     CELL_CORNERS,
     LINE,
     QUADRANGLE,
     TETRAHEDRON,
     TRIANGLE,
+    VERTEX,
     MeshFile,
     damaged,
 )
@@ -185,28 +186,21 @@ def write_grid(
     """Write cells of one kind, such as `TETRAHEDRON`, as VTU, whole or not at all.
 
     Points (n, 3) are in mm, cells (m, k) their indices; arrays have one row a point, or a cell.
-    Triangles may be a VTP file, by its suffix. A note is the name of
-    an array of the field data: not all readers take texts.
+    A note is the name of an array of the field data: not all readers take texts.
     """
-    import pyvista as pv
-    from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
+    import meshio
 
-    data: Any
-    if path.suffix == ".vtp":
-        data = pv.PolyData.from_regular_faces(np.asarray(points), cells)
-    else:
-        data = pv.UnstructuredGrid({kind: cells}, np.asarray(points))
-    writer: Any = {".vtp": vtkXMLPolyDataWriter}.get(path.suffix, vtkXMLUnstructuredGridWriter)()
-    data.point_data.update(point_data or {})
-    data.cell_data.update(cell_data or {})
-    if note:
-        data.field_data[note] = [1.0]
-    # written in memory first: on a full disk VTK crashes, but Python raises an error
-    writer.SetInputData(data)
-    writer.SetDataModeToBinary()  # as base64, so the output is text
-    writer.WriteToOutputStringOn()
-    writer.Write()
-    write_text(path, f"{writer.GetOutputString()}<!-- {MADE_WITH} -->\n")
+    name = {VERTEX: "vertex", LINE: "line", TRIANGLE: "triangle", TETRAHEDRON: "tetra"}[kind]
+    of_cells = {key: [np.asarray(values)] for key, values in (cell_data or {}).items()}
+    mesh = meshio.Mesh(np.asarray(points), [(name, cells)], dict(point_data or {}), of_cells)
+    with atomic_path(path) as temporary:
+        meshio.vtu.write(temporary, mesh)  # as base64, so the output is text
+        text = temporary.read_text()
+        if note:  # meshio reads field data, but does not write them
+            array = f'<DataArray type="Float64" Name="{note}" NumberOfTuples="1" format="ascii">'
+            field = f"<FieldData>{array}1</DataArray></FieldData>"
+            text = text.replace("<Piece", f"{field}\n<Piece", 1)
+        temporary.write_text(f"{text}<!-- {MADE_WITH} -->\n")
 
 
 def pyvista_grid(
@@ -217,6 +211,7 @@ def pyvista_grid(
     cell_data: Mapping[str, NDArray[Any]],
 ) -> Any:
     """Mesh of `write_grid` as `pyvista.UnstructuredGrid`, with units in the arrays' names."""
+    check_installed("pyvista", "an object of PyVista")
     import pyvista as pv
 
     units = (("activation", "ms"), ("length", "mm"), ("lead_field_", "kohm"))

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from ctypes.util import find_library
 from dataclasses import dataclass
 from functools import cache
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -99,6 +100,8 @@ def draw_surfaces(
     picture = _rendered(view, surfaces, (low + high) / 2, size)
     if picture is None:
         text = "not drawn: VTK finds\nneither EGL nor OSMesa"
+        if find_spec("pyvista") is None:
+            text = "not drawn: needs pyvista;\npip install 'fascicle-ecg[build]'"
         axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center")
     else:
         axes.imshow(picture, extent=(low[0], high[0], low[1], high[1]))
@@ -123,11 +126,11 @@ def _rendered(
     view: View, surfaces: tuple[DrawnSurface, ...], middle: Floats, size: Floats
 ) -> Floats | None:
     """Picture of an area of the screen (mm); None where nothing can be rendered."""
-    from pyvista import make_tri_mesh
-
-    plotter = _plotter()
+    plotter = _plotter() if find_spec("pyvista") else None
     if plotter is None:
         return None
+    from pyvista import make_tri_mesh
+
     plotter.suppress_rendering = True  # once, when all is in place
     plotter.clear_actors()
     plotter.window_size = np.round(600 * size / size.max()).astype(int).tolist()

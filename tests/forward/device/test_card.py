@@ -11,7 +11,6 @@ from test_networks import assert_same
 
 from fascicle.core.errors import InputError
 from fascicle.forward.beat import Beat
-from fascicle.forward.device import card as card_module
 from fascicle.forward.device.backend import GpuBackend
 from fascicle.forward.device.batch import Simulator
 from fascicle.forward.device.card import OPTIONS, THREADS, card_number, source
@@ -37,7 +36,7 @@ def cupy(monkeypatch):
         module = ModuleType("cupy")
         module.cuda = SimpleNamespace(runtime=runtime)
         monkeypatch.setitem(sys.modules, "cupy", module)
-        monkeypatch.setattr(card_module, "find_spec", lambda name: name)
+        monkeypatch.setattr("fascicle.core.errors.find_spec", lambda name: name)
 
     return install
 
@@ -49,8 +48,8 @@ def test_unknown_devices(name):
 
 
 def test_without_cupy(monkeypatch):
-    monkeypatch.setattr(card_module, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"needs CuPy; install it: pip install 'cupy-cuda12x"):
+    monkeypatch.setattr("fascicle.core.errors.find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"needs cupy; .* 'fascicle-ecg\[cuda\]'"):
         card_number("cuda")
 
 

@@ -6,13 +6,12 @@ import re
 import struct
 from collections.abc import Mapping
 from importlib.resources import files
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.core.errors import InputError, one_line
+from fascicle.core.errors import InputError, check_installed, one_line
 from fascicle.core.ranges import check_text
 from fascicle.kernels.growth import NODE
 
@@ -152,8 +151,7 @@ def card_number(name: str) -> int:
     match = re.fullmatch(r"cuda(?::(\d{1,3}))?", name)
     if match is None:
         raise InputError(f"unknown device '{name}'; give cuda, or cuda:1 for the second card")
-    if find_spec("cupy") is None:
-        raise InputError(f"device '{name}' needs CuPy; install it: pip install 'cupy-cuda12x[ctk]'")
+    check_installed("cupy", f"device '{name}'", "cuda")
     import cupy
 
     try:
