@@ -9,13 +9,12 @@
 """
 
 from importlib import import_module
-from importlib.metadata import version
 
 import lazy_loader
 
 from fascicle import core
 
-__version__ = version("fascicle-ecg")
+__version__ = core.VERSION
 
 # What `__init__.pyi` lists is loaded when first used: the package imports in milliseconds, its
 # numerics do not.

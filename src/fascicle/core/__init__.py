@@ -1,7 +1,11 @@
 """Foundations of all packages: leads, units, parameters, errors, files and progress."""
 
 from collections.abc import Callable
+from importlib.metadata import version
 from typing import Any
+
+DISTRIBUTION = "fascicle-ecg"  # name of the package on an index
+VERSION = version(DISTRIBUTION)
 
 # Returns a module of a layer above, for the methods by which objects draw and write themselves:
 # imports may not lead upwards. `fascicle/__init__.py`, which stands above all layers and runs

@@ -9,6 +9,8 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from typing import Any, ClassVar
 
+from fascicle.core import DISTRIBUTION
+
 
 class InputError(ValueError):
     """Something the user gave cannot be used.
@@ -53,7 +55,7 @@ class ValueRefusedError(InputError):
 def check_installed(module: str, purpose: str, extra: str = "build") -> None:
     """Raise InputError if a module is missing that an extra of the installation brings."""
     if find_spec(module) is None:
-        install = f"pip install 'fascicle-ecg[{extra}]'"
+        install = f"pip install '{DISTRIBUTION}[{extra}]'"
         raise InputError(f"{purpose} needs {module}; install it: {install}")
 
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import platformdirs
 
-from fascicle import __version__
+from fascicle.core import VERSION
 from fascicle.core.errors import FileError, InputError, OutputError, printable
 from fascicle.core.ranges import shown
 
@@ -290,7 +290,7 @@ class ArrayCache:
 
     def file(self, key: str) -> Path:
         """Path of the arrays that depend on `key`, a text."""
-        name = hashlib.sha256(f"{__version__} {key}".encode()).hexdigest()[:32]
+        name = hashlib.sha256(f"{VERSION} {key}".encode()).hexdigest()[:32]
         return self.folder / f"{self.kind}-{name}.npz"
 
     def read(self, key: str) -> dict[str, NDArray[Any]] | None:

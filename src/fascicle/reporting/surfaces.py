@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
+from fascicle.core import DISTRIBUTION
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.heart.endocardium import long_axis
 from fascicle.heart.heart import Heart
@@ -101,7 +102,7 @@ def draw_surfaces(
     if picture is None:
         text = "not drawn: VTK finds\nneither EGL nor OSMesa"
         if find_spec("pyvista") is None:
-            text = "not drawn: needs pyvista;\npip install 'fascicle-ecg[build]'"
+            text = f"not drawn: needs pyvista;\npip install '{DISTRIBUTION}[build]'"
         axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center")
     else:
         axes.imshow(picture, extent=(low[0], high[0], low[1], high[1]))
