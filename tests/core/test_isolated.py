@@ -128,6 +128,7 @@ def test_larger_files_may_take_more(path):
 @pytest.mark.parametrize(("reader", "seconds"), [(endless, 1.0), (asleep, 0.2)])
 def test_what_does_not_end_is_a_refusal(path, monkeypatch, reader, seconds):
     monkeypatch.setattr(isolated.Limits, "least_seconds", seconds)
+    monkeypatch.setattr(isolated.Limits, "least_patience", 0.0)
     with pytest.raises(InputError, match=f"not read within {seconds:.0f} s of computing"):
         read_isolated(reader, path)
 

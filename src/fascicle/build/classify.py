@@ -12,7 +12,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import ENDOCARDIA, Label, LabelledSurface
 from fascicle.mesh.checks import check_edges, check_units, oriented_piece, place
-from fascicle.mesh.measures import closed_by_fan, turned_outwards, unit
+from fascicle.mesh.measures import closed_by_fan, loop_length, turned_outwards, unit
 from fascicle.mesh.topology import boundary_loops, without_unused_vertices
 
 
@@ -28,8 +28,8 @@ def classify_surface(
     then smoothed, and the base is nowhere narrower than about 2 mm.
 
     Vertices (n, 3) (mm) are in any frame, triangles (m, 3) in any orientation; they are turned to
-    face out of the tissue. Each label is one piece and each endocardium has one opening. Vertices
-    that no triangle uses are dropped.
+    face out of the tissue. Each label is one piece. Of several openings of a cavity the longest is
+    its base, and a note says so. Vertices that no triangle uses are dropped.
     """
     vertices, triangles = without_unused_vertices(vertices, triangles)
     check_units(name, vertices)
@@ -42,7 +42,7 @@ def classify_surface(
     cavity = _cavities(graph, exposed < 0.6, name)
     regions = _clean_regions(graph, _divided(graph, exposed, cavity), name)
     regions = _clean_regions(graph, smoothed_regions(graph, regions), name)
-    _check_openings(graph, regions, name)
+    notes = _openings(graph, regions, name)
     outer, first, second = (
         (vertices, np.ascontiguousarray(triangles[regions == region]))
         for region in (SurfacePart.OUTER, SurfacePart.FIRST, SurfacePart.SECOND)
@@ -51,7 +51,7 @@ def classify_surface(
     if leftness(first, second, outer) < 0:
         sides.reverse()
     labels = np.array([*sides, Label.EPICARDIUM, Label.BASE], dtype=np.int64)[regions]
-    return LabelledSurface(vertices, triangles, labels, name)
+    return LabelledSurface(vertices, triangles, labels, name, notes=notes)
 
 
 def _cavities(graph: DualGraph, deep: Booleans, name: str) -> Integers:
@@ -160,19 +160,22 @@ def _without_non_manifold_vertices(graph: DualGraph, regions: Integers) -> Integ
     return result
 
 
-def _check_openings(graph: DualGraph, regions: Integers, name: str) -> None:
-    """Refuse a surface that is all base or has none, and a cavity with several openings."""
+def _openings(graph: DualGraph, regions: Integers, name: str) -> tuple[str, ...]:
+    """Notes on cavities with several openings; a surface that is all base or has none is refused."""
     for region, part in ((SurfacePart.OUTER, "epicardium"), (SurfacePart.BASAL, "base")):
         if not (regions == region).any():
             raise InputError(
                 f"{name}: no {part} found around the cavities; give the surface's parts one by one"
             )
+    notes = []
     for region in (SurfacePart.FIRST, SurfacePart.SECOND):
-        if len(loops := boundary_loops(graph.triangles[regions == region])) != 1:
+        loops = boundary_loops(graph.triangles[regions == region])
+        if len(loops) > 1:
+            loops.sort(key=lambda loop: -loop_length(graph.vertices, loop))
             volume = _millilitres(graph, regions == region)
-            where = " and ".join(place(graph.vertices[loop].mean(axis=0)) for loop in loops)
-            raise InputError(
-                f"{name}: the cavity of {volume:.3g} ml has {len(loops)} openings, about {where}"
-                "; label the surface (--label-array): then the longest counts as the base, the "
-                "others as valves"
+            base, *valves = (place(graph.vertices[loop].mean(axis=0)) for loop in loops)
+            notes.append(
+                f"surface: the cavity of {volume:.3g} ml has {len(loops)} openings: the longest, "
+                f"about {base}, is taken as the base, the others as valves ({', '.join(valves)})"
             )
+    return tuple(notes)

@@ -177,7 +177,10 @@ def _classified_surface(
     classified = classify_surface(closed.vertices, closed.triangles, closed.name, report)
     cut = cut_along_borders(classified, edge_length)
     reference = volumes(cut)._replace(myocardium=volume)
-    return replace(_meshed(cut, (*repairs, *notes), reference, edge_length, progress), guessed=True)
+    return replace(
+        _meshed(cut, (*repairs, *notes, *classified.notes), reference, edge_length, progress),
+        guessed=True,
+    )
 
 
 def _from_segmentation(
@@ -294,4 +297,5 @@ def _classified(
             f"{error}; {region_list}; if this is a whole heart, say which are the ventricles, as "
             "--regions lv=...,rv=...,septum=..."
         ) from None
-    return replace(read, mesh=replace(mesh, labels=classified.labels), guessed=True)
+    notes = (*read.notes, *classified.notes)
+    return replace(read, mesh=replace(mesh, labels=classified.labels), notes=notes, guessed=True)

@@ -59,6 +59,7 @@ class Limits:
     """Memory (bytes of address space) and computing time (s) that reading a file may take."""
 
     least_seconds: ClassVar[float] = 3.0  # plus one microsecond per byte of the file
+    least_patience: ClassVar[float] = 40.0  # s that may pass besides
     large: ClassVar[int] = 64 * 2**20  # bytes; such a file leaves a child that holds much memory
 
     memory: float
@@ -92,8 +93,9 @@ def read_isolated(
     limits = Limits.of(path, *companions)
     with _Child.lock:
         child, start = _Child.current(), time.monotonic()
-        # on a busy machine five times the seconds of computing may pass
-        timer = threading.Timer(patience := 5.0 * limits.seconds, child.process.kill)
+        # on a busy machine many times the seconds of computing may pass, and the child starts first
+        patience = limits.least_patience + 5.0 * limits.seconds
+        timer = threading.Timer(patience, child.process.kill)
         timer.start()
         try:
             value, error, exhausted = child.ask((reader, path, options, limits, os.getcwd()))
