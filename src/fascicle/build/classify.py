@@ -161,7 +161,7 @@ def _without_non_manifold_vertices(graph: DualGraph, regions: Integers) -> Integ
 
 
 def _openings(graph: DualGraph, regions: Integers, name: str) -> tuple[str, ...]:
-    """Notes on cavities with several openings; a surface that is all base or has none is refused."""
+    """Notes on cavities with several openings; a surface without base or epicardium is refused."""
     for region, part in ((SurfacePart.OUTER, "epicardium"), (SurfacePart.BASAL, "base")):
         if not (regions == region).any():
             raise InputError(
