@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 
 import platformdirs
 
-from fascicle import __version__
 from fascicle.core.errors import FileError, InputError, OutputError, printable
 from fascicle.core.ranges import shown
 
@@ -290,6 +289,8 @@ class ArrayCache:
 
     def file(self, key: str) -> Path:
         """Path of the arrays that depend on `key`, a text."""
+        from fascicle import __version__
+
         name = hashlib.sha256(f"{__version__} {key}".encode()).hexdigest()[:32]
         return self.folder / f"{self.kind}-{name}.npz"
 
