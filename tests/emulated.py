@@ -45,7 +45,7 @@ def library(*options):
 
 
 class Emulated:
-    """A `fascicle.forward.device.batch.Device` on the processor."""
+    """A processor in place of a `fascicle.forward.device.card.Card`."""
 
     def __init__(self, *options, order=FORWARD, shared_bytes=227 * 1024):
         self.library, self.order, self.shared_bytes = library(*options), order, shared_bytes

@@ -133,7 +133,9 @@ def activation(
     _check_predicted(predicted)
     template, heart_of = _heart(heart, predicted), None
     if template.atlas is not None:
-        heart_of = _study(heart).heart_of
+        if isinstance(heart, Heart):
+            raise InputError(f"{heart.name}: each network has a heart of its own; give the study")
+        heart_of = as_study(heart).heart_of
     return _shown(scenario_activation_figure, template, predicted, name, heart_of)
 
 
@@ -196,13 +198,6 @@ def _heart(source: Heart | StudyLike, predicted: Mapping[str, Predicted]) -> Hea
     for name, prediction in predicted.items():
         _check_vertices(heart, f"'{name}'", prediction.beats[0].activation)
     return heart
-
-
-def _study(source: Heart | StudyLike) -> FittedStudy:
-    """The study of networks with hearts of an atlas."""
-    if isinstance(source, Heart):
-        raise InputError(f"{source.name}: each network has a heart of its own; give the study")
-    return as_study(source)
 
 
 def _check_vertices(heart: Heart, name: str, activation: Floats | Singles) -> None:

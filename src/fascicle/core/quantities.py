@@ -130,17 +130,12 @@ def _of_trees() -> Iterator[Quantity]:
 
 
 def _of_hearts() -> Iterator[Quantity]:
-    """Heart of an atlas."""
-    numbers = (0, 999)
+    """Heart of an atlas, conduction velocities and delays, and the size of the ECG."""
+    times, tissue, numbers = Changes.TIMES, Changes.TISSUE, (0, 999)
     yield Quantity(
         "atlas_heart", "1", None, numbers, numbers, "number of the heart, of those of the atlas",
         Changes.HEART, is_integer=True,
     )  # fmt: skip
-
-
-def _of_conduction() -> Iterator[Quantity]:
-    """Conduction velocities and delays, and the size of the ECG."""
-    times, tissue = Changes.TIMES, Changes.TISSUE
     meaning = "t_RV - t_LV of the roots; negative, the left one fires later"
     yield Quantity(
         "root_time", "ms", None, (-1000.0, 1000.0), (-75.0, 50.0), meaning, times,
@@ -233,9 +228,7 @@ def _of_torso() -> Iterator[Quantity]:
     )  # fmt: skip
 
 
-QUANTITIES: dict[str, Quantity] = {
-    q.name: q for q in (*_of_trees(), *_of_hearts(), *_of_conduction(), *_of_torso())
-}
+QUANTITIES = {q.name: q for q in (*_of_trees(), *_of_hearts(), *_of_torso())}
 TORSO_QUANTITIES = tuple(q.name for q in QUANTITIES.values() if q.changes is Changes.LEAD_FIELDS)
 # Names of groups of quantities that can be freed together
 GROUPS: dict[str, tuple[str, ...]] = {

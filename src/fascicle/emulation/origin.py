@@ -276,8 +276,7 @@ def locate(
     )
     target = as_target(target)
     with shown_progress(progress) as shown:
-        if shown is not None:
-            compile_kernels(shown)
+        compile_kernels(shown)
         beats = ectopic_beats(ForwardModel(heart, progress=shown), folder)
         classifier = classifier_of(beats, classified_rows(target), count, pool, shown)
     return classifier.origin(heart, target)

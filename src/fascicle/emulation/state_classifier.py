@@ -210,8 +210,7 @@ def state_probabilities(
             f"priors: '{min(untold)}' is not told apart from normal; give others, or leave them out"
         )
     with shown_progress(progress) as shown:
-        if shown is not None:
-            compile_kernels(shown)
+        compile_kernels(shown)
         model = ForwardModel(heart, progress=shown)
         simulations = simulations_of_states(model, prior, folder, count)
         rows = classified_rows(target)
@@ -376,8 +375,7 @@ def simulate_prior(
     """
     heart, folder, count, pool = for_simulations(heart, networks, "networks", workers, pool)
     with shown_progress(progress) as shown:
-        if shown is not None:
-            compile_kernels(shown)
+        compile_kernels(shown)
         model = ForwardModel(heart, progress=shown)
         states = simulations_of_states(model, usual_prior(heart), folder, count)
         classifier_of(states, np.array(INDEPENDENT_ROWS), folder, count, pool, shown)

@@ -158,21 +158,11 @@ class Beat:
 
 @dataclass(frozen=True)
 class Signals:
-    """ECG of a beat, to be compared with a recording, and the beginning of its activation.
+    """ECG of a beat, to be compared with a recording, and the beginning of its activation."""
 
-    Attributes
-    ----------
-    leads : (12 + k, n) array
-        Simulated ECG (mV), in the leads of the heart.
-    first_activation : float
-        Sample of `leads` at the first activation; may lie between samples.
-    junctions : tuple of int
-        Number of junctions of each tree.
-    """
-
-    leads: Floats
-    first_activation: float
-    junctions: tuple[int, ...]
+    leads: Floats  # (12 + k, n), mV, in the leads of the heart
+    first_activation: float  # sample of `leads`; may lie between samples
+    junctions: tuple[int, ...]  # number of each tree
 
 
 def check_activation(times: Floats, longest: float = 100_000.0) -> None:

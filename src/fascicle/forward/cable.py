@@ -200,12 +200,8 @@ def duration(time: Floats, potential: Floats, repolarised: float = 0.9) -> float
     """Action potential duration (ms), by default APD90.
 
     From the maximum upstroke until the potential falls through
-    peak − `repolarised`·(peak − rest), rest being what the record (ms, mV) starts with.
-
-    Raises
-    ------
-    InputError
-        If the record ends before that.
+    peak − `repolarised`·(peak − rest), rest being what the record (ms, mV) starts with. InputError
+    if the record ends before that.
     """
     peak = potential.max()
     level = peak - repolarised * (peak - potential[0])

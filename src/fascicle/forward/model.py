@@ -191,10 +191,7 @@ class ForwardModel:
     def of_heart(self, parameters: Mapping[str, float]) -> ForwardModel:
         """Forward model of the heart of the atlas that parameters name; else this one.
 
-        Raises
-        ------
-        InputError
-            If the atlas has no heart of this number, or this heart is not an atlas.
+        InputError if the atlas has no heart of this number, or this heart is not an atlas.
         """
         number = parameters.get("atlas_heart")
         if number is None:
@@ -268,17 +265,8 @@ class ForwardModel:
     def torso(self, names: Sequence[str], progress: Progress | None = None) -> TorsoModel:
         """Lead fields as a function of the torso, built when first used: minutes, once per heart.
 
-        Parameters
-        ----------
-        names : sequence of str
-            Quantities of the torso that need it; an error names the first.
-        progress : Progress, optional
-            Progress callback, instead of that of the model.
-
-        Raises
-        ------
-        InputError
-            If the heart lies in an unbounded conductor.
+        An InputError, if the heart lies in an unbounded conductor, says the first of the `names` of
+        quantities that need the torso. `progress` takes the place of the model's own callback.
         """
         with self._torso_lock:
             if self._torso is None:
@@ -594,14 +582,7 @@ def _grow_trees(
 class Tissue:
     """Preparation that depends on the speeds of the tissue, up to a common factor.
 
-    Attributes
-    ----------
-    myocardium : Myocardium
-        Myocardium of the coupled eikonal problem.
-    electrocardiograph : Electrocardiograph
-        The ECG integral.
-    attach : callable
-        Attaches trees to the myocardium; the last couplings are cached.
+    `attach` attaches trees to the myocardium; the last couplings are cached.
     """
 
     myocardium: Myocardium

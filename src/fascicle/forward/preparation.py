@@ -44,22 +44,12 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Prepared:
-    """Everything about a heart that the forward model needs.
+    """Everything about a heart that the forward model needs."""
 
-    Attributes
-    ----------
-    charts, seeds : dict of side to Chart and to Seed
-        Maps of the endocardia to the unit disk, and where each bundle starts and heads.
-    myocardium : Myocardium
-        The myocardium for the coupled eikonal problem.
-    electrocardiograph : Electrocardiograph
-        The ECG integral of healthy tissue.
-    """
-
-    charts: dict[str, Chart]
+    charts: dict[str, Chart]  # by side, as the seeds
     seeds: dict[str, Seed]
     myocardium: Myocardium
-    electrocardiograph: Electrocardiograph
+    electrocardiograph: Electrocardiograph  # of healthy tissue
 
 
 def prepare(
@@ -222,14 +212,15 @@ def from_arrays(
 _compiled = False  # whether this process has compiled the kernels
 
 
-def compile_kernels(progress: Progress, silence: float = 1.0) -> None:
+def compile_kernels(progress: Progress | None, silence: float = 1.0) -> None:
     """Compute the action potential, and run every kernel on a tiny heart.
 
     Once in a process; kernels that were compiled on this machine before are read from disk.
-    `progress` is called with the steps done, once they take longer than `silence` (s).
+    `progress` is called with the steps done, once they take longer than `silence` (s); without it
+    kernels are compiled when they are first used.
     """
     global _compiled
-    if _compiled:
+    if _compiled or progress is None:
         return
     finished, is_slow = 0, False
 

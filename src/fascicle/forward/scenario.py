@@ -93,13 +93,7 @@ class Excitation:
     _speed: list[Floats] = field(default_factory=list)
 
     def tree(self, name: str) -> int:
-        """Number of the tree of this name.
-
-        Raises
-        ------
-        InputError
-            If there is none.
-        """
+        """Number of the tree of this name; InputError if there is none."""
         names = [tree.side for tree in self.trees]
         if name not in names:
             raise InputError(f"there is no tree '{name}'; known: {', '.join(names)}")
@@ -109,12 +103,7 @@ class Excitation:
         """Whether a segment of a part of a tree, such as ``"bundle"``, ends at a node (n_nodes,).
 
         Of several fascicles the anterior and the posterior one are those whose ends lie furthest
-        in these directions.
-
-        Raises
-        ------
-        InputError
-            If the tree has no such part.
+        in these directions. InputError if the tree has no such part.
         """
         grown = self.trees[tree]
         parts = {**grown.parts}
@@ -261,21 +250,8 @@ class Scenario:
     ) -> Excitation:
         """Excitation of a network in this scenario, to be solved.
 
-        Parameters
-        ----------
-        trees : sequence of PurkinjeTree
-            The heart's own trees.
-        root_time : float or sequence of float
-            RV–LV activation delay t_RV − t_LV, or the firing time of each root (ms).
-        values : mapping of name to float
-            Quantities of the network.
-        sites : Sites
-            Sites of the heart.
-
-        Raises
-        ------
-        InputError
-            If the scenario does not fit trees or heart.
+        The trees are the heart's own, `values` quantities of the network, and `root_time` (ms) as
+        in `root_times`. InputError if the scenario does not fit trees or heart.
         """
         roots = root_times(root_time)
         if len(roots) != len(trees):

@@ -63,10 +63,7 @@ def name_in_library(scenario: Scenario) -> str | None:
 def find_scenario(name: str) -> Path:
     """File of a scenario: that of a name in the `library`, else the path itself.
 
-    Raises
-    ------
-    InputError
-        If the name is neither in the library nor that of a file.
+    InputError if the name, which is no path, is not in the library.
     """
     packaged, path = library(), Path(name)
     if name in packaged:
@@ -129,13 +126,8 @@ def read_scenarios(names: Sequence[str | Path] | str | Path) -> dict[str, Scenar
 def read_scenario(path: Path | str) -> tuple[Scenario, tuple[Region, ...]]:
     """Read a scenario, and the regions of the myocardium that conduct otherwise in it.
 
-    Paths of tree files count from the folder of the scenario.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or not TOML, holds an unknown key or a wrong value, or a tree in it
-        cannot be read.
+    Paths of tree files count from the folder of the scenario. InputError if the file is missing or
+    not TOML, holds an unknown key or a wrong value, or a tree in it cannot be read.
     """
     path = Path(path)
     check_file(path, (".toml",), "scenario")
@@ -176,10 +168,7 @@ def _read(kind: type[Kind], values: Mapping[str, Any]) -> Iterator[Kind]:
 def scenario_text(scenario: Scenario, regions: Sequence[Region] = ()) -> str:
     """TOML text from which `read_scenario` restores a scenario and regions of the myocardium.
 
-    Raises
-    ------
-    InputError
-        If the scenario has additional trees, whose files the text would only name.
+    InputError if the scenario has additional trees, whose files the text would only name.
     """
     if scenario.trees:
         raise InputError(f"{scenario.source}: has trees of its own, which cannot be kept with it")

@@ -100,12 +100,8 @@ def simulate_inputs(
     Without either, the example network is simulated, scaled to the heart. `overrides` replace
     quantities of the file. Parameters are checked before the model is made, since a large heart
     takes a while. Returns the simulation, its inputs, for the summary, and the heart, which is one
-    of an atlas if the parameters name it.
-
-    Raises
-    ------
-    InputError
-        If files cannot be used, one tree is missing, or the parameters give no tree.
+    of an atlas if the parameters name it. InputError if files cannot be used, one tree is missing,
+    or the parameters give no tree.
     """
     overrides = checked(overrides if overrides is not None else {})
     if lv_tree is None and rv_tree is None:

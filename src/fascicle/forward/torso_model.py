@@ -27,21 +27,11 @@ from fascicle.torso.training import build_response
 
 @dataclass(frozen=True)
 class TorsoModel:
-    """Lead fields as a function of the torso, and the ECG weights of each of their modes.
-
-    Attributes
-    ----------
-    response : TorsoResponse
-        Coefficients of the modes.
-    weights : (m, 3, k) array
-        Weights of the ECG integral (`Electrocardiograph`) for each mode.
-    additional : sequence of str
-        Electrodes besides the nine.
-    """
+    """Lead fields as a function of the torso, and the ECG weights of each of their modes."""
 
     response: TorsoResponse
-    weights: NDArray[np.float32]
-    additional: Sequence[str] = ()
+    weights: NDArray[np.float32]  # (m, 3, k), of the `Electrocardiograph` for each mode
+    additional: Sequence[str] = ()  # electrodes besides the nine
 
     def lead_coefficients(self, values: Mapping[str, float]) -> Floats | Infeasible:
         """Coefficients (8 + a, k) of the modes for the independent leads, then additional ones.

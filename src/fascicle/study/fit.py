@@ -51,7 +51,6 @@ from fascicle.study.study import (
     StudyFile,
     check_study_folder,
     is_finished,
-    refuse_held,
     study_lock,
 )
 
@@ -141,7 +140,9 @@ def fit(
         likelihoods = checked_likelihoods(likelihood, count, fit_settings.method)
     folder = as_path(out, "out")
     check_study_folder(folder)
-    refuse_held(folder)
+    if (folder / StudyFile.LOCK).exists():
+        with study_lock(folder):
+            pass  # refused, before the inputs are read, if another process works on it
     with shown_progress(progress) as shown:
         inputs = read_inputs(heart, target, parameters or {}, fit_settings, rules, likelihoods)
         # a likelihood of the user's own may have changed

@@ -84,8 +84,7 @@ class InverseProblem:
         backend: Backend | None = None,
     ) -> InverseProblem:
         """Prepare the forward model, which takes long on a new machine or with a new heart."""
-        if progress is not None:
-            compile_kernels(progress)
+        compile_kernels(progress)
         config, heart, prior = inputs.config, inputs.heart, inputs.config.prior
         model = ForwardModel(heart, rules=inputs.rules, progress=progress)
         names, scenario = [*prior.names, *prior.fixed], inputs.recordings[0][1]

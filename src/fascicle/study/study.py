@@ -233,13 +233,6 @@ def study_lock(folder: Path) -> Iterator[None]:
         lock.release()
 
 
-def refuse_held(folder: Path) -> None:
-    """Refuse a study that another process works on, before a fit's inputs are read."""
-    if (folder / StudyFile.LOCK).exists():
-        with study_lock(folder):
-            pass
-
-
 def check_study_folder(folder: Path) -> None:
     """Refuse a folder that holds files but no study."""
     if not folder.exists():

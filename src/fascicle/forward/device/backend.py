@@ -14,7 +14,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.parameters import Infeasible, complete
 from fascicle.core.quantities import SIDES, Changes, fascicles, quantity
 from fascicle.forward.beat import Beat, Signals
-from fascicle.forward.device.batch import Device, Results, Simulator
+from fascicle.forward.device.batch import Results, Simulator
 from fascicle.forward.device.card import BEAT, PLAN, Card
 from fascicle.forward.eikonal.activation import Activation
 from fascicle.forward.electrocardiogram import SAMPLE_STEP, leads_from_independent
@@ -44,13 +44,13 @@ class GpuBackend:
         self._use(Card(device), 512)  # 3 MB each, and several for each of a card's processors
 
     @classmethod
-    def on(cls, device: Device, networks: int) -> GpuBackend:
+    def on(cls, device: Card, networks: int) -> GpuBackend:
         """Backend on an open device, with room for `networks` networks at a time."""
         backend = cls.__new__(cls)
         backend._use(device, networks)
         return backend
 
-    def _use(self, device: Device, networks: int) -> None:
+    def _use(self, device: Card, networks: int) -> None:
         self.batch = networks
         self._simulator = lru_cache(1)(
             lambda model: Simulator(device, model.prepared, model.electrocardiograph, networks)

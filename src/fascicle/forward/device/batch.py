@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,36 +13,13 @@ from numpy.typing import NDArray
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.quantities import SIDES
-from fascicle.forward.device.card import BATCH_FIELDS, HEART_FIELDS, SITE, SIZES, Bytes, structure
+from fascicle.forward.device.card import BATCH_FIELDS, HEART_FIELDS, SITE, SIZES, Card, structure
 from fascicle.forward.device.packing import packed_heart
 from fascicle.forward.electrocardiogram import SAMPLE_STEP, Electrocardiograph
 from fascicle.forward.preparation import Prepared
 from fascicle.kernels.arrays import CORNERS
 from fascicle.kernels.growth import NODE
 from fascicle.kernels.jit import CHANNELS
-
-
-class Device(Protocol):
-    """Device that runs kernels: a card, or in tests a processor in its place."""
-
-    @property
-    def shared_bytes(self) -> int:
-        """Memory (bytes) that the threads of a block can share."""
-
-    def upload(self, values: Bytes) -> Any:
-        """Copy bytes to a new buffer of the device."""
-
-    def room(self, size: int) -> Any:
-        """Make an uninitialised buffer of `size` bytes."""
-
-    def address(self, buffer: Any) -> int:
-        """Address of a buffer."""
-
-    def download(self, buffer: Any, start: int, size: int) -> Bytes:
-        """Copy bytes of a buffer, once all kernels have ended."""
-
-    def launch(self, kernel: str, blocks: int, shared: int, heart: Any, batch: Any) -> None:
-        """Run a kernel on two structures in `blocks` blocks, each with `shared` bytes of memory."""
 
 
 @dataclass(frozen=True)
@@ -77,17 +54,7 @@ class Results:
 
 
 class Simulator:
-    """A heart on a device, with room for a batch of networks.
-
-    Parameters
-    ----------
-    device : Device
-        Device that runs the kernels.
-    prepared, electrocardiograph
-        The heart: see `packed_heart`.
-    networks : int
-        Number of networks that it has room for.
-    """
+    """A heart, as `packed_heart` takes it, on a card, with room for a number of networks."""
 
     # Room for each tree, and each network. Larger ones, which hardly any heart has, are left to the
     # processor: the packaged heart's trees have at most 5000 nodes, its networks 800 junctions.
@@ -97,7 +64,7 @@ class Simulator:
 
     def __init__(
         self,
-        device: Device,
+        device: Card,
         prepared: Prepared,
         electrocardiograph: Electrocardiograph,
         networks: int,

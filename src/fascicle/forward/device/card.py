@@ -110,13 +110,7 @@ SIZES |= {"Beat": BEAT.itemsize, "Sprout": 32, "Move": 40}
 
 
 def source(block: str | None = None) -> str:
-    """Source of all kernels.
-
-    Parameters
-    ----------
-    block : str, optional
-        Text in place of ``block.cuh``, which is for CUDA.
-    """
+    """Source of all kernels; `block` is a text in place of ``block.cuh``, which is for CUDA."""
     folder = files(__package__)
     # each after those that it uses; `block.cuh`, which a test replaces, comes before all
     kernels = ("local_solver", "network", "rays", "growth", "attach", "solve", "ecg")
@@ -140,13 +134,7 @@ def structure(members: Mapping[str, str], values: Mapping[str, Any]) -> Bytes:
 
 
 def card_number(name: str) -> int:
-    """The number of a card: 0 of ``"cuda"``, 1 of ``"cuda:1"``.
-
-    Raises
-    ------
-    InputError
-        If there is none of this name, or no CuPy.
-    """
+    """The number of a card: 0 of ``"cuda"``, 1 of ``"cuda:1"``; InputError without it or CuPy."""
     check_text(name, "device")
     match = re.fullmatch(r"cuda(?::(\d{1,3}))?", name)
     if match is None:
@@ -168,13 +156,9 @@ def card_number(name: str) -> int:
 
 
 class Card:
-    """An NVIDIA card, as a `fascicle.forward.device.batch.Device`.
+    """An NVIDIA card that runs kernels, by its name; in tests a processor takes its place."""
 
-    Parameters
-    ----------
-    name : str
-        See `card_number`.
-    """
+    shared_bytes: int  # memory that the threads of a block can share
 
     def __init__(self, name: str) -> None:
         number = card_number(name)

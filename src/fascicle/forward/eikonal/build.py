@@ -240,14 +240,8 @@ def find_candidates(
     With a triangle in a ball of radius r, and the surface at a distance d from the centre, the
     surface point nearest to any point of the ball is d + 2r from the centre at most.
 
-    Parameters
-    ----------
-    triangles : (m, 3, 3) array
-        Corners of the endocardium's triangles (mm).
-    vertices, surface : (v, 3) and (b, 3) arrays
-        The tissue's boundary.
-    tree : igl.AABB
-        Finds its nearest triangle.
+    `triangles` (m, 3, 3) are corners of the endocardium's triangles (mm). The tissue's boundary has
+    vertices (v, 3) (mm) and triangles `surface` (b, 3), of which the tree finds the nearest.
     """
     centres, radii = _balls(triangles)
     surface_centres, surface_radii = _balls(vertices[surface])
@@ -285,22 +279,11 @@ def build_travel_time_table(
     most: int = 8_000_000,
     longest: float = 50.0,
 ) -> TravelTimeTable:
-    """Trace rays from boundary triangles to the vertices around them.
+    """Trace rays from boundary triangles (r,) to the vertices around them.
 
-    Parameters
-    ----------
-    mesh : EikonalMesh
-        The myocardium.
-    surface, owner : (b, 3) and (b,) arrays
-        Its boundary triangles, and the tetrahedron of each.
-    triangles : (r,) array
-        Boundary triangles to trace rays from.
-    progress : callable
-        Called with the triangles done and their number, once it is clear that it takes a while.
-    most : int
-        Largest number of rays, about; 8 million at most.
-    longest : float
-        Longer travel times along rays (ms) are left to the elements.
+    The boundary triangles of the mesh are `surface` (b, 3), of the tetrahedra `owner` (b,). There
+    are about `most` rays at most, and 8 million; travel times (ms) above `longest` are left to the
+    elements. `progress` counts the triangles, once it is clear that it takes a while.
     """
     missing = ~(mesh.corners[owner][:, :, None] == surface[:, None, :]).any(axis=2)
     opposite = missing.argmax(axis=1)

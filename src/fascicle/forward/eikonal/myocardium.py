@@ -213,19 +213,11 @@ def attach(
     points: Floats | None = None,
     sources: int | None = None,
 ) -> Coupling:
-    """Find where trees and stimuli meet the myocardium.
+    """Find where any number of trees, and stimuli at points (s, 3) (mm), meet the myocardium.
 
-    Parameters
-    ----------
-    myocardium : Myocardium
-        The myocardium.
-    trees : sequence of PurkinjeTree
-        Any number of trees; junctions are moved to the nearest point of the tissue's surface.
-    points : (s, 3) array, optional
-        Stimuli in the myocardium (mm); those outside are moved to its surface.
-    sources : int, optional
-        Number of points, the first ones, with rays to every vertex; rays from the others, vertices
-        that a stimulus captures, reach as far as from junctions. By default all points.
+    Junctions are moved to the nearest point of the tissue's surface, and so are stimuli outside.
+    Rays from the first points, `sources` of them or all, go to every vertex; those from the others,
+    vertices that a stimulus captures, reach as far as from junctions.
     """
     stimuli = np.empty((0, 3)) if points is None else np.asarray(points, float).reshape(-1, 3)
     located = _locate_junctions(myocardium, trees)
@@ -311,16 +303,10 @@ def rays_to_mesh(
 ) -> RayTravelTimes:
     """Find the ray travel times from sites to the vertices around them.
 
-    Parameters
-    ----------
-    located : LocatedPoints
-        Locations of the sites; `barycentric` and `to_corner` are filled in.
-    triangles : (j,) array or None
-        The boundary triangle that each site lies in, -1 for none: times are read from the table;
-        where it lacks the triangle, rays are traced as far as it reaches. If None, rays from all
-        sites are traced, to every vertex.
-    myocardium : Myocardium
-        The myocardium, with the ray travel times from its endocardia.
+    `barycentric` and `to_corner` of the sites are filled in. Times are read from the myocardium's
+    table by the boundary triangle (j,) that each site lies in, -1 for none; where the table lacks
+    the triangle, rays are traced as far as it reaches. Without triangles, rays from all sites are
+    traced, to every vertex.
     """
     mesh, table, elements = myocardium.mesh, myocardium.travel_times, located.elements
     count = len(elements)
@@ -390,20 +376,7 @@ def _parents_first(parents: Integers) -> Integers:
 
 
 def grouped(groups: NDArray[np.integer], count: int) -> tuple[Integers, Integers]:
-    """Sort items by group, stably within a group.
-
-    Parameters
-    ----------
-    groups : (n,) array
-        The group of each item.
-    count : int
-        How many groups there are.
-
-    Returns
-    -------
-    start, order : (count + 1,) and (n,) arrays
-        Where each group starts in the order, and the order.
-    """
+    """Items sorted by group (n,), stably: starts (count + 1,) of the groups, and the order (n,)."""
     sizes = np.bincount(groups, minlength=count)
     return np.concatenate([[0], np.cumsum(sizes)]), np.argsort(groups, kind="stable")
 
