@@ -277,12 +277,12 @@ def write_nifti(path: Path, labels=None, factor: float = 1.0) -> Path:
 BODY, BODY_CENTRE = (130.0, 105.0, 150.0), (22.0, 0.0, -30.0)  # half-axes and centre (mm)
 
 
-def body(half_axes=BODY, centre=BODY_CENTRE) -> Surface:
+def body(half_axes=BODY, centre=BODY_CENTRE, subdivisions: int = 4) -> Surface:
     """A coarse closed ellipsoid, of itself a skin around the ventricles."""
     corners = np.concatenate([np.eye(3), -np.eye(3)])
     upper = np.array([(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2)])
     faces = np.concatenate([upper, np.where(upper == 2, 5, upper)[:, ::-1]]).astype(np.int64)
-    points, faces = igl.upsample(corners, faces, 4)
+    points, faces = igl.upsample(corners, faces, subdivisions)
     points = points / np.linalg.norm(points, axis=1, keepdims=True)
     return Surface(points * np.asarray(half_axes) + np.asarray(centre), faces.astype(np.int64))
 
