@@ -7,7 +7,6 @@ from functools import cache
 from pathlib import Path
 
 import igl
-import meshio
 import nibabel
 import numpy as np
 import pyvista as pv
@@ -56,7 +55,6 @@ SCAR_CENTRE, SCAR_RADIUS = np.array([-32.0, 0.0, -22.0]), 24.0  # mm
 NUMBERS = {LV: 1, RV: 2, EPI: 3}  # of blood and muscle in segmentations
 SCAR = 4
 VOXEL = 2.0  # mm
-GROUPS = {BASE: "base", EPI: "epi", LV: "lv_endo", RV: "rv_endo"}
 
 
 def volume_below(label: Label) -> float:
@@ -239,42 +237,6 @@ def write_vtu(
     return path
 
 
-def write_gmsh(path: Path) -> Path:
-    """Tetrahedra in two physical volumes, and the boundary in physical surfaces."""
-    mesh = tissue()
-    cells, numbers = [("tetra", mesh.tetrahedra)], [halves(mesh)]
-    names = {"front": np.array([1, 3]), "back": np.array([2, 3])}
-    for label, name in GROUPS.items():
-        cells.append(("triangle", mesh.having(label)))
-        numbers.append(np.full(len(cells[-1][1]), 10 + label))
-        names[name] = np.array([10 + label, 2])
-    data = {"gmsh:physical": numbers, "gmsh:geometrical": numbers}
-    meshio.write(
-        path,
-        meshio.Mesh(mesh.vertices, cells, cell_data=data, field_data=names),
-        file_format="gmsh22",
-    )
-    return path
-
-
-def write_opencarp(folder: Path) -> Path:
-    """A mesh of openCARP (µm) with fibres, tags, and a `.surf` file for each label."""
-    mesh = tissue()
-
-    def write(name: str, header: list[object], rows: np.ndarray, lead: str = "") -> None:
-        lines = [lead + " ".join(map(repr, row)) for row in rows.tolist()]
-        (folder / name).write_text("\n".join([*map(str, header), *lines]) + "\n")
-
-    write("carp.pts", [len(mesh.vertices)], mesh.vertices * 1000)
-    tagged = np.column_stack([mesh.tetrahedra, halves(mesh)])
-    write("carp.elem", [len(tagged)], tagged, "Tt ")
-    write("carp.lon", [1], circular_fibres(mesh))
-    for label, name in GROUPS.items():
-        rows = mesh.having(label)
-        write(f"carp_{name}.surf", [len(rows)], rows, "Tr ")
-    return folder / "carp.pts"
-
-
 @cache
 def label_map(voxel: float = VOXEL) -> tuple[np.ndarray, np.ndarray]:
     """Labels of voxels, whose uppermost layer ends at the base, and the affine from index to mm."""
@@ -315,12 +277,12 @@ def write_nifti(path: Path, labels=None, factor: float = 1.0) -> Path:
 BODY, BODY_CENTRE = (130.0, 105.0, 150.0), (22.0, 0.0, -30.0)  # half-axes and centre (mm)
 
 
-def body(half_axes=BODY, centre=BODY_CENTRE) -> Surface:
+def body(half_axes=BODY, centre=BODY_CENTRE, subdivisions: int = 4) -> Surface:
     """A coarse closed ellipsoid, of itself a skin around the ventricles."""
     corners = np.concatenate([np.eye(3), -np.eye(3)])
     upper = np.array([(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2)])
     faces = np.concatenate([upper, np.where(upper == 2, 5, upper)[:, ::-1]]).astype(np.int64)
-    points, faces = igl.upsample(corners, faces, 4)
+    points, faces = igl.upsample(corners, faces, subdivisions)
     points = points / np.linalg.norm(points, axis=1, keepdims=True)
     return Surface(points * np.asarray(half_axes) + np.asarray(centre), faces.astype(np.int64))
 

@@ -179,25 +179,6 @@ def test_tetrahedra_stay_as_they_are(build, tmp_path, labelled):
     assert_ventricles(heart)
 
 
-def test_gmsh_with_physical_groups(build, tmp_path):
-    mesh = anatomies.tissue()
-    heart, _ = build(anatomies.write_gmsh(tmp_path / "heart.msh"))
-    np.testing.assert_array_equal(heart.tetrahedra, mesh.tetrahedra)
-    np.testing.assert_array_equal(heart.regions, anatomies.halves(mesh))
-    assert_ventricles(heart)
-
-
-def test_opencarp_keeps_its_fibres(build, tmp_path):
-    mesh = anatomies.tissue()
-    heart, _ = build(anatomies.write_opencarp(tmp_path))
-    np.testing.assert_array_equal(heart.tetrahedra, mesh.tetrahedra)
-    np.testing.assert_allclose(heart.vertices, mesh.vertices, atol=1e-9)
-    np.testing.assert_allclose(heart.fibres, anatomies.circular_fibres(mesh), atol=1e-12)
-    np.testing.assert_array_equal(heart.regions, anatomies.halves(mesh))
-    assert heart.sheets is None
-    assert_ventricles(heart)
-
-
 @pytest.fixture
 def mesh_file(tmp_path):
     """Labelled tetrahedra, from which a heart is built in a second."""

@@ -1,26 +1,34 @@
 """`fascicle heart export` of a built heart, read back by `fascicle` and by others."""
 
-import anatomies
+from dataclasses import replace
+
 import meshio
 import numpy as np
 import pytest
 import pyvista as pv
-from anatomies import LV, RV
 
-from fascicle.heart.folder import load_heart
-from fascicle.mesh.mesh_file import TETRAHEDRON
-from fascicle.mesh.read import read_mesh
+from fascicle.heart.folder import load_heart, write_heart
+
+
+@pytest.fixture(scope="module")
+def folder(ventricles, tmp_path_factory):
+    """Ventricles whose fibres are no rule's: their sheets, exchanged with them."""
+    known = load_heart(ventricles)
+    turned = replace(known, fibres=known.sheets, sheets=known.fibres)
+    folder = tmp_path_factory.mktemp("turned") / "heart"
+    write_heart(turned, folder)
+    return folder
 
 
 @pytest.fixture
-def heart(ventricles):
-    return load_heart(ventricles)
+def heart(folder):
+    return load_heart(folder)
 
 
 @pytest.fixture
-def export(run, ventricles, outside):
+def export(run, folder, outside):
     def call(name, kind):
-        ended = run("heart", "export", ventricles, "--format", kind, "--out", outside / name)
+        ended = run("heart", "export", folder, "--format", kind, "--out", outside / name)
         assert (ended.status, ended.err) == (0, "")
         assert ended.out == f"written to {outside / name}\n"
         return outside / name
@@ -28,22 +36,8 @@ def export(run, ventricles, outside):
     return call
 
 
-def assert_same(mesh, heart, exact):
-    """Tetrahedra, fibres, sheets and regions are the heart's."""
-    count = len(heart.vertices)
-    np.testing.assert_allclose(mesh.points[:count], heart.vertices, rtol=0, atol=exact)
-    np.testing.assert_array_equal(mesh.cells[TETRAHEDRON], heart.tetrahedra)
-    arrays = mesh.cell_data[TETRAHEDRON]
-    np.testing.assert_allclose(arrays["fibre"], heart.fibres, atol=1e-14)
-    np.testing.assert_allclose(arrays["sheet"], heart.sheets, atol=1e-14)
-    np.testing.assert_array_equal(arrays["region"], heart.regions)
-    assert 20 < heart.regions.sum() < len(heart.regions) / 2
-
-
 def test_vtu(export, heart):
-    path = export("heart.vtu", "vtu")
-    assert_same(read_mesh(path), heart, 0.0)
-    other = pv.read(path)
+    other = pv.read(export("heart.vtu", "vtu"))
     assert other.n_cells == len(heart.tetrahedra)
     sizes = other.compute_cell_sizes(length=False, area=False)["Volume"]
     np.testing.assert_allclose(sizes, heart.volumes, rtol=1e-9)
@@ -51,30 +45,12 @@ def test_vtu(export, heart):
 
 def test_gmsh(export, heart):
     path = export("heart.msh", "gmsh")
-    mesh = read_mesh(path)
-    assert_same(mesh, heart, 0.0)
-    assert set(mesh.groups) == {"region 0", "region 1", "lv_endo", "rv_endo", "epi", "base"}
     content = path.read_bytes()
     bare = path.with_name("bare.msh")  # meshio cannot read its element data
     bare.write_bytes(content[: content.index(b"$ElementData")])
     cells = meshio.gmsh.read(bare).cells_dict
     np.testing.assert_array_equal(cells["tetra"], heart.tetrahedra)
     assert len(cells["triangle"]) == len(heart.boundary[0])
-
-
-def test_opencarp(export, heart):
-    out = export("carp", "opencarp")
-    assert_same(read_mesh(out / "heart.pts"), heart, 1e-9)
-    lines = (out / "heart.pts").read_text().split("\n")
-    assert int(lines[0]) == len(heart.vertices)
-    first = [float(word) for word in lines[1].split()]
-    np.testing.assert_allclose(first, heart.vertices[0] * 1000, atol=1e-5)  # µm
-    known = anatomies.tissue()
-    for name, label in (("lv", LV), ("rv", RV)):
-        rows = (out / f"heart_{name}_endo.surf").read_text().split("\n")[1:-1]
-        found = np.sort([[int(word) for word in row.split()[1:]] for row in rows], axis=1)
-        there = np.sort(known.having(label), axis=1)
-        assert {*map(tuple, found)} == {*map(tuple, there)}
 
 
 @pytest.mark.parametrize(
@@ -85,11 +61,9 @@ def test_opencarp(export, heart):
         ("heart.vtu", "vtu", "heart.vtu"),  # without labels, which are then found by shape
     ],
 )
-def test_what_went_out_builds_the_same_heart(
-    export, ventricles, heart, run, outside, name, kind, mesh
-):
+def test_what_went_out_builds_the_same_heart(export, folder, heart, run, outside, name, kind, mesh):
     export(name, kind)
-    around = ["--torso", "none", "--electrodes", ventricles / "electrodes.csv"]
+    around = ["--torso", "none", "--electrodes", folder / "electrodes.csv"]
     ended = run("heart", "build", outside / mesh, *around, "--out", outside / "again")
     assert ended.status == 0, ended
     again = load_heart(outside / "again")
@@ -101,3 +75,4 @@ def test_what_went_out_builds_the_same_heart(
     for side in ("lv", "rv"):
         assert getattr(again, side).area == pytest.approx(getattr(heart, side).area, rel=1e-6)
     np.testing.assert_array_equal(again.regions, heart.regions)
+    assert 20 < heart.regions.sum() < len(heart.regions) / 2

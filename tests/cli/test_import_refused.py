@@ -126,13 +126,6 @@ TISSUES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("case", TISSUES)
-def test_tissues(materials, import_refused, case):
-    spoilt, *words = TISSUES[case]
-    file = spoilt(materials)
-    import_refused(file, *words, mesh=file, fibres=file)
-
-
 def fibres(m, values=None, *, points=None, tetrahedra=None, **more):
     """Save fibres of the tissue, as they are or spoilt, with more arrays of points."""
     points = m.points if points is None else points
@@ -166,13 +159,6 @@ FIBRES = {
     "of part of the cells": (lambda m: of_cells(m, np.eye(3)[np.arange(3062) % 3]),
                              "no fibre within", "10 of 3072 tetrahedra"),
 }  # fmt: skip
-
-
-@pytest.mark.parametrize("case", FIBRES)
-def test_fibres(materials, import_refused, case):
-    spoilt, *words = FIBRES[case]
-    file = spoilt(materials)
-    import_refused(file, *words, fibres=file)
 
 
 def test_fibres_of_cells_go_before_those_of_points(materials, outside, run):
@@ -251,11 +237,16 @@ SURFACES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("case", SURFACES)
-def test_endocardia(materials, import_refused, case):
-    spoilt, *words = SURFACES[case]
-    file = spoilt(materials)
-    import_refused(file, *words, lv_endocardium=file)
+SPOILT = [(case, "mesh", "fibres") for case in TISSUES.items()]
+SPOILT += [(case, "fibres") for case in FIBRES.items()]
+SPOILT += [(case, "lv_endocardium") for case in SURFACES.items()]
+
+
+@pytest.mark.parametrize("spoilt", SPOILT, ids=lambda spoilt: f"{spoilt[1]}: {spoilt[0][0]}")
+def test_parts(materials, import_refused, spoilt):
+    (_, (spoil, *words)), *parts = spoilt
+    file = spoil(materials)
+    import_refused(file, *words, **dict.fromkeys(parts, file))
 
 
 @pytest.mark.parametrize(("which", "seed"), [("lv-root", 217), ("rv-direction", -1)])

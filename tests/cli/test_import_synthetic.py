@@ -2,7 +2,6 @@
 
 import json
 
-import meshio
 import numpy as np
 import pytest
 import pyvista as pv
@@ -73,73 +72,11 @@ def test_fibres_per_point_in_another_order(materials, outside, run):
     assert (np.abs(heart.fibres[high] @ np.array([1, 1.5, 0]) / np.sqrt(3.25)) > 1 - 1e-12).all()
 
 
-def write_tissue(materials, name):
-    path = materials.folder / name
-    mesh = materials.grid(materials.points, materials.tetrahedra, {"fibre": materials.fibres})
-    cells, fibres = [("tetra", materials.tetrahedra)], {"fibre": materials.fibres}
-    if name.endswith(".msh"):
-        version = "gmsh22" if "22" in name else "gmsh"
-        meshio.write(
-            path,
-            meshio.Mesh(materials.points, cells, fibres),
-            file_format=version,
-            binary="ascii" not in name,
-        )
-        if "ascii" in name:  # meshio writes numpy 2 scalars as np.float64(0.6)
-            path.write_text(path.read_text().replace("np.float64(", "").replace(")", ""))
-    else:
-        mesh.save(path, binary="ascii" not in name)
-    return path
-
-
-@pytest.mark.parametrize(
-    "name", ["binary.vtu", "ascii.vtu", "binary.vtk", "ascii.vtk", "binary.msh", "ascii22.msh"]
-)
-def test_every_tissue_format(materials, outside, run, name):
-    file = write_tissue(materials, name)
-    ended = run(*materials.command(outside / "heart", mesh=file, fibres=file))
-    assert ended.well
-    heart = load_heart(outside / "heart")
-    np.testing.assert_allclose(heart.vertices, materials.points, atol=1e-5)
-    np.testing.assert_array_equal(heart.tetrahedra, materials.tetrahedra)
-
-
-def write_surface(path, points, triangles):
-    if path.suffix == ".obj":
-        lines = ["# made elsewhere", "mtllib none.mtl", "o endocardium"]
-        lines += ["v {:.9g} {:.9g} {:.9g}".format(*p) for p in points]
-        lines += ["s off"] + ["f {} {} {}".format(*t) for t in triangles + 1]
-        path.write_text("\n".join(lines) + "\n")
-    elif path.suffix == ".msh":
-        meshio.write(path, meshio.Mesh(points, [("triangle", triangles)]), file_format="gmsh")
-    else:
-        pv.PolyData.from_regular_faces(points, triangles).save(
-            path, binary="ascii" not in path.name
-        )
-    return path
-
-
-@pytest.mark.parametrize(
-    "name", ["s.vtp", "ascii.vtk", "s.obj", "s.stl", "ascii.stl", "s.ply", "ascii.ply", "s.msh"]
-)
-def test_every_surface_format(materials, outside, run, name):
-    points, triangles = materials.lv_surface
-    file = write_surface(materials.folder / name, points, triangles)
-    ended = run(*materials.command(outside / "heart", lv_endocardium=file))
-    assert ended.well
-    lv = load_heart(outside / "heart").lv
-    assert len(lv.triangles) == len(triangles)
-    area = pv.PolyData.from_regular_faces(points, triangles).area
-    assert lv.area == pytest.approx(area, rel=1e-5)
-    if not name.endswith("stl"):  # which has no numbered points
-        np.testing.assert_allclose(lv.vertices, points, atol=1e-4)
-
-
 def test_surface_with_mixed_up_orientation(materials, outside, run):
     points, triangles = materials.lv_surface
     mixed = triangles.copy()
     mixed[::3] = mixed[::3, ::-1]
-    file = write_surface(materials.folder / "mixed.vtp", points, mixed)
+    file = materials.save("mixed.vtp", materials.surface(points, mixed))
     assert run(*materials.command(outside / "heart", lv_endocardium=file)).status == 0
     lv = load_heart(outside / "heart").lv
     corners = lv.vertices[lv.triangles]

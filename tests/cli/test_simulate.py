@@ -134,29 +134,6 @@ class TestOutputs:
         assert not (out / "ecg.png").exists()
 
 
-def as_polyline(path, out):
-    """Write a tree as VTP in single precision, each branch one polyline with ends of its own."""
-    tree = pv.read(path)
-    lines = tree.cells.reshape(-1, 3)[:, 1:]
-    degree = np.bincount(lines.ravel())
-    following = {}
-    for a, b in lines:
-        following.setdefault(a, []).append(b)
-    starts = [a for a in following if degree[a] != 2 or a == lines[0, 0]]
-    points, cells = [], []
-    for start in starts:
-        for step in following[start]:
-            branch = [start, step]
-            while degree[branch[-1]] == 2:
-                branch.append(following[branch[-1]][0])
-            cells += [len(branch), *range(len(points), len(points) + len(branch))]
-            points += tree.points[branch].tolist()
-    poly = pv.PolyData(np.array(points, dtype=np.float32), lines=cells)
-    poly.cell_data["length"] = np.full(poly.n_lines, 1.0)  # of nothing that is meant here
-    poly.save(out)
-    return out
-
-
 def changed(values, row, value):
     values = np.array(values, float)
     values[row] = value
@@ -193,25 +170,6 @@ class TestTrees:
         for name in ("lv_tree.vtu", "rv_tree.vtu"):
             first, second = (np.sort(pv.read(f / name)["activation"]) for f in (simulated, out))
             np.testing.assert_allclose(second, first, rtol=0, atol=1e-9)
-
-    def test_polylines(self, simulated, small_heart, outside, run):
-        lv, rv = (
-            as_polyline(simulated / f"{side}_tree.vtu", outside / f"{side}.vtp")
-            for side in ("lv", "rv")
-        )
-        out = outside / "polylines"
-        arguments = self.arguments(simulated, lv, rv)
-        ended = run("simulate", small_heart, *arguments, "--out", out)
-        assert (ended.status, ended.err) == (0, "")
-        # the chords of curved segments are a little shorter than the segments
-        first, second = (pv.read(f / "activation.vtu")["activation"] for f in (simulated, out))
-        assert np.abs(second - first).max() < 0.2
-        counts = [
-            json.loads((f / "summary.json").read_text())["trees"]["lv"] for f in (simulated, out)
-        ]
-        assert counts[0]["nodes"] == counts[1]["nodes"]
-        assert counts[0]["junctions"] == counts[1]["junctions"]
-        assert counts[1]["length_mm"] == pytest.approx(counts[0]["length_mm"], rel=0.01)
 
     @pytest.mark.parametrize("case", SPOILT)
     def test_spoilt_trees(self, simulated, outside, simulate_refused, case):

@@ -120,24 +120,10 @@ class TestOutputs:
 
 
 class TestRefusals:
-    @pytest.mark.parametrize(
-        ("text", "words"),
-        [
-            ("hello", ["not valid TOML"]),
-            ('[[inactive_root]]\ntree = "septum"', ["no tree 'septum'; known: lv, rv"]),
-            ("[[region]]\nconductivity = 0\nlabel = 1", ["region 1: the heart has no labels"]),
-            (
-                '[[tree]]\nname = "band"\nfile = "a.vtu"\ntime = 0\nroot = [0, 0, 0]',
-                ["a.vtu: no such file"],
-            ),
-        ],
-    )
-    def test_one_line_that_names_the_scenario(
-        self, small_heart, parameters, case, outside, refused, text, words
-    ):
-        path = case(text)
-        arguments = ["--params", parameters(), "--scenario", path, "--out", outside / "sim"]
-        message = refused(["simulate", small_heart, *arguments], *words)
+    def test_one_line_that_names_the_scenario(self, small_heart, case, outside, refused):
+        path = case("[[region]]\nconductivity = 0\nlabel = 1")
+        command = ["simulate", small_heart, "--scenario", path, "--out", outside / "sim"]
+        message = refused(command, "region 1: the heart has no labels")
         assert message.startswith(f"error: {path}: ")
         assert list(outside.iterdir()) == []
 

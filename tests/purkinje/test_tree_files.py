@@ -44,14 +44,16 @@ def test_directions_of_segments(tmp_path):
 
 
 def save_polylines(file, *lines):
-    """Every line with points of its own, as many programs write them."""
+    """Lines that share no point, as many programs write them; `length` is not their length."""
     points = np.concatenate([np.asarray(line, float) for line in lines])
     starts = np.cumsum([0, *map(len, lines)])
     cells = np.concatenate(
         [[len(line), *range(start, start + len(line))]
          for line, start in zip(lines, starts, strict=False)]
     )  # fmt: skip
-    pv.PolyData(points, lines=cells).save(file)
+    poly = pv.PolyData(points.astype(np.float32), lines=cells)
+    poly.cell_data["length"] = np.ones(len(lines))  # of nothing that is meant here
+    poly.save(file)
     return file
 
 

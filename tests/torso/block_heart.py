@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import igl
 import numpy as np
+from anatomies import body
+from builders import KUHN
 
 from fascicle.heart.labelled_surface import Label, LabelledMesh
 from fascicle.mesh.measures import signed_volumes
@@ -14,7 +15,6 @@ CUBE = 8.0  # mm
 CELLS = (9, 5, 7)
 # first and one past the last cube of each cavity along x, y and z
 LV, RV = ((5, 1, 1), (8, 4, 7)), ((1, 1, 2), (4, 4, 7))
-ROUND_CUBE = [(0, 1, 3, 7), (0, 3, 2, 7), (0, 2, 6, 7), (0, 6, 4, 7), (0, 4, 5, 7), (0, 5, 1, 7)]
 
 
 def block_heart() -> LabelledMesh:
@@ -23,7 +23,7 @@ def block_heart() -> LabelledMesh:
     for low, high in (LV, RV):
         cells = cells[~((cells >= low) & (cells < high)).all(axis=1)]
     bits = (np.arange(8)[:, None] >> np.arange(3)) & 1
-    corners = (cells[:, None] + bits)[:, ROUND_CUBE].reshape(-1, 3)
+    corners = (cells[:, None] + bits)[:, KUHN].reshape(-1, 3)
     vertices, tetrahedra = np.unique(corners, axis=0, return_inverse=True)
     vertices, tetrahedra = vertices * CUBE, tetrahedra.reshape(-1, 4).astype(np.int64)
     flip = signed_volumes(vertices, tetrahedra) < 0
@@ -38,24 +38,14 @@ def block_heart() -> LabelledMesh:
     return LabelledMesh(vertices, tetrahedra, triangles, labels, name="block")
 
 
-def ellipsoid(centre, half, subdivisions: int = 3) -> Surface:
-    """A closed surface of triangles, counter-clockwise seen from outside."""
-    octahedron = np.concatenate([np.eye(3), -np.eye(3)])
-    upper = np.array([(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2)])
-    lower = np.where(upper == 2, 5, upper)[:, ::-1]
-    faces = np.concatenate([upper, lower]).astype(np.int64)
-    vertices, faces = igl.upsample(octahedron, faces, subdivisions)
-    vertices = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
-    return Surface(vertices * np.asarray(half) + np.asarray(centre), faces.astype(np.int64))
-
-
 HEART_CENTRE = CUBE * np.array(CELLS) / 2
+SKIN = (150.0, 110.0, 180.0)  # half-axes (mm)
 
 
 def skin() -> Surface:
-    return ellipsoid(HEART_CENTRE, (150.0, 110.0, 180.0))
+    return body(SKIN, HEART_CENTRE, 3)
 
 
 def lung(side: int = 1) -> Surface:
     """Beside the heart: 13 mm from it, and from the skin."""
-    return ellipsoid(HEART_CENTRE + np.array([side * 85.0, 0, 0]), (35.0, 45.0, 60.0), 2)
+    return body((35.0, 45.0, 60.0), HEART_CENTRE + np.array([side * 85.0, 0, 0]), 2)

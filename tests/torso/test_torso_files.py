@@ -2,9 +2,10 @@
 
 from dataclasses import replace
 
+import anatomies
 import numpy as np
 import pytest
-from block_heart import HEART_CENTRE, block_heart, ellipsoid, lung, skin
+from block_heart import HEART_CENTRE, SKIN, block_heart, lung, skin
 
 from fascicle.core.errors import InputError
 from fascicle.heart.folder import read_torso, write_torso
@@ -70,7 +71,7 @@ def test_reads_and_welds_stl(tmp_path):
 
 
 def test_remeshes_what_is_too_fine(tmp_path):
-    fine = ellipsoid(HEART_CENTRE, (150.0, 110.0, 180.0), 6)
+    fine = anatomies.body(SKIN, HEART_CENTRE, 6)
     write_grid(tmp_path / "skin.vtu", fine.vertices, fine.triangles, TRIANGLE)
     body = read_torso_surfaces(tmp_path / "skin.vtu", [], block_heart())
     assert 1000 < len(body.skin.triangles) < len(fine.triangles) / 3

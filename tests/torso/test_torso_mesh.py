@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from block_heart import CUBE, HEART_CENTRE, LV, RV, block_heart, ellipsoid, lung, skin
+from anatomies import body
+from block_heart import CUBE, HEART_CENTRE, LV, RV, block_heart, lung, skin
 
 from fascicle.core.errors import InputError
 from fascicle.heart.heart import TorsoTissue
@@ -105,7 +106,7 @@ def one_turned() -> Surface:
         (skin(), [shifted(lung(), [-20, 0, 0])], r"lung 1: overlaps block by \d\.\d mm at"),
         (skin(), [shifted(lung(), [40, 0, 0])], r"lung 1: pokes \d+\.\d mm through the torso"),
         (skin(), [lung(), shifted(lung(), [5, 0, 9])], r"lung 2: overlaps lung 1 by \d\.\d mm"),
-        (skin(), [ellipsoid(HEART_CENTRE, (80, 60, 90))], "lung 1: overlaps block"),
+        (skin(), [body((80, 60, 90), HEART_CENTRE, 3)], "lung 1: overlaps block"),
     ],
 )
 def test_refuses_surfaces_that_do_not_fit(heart, body, lungs, message):
@@ -129,7 +130,7 @@ def test_a_fill_that_fails_is_one_line_and_nothing_is_printed(heart, capfd):
 
 
 def test_finds_no_crossing_of_nested_surfaces():
-    outer, inner = ellipsoid((0, 0, 0), (10, 10, 10)), ellipsoid((0, 0, 0), (9, 9, 9))
+    outer, inner = body((10, 10, 10), (0, 0, 0), 3), body((9, 9, 9), (0, 0, 0), 3)
     assert not len(intersections(outer, inner))
     # an edge through one triangle is enough, and lies where the two meet
     pairs = intersections(outer, shifted(inner, [1.5, 0, 0]))

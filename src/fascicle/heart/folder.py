@@ -54,6 +54,8 @@ HEART_FILES = {
     "check": "check.png",
     "labels": "labels.png",
 }
+# files of a heart's folder, with the former names of endocardia
+REPLACED = {*HEART_FILES.values(), "lv_endocardium.vtp", "rv_endocardium.vtp"}
 
 
 class Seeds(BaseModel, extra="forbid"):
@@ -261,13 +263,13 @@ def check_heart_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
             raise InputError(
                 f"{folder}: holds the input {path.name}, which would be lost; give another --out"
             )
-    check_nothing_lost(folder, set(HEART_FILES.values()))
+    check_nothing_lost(folder, REPLACED)
 
 
 def write_heart(heart: Heart, folder: Path) -> None:
     """Write a heart folder, whole or not at all."""
     check_heart_folder(folder)
-    with atomic_folder(folder, disposable=set(HEART_FILES.values())) as temporary:
+    with atomic_folder(folder, disposable=REPLACED) as temporary:
         files = {key: temporary / file for key, file in HEART_FILES.items()}
         write_grid(files["mesh"], *heart_mesh(heart))
         for e in heart.endocardia:
