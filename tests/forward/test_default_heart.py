@@ -6,7 +6,7 @@ from clinical import assert_left_bundle_branch_block, assert_normal
 
 import fascicle
 from fascicle.core.leads import LEADS
-from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE, Infeasible
+from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
 from fascicle.forward.beat import Beat
 
 
@@ -103,9 +103,3 @@ def test_zero_is_an_angle_and_a_root_time(default_model):
     straight = default_model.simulate(EXAMPLE_PARAMETERS | zeros)
     assert isinstance(straight, Beat)
     assert straight.trees[0].nodes.shape != default_model.grow(EXAMPLE_PARAMETERS)[0].nodes.shape
-
-
-def test_a_bundle_that_does_not_fit_is_a_typed_outcome(default_model):
-    outcome = default_model.simulate(EXAMPLE_PARAMETERS | {"rv_initial_length": 300.0})
-    assert isinstance(outcome, Infeasible)
-    assert "RV bundle leaves the endocardium" in outcome.reason

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from anatomies import NETWORK
+from builders import recorded
 
 from fascicle.core.parameters import ParameterSpace, free
 from fascicle.forward.model import ForwardModel
@@ -10,7 +11,6 @@ from fascicle.heart.folder import load_heart
 from fascicle.networks.prior import Prior
 from fascicle.networks.simulator import PointSimulator
 from fascicle.networks.target_comparison import TargetComparison, evaluate
-from fascicle.recording.target import Target
 
 WIDTHS = {"root_time": 20.0} | {name: abs(value) for name, value in NETWORK.items() if value}
 SPACE = ParameterSpace(
@@ -29,11 +29,7 @@ def model(ventricles):
 
 @pytest.fixture(scope="module")
 def recordings(model):
-    ecg = model.simulate(NETWORK).leads
-    beat = np.pad(ecg, ((0, 0), (40, 40)))
-    beats = beat + 0.02 * np.random.default_rng(0).normal(size=(5, *beat.shape))
-    time = np.arange(beat.shape[1]) - 60.0
-    return (TargetComparison(Target(beats, time, -20.0, 40.0, 60.0)),)
+    return (TargetComparison(recorded(model.simulate(NETWORK))),)
 
 
 @pytest.fixture(scope="module")
