@@ -75,7 +75,5 @@ def test_a_fascicle_stays_blocked_whatever_is_paced(default_model):
 def test_an_unknown_state(default_model):
     with pytest.raises(ValueRefusedError, match="did you mean 'left bundle branch block'"):
         simulated(default_model, "left bundle branch blok")
-    with pytest.raises(
-        ValueRefusedError, match="'conduction' is 'none'; 'fascicle parameters' lists"
-    ):
+    with pytest.raises(ValueRefusedError, match="'conduction' is 'none'; give one of normal, left"):
         simulated(default_model, "none")
