@@ -138,11 +138,24 @@ def listen(port: int = 0) -> socket.socket:
         raise InputError(f"port {port}: {reason}; leave out --port, or give another") from None
 
 
-def serve(session: Session, listening: socket.socket | None = None, browser: bool = True) -> None:
+def serve(
+    session: Session,
+    listening: socket.socket | None = None,
+    announce: Callable[[str], object] | None = None,
+    browser: bool = True,
+) -> None:
     """Show a session on a local web page; returns when its last page is closed, or at Ctrl-C.
 
-    The page's address is printed, and opened in a browser if wanted. Without a socket from `listen`
-    the port is any free one.
+    Parameters
+    ----------
+    session : Session
+        Session to show.
+    listening : socket, optional
+        Socket of the page, from `listen`; of any free port by default.
+    announce : callable, optional
+        Called with the address of the page; prints it by default.
+    browser : bool
+        Whether a browser opens the page.
     """
     import uvicorn
 
@@ -156,7 +169,7 @@ def serve(session: Session, listening: socket.socket | None = None, browser: boo
     server = uvicorn.Server(config)
     app.end = lambda: setattr(server, "should_exit", True)
     with TemporaryDirectory(prefix="fascicle-explorer-") as folder, listening:
-        print("exploring at", app.url, flush=True)  # noqa: T201  all that the page says here
+        (announce or partial(print, "exploring at", flush=True))(app.url)
         if browser:
             # the token stays in a private file: others can read the command line of a browser
             page = Path(folder) / "explorer.html"
