@@ -21,7 +21,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import as_path, check_replaceable, write_text
 from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
 from fascicle.core.quantities import parameter_name
-from fascicle.core.ranges import check_text
+from fascicle.core.ranges import check_kind, check_text
 from fascicle.forward.scenario import Scenario
 from fascicle.networks.agreement import Agreement
 from fascicle.networks.target_comparison import Network
@@ -86,6 +86,7 @@ def report(
         `against` is not one of the scenarios.
     """
     check_kinds(figures)
+    check_kind(pdf, bool, "pdf", "True or False")
     fitted = as_study(fitted, progress)
     check_population(fitted)
     scenarios = with_intrinsic_beat(as_scenarios(scenarios))
