@@ -128,7 +128,7 @@ def test_template_is_simulated_once(folder, template):
 def test_key_changes_with_version_and_code(folder, template, monkeypatch, tmp_path):
     cache, made = folder
     stored_template("endocardial")
-    monkeypatch.setattr("fascicle.core.files.version", lambda _: "0.0.0")
+    monkeypatch.setattr("fascicle.core.files.VERSION", "0.0.0")
     stored_template("endocardial")
     source = tmp_path / "other.py"
     source.write_text("G_NA = 15.0")

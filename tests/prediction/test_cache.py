@@ -119,7 +119,7 @@ def test_other_gains_are_another_population(study):
 
 def test_what_another_version_has_left_is_made_anew(study, activated, monkeypatch):
     predict(study, "his-pacing")
-    monkeypatch.setattr("fascicle.core.files.version", lambda package: "another")
+    monkeypatch.setattr("fascicle.core.files.VERSION", "another")
     activated.clear()
     predict(study, "his-pacing")
     assert len(activated) == 2 + 2
