@@ -43,7 +43,9 @@ WRONG: dict[str, Any] = {
 # file that is not there.
 ALSO = {
     "none": ["analyse choices", "Scenario description", "Scenario reference"],
-    "bool": ["read_recording shared_gain", "plot.ecg caption", "read_tree file_first", "report pdf"],
+    "bool": [
+        "read_recording shared_gain", "plot.ecg caption", "read_tree file_first", "report pdf"
+    ],
     "whole": [
         "simulate_prior networks", "simulate_prior workers", "locate prior_simulations",
         "locate workers", "state_probabilities prior_simulations", "state_probabilities workers",
