@@ -1,6 +1,7 @@
 """Priors, model and conduction states on people and two dogs whose answer is known.
 
-    python -m benchmarks.people [prior] [ecgs] [blocks] [subject] [dogs] [ptbxl] [--half check]
+    python -m benchmarks.people [prior] [ecgs] [blocks] [subject] [dogs] [ptbxl] [criteria]
+                                [--half check]
 
 Without names, all of these:
 
@@ -18,6 +19,7 @@ Without names, all of these:
 - ``ptbxl``: recordings of PTB-XL with cardiologists' labels, on the packaged hearts, which are
   somebody else's: how many get a state named, how many normal ones a block, and the area under the
   ROC curve (AUC) of the side of a bundle branch block by what the classifier says all the same.
+- ``criteria``: the conventional criteria that recordings of PTB-XL meet, by their labels.
 
 The priors of `rv_source` and `axial_source` were chosen by the normal recordings of the half
 ``tune`` (half of their number odd); ``check`` took no part in anything. Data are read from
@@ -31,6 +33,7 @@ import csv
 import os
 import re
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
@@ -277,6 +280,29 @@ def labels(row: dict[str, str]) -> set[str]:
     return {*re.findall(r"'(\w+)'", row["scp_codes"])}
 
 
+def criteria() -> None:
+    """Print which conventional criteria recordings of PTB-XL meet, by label."""
+    conduction = {*BUNDLE_BRANCH["left"], *BUNDLE_BRANCH["right"], "LAFB", "LPFB", "IVCD", "WPW"}
+    met: dict[str, list[set[str]]] = {"normal": [], "CLBBB": [], "CRBBB": [], "LAFB": []}
+    durations = []
+    for row, target in labelled_targets(label_rows()):
+        codes = labels(row)
+        names = {criterion.name for criterion in target.conventional_criteria if criterion.met}
+        if "NORM" in codes:
+            durations.append(target.qrs_duration)
+            if not codes & conduction:
+                met["normal"].append(names)
+        for code in codes & {*met}:
+            met[code].append(names)
+    low, middle, high = np.percentile(durations, (5, 50, 95))
+    print(f"QRS of {len(durations)} normal ones: {middle:.0f} ms (90 % {low:.0f} to {high:.0f})")
+    for label, of_label in met.items():
+        counts = Counter(name for names in of_label for name in names)
+        listed = ", ".join(f"{name} {count}" for name, count in counts.most_common())
+        any_met = sum(bool(names) for names in of_label)
+        print(f"  {label}: {any_met} of {len(of_label)} meet one ({listed})")
+
+
 def likely(answer: Mapping[str, float] | NoStateNamed) -> Mapping[str, float]:
     """Probability of each state, also where none is named."""
     return answer.unreliable if isinstance(answer, NoStateNamed) else answer
@@ -299,6 +325,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parts: dict[str, Callable[[], None]] = {
         "prior": prior, "ecgs": ecgs, "blocks": blocks, "subject": subject, "dogs": dogs,
+        "criteria": criteria,
     }  # fmt: skip
     parser.add_argument("parts", nargs="*", choices=[*parts, "ptbxl", []], metavar="PART")
     parser.add_argument("--half", choices=("tune", "check"), default="check")
