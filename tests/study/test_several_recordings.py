@@ -148,5 +148,5 @@ def test_a_fit_of_two_recordings(both, tmp_path):
     assert found.observed_data["ecg_2"].sizes["time_2"] == len(both[1][0].time)
     assert set(found.log_likelihood.data_vars) == {"ecg", "ecg_2"}
     assert {"ecg", "recording", "ecg-2", "recording-2"} <= drawings(again, again.networks()).keys()
-    with pytest.raises(InputError, match=r"another study \(other targets: there "):
+    with pytest.raises(InputError, match=r"another study \(with other further targets; "):
         fascicle.fit("default", both[0], folder, **SMALL)

@@ -324,11 +324,13 @@ def check_same(folder: Path, stored: StudyConfig, now: StudyConfig) -> None:
             f"'{now.growth_term}'; give fascicle.fit or fascicle.load_study the same rules="
         )
     before, after = _identity(stored), _identity(now)
-    digests = ("heart", "target", "other targets", "scenarios")
+    digests = {  # of no use to readers
+        "heart": "of another heart", "target": "of another target",
+        "other targets": "with other further targets", "scenarios": "with other scenarios",
+    }  # fmt: skip
     different = [
-        f"of another {name}"
-        if name in digests
-        else f"{name}: there {before.get(name, 'none')}, now {after.get(name, 'none')}"
+        digests.get(name)
+        or f"{name}: there {before.get(name, 'none')}, now {after.get(name, 'none')}"
         for name in before | after
         if before.get(name) != after.get(name)
     ]
