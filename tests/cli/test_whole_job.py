@@ -185,7 +185,7 @@ def test_another_forward_model_is_refused(study, ventricles, target, monkeypatch
     with pytest.raises(fascicle.InputError, match="another forward model"):
         fascicle.fit(ventricles, target, study.folder, **(BUDGET | {"effective": 22}))
     assert load_study(study.folder).verdict == study.verdict  # this version's own is not evaluated
-    monkeypatch.setattr(fascicle, "__version__", "another")
+    monkeypatch.setattr("fascicle.study.fitted.VERSION", "another")
     with pytest.raises(fascicle.InputError, match="another forward model"):
         load_study(study.folder)
     assert [(study.folder / name).read_bytes() for name in names] == before

@@ -124,8 +124,7 @@ def write_opencarp(
         if (distance > 1e-3).any():  # mm; text files hold rounded numbers
             part = stem.with_name(f"{stem.name}_{e.side}_endocardium")
             opencarp.write_opencarp_mesh(part, vertices, "Tr", corners.reshape(-1, 3))
-    write_electrodes(
-        stem.with_name("electrodes.csv"), heart.electrodes, heart.additional_electrodes
-    )
+    electrodes = heart.electrodes, heart.additional_electrodes
+    write_electrodes(stem.with_name("electrodes.csv"), *electrodes)
     for tree in trees:
         write_opencarp_tree(stem.with_name(f"{tree.side}_tree"), tree)

@@ -89,12 +89,19 @@ def _without_sheets(surface: LabelledSurface) -> LabelledSurface:
     sheets = np.flatnonzero(forked & is_open & (sizes < sizes.max()))
     if not len(sheets):
         return surface
-    left_out = np.isin(patch, sheets)
-    middles = surface.vertices[surface.triangles].mean(axis=1)
-    at = [middles[patch == k].mean(axis=0) for k in sheets[:3]]
+    return _without_pieces(surface, np.asarray(patch), sheets, "sheets that ended on it")
+
+
+def _without_pieces(
+    surface: LabelledSurface, piece: Integers, numbers: Integers, name: str
+) -> LabelledSurface:
+    """Leave out the pieces of these numbers, by the piece (m,) of each triangle; with a note."""
+    left_out = np.isin(piece, numbers)
+    corners = surface.vertices[surface.triangles]
+    middles = np.array([corners[piece == k].mean(axis=(0, 1)) for k in numbers[:3]])
     note = (
-        f"surface: sheets that ended on it were left out: {len(sheets)} (first: "
-        f"{first_places(sheets, np.array(at))}), with {left_out.sum()} of {len(patch)} triangles"
+        f"surface: {name} were left out: {len(numbers)} (first: {first_places(numbers, middles)}), "
+        f"with {left_out.sum()} of {len(piece)} triangles"
     )
     remaining = replace(
         surface, triangles=surface.triangles[~left_out], labels=surface.labels[~left_out]
@@ -147,14 +154,7 @@ def _without_crumbs(surface: LabelledSurface) -> LabelledSurface:
     corners = surface.vertices[surface.triangles]
     if not (small := small_pieces(piece, corners)).size:
         return surface
-    kept = ~np.isin(piece, small)
-    middles = [corners[piece == k].mean(axis=(0, 1)) for k in small[:3]]
-    note = (
-        f"surface: pieces of at most {LARGEST_CRUMB:g} mm were left out: {len(small)} (first: "
-        f"{first_places(small, np.array(middles))}), with {(~kept).sum()} of {len(kept)} triangles"
-    )
-    remaining = replace(surface, triangles=surface.triangles[kept], labels=surface.labels[kept])
-    return compacted(replace(remaining, notes=(*surface.notes, note)))
+    return _without_pieces(surface, piece, small, f"pieces of at most {LARGEST_CRUMB:g} mm")
 
 
 def compacted(surface: LabelledSurface) -> LabelledSurface:

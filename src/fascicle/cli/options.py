@@ -43,7 +43,7 @@ def free_folder(path: Path) -> Path:
 
 
 def free_file(option: typer.CallbackParam, path: Path | None) -> Path | None:
-    """A file that can be written, likewise."""
+    """A file that can be written, refused while arguments are read, before any work."""
     if path is not None:
         check_replaceable(path, option.opts[0])
     return path

@@ -195,12 +195,12 @@ def write_grid(
     mesh = meshio.Mesh(np.asarray(points), [(name, cells)], dict(point_data or {}), of_cells)
     with atomic_path(path) as temporary:
         meshio.vtu.write(temporary, mesh)  # as base64, so the output is text
-        text = temporary.read_text()
+        text = temporary.read_text("utf-8")
         if note:  # meshio reads field data, but does not write them
             array = f'<DataArray type="Float64" Name="{note}" NumberOfTuples="1" format="ascii">'
             field = f"<FieldData>{array}1</DataArray></FieldData>"
             text = text.replace("<Piece", f"{field}\n<Piece", 1)
-        temporary.write_text(f"{text}<!-- {MADE_WITH} -->\n")
+        temporary.write_text(f"{text}<!-- {MADE_WITH} -->\n", "utf-8")
 
 
 def pyvista_grid(

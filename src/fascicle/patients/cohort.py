@@ -10,6 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fascicle.core import VERSION
 from fascicle.core.files import as_path, check_folder, write_text
 from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.threads import cores
@@ -168,15 +169,13 @@ def _page(table: Path, outcomes: Sequence[Outcome]) -> str:
     from jinja2 import Environment
     from markupsafe import Markup
 
-    from fascicle import __version__
-
     package = files("fascicle")
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     template = (package / "patients" / "overview.html").read_text(encoding="utf-8")
     style = (package / "reporting" / "page" / "style.css").read_text(encoding="utf-8")
     fitted = [outcome for outcome in outcomes if outcome.status is Status.FITTED]
     return environment.from_string(template).render(
-        version=__version__,
+        version=VERSION,
         style=Markup(style),
         table=table.name,
         all=all(outcome.trustworthy for outcome in outcomes),

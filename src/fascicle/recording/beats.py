@@ -238,7 +238,7 @@ def select_beats(
     if options.beats is not None:  # the class of most of them
         all_labels = [label for group in groups for label in group.labels]
         labels = [label for k, label in enumerate(all_labels) if k + 1 in options.beats]
-        label = max(sorted(sorted(set(labels)), key=len), key=labels.count)
+        label = max(sorted(set(labels), key=by_name), key=labels.count)
     _check_classes(source, groups, options, label)
     reasons = [
         _reasons(group, options, label, first) for group, first in zip(groups, firsts, strict=False)
@@ -267,6 +267,11 @@ def select_beats(
                 raise InputError(f"{source}: beat {beat.number} is {beat.why_unused}; name others")
         beats.append(tuple(numbered))
     return beats, label
+
+
+def by_name(label: str) -> tuple[int, str]:
+    """Key that sorts Z before A2."""
+    return len(label), label
 
 
 def _reasons(

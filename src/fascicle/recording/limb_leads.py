@@ -214,7 +214,8 @@ def check_reversal(recording: Recording, peaks: Integers, paced: bool = False) -
     check = Check("lead reversal, I and II against V6", "", -0.4)
     rate = recording.sampling_rate
     median = _median_beat(recording, peaks)
-    lateral = [row for row in (11, 10) if np.isfinite(median[row]).all()]  # V6, or else V5
+    rows = [LEADS.index(lead) for lead in ("V6", "V5")]
+    lateral = [row for row in rows if np.isfinite(median[row]).all()]
     if not lateral or not np.isfinite(median[:2]).all():
         message = "not checked: needs leads I, II and V6 or V5, and two beats"
         return check.result(np.nan, message, Severity.FINE)

@@ -16,7 +16,14 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.ranges import check_kind, short_repr
 from fascicle.recording import quality, window
-from fascicle.recording.beats import AlignedBeats, DetectedBeat, combine, cut_beats, select_beats
+from fascicle.recording.beats import (
+    AlignedBeats,
+    DetectedBeat,
+    by_name,
+    combine,
+    cut_beats,
+    select_beats,
+)
 from fascicle.recording.choices import TargetOptions, check_window
 from fascicle.recording.detection import magnitude
 from fascicle.recording.filter_estimate import passed_filters
@@ -277,7 +284,7 @@ def _recorded_signal(recording: Recording) -> Floats:
 def _classes(groups: Sequence[LeadGroup]) -> tuple[BeatClass, ...]:
     counts = Counter(label for group in groups for label in group.labels)
     first = {label: group for group in reversed(groups) for label in group.labels}
-    labels = sorted(sorted(counts), key=len)  # Z before A2
+    labels = sorted(counts, key=by_name)
     return tuple(BeatClass(label, counts[label], first[label].describe(label)) for label in labels)
 
 
@@ -371,8 +378,8 @@ def _window(
 
 def _warnings(analysis: Analysis, options: TargetOptions) -> list[str]:
     recording, target, beats = analysis.recording, analysis.target, analysis.beats
-    severe = quality.Severity.WARNING
-    warnings = [found.message for found in analysis.findings if found.severity is severe]
+    warned = [f for f in analysis.findings if f.severity is quality.Severity.WARNING]
+    warnings = [finding.message for finding in warned if finding.message]
     if not recording.simultaneous:
         middles = [(first + stop) // 2 for first, stop in stretches(recording)]
         strips = np.array(LEADS)[np.isfinite(recording.signal[:, middles]).all(axis=1)]

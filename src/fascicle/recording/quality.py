@@ -206,10 +206,10 @@ def _check_lowpass(recording: Recording, peaks: Integers, filters: Sequence[Filt
     messages = []
     if lowpass.frequency < check.limit:
         much = "strongly " if lowpass.frequency <= 40.0 else ""  # Hz; small deflections vanish
-        guessed = lowpass.origin is FilterOrigin.ESTIMATED
+        estimated = lowpass.origin is FilterOrigin.ESTIMATED
+        source = ", estimated from the spectrum," if estimated else ""
         messages.append(
-            f"the recorder's low-pass at {lowpass.frequency:.3g} Hz"
-            f"{', estimated from the spectrum,' * guessed} {much}smooths the QRS "
+            f"the recorder's low-pass at {lowpass.frequency:.3g} Hz{source} {much}smooths the QRS "
             f"({check.limit:g} Hz are recommended); export the recording unfiltered"
         )
     if lowpass.origin is FilterOrigin.STATED:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fascicle import __version__
+from fascicle.core import VERSION
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path, write_bytes
@@ -165,7 +165,7 @@ def _attributes(target: Target) -> dict[str, str | float | int]:
         "Conventions": "CF-1.11",
         "title": "QRS target: aligned beats of one electrocardiogram",
         **FORMAT,
-        "software": f"fascicle {__version__}",
+        "software": f"fascicle {VERSION}",
         "comment": (
             "The QRS lasts from qrs_onset_ms to qrs_offset_ms, counted from the R peak (time 0); "
             "their standard deviations are 0 where the user has given them. 'earliest_onset_ms', "

@@ -12,7 +12,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from fascicle.core import above, html_card
+from fascicle.core import VERSION, above, html_card
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, ValueRefusedError
 from fascicle.core.files import as_path, atomic_folder, check_folder, write_text
@@ -365,8 +365,6 @@ def load_study(
         If the folder is not a study, the study is not finished, or it was made with another
         version of the forward model.
     """
-    from fascicle import __version__
-
     check_pool(pool)
     folder, own_code = as_path(folder, "study"), rules is not None
     rules, study = checked_rules(rules), Study.open(folder)
@@ -398,7 +396,7 @@ def load_study(
     own_code |= any(quantity(name).apply is not None for name in names)
     own_code |= any(scenario.has_own_primitives for _, scenario in recordings if scenario)
     # a version has one forward model, but for rules, quantities and primitives of the user's own
-    if own_code or population.version != __version__:
+    if own_code or population.version != VERSION:
         study.check_objective(problem.evaluate)
     if isinstance(population, Posterior):  # whose prior mixes its states
         problem = problem.with_states(population.states)

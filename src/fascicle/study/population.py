@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from fascicle.core import VERSION
 from fascicle.core.arrays import Floats
 from fascicle.core.conduction_states import CONDUCTION_STATES
 from fascicle.core.errors import InputError
@@ -308,8 +309,6 @@ def _groups(
 
 def _describe(data: Any, population: Population) -> None:
     """Add units, and attributes of the whole sample, to the data."""
-    from fascicle import __version__
-
     units = {"loss": "mV2", "onset_shift": "ms", "discrepancy": "mV", "gain": "1", "torso": "1"}
     stats = data.sample_stats
     for name in stats.data_vars:
@@ -317,7 +316,7 @@ def _describe(data: Any, population: Population) -> None:
         if unit is not None:
             stats[name].attrs["units"] = unit
     stats.attrs["best_loss"] = population.best_loss
-    stats.attrs["version"] = __version__
+    stats.attrs["version"] = VERSION
     if isinstance(population, Posterior):
         stats.attrs["converged"] = int(population.converged)
         stats.attrs["states"] = json.dumps(dict(population.states))

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fascicle.core import VERSION
 from fascicle.core.arrays import Floats
 from fascicle.core.files import atomic_folder, write_text
 from fascicle.emulation.predictive import Prediction
@@ -35,8 +36,6 @@ def write_results(
     `networks` are the simulated population. `agreements` and, for a posterior, `predictions` and
     the reports of the `emulators` hold one entry for each recording.
     """
-    from fascicle import __version__
-
     population, folder, config = fitted.population, fitted.folder, fitted.study.config
     heart, space = fitted.simulator.model.heart, fitted.simulator.prior.learnt
     result = folder / RESULT[config.method]
@@ -67,7 +66,7 @@ def write_results(
         {
             "networks_are": fitted.statements.networks_called,
             "verdict": fitted.verdict,
-            "created_by": f"fascicle {__version__}",
+            "created_by": f"fascicle {VERSION}",
             "heart": config.heart,
             "target": config.target,
             "recording": _sources(fitted),

@@ -324,9 +324,9 @@ def check_same(folder: Path, stored: StudyConfig, now: StudyConfig) -> None:
             f"'{now.growth_term}'; give fascicle.fit or fascicle.load_study the same rules="
         )
     before, after = _identity(stored), _identity(now)
-    digests = {  # of no use to readers
+    digests = {  # which say nothing to readers
         "heart": "of another heart", "target": "of another target",
-        "other targets": "with other further targets", "scenarios": "with other scenarios",
+        "other_targets": "with other further targets", "scenarios": "with other scenarios",
     }  # fmt: skip
     different = [
         digests.get(name)
@@ -356,10 +356,6 @@ def _identity(config: StudyConfig) -> dict[str, str]:
         elif isinstance(value, dict):  # fixed, growth, conduction, likelihood
             label = "" if name == "fixed" else f"{name} "
             identity |= {f"{label}{key}": _number(number) for key, number in value.items()}
-        elif name in ("other_targets", "scenarios"):
-            identity[name.replace("_", " ")] = ", ".join(digest[:12] or "none" for digest in value)
-        elif name in ("heart", "target"):
-            identity[name] = value[:12]  # of a digest
         elif name not in (*StudyConfig.may_change, "growth_term"):
             identity[name] = f"{value}"
     return identity

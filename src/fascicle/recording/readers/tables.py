@@ -207,8 +207,8 @@ def _parsed(path: Path) -> tuple[list[_Column], list[names.Entry]]:
         if re.fullmatch(r"[\d\s.eE+-]+", header):
             advice += (
                 "; in an export of GE CardioLab put commas for blanks, and add the labels of its "
+                ".inf file as first line (sample,I_mV,II_mV)"
             )
-            advice += ".inf file as first line (sample,I_mV,II_mV)"
         raise InputError(
             f"{path}: no table of samples (its first line is '{header[:40]}'); the first line must "
             f"name the columns, {advice}"

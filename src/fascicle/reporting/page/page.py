@@ -17,6 +17,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from PIL import Image
 
+from fascicle.core import VERSION
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path, check_replaceable, write_text
 from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
@@ -193,14 +194,12 @@ def _numbers(agreement: Agreement) -> dict[str, Any]:
 def _content(
     fitted: FittedStudy, predicted: Mapping[str, Predicted], against: str
 ) -> dict[str, Any]:
-    from fascicle import __version__
-
     config, statements, population = fitted.study.config, fitted.statements, fitted.population
     apart = population.means_apart if isinstance(population, Posterior) else {}
     furthest = max(apart.items(), key=lambda item: item[1], default=None)
     sources = [p.target.provenance.get("source", "a target") for p in fitted.recordings]
     return {
-        "version": __version__,
+        "version": VERSION,
         "study": fitted.folder.resolve().name,
         "heart": fitted.simulator.model.heart.name,
         "recordings": [Path(source).name for source in sources],
