@@ -17,7 +17,15 @@ from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import ENDOCARDIA, Label, LabelledSurface
 from fascicle.mesh.measures import edge_lengths, triangle_areas, triangle_normals, unit
-from fascicle.mesh.topology import boundary_loops, components_of, directed_edges, unique_edges
+from fascicle.mesh.topology import (
+    boundary_loops,
+    components_of,
+    directed_edges,
+    merged_vertices,
+    unique_edges,
+    whole_triangles,
+    without_unused_vertices,
+)
 
 
 @dataclass(frozen=True)
@@ -202,7 +210,7 @@ def cut_along_borders(surface: LabelledSurface, edge_length: float = 0.0) -> Lab
         vertices, triangles, parent, side = cut_at_zero(graph.vertices, graph.triangles, level)
         before = surface.labels[parent]
         outside = np.where(before == part, Label.BASE, before)
-        labels = np.where(side > 0, part, np.where(side < 0, outside, before))
+        labels = np.where(side > 0, part, outside)
         surface = LabelledSurface(vertices, triangles, labels, surface.name)
     return surface
 
@@ -224,47 +232,25 @@ def cut_at_zero(
 ) -> tuple[Floats, Integers, Integers, Integers]:
     """Divide the triangles that the zero level of a function, given at the vertices, crosses.
 
-    Returns vertices, the old ones first; triangles (m, 3); the old triangle that each is part of
-    (m,); and its side (m,): 1 where the function is positive, -1 where negative, 0 where all
-    corners are on the line.
+    Returns vertices, triangles (m, 3), the old triangle that each is part of (m,), and its side
+    (m,): 1 where the function is positive, -1 where negative.
     """
+    import pyvista as pv
+
     near = 0.15  # share of an edge; a line that passes a vertex this closely is moved onto it
-    values = values.copy()
     edges, _ = unique_edges(triangles)
     first, second = values[edges].T
     crossing = first * second < 0
-    share = np.divide(first, first - second, out=np.zeros(len(edges)), where=crossing)
-    for close, end in ((share < near, 0), (share > 1 - near, 1)):
-        values[edges[crossing & close, end]] = 0.0
-    first, second = values[edges].T
-    edges = edges[first * second < 0]
-    first, second = values[edges].T
-    share = (first / (first - second))[:, None]
-    added = (1 - share) * vertices[edges[:, 0]] + share * vertices[edges[:, 1]]
-    on_edge = {tuple(edge): len(vertices) + k for k, edge in enumerate(edges.tolist())}
-    corner_signs = np.sign(values[triangles]).astype(np.int64)
-    through = corner_signs.min(axis=1) * corner_signs.max(axis=1) < 0
-    uncut = np.flatnonzero(~through)
-    parts, parent = [triangles[uncut]], [uncut]
-    for number in np.flatnonzero(through):
-        pieces = _divided(triangles[number].tolist(), on_edge)
-        parts.append(np.array(pieces))
-        parent.append(np.full(len(pieces), number))
-    cut = np.concatenate(parts)
-    signs = np.concatenate([np.sign(values), np.zeros(len(added))]).astype(np.int64)
-    side = np.sign(signs[cut].sum(axis=1))
-    return np.concatenate([vertices, added]), cut, np.concatenate(parent), side
-
-
-def _divided(corners: list[int], on_edge: dict[tuple[int, int], int]) -> list[list[int]]:
-    """Two or three parts of a triangle that is cut at new vertices on one or two of its edges."""
-    edges = np.sort(directed_edges(np.array([corners])), axis=1).tolist()
-    new = [on_edge.get((a, b), -1) for a, b in edges]
-    cut = [vertex != -1 for vertex in new]
-    # first the one edge that is cut, or the one that is not, whose ends lie on one side
-    k = cut.index(sum(cut) == 1)
-    a, b, c = (corners[(k + s) % 3] for s in range(3))
-    if sum(cut) == 1:
-        return [[a, new[k], c], [new[k], b, c]]
-    bc, ca = new[(k + 1) % 3], new[(k + 2) % 3]
-    return [[a, b, bc], [a, bc, ca], [ca, bc, c]]
+    share = np.divide(first, first - second, out=np.full(len(edges), 0.5), where=crossing)
+    surface = pv.PolyData.from_regular_faces(vertices, triangles)
+    surface["level"] = values
+    surface["level"][np.r_[edges[share < near, 0], edges[share > 1 - near, 1]]] = 0.0
+    surface.cell_data["parent"] = np.arange(len(triangles))
+    parts = [part.triangulate() for part in surface.clip_scalar(scalars="level", both=True)]
+    for part, side in zip(parts, (-1, 1), strict=True):
+        part.cell_data["side"] = np.full(part.n_cells, side)
+    cut = pv.merge(parts)
+    corners = merged_vertices(np.asarray(cut.points))[cut.regular_faces]
+    whole = whole_triangles(corners)  # VTK leaves some of no area on the line
+    parent, sides = (np.asarray(cut.cell_data[name])[whole] for name in ("parent", "side"))
+    return *without_unused_vertices(np.asarray(cut.points), corners[whole]), parent, sides
