@@ -85,7 +85,7 @@ TRIED.append(Evaluation.infeasible(np.zeros(2), "left the endocardium"))
         (
             {"learnt": {"cv": CROWDED}},
             Kind.END_OF_RANGE,
-            "networks crowd at an end of the range of Purkinje conduction velocity (50% ",
+            "many networks lie at an end of the range of Purkinje conduction velocity (50% ",
         ),
         (
             {"best": {"cv": 3.999, "root_time": -75.0}},

@@ -201,7 +201,7 @@ class Statements:
             prior_variance = np.average((values - mean) ** 2, weights=atlas.weights)
             contraction = 1 - min(float(values[numbers].var() / prior_variance), 1.0)
             interval = _median_and_interval(values[numbers])
-            caution = "" if self.caution is None else self.caution.brief
+            caution = self._caution_brief
             statement = ParameterStatement(title, unit, *interval, contraction, caution=caution)
             statements.append(statement)
         return tuple(statements)
@@ -284,6 +284,10 @@ class Statements:
             return Caution.POOR_FIT
         return Caution.UNMAPPED if self.unmapped else None
 
+    @cached_property
+    def _caution_brief(self) -> str:
+        return "" if self.caution is None else self.caution.brief
+
     @property
     def unmapped(self) -> str:
         """Difference of the intrinsic beat from mapped hearts that no block explains.
@@ -329,7 +333,7 @@ class Statements:
             1 - min(remaining, 1),
             _half_width(alone[name]) if name in alone else None,
             along_fibre,
-            "" if self.caution is None else self.caution.brief,
+            self._caution_brief,
         )
 
     @cached_property
@@ -607,10 +611,10 @@ def _at_end_of_range(result: Result) -> str:
         reasons.append(f"the best network lies at the end of the range of {ends}")
     if crowded:
         ends = ", ".join(f"{parameter_name(name)} ({where})" for name, where in crowded.items())
-        reasons.append(f"networks crowd at an end of the range of {ends}")
+        reasons.append(f"many networks lie at an end of the range of {ends}")
     if not reasons:
         return ""
     return (
-        f"{'; '.join(reasons)}: these values are the range's, or compensate for another error "
-        "of heart and torso"
+        f"{'; '.join(reasons)}: that end, or an error of heart or torso, may have decided these "
+        "values"
     )

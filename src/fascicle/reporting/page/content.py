@@ -51,8 +51,8 @@ def meaning(fitted: FittedStudy) -> list[str]:
         )
     if checks is not None and checks.acceptable:
         sentences.append(
-            f"{checks.explained_in_words}. The QRS duration, the frontal axis and the independent "
-            "leads are within the range that the networks predict."
+            f"{checks.explained_in_words}. QRS duration, frontal axis and independent leads differ "
+            "by no more than the errors that the model allows."
         )
     elif checks is not None:
         sentences.append(
