@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Literal, Protocol, TextIO
 
@@ -59,6 +59,49 @@ def part_of_stage(
         progress(stage, done, total, message)
 
     return whole
+
+
+class WholeRun:
+    """Progress callback of consecutive stages, which also reports the time that all of them take.
+
+    That is the stage "whole run", in seconds. It is estimated from usual durations (s) and from
+    how much faster or slower the stages so far went. Stages may be left out.
+    """
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress, self._began = progress, time.monotonic()
+        self._usual = 10.0  # s, of the stages so far; not 0, so that the pace begins at about 1
+        self._stages: list[tuple[str, float]] = []
+        self._afterwards, self._message, self._last = 0.0, "", 0
+
+    def expect(
+        self, stages: Sequence[tuple[str, float]], afterwards: float = 0.0, message: str = ""
+    ) -> None:
+        """Expect stages with their usual durations (s), and others `afterwards`."""
+        self._stages = [("", 0.0), *stages]
+        self._afterwards, self._message = afterwards, message
+
+    def __call__(self, stage: str, done: int, total: int, message: str) -> None:
+        """See `Progress`."""
+        self._progress(stage, done, total, message)
+        (current, usual), *later = self._stages
+        if stage != current or done < self._last:
+            if stage not in (names := [name for name, _ in later]):
+                return
+            self._usual += usual
+            self._stages = later[names.index(stage) :]
+            (_, usual), *later = self._stages
+        self._last = done
+        share = done / max(total, 1)
+        elapsed = time.monotonic() - self._began
+        pace = (elapsed + 10.0) / (self._usual + share * usual)
+        left = (1 - share) * usual + sum(seconds for _, seconds in later) + self._afterwards
+        self._progress("whole run", round(elapsed), round(elapsed + pace * left), self._message)
+
+    def end(self) -> None:
+        """Report that the run is over."""
+        elapsed = round(time.monotonic() - self._began)
+        self._progress("whole run", elapsed, elapsed, "")
 
 
 def check_progress(progress: object) -> None:
