@@ -25,7 +25,7 @@ class Progress(Protocol):
 
     Besides these there are "sampling" of a posterior, whose total is a maximum, and "prior
     simulations". "draws" belong to "rejection"; "workers" is reported while a cluster has no
-    workers or does not answer.
+    workers or does not answer. The steps of the "whole run" of a fit are seconds.
     """
 
     def __call__(self, stage: str, done: int, total: int, message: str) -> None:
@@ -71,13 +71,14 @@ class WholeRun:
     def __init__(self, progress: Progress) -> None:
         self._progress, self._began = progress, time.monotonic()
         self._usual = 10.0  # s, of the stages so far; not 0, so that the pace begins at about 1
-        self._stages: list[tuple[str, float]] = []
+        self._stages: list[tuple[str, float]] = [("", 0.0)]
         self._afterwards, self._message, self._last = 0.0, "", 0
 
     def expect(
         self, stages: Sequence[tuple[str, float]], afterwards: float = 0.0, message: str = ""
     ) -> None:
         """Expect stages with their usual durations (s), and others `afterwards`."""
+        self._usual += self._stages[0][1]
         self._stages = [("", 0.0), *stages]
         self._afterwards, self._message = afterwards, message
 
@@ -99,9 +100,10 @@ class WholeRun:
         self._progress("whole run", round(elapsed), round(elapsed + pace * left), self._message)
 
     def end(self) -> None:
-        """Report that the run is over."""
+        """Report that the run is over, if any stages were expected."""
         elapsed = round(time.monotonic() - self._began)
-        self._progress("whole run", elapsed, elapsed, "")
+        if self._stages != [("", 0.0)]:
+            self._progress("whole run", elapsed, elapsed, "")
 
 
 def check_progress(progress: object) -> None:
@@ -153,6 +155,7 @@ def stage_name(stage: str) -> str:
         "rejection": "networks accepted",
         "networks": "simulating the networks",
         "workers": "workers of the cluster",
+        "whole run": "whole fit (s)",
     }
     return names.get(stage, stage)
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE, ArrayCache, as_path
-from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
+from fascicle.core.progress import Lines, Progress, WholeRun, shown_progress
 from fascicle.core.ranges import check_kind
 from fascicle.emulation.ecg_emulator import EcgEmulator
 from fascicle.emulation.heart_emulator import emulator_of, refined_emulators, simulations_for
@@ -53,6 +53,17 @@ from fascicle.study.study import (
     is_finished,
     study_lock,
 )
+
+# Stages of a posterior fit, with usual durations (s) on two cores: of all states, and of each
+SHARED_STAGES = (
+    ("lead fields in torsos", 45.0), ("preparation", 35.0), ("prior simulations", 180.0),
+    ("training", 20.0),
+)  # fmt: skip
+STATE_STAGES = (
+    ("training", 10.0), ("sampling", 10.0), ("posterior simulations", 15.0), ("training", 8.0),
+    ("sampling", 8.0), ("networks", 6.0),
+)  # fmt: skip
+RESULTS = 8.0  # s, after the last stage
 
 # Likelihoods of the recordings, in their order, by the number of the conduction state
 Emulated = Mapping[float, Sequence[EmulatedLikelihood]]
@@ -163,9 +174,16 @@ def fit_inputs(
     """Fit a study in its folder, from where it was interrupted, and write its results."""
     gc.collect()  # an earlier study and its statements hold each other, and gigabytes
     problem = InverseProblem.of(inputs, pool, progress, backend)
+    run = None if progress is None else WholeRun(progress)
+    if run is not None and inputs.config.method == "posterior":
+        run.expect((*SHARED_STAGES, *STATE_STAGES), RESULTS)
     if inputs.config.states:
-        return fit_states(problem, folder, progress)
-    return fit_state(problem, folder, progress)[0]
+        fitted = fit_states(problem, folder, run)
+    else:
+        fitted, _ = fit_state(problem, folder, run)
+    if run is not None:
+        run.end()
+    return fitted
 
 
 def fit_state(
@@ -190,7 +208,7 @@ def fit_state(
         return check_and_write(fitted, {state_number: emulated}, progress), emulated
 
 
-def fit_states(problem: InverseProblem, folder: Path, progress: Progress | None) -> FittedStudy:
+def fit_states(problem: InverseProblem, folder: Path, run: WholeRun | None) -> FittedStudy:
     """Fit a mixture of the probable conduction states.
 
     A classifier, trained on simulated recordings of the heart, gives the probability of each state.
@@ -198,18 +216,20 @@ def fit_states(problem: InverseProblem, folder: Path, progress: Progress | None)
     learnt quantities, as studies in subfolders of the study's folder.
     """
     with study_lock(folder):
-        study = begin(problem.inputs, folder, progress)
-        diagnosis = classified(problem, _simulations_folder(problem, folder), progress)
+        study = begin(problem.inputs, folder, run)
+        diagnosis = classified(problem, _simulations_folder(problem, folder), run)
         problem = problem.with_memory()  # of all states
         shares = diagnosis.shares
         draws_per_run = -(-problem.config.effective // RUNS)  # rounded up
         counts = diagnosis.apportioned(draws_per_run)
         posteriors: list[tuple[Posterior, int]] = []
         emulated: dict[float, Sequence[EmulatedLikelihood]] = {}
-        stage = "conduction states"
         for (name, share), draws in zip(shares.items(), counts, strict=True):
-            message = f"{name}, probability {as_simulated(diagnosis.probable)[name]:.2f}"
-            stage_progress(progress, stage, message)(len(posteriors), len(shares))
+            if run is not None:
+                others = len(shares) - len(posteriors) - 1
+                afterwards = others * sum(seconds for _, seconds in STATE_STAGES) + RESULTS
+                message = f"{name}, probability {as_simulated(diagnosis.probable)[name]:.2f}"
+                run.expect(STATE_STAGES, afterwards, message)
             state, count = diagnosis.simulations[name].state, diagnosis.simulations[name].count
             # 20: the least effective sample size that a study may have
             state_problem = problem.narrowed(
@@ -221,14 +241,13 @@ def fit_states(problem: InverseProblem, folder: Path, progress: Progress | None)
             if not (state_folder / StudyFile.HEART).exists():  # shared by all states
                 heart = Path("..", "..", StudyFile.HEART)
                 (state_folder / StudyFile.HEART).symlink_to(heart, target_is_directory=True)
-            fitted, emulated[state.number] = fit_state(state_problem, state_folder, progress)
+            fitted, emulated[state.number] = fit_state(state_problem, state_folder, run)
             assert isinstance(fitted.population, Posterior)
             posteriors.append((fitted.population.in_state(state.number), draws))
-        stage_progress(progress, stage)(len(shares), len(shares))
         population = mixture(posteriors, diagnosis, problem.config.effective)
         problem = problem.with_states(diagnosis.probable)
         fitted = FittedStudy(study, problem.simulator, problem.recordings, population)
-        return check_and_write(fitted, emulated, progress)
+        return check_and_write(fitted, emulated, run)
 
 
 def begin(inputs: Inputs, folder: Path, progress: Progress | None) -> Study:
