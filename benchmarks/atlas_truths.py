@@ -33,7 +33,7 @@ import numpy as np
 import fascicle
 from benchmarks.calibration import coverage, recorded
 from benchmarks.origins import print_accuracy
-from fascicle.atlas.shapes import NETWORK_HEIGHTS
+from fascicle.atlas.population import NETWORK_HEIGHTS
 from fascicle.build.build_heart import TorsoOptions, build_heart, in_torso
 from fascicle.build.read_anatomy import Source
 from fascicle.core.conduction_states import CONDUCTION_STATES

@@ -23,13 +23,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from heart_family import HeartFamily, heart_in_torso, with_drawn_seeds
 from make_packaged_emulators import put
 from numpy.typing import NDArray
 
 import fascicle
-from fascicle.atlas.population import AtlasHeart, Build, drawn_hearts, measures_of
-from fascicle.atlas.shapes import NETWORK_HEIGHTS, HeartFamily, HeartSize, with_drawn_seeds
-from fascicle.atlas.torsos import heart_in_torso
+from fascicle.atlas.population import (
+    NETWORK_HEIGHTS,
+    AtlasHeart,
+    Build,
+    HeartSize,
+    drawn_hearts,
+    measures_of,
+)
 from fascicle.build.build_heart import TorsoOptions, heart_of, in_torso
 from fascicle.build.labelled_files import Anatomy, labelled_surface
 from fascicle.build.meshing import filled

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fascicle.atlas.shapes import DENSITY, REACH, HeartFamily, HeartSize, with_drawn_seeds
+from fascicle.atlas.population import HeartSize
 from fascicle.build.surface_checks import wall_thickness
 from fascicle.core.errors import InputError
 from fascicle.mesh.measures import closed_by_fan, signed_volumes
+from tools.heart_family import DENSITY, REACH, HeartFamily, with_drawn_seeds
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,6 @@ from typing import Any, Literal, get_args
 import numpy as np
 from scipy.special import ndtri
 
-from fascicle.atlas.shapes import HeartSize
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.ranges import shown, within
@@ -24,6 +23,32 @@ Sex = Literal["f", "m"]
 KNOWN = ("sex", "age", "height", "weight")  # what may be known of a person
 DISEASED = 0.65  # dilated and hypertrophied hearts: frequency among people, over the atlas's
 RESIDUAL = 0.15  # SD of the logarithm of volumes and mass between people of one sex and build
+# Range of the height, from apex (0) to base (1), up to which the free walls have Purkinje fibres.
+# The base has none, and is activated last (Durrer et al., Circulation 41:899, 1970).
+NETWORK_HEIGHTS = (0.65, 0.85)
+
+
+@dataclass(frozen=True)
+class HeartSize:
+    """Size and proportions of the ventricles at the end of diastole.
+
+    Attributes
+    ----------
+    lv_volume, rv_volume : float
+        Volumes of the cavities (ml).
+    lv_mass : float
+        Mass of the left ventricle, the whole septum included (g).
+    elongation : float
+        Factor on the ratio of the left ventricle's length to its diameter in the template.
+    rv_wall : float
+        Factor on the thickness of the right ventricle's free wall in the template.
+    """
+
+    lv_volume: float
+    lv_mass: float
+    rv_volume: float
+    elongation: float = 1.0
+    rv_wall: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
+from fascicle.atlas.population import AtlasHeart, HeartSize
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.atlas import endocardial_vertices
@@ -29,8 +30,17 @@ from fascicle.heart.coordinates import ventricular_coordinates
 from fascicle.heart.fibres import Wall, rule_based_fibres
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import Label, LabelledMesh, labelled_mesh
-from fascicle.mesh.measures import closed_by_fan, signed_volumes, unit
-from fascicle.torso.heart_pose import endocardial_surfaces, heart_axes, opening
+from fascicle.mesh.measures import closed_by_fan, signed_volumes, solid_centroid, unit
+from fascicle.torso.conductor import mesh_torso
+from fascicle.torso.heart_pose import (
+    TorsoFrame,
+    default_position,
+    endocardial_surfaces,
+    heart_axes,
+    opening,
+    standard_axes,
+)
+from fascicle.torso.idealised import idealised_torso
 from fascicle.torso.surfaces import Surface
 
 DENSITY = 1.05  # g/ml of myocardium
@@ -39,32 +49,6 @@ LV_WALL, RV_WALL = 6.0, 3.0  # thickness (mm) of the template's free walls
 # differ greatly from person to person (Massing and James, Circulation 53:609, 1976); in a published
 # heart the right one starts 41° in front of the middle, where the rule gives 7° (docs/hearts.md).
 REACH = 14.0
-# Range of the height, from apex (0) to base (1), up to which the free walls have Purkinje fibres.
-# The base has none, and is activated last (Durrer et al., Circulation 41:899, 1970).
-NETWORK_HEIGHTS = (0.65, 0.85)
-
-
-@dataclass(frozen=True)
-class HeartSize:
-    """Size and proportions of the ventricles at the end of diastole.
-
-    Attributes
-    ----------
-    lv_volume, rv_volume : float
-        Volumes of the cavities (ml).
-    lv_mass : float
-        Mass of the left ventricle, the whole septum included (g).
-    elongation : float
-        Factor on the ratio of the left ventricle's length to its diameter in the template.
-    rv_wall : float
-        Factor on the thickness of the right ventricle's free wall in the template.
-    """
-
-    lv_volume: float
-    lv_mass: float
-    rv_volume: float
-    elongation: float = 1.0
-    rv_wall: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -223,3 +207,23 @@ def _harmonic(
     fixed = np.concatenate([moved, at_rest])
     values = np.concatenate([displacements[moved], np.zeros((len(at_rest), 3))])
     return np.asarray(igl.harmonic(mesh.vertices, mesh.tetrahedra, fixed, values, 1))
+
+
+def heart_in_torso(family: HeartFamily, described: AtlasHeart, name: str = "atlas") -> Heart:
+    """Heart of a family in its torso, with electrodes and without lead fields.
+
+    Raises
+    ------
+    InputError
+        If no deformation gives the heart's volumes, or it does not fit into the torso.
+    """
+    heart, size = family.deformed(described.size), described.trunk_size
+    mesh = replace(family.mesh, vertices=heart.vertices, name=name)
+    rotation = family.axes @ standard_axes(*described.axis).T
+    centroid = solid_centroid(heart.vertices, heart.tetrahedra)
+    position = default_position(size) + described.shift
+    frame = TorsoFrame(rotation, centroid - rotation @ position)
+    surfaces = idealised_torso(mesh, size, frame)
+    assert surfaces.electrodes is not None
+    torso = mesh_torso(mesh, surfaces.skin, surfaces.lungs)
+    return replace(heart, name=name, electrodes=surfaces.electrodes, torso=torso)
