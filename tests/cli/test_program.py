@@ -51,6 +51,8 @@ def test_every_setting_of_a_fit_is_an_option(run, monkeypatch):
     options = [f"--{name.replace('_', '-')}={value}" for name, value in changed.items()]
     run("fit", "default", "t.nc", "--out", "s", "--gain", *options)
     assert seen == [FitSettings(), FitSettings(free_gain=True, **changed)]
+    with pytest.raises(InputError, match="'fix' is no setting of a fit"):
+        FitSettings(fix={"conduction": "normal"})
     assert set(changed) | {"free_gain"} == set(FitSettings.model_fields)
 
 

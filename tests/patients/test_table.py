@@ -25,14 +25,16 @@ def read(tmp_path):
 
 def test_what_is_read(read, tmp_path):
     one, other = read(
-        "\ufeffpatient,heart,recording,scenario,settings,effective,free_gain\r\n"
-        'anna, h/1 ,"a,b.nc",s.toml,x.toml,500,true\r\n,,,,,,\r\n\r\nb-2,default,/e/a.nc,,,,\r\n'
+        "\ufeffpatient,heart,recording,scenario,settings,effective,free_gain,sex,age\r\n"
+        'anna, h/1 ,"a,b.nc",s.toml,x.toml,500,true,f,64\r\n,,,,,,,,\r\n\r\n'
+        "b-2,default,/e/a.nc,,,,,,\r\n"
     )
     assert (one.name, one.heart, one.recording) == (
         "anna", tmp_path / "h" / "1", tmp_path / "a,b.nc",
     )  # fmt: skip
     assert (one.scenario, one.settings_file) == (tmp_path / "s.toml", tmp_path / "x.toml")
     assert one.settings == {"effective": 500, "free_gain": True}
+    assert (one.person, other.person) == ({"sex": "f", "age": 64.0}, {})
     assert (other.heart, other.recording) == ("default", Path("/e/a.nc"))
     assert (other.scenario, other.settings) == (None, {})
 
@@ -60,6 +62,7 @@ def test_other_separators(read, separator):
         (f"{HEAD}\n../x,default,a.nc\n", "line 2: '../x' cannot be the name of a folder"),
         (f"{HEAD}\n{'x' * 101},default,a.nc\n", "cannot be the name of a folder"),
         (f"{HEAD},effective\n{ROW},many\n", "line 2: 'effective' is 'many'"),
+        (f"{HEAD},weight\n{ROW},70kg\n", "line 2: could not convert string to float: '70kg'; give"),
         (f"{HEAD}\nanna,default,a\0.nc\n", "line 2: recording is"),
     ],
 )

@@ -75,7 +75,7 @@ class TestAnswers:
         assert "Two independent runs agree" in first
         assert second.startswith("96% of the QRS explained by the best 5% of networks. ")
         assert (
-            "RV–LV activation delay and Purkinje conduction velocity are strongly correlated in "
+            "delay between the roots and Purkinje conduction velocity are strongly correlated in "
             "the posterior (rank correlation 1.00)."
         ) in " ".join(page(correlated=fitted.statements.correlated).split())
 

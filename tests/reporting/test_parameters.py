@@ -42,7 +42,7 @@ def test_names_of_parameters_and_measures():
     assert len(names) == len(every)
     assert {
         "LV bundle length", "RV fascicle\N{NO-BREAK SPACE}2 angle", "Purkinje conduction velocity",
-        "RV–LV activation delay",
+        "delay between the roots",
     } < names  # fmt: skip
     assert parameter_name("anisotropy_ratio") == "anisotropy ratio"
     assert parameter_name("v1_left") == "V1 left"

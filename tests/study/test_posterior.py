@@ -229,7 +229,7 @@ def test_verdict_and_caution(done, checks, words, caution):
     # a poor fit names what is at the end of its range
     crowded = replace(done[1], values=done[1].values | {"root_time": np.full(60, -74.0)})
     ends = said_of(crowded, checks).verdict.endswith(
-        "; at the end of its range: RV–LV activation delay"
+        "; at the end of its range: delay between the roots"
     )
     assert ends == (caution is not None)
 

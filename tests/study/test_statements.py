@@ -90,7 +90,7 @@ TRIED.append(Evaluation.infeasible(np.zeros(2), "left the endocardium"))
         (
             {"best": {"cv": 3.999, "root_time": -75.0}},
             Kind.END_OF_RANGE,
-            "range of RV–LV activation delay, Purkinje conduction velocity:",
+            "range of delay between the roots, Purkinje conduction velocity:",
         ),
         # V2, and V6, which is not compared
         ({"upside_down": [7, 11]}, Kind.LEADS, "does not explain V2 (-1.00):"),

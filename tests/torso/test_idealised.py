@@ -123,11 +123,11 @@ def test_heart_does_not_move_but_the_torso(mesh: LabelledMesh, torso: TorsoSurfa
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ((170.0, 66.5), "height 170 m is not that of an adult; give 1.2 to 2.3 m"),
-        ((0.0, 66.5), "height 0 m"),
+        ((170.0, 66.5), r"height 1\.7e\+04 cm is not that of an adult; give 120 to 230 cm"),
+        ((0.0, 66.5), "height 0 cm"),
         ((1.7, -3.0), "weight -3 kg"),
         ((1.7, 66.5, 0.92), "chest girth 0.92 cm"),
-        ((float("nan"), 66.5), "height nan m"),
+        ((float("nan"), 66.5), "height nan cm"),
     ],
 )
 def test_refuses_what_is_no_adult(values, message) -> None:

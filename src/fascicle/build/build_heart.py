@@ -245,8 +245,8 @@ def _notes_on_fit(heart: Heart, fitted: FittedTrunk, pose: Pose) -> list[str]:
     axes = "from the electrodes" if pose == "standard" else f"{pose.upper()}, tilted to fit them"
     displacements = fitted.electrodes - fitted.sites
     return [
-        f"torso: fitted to the electrodes; height {size.height:.2f} m, chest {size.girth:.0f} cm; "
-        f"times the standard adult's: {shape}",
+        f"torso: fitted to the electrodes; height {100 * size.height:.0f} cm, chest "
+        f"{size.girth:.0f} cm; times the standard adult's: {shape}",
         f"pose: {axes}; the apex points {azimuth:.0f} degrees to the left and {descent:.0f} down",
         "electrodes: how far the skin was moved to each, and how far each is from its standard "
         "site, mm",

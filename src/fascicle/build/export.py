@@ -10,7 +10,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fascicle.core.errors import InputError
-from fascicle.core.files import MADE_WITH, atomic_folder, atomic_path, check_replaceable, write_text
+from fascicle.core.files import (
+    MADE_WITH,
+    as_path,
+    atomic_folder,
+    atomic_path,
+    check_replaceable,
+    write_text,
+)
 from fascicle.heart.electrodes import write_electrodes
 from fascicle.heart.folder import cell_arrays, heart_mesh
 from fascicle.heart.heart import Heart
@@ -30,7 +37,9 @@ SURFACE_NAMES = {
 }
 
 
-def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTree] = ()) -> None:
+def export_heart(
+    heart: Heart, out: Path | str, kind: str, trees: Sequence[PurkinjeTree] = ()
+) -> None:
     """Write a heart for other software, whole or not at all.
 
     openCARP and Gmsh files hold the whole boundary, labelled by
@@ -41,7 +50,7 @@ def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTre
     cell arrays ``fibre``, ``sheet`` and ``region`` and the point arrays ``lead_field_RA``, ...
     (kΩ), as far as the heart has them; ``"gmsh"`` (mm) a file, see `write_gmsh`.
     """
-    suffixes = {"opencarp": "", "vtu": ".vtu", "gmsh": ".msh"}
+    out, suffixes = as_path(out, "out"), {"opencarp": "", "vtu": ".vtu", "gmsh": ".msh"}
     if kind not in suffixes:
         raise InputError(f"format '{kind}' is unknown; use one of {', '.join(suffixes)}")
     if kind == "opencarp":

@@ -75,12 +75,14 @@ def _options(
 def simulate(
     heart: HeartArgument,
     out: OutOption = Path("simulation"),
-    params: Annotated[Path | None, Option(help="TOML file with the twelve parameters.")] = None,
+    params: Annotated[
+        Path | None, Option(help="TOML file of parameters, such as that of a network of a study.")
+    ] = None,
     lv_tree: Annotated[Path | None, Option(help="LV Purkinje network: VTU/VTP lines.")] = None,
     rv_tree: Annotated[Path | None, Option(help="RV Purkinje network: VTU/VTP lines.")] = None,
     cv: Annotated[float | None, Option(help="Purkinje conduction velocity (m/s).")] = None,
     root_time: Annotated[
-        float | None, Option(help="RV-LV activation delay, t_RV - t_LV (ms); negative: LV later.")
+        float | None, Option(help="Delay between the roots, t_RV - t_LV (ms); negative: LV later.")
     ] = None,
     fix: FixOption = None,
     scenario: Annotated[
@@ -187,7 +189,10 @@ def fit(
     scheduler: SchedulerOption = None,
     device: Annotated[
         str | None,
-        Option(help="NVIDIA GPU to simulate on: cuda, cuda:1 the second ('fascicle docs gpu')."),
+        Option(
+            help="NVIDIA GPU to simulate on, with --method paper: cuda, cuda:1 the second "
+            "('fascicle docs gpu')."
+        ),
     ] = None,
     sex: SexOption = None,
     age: AgeOption = None,
@@ -226,8 +231,8 @@ def fit(
 
     [parameters]
     cv = 2.5                                                      # fixed
-    alpha = { prior = "log-normal", median = 0.07, sd = 0.2 }
-    root_time = { lower = -120.0, upper = 0.0 }                   # uniform
+    fibre_speed = { prior = "log-normal", median = 0.65, sd = 0.2 }
+    interventricular_delay = { lower = 0.0, upper = 20.0 }        # uniform
     endocardial_speed = "free"
     endocardial_layer = 1.5
     ```

@@ -74,7 +74,12 @@ heart_app = typer.Typer(
 def _with_torso_and_bundles(torso: str) -> Callable[[Command], Command]:
     """Give a command the options of the torso, which is `torso` by default, and of the bundles."""
     around, lung = partial(option, panel="Torso"), "Closed surface of a lung, with --torso FILE."
-    point = "Point of the endocardium: its number, from 0, or x,y,z in mm."
+    places = {
+        "root": "Where the bundle reaches the endocardium; by default in the middle of the septum, "
+        "some 15 % of the way from base to apex.",
+        "direction": "Point that the bundle heads for; by default halfway to the apex.",
+    }
+    point = "Number of the point, from 0, or x,y,z in mm, within 5 mm of one."
     skin = "'idealised', 'none' (unbounded conductor), or a closed surface of the skin."
     pose = (
         "How the heart lies in the idealised torso: 'standard' by its electrodes, or without them "
@@ -83,14 +88,14 @@ def _with_torso_and_bundles(torso: str) -> Callable[[Command], Command]:
     options = [
         around("torso", str, torso, help=skin),
         around("lung", list[Path] | None, None, help=lung),
-        around("height", float | None, None, help="Height of the person (m)."),
+        around("height", float | None, None, help="Height of the person (cm)."),
         around("weight", float | None, None, help="Weight of the person (kg)."),
         around("chest", float | None, None, help="Circumference of the chest (cm)."),
         around("pose", Literal["standard", "ras", "lps"], "standard", help=pose),
         *(
-            option(f"{side}_{end}", str | None, None, panel="Bundles", help=point)
+            option(f"{side}_{end}", str | None, None, panel="Bundles", help=f"{help_text} {point}")
             for side in SIDES
-            for end in ("root", "direction")
+            for end, help_text in places.items()
         ),
     ]
     return lambda command: with_options(command, options)
@@ -140,9 +145,11 @@ def heart_build(
         ),
     ] = None,
     lv_angles: Annotated[
-        str, _fibres(help="Helix angles, endocardium,epicardium (degrees).")
+        str, _fibres(help="Helix angles of the LV, endocardium,epicardium (degrees).")
     ] = "60,-60",
-    rv_angles: Annotated[str, _fibres()] = "90,-25",
+    rv_angles: Annotated[
+        str, _fibres(help="Helix angles of the RV, endocardium,epicardium (degrees).")
+    ] = "90,-25",
     electrodes: Annotated[
         Path | None,
         Option(
@@ -153,7 +160,7 @@ def heart_build(
     ] = None,
     **around: Any,
 ) -> Result:
-    """Build a heart folder from an anatomy: mesh, fibres, seeds, torso, electrodes, lead fields.
+    """Build a heart folder from an anatomy: mesh, fibres, bundles, torso, electrodes, lead fields.
 
     One closed surface, with or without labels; separate surfaces; a segmentation; or a mesh of
     your own. The result is printed and drawn (check.png in the folder): look at it.
@@ -234,9 +241,8 @@ def heart_import(
 
     Surfaces may be VTK, VTP, OBJ, STL, PLY or Gmsh. Fibres are matched by position, so their
     points may come in another order; a rule takes the place of a placeholder, such as one direction
-    everywhere. Without seeds, sensible ones are found on the septal side of the base, pointing to
-    the apex. Without **--torso idealised** the volume conductor is unbounded, and the ratios of the
-    leads are wrong.
+    everywhere. Without **--torso idealised** the volume conductor is unbounded, and the ratios of
+    the leads are wrong.
     """
     from fascicle.build.build_heart import in_torso
     from fascicle.build.surface_checks import check_sides
@@ -495,6 +501,8 @@ def _torso(options: Mapping[str, Any], electrodes: Path | None) -> TorsoOptions:
 
     measures = {name: options[name] for name in ("height", "weight", "chest")}
     stated = {name: value for name, value in measures.items() if value is not None}
+    if "height" in stated:
+        stated["height"] /= 100  # m
     lungs = tuple(options["lung"] or ())
     return TorsoOptions(options["torso"], lungs, stated, options["pose"], electrodes)
 

@@ -385,7 +385,7 @@ def parameter_name(name: str) -> str:
         return f"{side.upper()} {part} {kind}"
     titles = {
         "cv": "Purkinje conduction velocity",
-        "root_time": "RV–LV activation delay",
+        "root_time": "delay between the roots",
         "alpha": "conduction velocity constant α",
         "fibre_speed": "conduction velocity along fibres",
     }

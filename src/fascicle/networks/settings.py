@@ -31,8 +31,13 @@ class FitSettings(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     samples: int = _whole(30, 1, 100_000, "Networks wanted.")
-    # not the number of cores, so that the same settings give the same result
-    workers: int = _whole(2, 1, 1024, "Simulations at a time.")
+    workers: int | None = Field(
+        None,
+        ge=1,
+        le=1024,
+        description="Simulations at a time; by default one per core, and 2 by the paper's method, "
+        "whose result depends on it.",
+    )
     tolerance: float = Field(
         0.9,
         gt=0,
@@ -99,11 +104,21 @@ class FitSettings(BaseModel):
         "compared.",
     )
 
+    @property
+    def batch(self) -> int:
+        """Simulations at a time of the paper's method."""
+        return self.workers or 2
+
     def __init__(self, **settings: Any) -> None:
         try:
             super().__init__(**settings)
         except ValidationError as error:
             name, value, message = first_problem(error)
+            if name not in type(self).model_fields:
+                raise InputError(
+                    f"'{name}' is no setting of a fit (fascicle.FitSettings has them); quantities "
+                    f"are given as parameters={{'conduction': 'normal'}}, a person to load_heart"
+                ) from None
             raise InputError(f"'{name}' is {shown(value)}: {message.lower()}") from None
 
 

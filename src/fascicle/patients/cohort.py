@@ -47,7 +47,8 @@ def cohort(
     ----------
     table : path
         CSV file with the columns ``patient``, ``heart``, ``recording``, optionally ``scenario``,
-        ``settings`` and fields of `fascicle.FitSettings`; paths are relative to its folder.
+        ``settings``, ``sex``, ``age``, ``height`` and ``weight`` of the person, and fields of
+        `fascicle.FitSettings`; paths are relative to its folder.
     out : path
         Folder to write: ``studies/NAME``, ``results.csv``, ``index.html``.
     only : str, optional

@@ -16,11 +16,12 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from fascicle.atlas.population import KNOWN
 from fascicle.core.errors import FileError, InputError, ValueRefusedError, given_in, one_line
 from fascicle.core.files import PACKAGED, as_path, check_file, write_text
 from fascicle.core.progress import Progress
 from fascicle.core.ranges import shown
-from fascicle.heart.folder import HEART_FILES
+from fascicle.heart.folder import HEART_FILES, load_heart
 from fascicle.networks.prior import read_settings
 from fascicle.networks.settings import FitSettings, checked_settings
 from fascicle.pools.pool import Pool
@@ -172,6 +173,7 @@ class Patient:
     scenario: Path | None = None  # scenario of the recording; None: intrinsic beat
     settings_file: Path | None = None  # TOML file of settings and parameters
     settings: Mapping[str, Any] = field(default_factory=dict)  # these override those of the file
+    person: Mapping[str, Any] = field(default_factory=dict)  # what is known, for the heart 'atlas'
 
     @property
     def study(self) -> Path:
@@ -276,7 +278,8 @@ def _inputs(patient: Patient) -> Inputs:
     is_target = path.suffix.lower() == ".nc"
     target = read_target(path) if is_target else make_target(read_recording(path))
     recording = target if scenario is None else (target, scenario)
-    return read_inputs(patient.heart, recording, parameters, settings)
+    heart = load_heart(patient.heart, **patient.person)
+    return read_inputs(heart, recording, parameters, settings)
 
 
 def read_table(path: Path | str, cohort: Path) -> list[Patient]:
@@ -314,7 +317,7 @@ def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
             f"{path}: is not a table in text ({one_line(error)}); save it as CSV (UTF-8)"
         ) from None
     needed = Patient.needed_columns
-    allowed = (*needed, "scenario", "settings", *FitSettings.model_fields)
+    allowed = (*needed, "scenario", "settings", *KNOWN, *FitSettings.model_fields)
     wrong = [name for name in columns if name not in allowed or columns.count(name) > 1]
     wrong += [name for name in needed if name not in columns]
     if wrong:
@@ -346,6 +349,12 @@ def _patient(folder: Path, cells: Mapping[str, str], cohort: Path) -> Patient:
     paths = {name: folder / as_path(cells[name], name) for name in files}
     fields = {name: cell for name, cell in cells.items() if name in FitSettings.model_fields}
     settings = FitSettings(**fields)
+    try:
+        person = {n: cells[n] if n == "sex" else float(cells[n]) for n in KNOWN if n in cells}
+    except ValueError as error:
+        raise FileError(
+            f"{one_line(error)}; give age, height and weight (years, cm, kg) as numbers"
+        ) from None
     return Patient(
         cells["patient"],
         cohort,
@@ -354,6 +363,7 @@ def _patient(folder: Path, cells: Mapping[str, str], cohort: Path) -> Patient:
         paths.get("scenario"),
         paths.get("settings"),
         {name: getattr(settings, name) for name in fields},
+        person,
     )
 
 

@@ -18,6 +18,7 @@ from fascicle.core.parameters import FREE
 from fascicle.core.progress import Progress
 from fascicle.core.quantities import DELAY, torso_values
 from fascicle.core.ranges import check_kind
+from fascicle.core.threads import cores
 from fascicle.emulation.ecg_emulator import TORSO_MODES, EcgEmulator
 from fascicle.emulation.heart_emulator import MOST_ROUNDS, REFINING_NETWORKS
 from fascicle.emulation.likelihood import ATLAS_DISCREPANCY, EmulatedLikelihood, likelihood_of
@@ -101,8 +102,8 @@ class InverseProblem:
             )
             for target, scenario in inputs.recordings
         )
-        simulator = PointSimulator(model, prior, pool or Threads(config.workers), backend)
-        return cls(inputs, simulator, recordings)
+        pool = pool or Threads(config.workers or cores())
+        return cls(inputs, PointSimulator(model, prior, pool, backend), recordings)
 
     @property
     def config(self) -> StudyConfig:

@@ -202,7 +202,7 @@ class PaperFit:
 
     def explore(self) -> None:
         """Evaluate the points of the Latin hypercube."""
-        count, size, dimension = self.settings.initial, self.settings.workers, len(self.space)
+        count, size, dimension = self.settings.initial, self.settings.batch, len(self.space)
         design = self.journal.propose(
             Stage.INITIAL, 0, lambda rng, _: (None, latin_hypercube(rng, count, dimension))
         )
@@ -248,7 +248,7 @@ class PaperFit:
             tolerance=self.settings.tolerance,
             refit_after=self.settings.refit_after,
             rounds=self.settings.rounds,
-            workers=self.settings.workers,
+            workers=self.settings.batch,
             progress=self._report_round,
         )
 

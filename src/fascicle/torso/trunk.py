@@ -79,10 +79,11 @@ class TrunkSize:
 
     def __post_init__(self) -> None:
         # girth comes last, as it is a number only if height and weight are possible
-        limits = {"height": (1.2, 2.3, "m"), "weight": (25.0, 250.0, "kg")}
+        limits = {"height": (120.0, 230.0, "cm"), "weight": (25.0, 250.0, "kg")}
         limits |= dict.fromkeys(TRUNK_SHAPE, (0.5, 2.0, "times"))
         for name, (low, high, unit) in (limits | {"girth": (50.0, 180.0, "cm")}).items():
-            if not low <= (value := getattr(self, name)) <= high:
+            value = getattr(self, name) * (100 if name == "height" else 1)  # in cm, as options
+            if not low <= value <= high:
                 raise InputError(
                     f"torso: {'chest ' if name == 'girth' else ''}{name} {value:.4g} {unit} is not "
                     f"that of an adult; give {low:g} to {high:g} {unit}"
