@@ -128,6 +128,12 @@ NORMAL = CONDUCTION_STATES["normal"]  # whose networks are those of mapped heart
 SOURCES = ParameterSpace(tuple(p for p in NOT_KNOWN if p.name.endswith("_source")))
 TORSO_GROUPS = ("pose", "electrodes", "conductivities")
 PREDICTED = ("activation time", "with both roots together", "end along the axis", "QRS duration")
+TITLES = {
+    "activation time": "total activation time",
+    "with both roots together": "total activation time, His pacing",
+    "end along the axis": "site of the last activation",
+    "TARP": "all parameters (TARP)",
+}
 
 
 def truth_of(model: ForwardModel, prior: Prior, rng: np.random.Generator) -> Any:
@@ -667,7 +673,7 @@ def _draw(ranks: dict[str, np.ndarray], band: float, path: Path) -> None:
         panel.axhspan(-band, band, color="0.9")
         apart = np.searchsorted(np.sort(values), grid, side="right") / len(values) - grid
         panel.plot(grid, apart)
-        panel.set_title(textwrap.fill(parameter_name(name), 24), fontsize=7)
+        panel.set_title(textwrap.fill(TITLES.get(name, parameter_name(name)), 24), fontsize=7)
         panel.set_ylim(-0.35, 0.35)
     for panel in list(axes.flat)[len(ranks) :]:
         panel.set_axis_off()
