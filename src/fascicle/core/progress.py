@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 StageProgress = Callable[[int, int], None]  # progress callback of one stage: done, total
 Lines = Literal["lines"]  # asks for lines on standard error
+WHOLE_RUN = "whole fit (s)"  # name of the stage "whole run" for users
 
 
 class Progress(Protocol):
@@ -155,7 +156,7 @@ def stage_name(stage: str) -> str:
         "rejection": "networks accepted",
         "networks": "simulating the networks",
         "workers": "workers of the cluster",
-        "whole run": "whole fit (s)",
+        "whole run": WHOLE_RUN,
     }
     return names.get(stage, stage)
 
@@ -229,7 +230,9 @@ def time_left(task: Task) -> str:
     if task.finished or not done or task.total is None or elapsed < 2.0:
         return ""
     left = task.time_remaining
-    if left is None:  # the steps are further apart than the period of rich's pace
+    if task.description == WHOLE_RUN:  # its steps are seconds
+        left = task.total - task.completed
+    elif left is None:  # the steps are further apart than the period of rich's pace
         left = elapsed * (task.total - task.completed) / done
     if left > 50 * elapsed:  # too early to tell
         return ""
