@@ -209,7 +209,7 @@ BEST = "% of the QRS explained by the best 5% of networks"
         (
             Checks(0.9, {}, emulator=[0.52, 0.3]),
             f"fit acceptable: 90{BEST}; emulator 52% off these networks, 30% expected",
-            None,
+            Caution.EMULATOR,
         ),
         (Checks(0.9, {}, emulator=[0.4, 0.3]), f"fit acceptable: 90{BEST}", None),
     ],
@@ -218,7 +218,7 @@ def test_verdict_and_caution(done, checks, words, caution):
     said = said_of(done[1], checks)
     assert said.verdict == f"converged; {words}"
     assert said.caution is caution
-    assert said.acceptable == (caution is None)
+    assert said.acceptable == (caution is not Caution.POOR_FIT)
     assert any(p.constrained for p in said.parameters) == (caution is None)
     for prior, name in ((Prior(SPACE, {"conduction": 1.0}), BLOCK), (NORMAL_PRIOR, "normal")):
         fixed = said_of(done[1], checks, prior).verdict
@@ -231,7 +231,7 @@ def test_verdict_and_caution(done, checks, words, caution):
     ends = said_of(crowded, checks).verdict.endswith(
         "; at the end of its range: delay between the roots"
     )
-    assert ends == (caution is not None)
+    assert ends == (caution is Caution.POOR_FIT)
 
 
 # Activated first on the free wall of the right ventricle, 9 ms before the left one

@@ -76,7 +76,7 @@ def _with_torso_and_bundles(torso: str) -> Callable[[Command], Command]:
     around, lung = partial(option, panel="Torso"), "Closed surface of a lung, with --torso FILE."
     places = {
         "root": "Where the bundle reaches the endocardium; by default in the middle of the septum, "
-        "some 15 % of the way from base to apex.",
+        "8 to 22 % of the way from base to apex.",
         "direction": "Point that the bundle heads for; by default halfway to the apex.",
     }
     point = "Number of the point, from 0, or x,y,z in mm, within 5 mm of one."

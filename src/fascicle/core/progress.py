@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 StageProgress = Callable[[int, int], None]  # progress callback of one stage: done, total
 Lines = Literal["lines"]  # asks for lines on standard error
-WHOLE_RUN = "whole fit (s)"  # name of the stage "whole run" for users
+WHOLE_RUN = "whole fit"  # name of the stage "whole run" for users; its steps are seconds
 
 
 class Progress(Protocol):
@@ -88,11 +88,13 @@ class WholeRun:
         self._progress(stage, done, total, message)
         (current, usual), *later = self._stages
         if stage != current or done < self._last:
-            if stage not in (names := [name for name, _ in later]):
+            names = [name for name, _ in later]
+            if stage != current and stage not in names:
                 return
             self._usual += usual
-            self._stages = later[names.index(stage) :]
-            (_, usual), *later = self._stages
+            if stage in names:  # else it is repeated
+                self._stages = later[names.index(stage) :]
+                (_, usual), *later = self._stages
         self._last = done
         share = done / max(total, 1)
         elapsed = time.monotonic() - self._began
@@ -217,7 +219,8 @@ class ProgressLines:
 
 
 def _line(task: Task) -> str:
-    text = f"{task.description} {task.completed:g}/{task.total:g}, {duration(task.elapsed)}"
+    steps = "" if task.description == WHOLE_RUN else f" {task.completed:g}/{task.total:g}"
+    text = f"{task.description}{steps}, {duration(task.elapsed)}"
     text = ", ".join(filter(None, [text, time_left(task)]))
     message = task.fields["message"]
     return f"{text}: {message}" if message else text
@@ -230,7 +233,7 @@ def time_left(task: Task) -> str:
     if task.finished or not done or task.total is None or elapsed < 2.0:
         return ""
     left = task.time_remaining
-    if task.description == WHOLE_RUN:  # its steps are seconds
+    if task.description == WHOLE_RUN:
         left = task.total - task.completed
     elif left is None:  # the steps are further apart than the period of rich's pace
         left = elapsed * (task.total - task.completed) / done

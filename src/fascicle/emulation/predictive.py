@@ -144,17 +144,24 @@ class Checks:
             return ""
         return f"emulator {error:.0%} off these networks, {expected:.0%} expected"
 
+    def _in_words(self, name: str) -> str:
+        recorded, low, middle, high = self.measured[name]
+        unit = next(unit for key, (_, unit) in MEASURED.items() if name.startswith(key))
+        return (
+            f"{name} {recorded:.0f}{unit} recorded, {middle:.0f} ({low:.0f}–{high:.0f}) simulated"
+        )
+
+    @property
+    def outside(self) -> str:
+        """QRS duration and axis beyond 90 % of the networks, in words; empty if there are none."""
+        names = [name for name, (x, low, _, high) in self.measured.items() if not low <= x <= high]
+        return "; ".join(map(self._in_words, names))
+
     @property
     def failures(self) -> list[str]:
         """Failed checks in words, in the order in which a cardiologist looks at an ECG."""
-        rare, failures = self.disagreeing, []
-        for name, (recorded, low, middle, high) in self.measured.items():
-            if name in rare:
-                unit = next(unit for key, (_, unit) in MEASURED.items() if name.startswith(key))
-                failures.append(
-                    f"{name} {recorded:.0f}{unit} recorded, {middle:.0f} ({low:.0f}–{high:.0f}) "
-                    "simulated"
-                )
+        rare = self.disagreeing
+        failures = [self._in_words(name) for name in self.measured if name in rare]
         if leads := [name for name in rare if name not in self.measured]:
             failures.append(f"{', '.join(leads)} not reproduced")
         if self.explained < self.least_explained:

@@ -8,7 +8,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fascicle.core.errors import InputError
-from fascicle.core.ranges import shown
+from fascicle.core.ranges import did_you_mean, shown
 
 Method = Literal["posterior", "paper"]
 # Settings that only one of the methods has
@@ -116,8 +116,11 @@ class FitSettings(BaseModel):
             name, value, message = first_problem(error)
             if name not in type(self).model_fields:
                 raise InputError(
-                    f"'{name}' is no setting of a fit (fascicle.FitSettings has them); quantities "
-                    f"are given as parameters={{'conduction': 'normal'}}, a person to load_heart"
+                    f"'{name}' is no setting of a fit; "
+                    + (
+                        did_you_mean(name, type(self).model_fields)
+                        or "give quantities as parameters, and the person to load_heart"
+                    )
                 ) from None
             raise InputError(f"'{name}' is {shown(value)}: {message.lower()}") from None
 

@@ -70,6 +70,10 @@ class Caution(Enum):
         "not a mapped sequence of activation",
         "the networks activate the ventricles as no mapped heart with this QRS is activated",
     )
+    EMULATOR = (
+        "emulator not exact enough",
+        "the emulator is not exact enough for these networks: do not rely on the intervals",
+    )
 
     def __init__(self, brief: str, text: str) -> None:
         self.brief = brief  # beginning of a sentence
@@ -93,6 +97,7 @@ class Kind(StrEnum):
     END_OF_RANGE = "end of range"
     FEW_JUNCTIONS = "few junctions"
     OUTSIDE_QRS = "outside the QRS"
+    OUTSIDE_NETWORKS = "outside the networks"
     EMULATOR = "emulator"
 
 
@@ -282,7 +287,10 @@ class Statements:
             return Caution.NOT_CONVERGED
         if self.acceptable is False:
             return Caution.POOR_FIT
-        return Caution.UNMAPPED if self.unmapped else None
+        if self.unmapped:
+            return Caution.UNMAPPED
+        checks = self._result.checks
+        return Caution.EMULATOR if checks is not None and checks.emulator_off else None
 
     @cached_property
     def _caution_brief(self) -> str:
@@ -424,6 +432,12 @@ def _warnings(result: Result) -> Iterator[tuple[Kind, str]]:
     # a longer fit would not mend a poor one
     if isinstance(result.population, Posterior) and not poor:
         yield Kind.NOT_CONVERGED, how_to_go_on(result.population, result.settings)
+    if result.checks is not None and result.checks.acceptable and result.checks.outside:
+        yield (
+            Kind.OUTSIDE_NETWORKS,
+            f"{result.checks.outside}: beyond nine tenths of the networks, though not beyond the "
+            "errors that the model allows",
+        )
     if result.checks is not None and result.checks.emulator_off:
         yield (
             Kind.EMULATOR,

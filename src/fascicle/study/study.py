@@ -328,6 +328,7 @@ def check_same(folder: Path, stored: StudyConfig, now: StudyConfig) -> None:
     digests = {  # which say nothing to readers
         "heart": "of another heart", "target": "of another target",
         "other_targets": "with other further targets", "scenarios": "with other scenarios",
+        "tissue_weights": "of another person (--sex, --age, --height, --weight)",
     }  # fmt: skip
     different = [
         digests.get(name)
