@@ -462,7 +462,7 @@ def test_another_heart_in_the_folder_is_refused(study, tmp_path):
 @pytest.mark.parametrize("setting", [{"initial": 1}, {"tolerance": 0}, {"stepz": 5}])
 def test_impossible_settings_are_refused_in_one_line(ventricles, target, tmp_path, setting):
     name, value = next(iter(setting.items()))
-    with pytest.raises(fascicle.InputError, match=f"'{name}' is {value}: ") as caught:
+    with pytest.raises(fascicle.InputError, match=f"'{name}' is ({value}: |no setting)") as caught:
         fascicle.fit(ventricles, target, tmp_path / "s", **setting)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "s").exists()
