@@ -10,6 +10,7 @@ import numpy as np
 from fascicle import Beat, FittedStudy, Predicted
 from fascicle.cli.output import print_row, print_table
 from fascicle.core.arrays import Floats
+from fascicle.core.quantities import parameter_name
 from fascicle.heart.sites import SEGMENTS
 from fascicle.prediction.comparison import MEASURABLE, Swept, Varied, compare, missing_blocks
 from fascicle.prediction.index_names import COMPARED, INDICES
@@ -182,7 +183,8 @@ def print_comparison(predicted: Mapping[str, Predicted], result: Mapping[str, An
     print_table(rows)
     probability = f"{result['probability']:.2f} ± {result['standard_error']:.2f}"
     print(f"{index_name(index)}: P(reduction > {threshold:g} {INDICES[index]}) = {probability}")
-    shares = [f"{n} {share:.0%}" for n, share in [*result["variance_explained_by"].items()][:3]]
+    largest = [*result["variance_explained_by"].items()][:3]
+    shares = [f"{parameter_name(name)} {share:.0%}" for name, share in largest]
     if not shares:
         print("variance explained by the parameters: too few independent networks")
         return
