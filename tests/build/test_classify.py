@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from shapes import ellipsoid, read_labelled_surface
 
-from fascicle.build.borders import cut_along_borders
+from fascicle.build.borders import cut_along_borders, cut_at_zero
 from fascicle.build.classify import classify_surface
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import NEEDED_LABELS, Label
@@ -195,3 +195,20 @@ def test_loops_have_no_teeth_and_the_surface_stays_where_it_is():
     for measure in (closed_volume, lambda *surface: triangle_areas(*surface).sum()):
         before, after = (measure(s.vertices, s.triangles) for s in (found, cut))
         assert after == pytest.approx(before, rel=1e-9)
+
+
+def test_cut_at_zero_of_a_linear_function_is_straight():
+    x, y = np.meshgrid(np.arange(6.0), np.arange(6.0), indexing="ij")
+    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(36)])
+    corner = np.array([6 * i + j for i in range(5) for j in range(5)])
+    triangles = np.concatenate([corner[:, None] + [0, 6, 7], corner[:, None] + [0, 7, 1]])
+    values = points[:, 0] + 0.3 * points[:, 1] - 2.35
+    vertices, cut, _, side = cut_at_zero(points, triangles, values)
+    there = vertices[cut].mean(axis=1)
+    area = triangle_areas(vertices, cut)
+    assert area.sum() == pytest.approx(25)
+    assert (triangle_areas(points, triangles)[0] / area).max() < 100
+    level = there[:, 0] + 0.3 * there[:, 1] - 2.35
+    assert (np.sign(level) == side)[np.abs(level) > 0.2].all()
+    # ∫ of x below the line: 2.35 - 0.3 y over 0..5
+    assert area[side < 0].sum() == pytest.approx(2.35 * 5 - 0.3 * 12.5, abs=0.2)

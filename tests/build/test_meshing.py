@@ -17,7 +17,7 @@ from shapes import (
 
 from fascicle.build import meshing
 from fascicle.build.endocardia import endocardia
-from fascicle.build.meshing import check_memory, mesh_surface, subdivided
+from fascicle.build.meshing import check_memory, mesh_surface, subdivided, without_short_edges
 from fascicle.build.read_anatomy import Source, read_anatomy
 from fascicle.build.surface_checks import wall_thickness
 from fascicle.build.surface_repair import prepared_surface
@@ -119,6 +119,17 @@ def test_an_edge_length_that_would_not_fit_in_memory_is_refused(surface, monkeyp
         check_memory(surface, 1.0)
     with pytest.raises(InputError, match="must be above 0"):
         check_memory(surface, 0.0)
+
+
+def test_short_edges_are_closed_up_and_the_surface_stays_closed(surface):
+    shortened = without_short_edges(surface, 1.0)
+    corners = shortened.vertices[shortened.triangles]
+    lengths = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    assert len(shortened.vertices) < 0.95 * len(surface.vertices)
+    assert (lengths < 1.0).mean() < 0.002
+    assert boundary_loops(shortened.triangles) == []
+    assert volume_of(shortened) == pytest.approx(volume_of(surface), rel=2e-3)
+    assert len(shortened.vertices) - len(shortened.triangles) / 2 == 2  # Euler: a sphere
 
 
 def test_a_real_surface_is_too_thin_for_3_mm(data_folder):

@@ -144,8 +144,8 @@ class TestNumbers:
 
     @pytest.mark.parametrize(
         ("option", "value", "word"),
-        [("--height", 1.7, "height 1.7 cm is not that of"), ("--weight", 700, "weight 700 kg"),
-         ("--chest", 20, "chest girth 20 cm")],
+        [("--height", 1.7, "height 1.7 cm is not that of an adult"),
+         ("--weight", 700, "weight 700 kg"), ("--chest", 20, "chest girth 20 cm")],
     )  # fmt: skip
     def test_build_of_the_person(self, build_refused, mesh, option, value, word):
         build_refused(mesh, option, value, words=[word], around=())

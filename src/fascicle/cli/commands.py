@@ -352,8 +352,8 @@ def states(
             "reason": probabilities.reason,
             "unreliable": dict(probabilities.unreliable),
         }
-    for name in sorted(probabilities, key=lambda name: -probabilities[name]):
-        print(f"{name:<31} {probabilities[name]:.2f}")
+    ranked = sorted(probabilities, key=lambda name: -probabilities[name])
+    print_table([(name, f"{probabilities[name]:.2f}") for name in ranked])
     basis = "as simulated on this heart, not calibrated on people ('fascicle docs diagnosis')"
     if of_person.no_image:
         basis = "calibrated on cardiologists' labels of 245 people ('fascicle docs atlas')"

@@ -87,14 +87,14 @@ class WholeRun:
         """See `Progress`."""
         self._progress(stage, done, total, message)
         (current, usual), *later = self._stages
-        if stage != current or done < self._last:
+        if stage != current or done < self._last:  # a later stage, or the current one once more
             names = [name for name, _ in later]
-            if stage != current and stage not in names:
+            if stage in names:
+                self._stages = later[names.index(stage) :]
+            elif stage != current:
                 return
             self._usual += usual
-            if stage in names:  # else it is repeated
-                self._stages = later[names.index(stage) :]
-                (_, usual), *later = self._stages
+            (_, usual), *later = self._stages
         self._last = done
         share = done / max(total, 1)
         elapsed = time.monotonic() - self._began

@@ -106,8 +106,10 @@ class FitSettings(BaseModel):
 
     @property
     def batch(self) -> int:
-        """Simulations at a time of the paper's method."""
-        return self.workers or 2
+        """Simulations at a time."""
+        from fascicle.core.threads import cores  # slow to import, and only a fit needs it
+
+        return self.workers or (2 if self.method == "paper" else cores())
 
     def __init__(self, **settings: Any) -> None:
         try:
@@ -115,13 +117,9 @@ class FitSettings(BaseModel):
         except ValidationError as error:
             name, value, message = first_problem(error)
             if name not in type(self).model_fields:
-                raise InputError(
-                    f"'{name}' is no setting of a fit; "
-                    + (
-                        did_you_mean(name, type(self).model_fields)
-                        or "give quantities as parameters, and the person to load_heart"
-                    )
-                ) from None
+                advice = "give quantities as parameters, and the person to load_heart"
+                advice = did_you_mean(name, type(self).model_fields) or advice
+                raise InputError(f"'{name}' is no setting of a fit; {advice}") from None
             raise InputError(f"'{name}' is {shown(value)}: {message.lower()}") from None
 
 

@@ -18,7 +18,6 @@ from fascicle.core.parameters import FREE
 from fascicle.core.progress import Progress
 from fascicle.core.quantities import DELAY, torso_values
 from fascicle.core.ranges import check_kind
-from fascicle.core.threads import cores
 from fascicle.emulation.ecg_emulator import TORSO_MODES, EcgEmulator
 from fascicle.emulation.heart_emulator import MOST_ROUNDS, REFINING_NETWORKS
 from fascicle.emulation.likelihood import ATLAS_DISCREPANCY, EmulatedLikelihood, likelihood_of
@@ -102,7 +101,7 @@ class InverseProblem:
             )
             for target, scenario in inputs.recordings
         )
-        pool = pool or Threads(config.workers or cores())
+        pool = pool or Threads(config.batch)
         return cls(inputs, PointSimulator(model, prior, pool, backend), recordings)
 
     @property

@@ -432,16 +432,17 @@ def _warnings(result: Result) -> Iterator[tuple[Kind, str]]:
     # a longer fit would not mend a poor one
     if isinstance(result.population, Posterior) and not poor:
         yield Kind.NOT_CONVERGED, how_to_go_on(result.population, result.settings)
-    if result.checks is not None and result.checks.acceptable and result.checks.outside:
+    checks = result.checks
+    if checks is not None and checks.acceptable and checks.outside:
         yield (
             Kind.OUTSIDE_NETWORKS,
-            f"{result.checks.outside}: beyond nine tenths of the networks, though not beyond the "
+            f"{checks.outside}: beyond nine tenths of the networks, though not beyond the "
             "errors that the model allows",
         )
-    if result.checks is not None and result.checks.emulator_off:
+    if checks is not None and checks.emulator_off:
         yield (
             Kind.EMULATOR,
-            f"{result.checks.emulator_off}: the posterior is the emulator's; --prior-simulations "
+            f"{checks.emulator_off}: the posterior is the emulator's; --prior-simulations "
             f"{2 * result.settings.prior_simulations}, in a new study, makes it better",
         )
     if any(r.target.earliest_onset is not None and r.scenario is None for r in result.recordings):

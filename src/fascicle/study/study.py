@@ -31,7 +31,6 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import write_text
 from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.core.progress import Progress
-from fascicle.core.threads import cores
 from fascicle.inference.evaluation import Evaluation, Objective
 from fascicle.networks.prior import AveragedOver, Prior
 from fascicle.networks.settings import FitSettings, first_problem
@@ -169,8 +168,8 @@ class Study:
             from fascicle.study import methods  # slow to import, and only a fit needs them
 
             config, prior = self.config, self.config.prior
-            workers = config.batch if config.method == "paper" else config.workers or cores()
-            journal = Journal(self._database, objective, prior.dimension, config.seed, workers)
+            seed, batch = config.seed, config.batch
+            journal = Journal(self._database, objective, prior.dimension, seed, batch)
             if config.method == "paper":
                 return methods.PaperFit(config, prior.learnt, journal, progress).run()
             return methods.PosteriorFit(
