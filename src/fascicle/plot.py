@@ -125,7 +125,7 @@ def scenario_ecg(predicted: Mapping[str, Predicted], name: str) -> list[Axes]:
 def activation(
     heart: Heart | StudyLike, predicted: Mapping[str, Predicted], name: str
 ) -> list[Axes]:
-    """Activation by the networks with the least, median and largest total activation time.
+    """Activation by the networks at three percentiles of the total activation time.
 
     The intrinsic beat's median network stands above, in the same colours. Of hearts of an atlas
     give the study, which knows the heart of each network.

@@ -131,7 +131,7 @@ def test_errors_name_the_file_or_the_scenario(simulated_by, networks, tmp_path):
         simulate_scenarios(*simulated_by, networks, {"far": far})
 
 
-def test_maps_and_extremes_by_hand():
+def test_maps_and_percentiles_by_hand():
     """Three networks on five vertices, of which one is reached by two and another by none."""
     times = np.array(
         [
@@ -143,7 +143,7 @@ def test_maps_and_extremes_by_hand():
     beats = [SimpleNamespace(activation=row) for row in times]
     totals = {"total_activation_time": np.array([30.0, 20.0, 50.0])}
     found = Predicted(case(his=His()), beats, totals)
-    assert found.extremes() == {"minimum": 1, "median": 0, "maximum": 2}
+    assert [*found.percentile_networks().values()] == [1, 0, 2]
     maps = found.maps
     np.testing.assert_allclose(maps["activation_mean"], [0, 40 / 3, 80 / 3, 25, np.nan])
     np.testing.assert_allclose(maps["activation_sd"][:2], [0, np.std([10, 20, 10])])

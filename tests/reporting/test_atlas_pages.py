@@ -183,7 +183,8 @@ def rows_of(surfaces, columns=6):
 
 def test_figures_draw_each_network_on_its_heart(fitted, networks, predicted, surfaces):
     plot.activation(fitted, predicted, "intrinsic")
-    for row, k in zip(rows_of(surfaces), predicted["intrinsic"].extremes().values(), strict=True):
+    shown = predicted["intrinsic"].percentile_networks()
+    for row, k in zip(rows_of(surfaces), shown.values(), strict=True):
         np.testing.assert_array_equal(row, fitted.heart_of(k).vertices)
     template = fitted.simulator.model.heart
     surfaces.clear()
@@ -213,8 +214,11 @@ def test_files_of_predictions(fitted, predicted, tmp_path):
     assert {*template.point_data} == {*predicted["intrinsic"].maps}
     (note,) = meshio.read(folder / "activation.vtu").field_data
     assert note.endswith("on the template")
-    for which, k in predicted["intrinsic"].extremes().items():
-        own, heart = pv.read(folder / f"activation-{which}.vtu"), fitted.heart_of(k)
+    for which, k in predicted["intrinsic"].percentile_networks().items():
+        own, heart = (
+            pv.read(folder / f"activation-{which.replace(' ', '-')}.vtu"),
+            fitted.heart_of(k),
+        )
         np.testing.assert_array_equal(own.points, heart.vertices)
         np.testing.assert_array_equal(own["fibre"], heart.fibres)
         assert np.nanmin(own["activation"]) == 0

@@ -257,7 +257,7 @@ class TestScene:
         assert total["values"][0] == 100
         assert total["values"][-1] == 219
         assert 2 < np.diff(total["values"]).max() < 5
-        assert total["values"][content["median"]] == 159
+        assert total["values"][content["median"]] == 160
         assert (speed["label"], speed["unit"]) == ("Purkinje conduction velocity", "m/s")
 
 
@@ -407,7 +407,7 @@ def test_rows_of_activations_say_which_time_they_give(default_heart, shown):
     texts = [text.get_text() for axes in figure.axes for text in axes.texts]
     assert [text for text in texts if "time" in text] == [
         "intrinsic: median\ntotal activation\ntime 85 ms",
-        "minimum\ntotal activation\ntime 80 ms",
+        "5th percentile\ntotal activation\ntime 80 ms",
         "median\ntotal activation\ntime 85 ms",
-        "maximum\ntotal activation\ntime 90 ms",
+        "95th percentile\ntotal activation\ntime 90 ms",
     ]

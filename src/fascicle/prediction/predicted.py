@@ -77,14 +77,11 @@ class Predicted:
         columns = {i: f"{i}_{unit}" for i, unit in INDICES.items() if unit != "1"}
         return pd.DataFrame(dict(self.indices)).rename(columns=columns).rename_axis("network")
 
-    def extremes(self) -> dict[str, int]:
-        """Networks with the least, the median and the largest total activation time."""
+    def percentile_networks(self) -> dict[str, int]:
+        """Networks at three percentiles of the total activation time, the ends of the 90 %."""
         order = np.argsort(self.indices["total_activation_time"], kind="stable")
-        return {
-            "minimum": int(order[0]),
-            "median": int(order[(len(order) - 1) // 2]),
-            "maximum": int(order[-1]),
-        }
+        shares = {"5th percentile": 0.05, "median": 0.5, "95th percentile": 0.95}
+        return {name: int(order[round(q * (len(order) - 1))]) for name, q in shares.items()}
 
     def filtered(self, k: int) -> Floats:
         """ECG (12 + k, t + 2 `RINGING`) of network `k` after the recorder's filters (mV).

@@ -60,10 +60,11 @@ def write_prediction(
 
     The folder holds ``indices.csv`` (every index of every scenario and network), ``summary.json``,
     ``indices.png``, and a folder for each scenario: ``ecgs.nc``, ``ecg.png``, ``activation.vtu``
-    (of the networks with the least, median and largest total activation time; mean, standard
-    deviation, and how probably each vertex is in the latest-activated 20 %), ``activation.png`` and
-    ``activation-spread.png``. Of an atlas, ``activation-minimum.vtu`` and so on have these
-    networks on their own hearts. Pictures are of one of the `KINDS`; None: there are none.
+    (of the networks with the median total activation time and at the ends of its 90 % range; mean,
+    standard deviation, and how probably each vertex is in the latest-activated 20 %),
+    ``activation.png`` and ``activation-spread.png``. Of an atlas, ``activation-median.vtu`` and so
+    on have these networks on their own hearts. Pictures are of one of the `KINDS`; None: there are
+    none.
     """
     report = stage_progress(progress, "pictures")
     heart, caution = fitted.simulator.model.heart, fitted.statements.caution_text
@@ -160,7 +161,7 @@ def _summary(prediction: Predicted, intrinsic: Predicted) -> dict[str, Any]:
         "description": prediction.scenario.description,
         "reference": prediction.scenario.reference,
         "networks": len(prediction.beats),
-        "activation_maps": prediction.extremes(),
+        "activation_maps": prediction.percentile_networks(),
         "latest_segment": latest_segments(prediction),
     }
     for index, unit in INDICES.items():
@@ -184,12 +185,13 @@ def _percentiles(values: Floats) -> dict[str, float] | None:
 
 def _write_scenario(folder: Path, prediction: Predicted, fitted: FittedStudy) -> None:
     heart, maps = fitted.simulator.model.heart, dict(prediction.maps)
-    for which, k in prediction.extremes().items():
+    for which, k in prediction.percentile_networks().items():
         activation = since_first(prediction.beats[k].activation)
         if heart.atlas is None:
-            maps[f"activation_{which}"] = activation
+            maps[f"activation_{which.replace(' ', '_')}"] = activation
         else:
-            write_activation(folder / f"activation-{which}.vtu", fitted.heart_of(k), activation)
+            file = folder / f"activation-{which.replace(' ', '-')}.vtu"
+            write_activation(file, fitted.heart_of(k), activation)
     write_maps(folder / "activation.vtu", heart, maps)
     time, (ecgs,) = qrs_aligned(prediction)
     array = xr.DataArray(
@@ -246,15 +248,17 @@ def scenario_activation_figure(
     name: str,
     heart_of: Callable[[int], Heart] | None = None,
 ) -> Figure:
-    """Draw a scenario in the networks with the least, median and largest total activation time.
+    """Draw a scenario in the networks at three percentiles of the total activation time.
 
     The intrinsic beat in its median network stands above, in the same colours. `heart_of` gives
     the heart of each network, if it is not the `heart`.
     """
     intrinsic, prediction = _with_intrinsic(predicted, name)
-    shown = [(prediction, which, k) for which, k in prediction.extremes().items()]
+    shown = [(prediction, which, k) for which, k in prediction.percentile_networks().items()]
     if prediction is not intrinsic:
-        shown.insert(0, (intrinsic, f"{INTRINSIC}: median", intrinsic.extremes()["median"]))
+        shown.insert(
+            0, (intrinsic, f"{INTRINSIC}: median", intrinsic.percentile_networks()["median"])
+        )
     rows = [_row(*row, heart if heart_of is None else heart_of(row[2])) for row in shown]
     return activation_figure(heart, rows)
 

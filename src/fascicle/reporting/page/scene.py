@@ -177,7 +177,7 @@ def scene(
             for tree, (nodes, before) in zip(trees, drawn.values(), strict=True)
         ],
         "networks": [int(k) + 1 for k in chosen],
-        "median": [*chosen].index(first.extremes()["median"]),
+        "median": [*chosen].index(first.percentile_networks()["median"]),
         "orders": _orders(predicted, networks, chosen),
         "times": {"low": begin, "high": last, "top": fields[0][0]["high"]},
         "ecg": {"start": float(start), "step": step, "count": len(window), "leads": LEADS},
@@ -304,7 +304,10 @@ def _fields(
         ]
         for prediction in predicted.values()
     ]  # fmt: skip
-    slow = [since_first(e.beats[e.extremes()["median"]].activation) for e in predicted.values()]
+    slow = [
+        since_first(e.beats[e.percentile_networks()["median"]].activation)
+        for e in predicted.values()
+    ]
     for alike in zip(*fields, strict=True):
         values = [field["values"] for field in alike]
         joined = np.concatenate(values + (slow if alike[0]["kind"] == "time" else []))
