@@ -209,13 +209,13 @@ def table(model: fascicle.ForwardModel, network: Values) -> dict[str, list[float
         f"neutral | | 0 (flat line {flat:.2f}) | {plain.qrs_duration:.0f} | {axis(plain.leads):.0f}"
     )
     for name, value in changes:
-        ecg = model.electrocardiograph_in_torso({name: value})
+        ecg = model.electrocardiograph_in_torso({**network, name: value})
         shares = losses.setdefault(name, [])
         if isinstance(ecg, Infeasible):
             print(f"{name} | {value:.3g} | {ecg.reason} | |")
             shares.append(np.nan)
             continue
-        leads = ecg.leads(plain.activation)
+        leads = network.get("gain", 1.0) * ecg.leads(plain.activation)
         begin, end = qrs_window(leads)
         loss = align(leads, recorded).loss
         shares.append(loss / flat)
