@@ -302,7 +302,7 @@ def test_what_the_ecg_constrains(done):
     alone = {"cv": np.linspace(1.0, 4.0, 100), "root_time": np.linspace(-60.0, 0.0, 100)}
     cv, root_time = map(str, said_of(replace(done[1], first_alone=alone)).parameters)
     assert "; first recording alone ±27 ms)" in root_time
-    assert "; first recording alone ±1.4 mm/ms)" in cv
+    assert "; first recording alone ±1.4 m/s)" in cv
     assert said_of(SimpleNamespace()).caution is None  # a population of the paper's method
     # α is 0.061, with the default conductivities 12.2 α m/s along the fibre.
     space = ParameterSpace((Parameter("alpha", "cm/ms √(cm/mS)", 0.04, 0.12),))

@@ -40,7 +40,7 @@ from fascicle.cli.recordings import target as target_command
 from fascicle.cli.studies import cohort as cohort_command
 from fascicle.cli.studies import study_app, written_summary
 from fascicle.core.errors import InputError
-from fascicle.core.ranges import within
+from fascicle.core.ranges import did_you_mean, within
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -560,7 +560,8 @@ def docs(
         return pages
     name = page.removeprefix("docs/").removesuffix(".md")
     if name not in pages:
-        raise InputError(f"there is no page '{page}'; there are {', '.join(pages)}")
+        known = f"there are {', '.join(pages)}"
+        raise InputError(f"there is no page '{page}'; {did_you_mean(name, pages) or known}")
     text = pages[name].read_text(encoding="utf-8")
     pager(text)
     return {"page": name, "text": text}

@@ -71,7 +71,7 @@ def print_fit(fitted: FittedStudy, summary: Mapping[str, Any]) -> None:
             values = population.values[name]
             ends = np.median(values), values.min(), values.max()
             middle, low, high = (f"{value:.{digits}f}" for value in ends)
-            print_row(name, f"{middle}{unit} ({low} to {high})")
+            print_row(parameter_name(name), f"{middle}{unit} ({low} to {high})")
 
 
 def _print_agreement(summary: Mapping[str, Any]) -> None:
@@ -104,14 +104,13 @@ def _print_posterior(posterior: Posterior, fitted: FittedStudy) -> None:
     if not posterior.converged:
         print_row("parameters", "not reported: the runs do not agree")
         return
-    for statement in fitted.statements.hearts:
-        print_row(statement.name, statement)
+    if hearts := fitted.statements.hearts:
+        print_table([(statement.name, str(statement)) for statement in hearts])
     for line in fitted.statements.sequence:
         print_row("activation", line)
     if len(fitted.recordings) > 1 and posterior.first_alone is None:
         print_row("first recording alone", "not converged: what the others add is unknown")
-    for statement in fitted.statements.parameters:
-        print_row(statement.name, statement)
+    print_table([(parameter_name(s.name), str(s)) for s in fitted.statements.parameters])
     for pair in fitted.statements.correlated:
         print(pair)
 
@@ -144,7 +143,7 @@ def print_prediction(
 
 def interval(values: Floats, digits: str = ".0f") -> str:
     """Median, and the 5th and 95th percentile."""
-    low, middle, high = (f"{value:{digits}}" for value in np.percentile(values, [5, 50, 95]))
+    low, middle, high = (f"{value:z{digits}}" for value in np.percentile(values, [5, 50, 95]))
     return f"{middle} ({low} to {high})"
 
 

@@ -166,7 +166,7 @@ def print_analysis(analysis: Analysis) -> None:
     if len(spikes := analysis.spikes):
         times = ", ".join(f"{time:.2f}" for time in spikes[:5]) + (", …" if len(spikes) > 5 else "")
         print_row("pacing spikes", f"{len(spikes)}, cut out, at {times} s")
-    print_table([("checks", "found", "limit", "", ""), *map(_check_row, analysis.findings)])
+    print_table([("checks", "found", "limit", "unit", ""), *map(_check_row, analysis.findings)])
     for group in analysis.classes:
         notable = f": {group.description}" if group.description else ""
         count = f"{group.count} beat{'s' if group.count != 1 else ''}"
@@ -182,7 +182,8 @@ def _check_row(finding: CheckResult) -> tuple[str, ...]:
     """Name, value, limit with the acceptable side, unit and outcome of a check."""
     check, unknown = finding.check, math.isnan(finding.value)
     fine = finding.severity.value == "ok"
-    value, limit = ("-" if math.isnan(x) else digits(x) for x in (finding.value, check.limit))
+    value = "-" if unknown else f"{finding.value:.3g}"
+    limit = "-" if math.isnan(check.limit) else digits(check.limit)
     if not unknown and not math.isnan(check.limit):
         limit = ("≤ " if (finding.value < check.limit) == fine else "≥ ") + limit
     # the recording is too short for it, or lacks what it needs

@@ -17,6 +17,7 @@ from fascicle.core import above
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, given_in
 from fascicle.core.files import (
+    PACKAGED,
     as_path,
     atomic_folder,
     check_folder,
@@ -185,7 +186,8 @@ def _read_manifest(folder: Path) -> Manifest:
     path = folder / HEART_FILES["manifest"]
     if not path.is_file():
         fault = "not a heart folder (no heart.toml)" if folder.exists() else "no such heart folder"
-        raise InputError(f"{folder}: {fault}; make one with 'fascicle heart build'")
+        packaged = f"give one of the package ({', '.join(PACKAGED)})"
+        raise InputError(f"{folder}: {fault}; make one with 'fascicle heart build', or {packaged}")
     try:
         return Manifest.model_validate(read_toml(path, "import the heart again"))
     except ValidationError as error:

@@ -298,7 +298,8 @@ class Heart:
         """Statement that the heart is not from an image of the person; empty if it may be."""
         if self.atlas is None:
             return ""
-        return f"no image: averaged over {len(self.atlas)} hearts of the population"
+        person = ", weighted for this person" if self.atlas.person else ""
+        return f"no image: averaged over {len(self.atlas)} hearts of the population{person}"
 
     @cached_property
     def edge_length(self) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
-from fascicle.core.ranges import check_kind, short_repr
+from fascicle.core.ranges import check_kind, digits, short_repr
 from fascicle.recording import quality, window
 from fascicle.recording.beats import (
     AlignedBeats,
@@ -232,7 +232,7 @@ def _check_amplitude(recording: Recording, height: float) -> list[str]:
     """
     if not 0.05 <= height <= 20.0:
         raise InputError(
-            f"{recording.source}: the largest lead spans {height:.3g} mV in one beat, expected "
+            f"{recording.source}: the largest lead spans {digits(height)} mV in one beat, expected "
             "0.05 to 20 mV; correct the unit or the gain of the file"
         )
     if 0.5 <= height <= 5.0 or not recording.from_file:

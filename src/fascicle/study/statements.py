@@ -119,8 +119,9 @@ class ParameterStatement:
     `lower` and `upper` bound the posterior's 90 % credible interval; `contraction` is 1 − posterior
     variance / prior variance, in quantiles of the prior, 0 to 1; `first_alone` is half of the 90 %
     interval given the first of several recordings alone; `along_fibre` is, for α, the conduction
-    velocity along the fibre (m/s): median and bounds of the 90 % credible interval. `caution` is
-    the reason why the posterior cannot be relied on, in which no parameter is constrained.
+    velocity along the fibre (m/s): median and bounds of the 90 % credible interval;
+    `prior_interval` bounds 90 % of the hearts of an atlas. `caution` is the reason why the
+    posterior cannot be relied on, in which no parameter is constrained.
     """
 
     name: str
@@ -132,6 +133,7 @@ class ParameterStatement:
     first_alone: float | None = None
     along_fibre: tuple[float, float, float] | None = None
     caution: str = ""
+    prior_interval: tuple[float, float] | None = None
 
     @property
     def constrained(self) -> bool:
@@ -139,7 +141,7 @@ class ParameterStatement:
         return self.contraction >= 0.5 and not self.caution
 
     def __str__(self) -> str:
-        unit = "" if self.unit == "1" else f" {self.unit}"
+        unit = {"1": "", "mm/ms": " m/s"}.get(self.unit, f" {self.unit}")
         alone = ""
         if self.first_alone is not None:
             alone = f"; first recording alone ±{self.first_alone:.2g}{unit}"
@@ -149,9 +151,11 @@ class ParameterStatement:
         how = "constrained by the ECG" if self.constrained else "not identifiable from the ECG"
         # decimals of two digits of the interval's width; with other draws further digits change
         decimals = max(0, 1 - math.floor(math.log10(max(self.upper - self.lower, 1e-9))))
-        bounds = (f"{value:.{decimals}f}" for value in (self.median, self.lower, self.upper))
+        bounds = (f"{value:z.{decimals}f}" for value in (self.median, self.lower, self.upper))
         median, lower, upper = bounds
         to = " to " if self.lower < 0 else "–"
+        if self.prior_interval is not None:
+            how += ": {:.{d}f}–{:.{d}f} without it".format(*self.prior_interval, d=decimals)
         return f"{median}{unit} (90 % CrI {lower}{to}{upper}{alone}), {speed}{self.caution or how}"
 
 
@@ -165,8 +169,8 @@ class Correlated:
 
     def __str__(self) -> str:
         return (
-            f"{self.first} and {self.second} are strongly correlated in the posterior (rank "
-            f"correlation {self.rank_correlation:.2f})"
+            f"{parameter_name(self.first)} and {parameter_name(self.second)} are strongly "
+            f"correlated in the posterior (rank correlation {self.rank_correlation:.2f})"
         )
 
 
@@ -206,9 +210,15 @@ class Statements:
             prior_variance = np.average((values - mean) ** 2, weights=atlas.weights)
             contraction = 1 - min(float(values[numbers].var() / prior_variance), 1.0)
             interval = _median_and_interval(values[numbers])
-            caution = self._caution_brief
-            statement = ParameterStatement(title, unit, *interval, contraction, caution=caution)
-            statements.append(statement)
+            quantiles = np.percentile(
+                values, INTERVAL, weights=atlas.weights, method="inverted_cdf"
+            )
+            statements.append(
+                ParameterStatement(
+                    title, unit, *interval, contraction, caution=self._caution_brief,
+                    prior_interval=(float(quantiles[0]), float(quantiles[1])),
+                )
+            )  # fmt: skip
         return tuple(statements)
 
     @property
