@@ -96,8 +96,9 @@ export class EcgPaper {
   cursor(time) {
     this.time = Math.min(Math.max(time, this.content.start), this.end);
     this.canvas.setAttribute("aria-valuenow", Math.round(this.time));
-    this.now.textContent = `${Math.round(this.time)} ms`;
-    this.canvas.setAttribute("aria-valuetext", this.now.textContent);
+    const said = `${Math.round(this.time)} ms`;
+    this.now.textContent = this.time < this.end ? said : ""; // at the end everything is shown
+    this.canvas.setAttribute("aria-valuetext", said);
     this.draw();
   }
 
@@ -182,7 +183,7 @@ export class EcgPaper {
     this.paintGrid(pen, paper, unit * ratio);
     this.paintLabels(pen, layout);
     this.content.traces.forEach((trace) => this.paintTrace(pen, layout, trace));
-    if (this.time !== null) this.paintCursor(pen, layout);
+    if (this.time !== null && this.time < this.end) this.paintCursor(pen, layout);
   }
 
   // A line every mm, and a thick one every 5; 0 ms lies on a line of the first column.

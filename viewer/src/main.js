@@ -231,8 +231,9 @@ class Viewer {
   moveTo(time) {
     this.time = time;
     this.slider.value = String(time);
-    this.clock.textContent = this.shown.kind === "time" ? `${Math.round(time)} ms` : "";
-    this.slider.setAttribute("aria-valuetext", `${Math.round(time)} ms`);
+    const said = time >= this.end ? "whole beat" : `${Math.round(time)} ms`;
+    this.clock.textContent = this.shown.kind === "time" ? said : "";
+    this.slider.setAttribute("aria-valuetext", said);
     this.panels.forEach((panel) => panel.at(time, this.end));
     this.ecg.cursor(time);
   }

@@ -50,10 +50,7 @@ def print_fit(fitted: FittedStudy, summary: Mapping[str, Any]) -> None:
         null = f"(flat line: {fitted.null_loss:.4f})"
         print_row("best of the first", f"{fitted.best_initial_loss:.4f} mV² {null}")
     else:
-        # a packaged emulator may have learnt from more simulations than configured
-        learnt = [round(emulator["networks"]) for emulator in summary.get("emulators", ())]
-        configured = fitted.study.config.prior_simulations
-        print_row("prior simulations", min(learnt, default=configured))
+        print_row("prior simulations", fitted.prior_simulations)
     best = f"{population.best_loss:.4f} mV², {max(fitted.explained, 0):.0%} of the QRS explained"
     print_row("best network", best)
     for number, recording in enumerate([summary, *summary.get("other_recordings", [])], 1):

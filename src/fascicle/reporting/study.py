@@ -100,10 +100,11 @@ def drawings(
         text = f"{names[number]}: its beats and the QRS window of the fit."
         drawn[f"recording{suffixes[number]}"] = Drawing(target_figure(recording.target), text)
     for suffix, name, report in zip(suffixes, names, fitted.emulator_reports, strict=False):
+        refined = "error_of_posterior" in report
         text = (
-            f"{name}: what the emulator does not say of a simulated QRS, for held-out networks of "
-            "the prior, and for those of a first posterior that it was trained on with, each "
-            "left out once (root mean square over that of the QRS)."
+            f"{name}: error of the emulator for held-out networks of the prior"
+            + ", and for those of a first posterior, each left out once" * refined
+            + " (root mean square over that of the QRS)."
         )
         drawn[f"emulator{suffix}"] = Drawing(emulator_figure(report), text)
     drawn["convergence"] = Drawing(
@@ -156,6 +157,8 @@ def emulator_figure(report: Mapping[str, float]) -> Figure:
     for k, (kind, (label, colour)) in enumerate(kinds.items()):
         leads = {"all": kind} | {lead: f"{kind}_{lead}" for lead in INDEPENDENT_LEADS}
         heights = [100 * report[key] for key in leads.values() if key in report]
+        if not heights:  # an emulator that was not refined
+            continue
         axes.bar(np.arange(len(heights)) + 0.4 * (k - 0.5), heights, 0.4, color=colour, label=label)
     axes.set_xticks(range(len(leads)), list(leads))
     axes.set_xlabel("lead")

@@ -153,6 +153,12 @@ class FittedStudy:
         return list(written.get("emulators", ()))
 
     @property
+    def prior_simulations(self) -> int:
+        """Number of simulations that the emulators learnt from; packaged ones may have more."""
+        learnt = [round(report["networks"]) for report in self.emulator_reports]
+        return min(learnt, default=self.study.config.prior_simulations)
+
+    @property
     def null_loss(self) -> float:
         """Loss of an ECG that is zero everywhere (mV²), of several recordings their sum."""
         return sum(recording.null_loss for recording in self.recordings)

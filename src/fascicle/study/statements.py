@@ -551,9 +551,10 @@ def _poor_leads(result: Result) -> str:
                 poor.append(f"{recording.target.leads[lead]}{of} ({value:.2f})")
     if not poor:
         return ""
+    pose = "" if result.simulator.model.heart.no_image else " and the heart's pose"
     return (
         f"the best network does not explain {', '.join(poor)}: the correlation of its QRS with the "
-        f"recorded one is below {least}; check these electrodes and the heart's pose"
+        f"recorded one is below {least}; check these electrodes{pose}"
     )
 
 

@@ -230,7 +230,7 @@ def _content(
         "evaluations": len(fitted.study.records()),
         "population": population,
         "furthest": furthest,  # parameter by which the two runs differ most, and how many SD
-        "prior_simulations": config.prior_simulations,
+        "prior_simulations": fitted.prior_simulations,
         "learnt": words.learnt(config),
         "held": words.held(fitted),
         "inputs": [
