@@ -138,7 +138,12 @@ def listen(port: int = 0) -> socket.socket:
         raise InputError(f"port {port}: {reason}; leave out --port, or give another") from None
 
 
-def serve(session: Session, listening: socket.socket | None = None, browser: bool = True) -> None:
+def serve(
+    session: Session,
+    listening: socket.socket | None = None,
+    announce: Callable[[str], object] | None = None,
+    browser: bool = True,
+) -> None:
     """Show a session on a local web page; returns when its last page is closed, or at Ctrl-C.
 
     Parameters
@@ -147,6 +152,8 @@ def serve(session: Session, listening: socket.socket | None = None, browser: boo
         Session to show.
     listening : socket, optional
         Socket of the page, from `listen`; of any free port by default.
+    announce : callable, optional
+        Called with the address of the page; prints it by default.
     browser : bool
         Whether a browser opens the page.
     """
@@ -162,7 +169,7 @@ def serve(session: Session, listening: socket.socket | None = None, browser: boo
     server = uvicorn.Server(config)
     app.end = lambda: setattr(server, "should_exit", True)
     with TemporaryDirectory(prefix="fascicle-explorer-") as folder, listening:
-        print("exploring at", app.url, flush=True)
+        (announce or partial(print, "exploring at", flush=True))(app.url)
         if browser:
             # the token stays in a private file: others can read the command line of a browser
             page = Path(folder) / "explorer.html"
