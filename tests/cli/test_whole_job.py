@@ -266,7 +266,7 @@ def test_export(study, tmp_path, run, refused):
     times = study.networks(chosen=[int(name)])[0].beat.activation
     np.testing.assert_allclose(np.loadtxt(out / name / "activation.dat"), times, atol=1e-5)
     written = json.loads(
-        run("study", "export", study.folder, "--to", "csv", "--networks", 3, "--out",
+        run("study", "export", study.folder, "--format", "csv", "--networks", 3, "--out",
             tmp_path / "tables", "--json").out
     )  # fmt: skip
     every = len(study.population)
@@ -286,10 +286,10 @@ def test_export_refuses(study, tmp_path, refused, monkeypatch):
     (tmp_path / "mine" / "notes.txt").write_text("mine")
     (tmp_path / "file").write_text("mine")
     before = sorted(tmp_path.rglob("*"))
-    asked = ["study", "export", study.folder, "--to", "csv", "--networks", 1, "--out"]
+    asked = ["study", "export", study.folder, "--format", "csv", "--networks", 1, "--out"]
     refused([*asked, tmp_path / "mine"], "holds 'notes.txt', which would be lost")
     refused([*asked, tmp_path / "file"], "is a file; give the path of a folder (--out)")
-    with pytest.raises(fascicle.InputError, match="to is 'stl'; give one of opencarp, vtu, csv"):
+    with pytest.raises(fascicle.InputError, match="kind is 'stl'; give one of opencarp, vtu, csv"):
         study.export(tmp_path / "stl", "stl")
     with pytest.raises(fascicle.InputError, match="networks is 0; give a whole number, 1 or more"):
         study.export(tmp_path / "none", networks=0)

@@ -450,7 +450,8 @@ def compare(
     """Print the probability that one scenario is better than another, by how much, and why.
 
     They are compared in each network of the population; 'intrinsic' is the intrinsic beat. All
-    indices are shown, since they may disagree.
+    indices are shown, since they may disagree. Pacing at the right apex is simulated as well: the
+    last lines say how much a measurement of that beat, or of the intrinsic one, would tell.
     """
     from fascicle.cli.printing import comparison_result, print_comparison, print_verdict
     from fascicle.prediction.index_names import check_index

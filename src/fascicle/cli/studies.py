@@ -116,9 +116,9 @@ def study_compare(
 def study_export(
     study: StudyArgument,
     out: OutOption,
-    to: Annotated[
+    kind: Annotated[
         Literal["opencarp", "vtu", "csv"],
-        Option("--to", help="openCARP in µm, VTU and CSV in mm ('fascicle docs exchange')."),
+        Option("--format", help="openCARP in µm, VTU and CSV in mm ('fascicle docs exchange')."),
     ] = "opencarp",
     networks: Annotated[
         int | None,
@@ -135,13 +135,13 @@ def study_export(
     tables give simulators of mechanics the activation time of each node.
     """
     with TerminalProgress() as progress:
-        summary = fascicle.load_study(study, progress).export(out, to, networks, progress)
+        summary = fascicle.load_study(study, progress).export(out, kind, networks, progress)
     if summary["caution"] is not None:
         print_row("caution", summary["caution"])
     count = len(summary["networks"])
     print_row("networks", f"{count} of {summary['population']}, {summary['chosen']}")
     print(f"written to {out}")
-    return {"folder": out, "format": to} | summary
+    return {"folder": out, "format": kind} | summary
 
 
 def cohort(

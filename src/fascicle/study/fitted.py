@@ -270,7 +270,7 @@ class FittedStudy:
     def export(
         self,
         folder: Path | str,
-        to: Format = "opencarp",
+        kind: Format = "opencarp",
         networks: int | None = None,
         progress: Progress | None = None,
     ) -> dict[str, Any]:
@@ -283,7 +283,7 @@ class FittedStudy:
         folder : path
             Folder to write. `summary.json` describes the networks; each has a folder of its own,
             named by its number in the population, or ``best`` where none was accepted.
-        to : str
+        kind : str
             ``"opencarp"``: mesh, fibres, trees, stimuli and parameter files (µm, ms, S/m);
             ``"vtu"``: the heart, trees and junctions for ParaView (mm, ms); ``"csv"``: tables,
             with units in the names of their columns. 'fascicle docs exchange' lists the files.
@@ -303,8 +303,8 @@ class FittedStudy:
         InputError
             If the format is unknown, or the folder cannot be written, or holds other files.
         """
-        if to not in get_args(Format):
-            raise ValueRefusedError(f"to is {shown(to)}; give one of {', '.join(get_args(Format))}")
+        if kind not in (kinds := get_args(Format)):
+            raise ValueRefusedError(f"kind is {shown(kind)}; give one of {', '.join(kinds)}")
         if networks is not None:
             check_count(networks, "networks")
         folder = as_path(folder, "folder")
@@ -329,7 +329,7 @@ class FittedStudy:
             "networks": {name: dict(network.parameters) for name, network in named.items()},
         }
         with atomic_folder(folder) as temporary:
-            write_networks(temporary, self.simulator.model, named, to)
+            write_networks(temporary, self.simulator.model, named, kind)
             write_text(temporary / "summary.json", json.dumps(content, indent=2) + "\n")
         return content
 
