@@ -11,7 +11,8 @@ Without names, all of these:
   transition. Of the normal recordings of PTB-XL these are −0.65, −0.43 and V3 to V4.
 - ``blocks``: one network with and without each block: change of the frontal axis, and share of the
   energy of the QRS that changes.
-- ``subject``: the ECG of the subject of ``camps-dti004`` on the heart of that subject.
+- ``subject``: the ECG of the subject of ``camps-dti004`` on the heart of that subject, with
+  Purkinje fibres up to the base, as they are, and up to three quarters of the way from the apex.
 - ``dogs``: two dogs on their own hearts, before and after ablation of the left bundle branch
   (Oomen et al., Biomech. Model. Mechanobiol. 2021, doi:10.1007/s10237-021-01532-7): how probable
   each state is with priors of dogs (`canine_priors`), and the fitted speed along fibres. Of each
@@ -30,6 +31,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import json
 import os
 import re
 import tempfile
@@ -53,9 +55,11 @@ from fascicle.emulation.heart_emulator import usual_prior
 from fascicle.emulation.state_classifier import NoStateNamed
 from fascicle.forward.beat import Beat
 from fascicle.forward.loss import align
+from fascicle.heart.atlas import with_bare_base
 from fascicle.heart.folder import write_heart
 from fascicle.networks.prior_simulations import random_bodies
 from fascicle.recording.criteria import frontal_axis
+from fascicle.recording.pipeline import Analysis
 from fascicle.recording.target import Target
 
 Array = NDArray[np.float64]
@@ -161,16 +165,28 @@ def blocks() -> None:
 
 
 def subject() -> None:
-    """Print the fit of the subject's ECG on the subject's heart."""
+    """Print fits of the subject's ECG on the subject's heart."""
     options = fascicle.TargetOptions(noise=0.03)
     analysis = fascicle.analyse(fascicle.read_recording(HEARTS[0]), options)
+    heart = fascicle.load_heart(HEARTS[0])
+    for height in (1.0, 0.75):
+        print(f"Purkinje fibres of the free walls up to {height:.0%} of the height")
+        print_subject(with_bare_base(heart, height), analysis)
+
+
+def print_subject(heart: fascicle.Heart, analysis: Analysis) -> None:
+    """Print the fit on a heart; of no heart here are there packaged emulators."""
     with tempfile.TemporaryDirectory() as folder:
         fitted = fascicle.fit(
-            HEARTS[0], analysis.target, folder, parameters={"conduction": "normal"}
-        )
+            heart, analysis.target, folder, parameters={"conduction": "normal"},
+            prior_simulations=8000,
+        )  # fmt: skip
         networks = fitted.networks()
+        summary = json.loads((Path(folder) / "summary.json").read_text(encoding="utf-8"))
     print(fitted.verdict)
     print("\n".join(f"  {line}" for line in fitted.statements.sequence))
+    print(f"  log evidence of two runs {summary['log_evidences']}")
+    print(f"  QRS duration (ms) {summary['qrs_duration_ms']}")
     recorded, window = analysis.target.mean, analysis.target.qrs_samples
     mean = np.mean([network.predicted for network in networks], axis=0)
     unexplained = ((mean - recorded)[:, window] ** 2).sum() / (recorded[:, window] ** 2).sum()

@@ -19,3 +19,12 @@ def test_one_estimate_for_a_run_of_several_stages(monkeypatch):
     assert whole == [(20, 95, ""), (50, 50, "normal"), (50, 50, "")]
     stages = [stage for stage, *_ in reports if stage != "whole run"]
     assert stages == ["reading", "simulations", "training"]
+
+
+def test_a_note_is_said_at_once():
+    said = []
+    lines = progress.ProgressLines(said.append)
+    lines("resuming", 1, 1, "12 evaluations are stored")
+    lines("training", 10, 10, "of an emulator")  # nothing to wait for
+    lines.end()
+    assert said == ["resuming: 12 evaluations are stored"]

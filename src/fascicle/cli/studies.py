@@ -74,6 +74,8 @@ def study_compare(
     import numpy as np
 
     from fascicle.cli.printing import interval
+    from fascicle.core.quantities import quantity
+    from fascicle.reporting.names import parameter_label
     from fascicle.study.population import Posterior
 
     if len(studies) < 2:
@@ -93,7 +95,8 @@ def study_compare(
     for name in dict.fromkeys(name for parameters in values for name in parameters):
         samples = [parameters.get(name) for parameters in values]
         rows[name] = [s if s is None else np.percentile(s, [50, 5, 95]) for s in samples]
-        line = [name, *("-" if s is None else interval(s, ".3g") for s in samples), ""]
+        label = parameter_label(name, quantity(name).unit)
+        line = [label, *("-" if s is None else interval(s, ".3g") for s in samples), ""]
         first, second, *further = samples
         if first is not None and second is not None and not further:
             distance, both = abs(np.median(first) - np.median(second)), (first.std(), second.std())

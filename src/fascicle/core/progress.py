@@ -154,7 +154,6 @@ def stage_name(stage: str) -> str:
         "optimisation": "Bayesian optimisation",
         "prior": "networks of the prior",
         "draws": "drawing from the prior",
-        "stored": "evaluations stored before",
         "rejection": "networks accepted",
         "networks": "simulating the networks",
         "workers": "workers of the cluster",
@@ -196,7 +195,9 @@ class ProgressLines:
                 self._bars.reset(task.id, first=done, message=message)
                 self._said.pop(stage, None)
             self._bars.update(task.id, completed=done, total=total, message=message)
-            if task.finished and self._said.pop(stage, None) is not None:
+            if done == total == 1 and message:  # a note, such as what a resumed study holds
+                self._say(f"{task.description}: {message}")
+            elif task.finished and self._said.pop(stage, None) is not None:
                 self._say(_line(task))
 
     def end(self, clear: bool = False) -> None:

@@ -253,8 +253,9 @@ def fit_states(problem: InverseProblem, folder: Path, run: WholeRun | None) -> F
 def begin(inputs: Inputs, folder: Path, progress: Progress | None) -> Study:
     """Create or resume a study in its folder, with copies of the heart and the recordings."""
     study = Study.create_or_resume(folder, inputs.config, progress)
-    if progress is not None and (stored_before := len(study.records())):
-        progress("resuming", 1, 1, f"{stored_before} evaluations are stored")
+    is_state = folder.parent.name == StudyFile.STATES
+    if progress is not None and not is_state and (count := len(study.records())):
+        progress("resuming", 1, 1, f"{count} evaluations are stored")
     heart_folder = folder / StudyFile.HEART
     try:
         stored = load_heart(heart_folder).digest
