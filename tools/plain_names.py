@@ -40,7 +40,7 @@ LIMITS = {
     "modules": 214,
     "most modules in a folder": 20,
     "most levels of imports in a folder": 8,
-    "lines of tests": 37_455,  # 29,000
+    "lines of tests": 37_465,  # 29,000
     "vague local names per 1000 lines": 8.0,
     "vague docstrings (%)": 1.0,
     "class names used twice": 0,

@@ -26,7 +26,7 @@ from fascicle.recording.criteria import Criterion
 from fascicle.reporting.names import MEASURES, scenario_name
 from fascicle.reporting.page.content import meaning, prediction
 from fascicle.reporting.page.page import _safe, _template
-from fascicle.reporting.page.scene import NONE, marks, scene, where
+from fascicle.reporting.page.scene import NONE, _chosen, marks, scene, where
 from fascicle.reporting.prediction import scenario_activation_figure, scenario_ecg_figure
 from fascicle.study.population import Posterior
 from fascicle.study.statements import Caution, ParameterStatement, Statements
@@ -251,7 +251,7 @@ class TestScene:
             for total in totals
         ]
         content = scene(default_heart, found, networks)
-        assert len(content["networks"]) == 40
+        assert len(content["networks"]) == 39  # of 40 at most, the median among them
         total, speed = content["orders"]  # alpha is the same in all
         np.testing.assert_array_equal(total["values"], totals[np.array(content["networks"]) - 1])
         assert total["values"][0] == 100
@@ -259,6 +259,16 @@ class TestScene:
         assert 2 < np.diff(total["values"]).max() < 5
         assert total["values"][content["median"]] == 160
         assert (speed["label"], speed["unit"]) == ("Purkinje conduction velocity", "m/s")
+
+    @pytest.mark.parametrize("total", [3, 100, 300])
+    def test_the_median_network_is_among_those_that_fit_on_the_page(self, shown, total):
+        totals = {
+            "total_activation_time": np.random.default_rng(0).permutation(np.arange(float(total)))
+        }
+        found = Predicted(Scenario(), [shown[0].in_single_precision()] * total, totals)
+        chosen = [_chosen(found, vertices, 4, False) for vertices in range(9000, 200_000, 3000)]
+        assert len({len(numbers) for numbers in chosen}) > 10 or total == 3
+        assert all(found.percentile_networks()["median"] in numbers for numbers in chosen)
 
 
 def test_names_of_scenarios():

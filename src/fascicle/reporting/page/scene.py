@@ -252,8 +252,8 @@ def _chosen(first: Predicted, vertices: int, scenarios: int, own_hearts: bool) -
     ecg = 2 * len(LEADS) * 125  # bytes of an ECG of about 250 ms
     size = scenarios * (vertices + nodes + ecg) + 8 * nodes + 6 * vertices * own_hearts
     count = int(np.clip(3_000_000 // size, 3, 40))  # compressed they are little more than half
-    ranks = {*evenly_spread(len(order), count - 1), (len(order) - 1) // 2}
-    return np.asarray(order[sorted(ranks)])
+    spread = order[evenly_spread(len(order), count - 1)]
+    return order[np.isin(order, [*spread, first.percentile_networks()["median"]])]
 
 
 def _orders(
