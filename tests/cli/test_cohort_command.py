@@ -85,5 +85,5 @@ def test_a_wrong_table_stops_before_any_work(refused, fitted, table, tmp_path):
 def test_interrupted(run, fitted, table, tmp_path):
     ended = run("cohort", table("anna", "stop"), "--out", tmp_path / "o")
     assert ended.status == 130
-    assert ended.err.startswith("interrupted; evaluations are stored in")
+    assert ended.err.startswith("interrupted; simulations are stored in")
     assert "1 not done yet" in (tmp_path / "o" / "index.html").read_text()

@@ -72,7 +72,7 @@ def test_what_resumes_says_so(name, waits, tmp_path):
     program(work)
     """
     ended = interrupted(START + textwrap.dedent(program), NUMBER[name], tmp_path)
-    words = "interrupted; evaluations are stored in study; run the same command again to resume\n"
+    words = "interrupted; simulations are stored in study; run the same command again to resume\n"
     assert ended == (128 + NUMBER[name], words)
 
 

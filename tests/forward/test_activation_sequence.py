@@ -187,7 +187,7 @@ def test_what_several_networks_have_in_common():
     assert first == "first activated: left septum 70%, right free wall 30%"
     assert last.startswith("last activated: mid right ventricle 70%, ")
     assert times[1] == (
-        "right endocardium after the left one: 8 ms (90 % CrI -8 to 8; mapped hearts 3 to 12)"
+        "right endocardium after the left one: 8 ms (90 % CrI -8 to 8; normally 3 to 12)"
     )
     assert len(times) == len(MAPPED)
     assert {*found.first} <= {*PARTS.values()}

@@ -416,8 +416,8 @@ def test_rows_of_activations_say_which_time_they_give(default_heart, shown):
     figure = scenario_activation_figure(default_heart, found, "paced")
     texts = [text.get_text() for axes in figure.axes for text in axes.texts]
     assert [text for text in texts if "time" in text] == [
-        "intrinsic: median\ntotal activation\ntime 85 ms",
-        "5th percentile\ntotal activation\ntime 80 ms",
-        "median\ntotal activation\ntime 85 ms",
-        "95th percentile\ntotal activation\ntime 90 ms",
+        "intrinsic beat\nmedian\ntotal activation\ntime 85 ms",
+        "paced\n5th percentile\ntotal activation\ntime 80 ms",
+        "paced\nmedian\ntotal activation\ntime 85 ms",
+        "paced\n95th percentile\ntotal activation\ntime 90 ms",
     ]

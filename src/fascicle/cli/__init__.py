@@ -89,7 +89,7 @@ def ended_promptly() -> Iterator[Interruption]:
 def resumable(out: Path) -> Iterator[None]:
     """On Ctrl-C or SIGTERM, report that the evaluations are in `out`, and how to go on."""
     Interruption.advice = (
-        f"interrupted; evaluations are stored in {out}; run the same command again to resume\n"
+        f"interrupted; simulations are stored in {out}; run the same command again to resume\n"
     )
     try:
         yield

@@ -232,7 +232,7 @@ class SequenceSummary:
             for event, shares in (("first activated", self.first), ("last activated", self.last))
         )
         times = [
-            f"{mapped.name}: {middle:.0f} ms (90 % CrI {low:.0f} to {high:.0f}; mapped hearts "
+            f"{mapped.name}: {middle:.0f} ms (90 % CrI {low:.0f} to {high:.0f}; normally "
             f"{mapped.lower:.0f} to {mapped.upper:.0f})"
             for (name, mapped), (middle, low, high) in zip(
                 MAPPED.items(), self.times.values(), strict=True

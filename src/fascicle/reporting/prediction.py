@@ -254,12 +254,14 @@ def scenario_activation_figure(
     the heart of each network, if it is not the `heart`.
     """
     intrinsic, prediction = _with_intrinsic(predicted, name)
-    shown = [(prediction, which, k) for which, k in prediction.percentile_networks().items()]
-    if prediction is not intrinsic:
-        shown.insert(
-            0, (intrinsic, f"{INTRINSIC}: median", intrinsic.percentile_networks()["median"])
-        )
-    rows = [_row(*row, heart if heart_of is None else heart_of(row[2])) for row in shown]
+    shown = [] if prediction is intrinsic else [(INTRINSIC, "median")]
+    shown += [(name, which) for which in prediction.percentile_networks()]
+    rows = []
+    for scenario, which in shown:
+        number = predicted[scenario].percentile_networks()[which]
+        own_heart = heart if heart_of is None else heart_of(number)
+        label = f"{scenario_name(scenario)}\n{which}"
+        rows.append(_row(predicted[scenario], label, number, own_heart))
     return activation_figure(heart, rows)
 
 

@@ -72,7 +72,8 @@ def drawings(
     if fitted.statements.states:
         drawn["states"] = Drawing(
             states_figure(getattr(population, "states", {}), fitted.study.config.states),
-            "How probable each conduction state is: before the ECG is seen (grey) and given it.",
+            "How probable each conduction state is: before the ECG is seen (grey) and given it. "
+            "Fascicular blocks are not among the states that are simulated.",
         )
     drawn["activation"] = Drawing(
         activation_figure(heart, [row.since_first()]),

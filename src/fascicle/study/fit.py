@@ -35,6 +35,7 @@ from fascicle.forward.preparation import share_prepared
 from fascicle.heart.folder import load_heart, write_heart
 from fascicle.heart.heart import Heart
 from fascicle.networks.agreement import Agreement, agreement
+from fascicle.networks.prior import state_label
 from fascicle.networks.settings import checked_settings
 from fascicle.networks.simulator import BeatMemory
 from fascicle.networks.target_comparison import Given, Network, write_recordings
@@ -228,7 +229,8 @@ def fit_states(problem: InverseProblem, folder: Path, run: WholeRun | None) -> F
             if run is not None:
                 others = len(shares) - len(posteriors) - 1
                 afterwards = others * sum(seconds for _, seconds in STATE_STAGES) + RESULTS
-                message = f"{name}, probability {as_simulated(diagnosis.probable)[name]:.2f}"
+                probability = as_simulated(diagnosis.probable)[name]
+                message = f"{state_label(name, ())}, probability {probability:.2f}"
                 run.expect(STATE_STAGES, afterwards, message)
             state, count = diagnosis.simulations[name].state, diagnosis.simulations[name].count
             # 20: the least effective sample size that a study may have

@@ -149,14 +149,15 @@ class ParameterStatement:
         if self.along_fibre is not None:
             speed = "{:.2f} m/s ({:.2f}–{:.2f}) along the fibre, ".format(*self.along_fibre)
         how = "constrained by the ECG" if self.constrained else "not identifiable from the ECG"
+        how = self.caution or how
         # decimals of two digits of the interval's width; with other draws further digits change
         decimals = max(0, 1 - math.floor(math.log10(max(self.upper - self.lower, 1e-9))))
         bounds = (f"{value:z.{decimals}f}" for value in (self.median, self.lower, self.upper))
         median, lower, upper = bounds
         to = " to " if self.lower < 0 else "–"
         if self.prior_interval is not None:
-            how += ": {:.{d}f}–{:.{d}f} without it".format(*self.prior_interval, d=decimals)
-        return f"{median}{unit} (90 % CrI {lower}{to}{upper}{alone}), {speed}{self.caution or how}"
+            how = "{:.{d}f}–{:.{d}f} without the ECG".format(*self.prior_interval, d=decimals)
+        return f"{median}{unit} (90 % CrI {lower}{to}{upper}{alone}), {speed}{how}"
 
 
 @dataclass(frozen=True)
@@ -190,11 +191,19 @@ class Statements:
                 ends = ", ".join(map(parameter_name, _crowded(self._result)))
                 failures = checks.failures + ([f"at the end of its range: {ends}"] if ends else [])
                 fit = f"poor fit: {'; '.join(failures)}"
-            no_image = self._result.simulator.model.heart.no_image
-            parts = [no_image, self.unmapped, self.diagnosis, _convergence(population), fit]
+            parts = [self.no_image, self.unmapped, self.diagnosis, _convergence(population), fit]
             parts.append(checks.emulator_off)
             return "; ".join(part for part in parts if part)
         return self.networks_called
+
+    @property
+    def no_image(self) -> str:
+        """Statement that the hearts are not from an image of the person; empty if they may be."""
+        numbers = getattr(self._result.population, "averaged", {}).get("atlas_heart")
+        no_image = self._result.simulator.model.heart.no_image
+        if not no_image or numbers is None:
+            return no_image
+        return f"{no_image} ({len(np.unique(numbers))} in the networks)"
 
     @cached_property
     def hearts(self) -> tuple[ParameterStatement, ...]:
@@ -377,11 +386,7 @@ class Statements:
                 asdict(statement) | {"constrained": statement.constrained}
                 for statement in self.parameters
             ],
-            **(
-                {"heart": [asdict(s) | {"constrained": s.constrained} for s in self.hearts]}
-                if self.hearts
-                else {}
-            ),
+            **({"heart": [asdict(statement) for statement in self.hearts]} if self.hearts else {}),
             "strongly_correlated": [asdict(pair) for pair in self.correlated],
         }
 

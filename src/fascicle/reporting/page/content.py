@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from fascicle.core.conduction_states import FASCICULAR_BLOCKS
 from fascicle.core.parameters import Parameter
 from fascicle.core.quantities import SIDES, SPEED, fascicles, parameter_name, quantity
 from fascicle.forward.scenario_files import name_in_library
@@ -45,9 +46,12 @@ def meaning(fitted: FittedStudy) -> list[str]:
         "spread is the uncertainty that remains given the ECG."
     ]
     if fitted.statements.states:
+        fascicular = {*FASCICULAR_BLOCKS} & {*getattr(fitted.population, "states", {})}
         sentences.append(
             "The first line begins with how probable each conduction state is given this ECG. Each "
             "network is of one state, and keeps in every prediction what is blocked in it."
+            + " Fascicular blocks are recognised by the frontal axis: no network has one, and "
+            "their share of the networks is normal." * bool(fascicular)
         )
     if checks is not None and checks.acceptable:
         sentences.append(
