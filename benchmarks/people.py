@@ -15,8 +15,9 @@ Without names, all of these:
   Purkinje fibres up to the base, as they are, and up to three quarters of the way from the apex.
 - ``dogs``: two dogs on their own hearts, before and after ablation of the left bundle branch
   (Oomen et al., Biomech. Model. Mechanobiol. 2021, doi:10.1007/s10237-021-01532-7): how probable
-  each state is with priors of dogs (`canine_priors`), and the fitted speed along fibres. Of each
-  dog 16,000 networks of the normal state are simulated, and 8000 of each other, an hour in all.
+  each state is with priors of dogs (`canine_priors`) and of people, and the fitted speed along
+  fibres. Of each dog 16,000 networks of the normal state are simulated with priors of dogs, and
+  8000 of each other, an hour in all.
 - ``ptbxl``: recordings of PTB-XL with cardiologists' labels, on the packaged hearts, which are
   somebody else's: how many get a state named, how many normal ones a block, and the area under the
   ROC curve (AUC) of the side of a bundle branch block by what the classifier says all the same.
@@ -224,13 +225,15 @@ def dogs() -> None:
             for when, state in (("baseline", "normal"), ("lbbb", "left bundle branch block")):
                 recording = fascicle.read_recording(files / f"ecg_{when}.csv")
                 target = fascicle.make_target(recording, **options)
-                answer = fascicle.state_probabilities(
-                    heart, target, parameters=priors, prior_simulations=DOG_NETWORKS,
-                    progress=progress,
-                )  # fmt: skip
-                why = f" ({answer.reason})" if isinstance(answer, NoStateNamed) else ""
-                print(f"{name}, {when}: QRS {target.qrs_duration:.0f} ms{why}")
-                print("  " + ", ".join(f"{state} {p:.2f}" for state, p in likely(answer).items()))
+                print(f"{name}, {when}: QRS {target.qrs_duration:.0f} ms")
+                for of, learnt, count in (("dogs", priors, DOG_NETWORKS), ("people", {}, None)):
+                    answer = fascicle.state_probabilities(
+                        heart, target, parameters=learnt, prior_simulations=count,
+                        progress=progress,
+                    )  # fmt: skip
+                    why = f" ({answer.reason})" if isinstance(answer, NoStateNamed) else ""
+                    named = ", ".join(f"{state} {p:.2f}" for state, p in likely(answer).items())
+                    print(f"  with priors of {of}{why}: {named}")
                 study = fascicle.fit(
                     heart, target, Path(folder) / when, parameters={**priors, "conduction": state},
                     prior_simulations=DOG_NETWORKS, effective=100, progress=progress,

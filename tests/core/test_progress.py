@@ -24,7 +24,7 @@ def test_one_estimate_for_a_run_of_several_stages(monkeypatch):
 def test_a_note_is_said_at_once():
     said = []
     lines = progress.ProgressLines(said.append)
-    lines("resuming", 1, 1, "12 evaluations are stored")
-    lines("training", 10, 10, "of an emulator")  # nothing to wait for
+    lines("resuming", 1, 1, "what is stored is not simulated again")
+    lines("training", 1, 1, "of an emulator")  # nothing to wait for
     lines.end()
-    assert said == ["resuming: 12 evaluations are stored"]
+    assert said == ["resuming: what is stored is not simulated again"]

@@ -144,6 +144,11 @@ def test_maps_and_percentiles_by_hand():
     totals = {"total_activation_time": np.array([30.0, 20.0, 50.0])}
     found = Predicted(case(his=His()), beats, totals)
     assert [*found.percentile_networks().values()] == [1, 0, 2]
+    totals = {"total_activation_time": np.random.default_rng(0).permutation(np.arange(21.0))}
+    numbers = Predicted(case(his=His()), beats, totals).percentile_networks()
+    assert {name: totals["total_activation_time"][k] for name, k in numbers.items()} == {
+        "5th percentile": 1, "median": 10, "95th percentile": 19,
+    }  # fmt: skip
     maps = found.maps
     np.testing.assert_allclose(maps["activation_mean"], [0, 40 / 3, 80 / 3, 25, np.nan])
     np.testing.assert_allclose(maps["activation_sd"][:2], [0, np.std([10, 20, 10])])

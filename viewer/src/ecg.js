@@ -96,9 +96,9 @@ export class EcgPaper {
   cursor(time) {
     this.time = Math.min(Math.max(time, this.content.start), this.end);
     this.canvas.setAttribute("aria-valuenow", Math.round(this.time));
-    const said = `${Math.round(this.time)} ms`;
-    this.now.textContent = this.time < this.end ? said : ""; // at the end everything is shown
-    this.canvas.setAttribute("aria-valuetext", said);
+    const said = this.time < this.end ? `${Math.round(this.time)} ms` : ""; // all is shown at the end
+    this.now.textContent = said;
+    this.canvas.setAttribute("aria-valuetext", said || "whole beat");
     this.draw();
   }
 

@@ -182,8 +182,7 @@ def _check_row(finding: CheckResult) -> tuple[str, ...]:
     """Name, value, limit with the acceptable side, unit and outcome of a check."""
     check, unknown = finding.check, math.isnan(finding.value)
     fine = finding.severity.value == "ok"
-    value = "-" if unknown else f"{finding.value:.3g}"
-    limit = "-" if math.isnan(check.limit) else digits(check.limit)
+    value, limit = ("-" if math.isnan(x) else digits(x) for x in (finding.value, check.limit))
     if not unknown and not math.isnan(check.limit):
         limit = ("≤ " if (finding.value < check.limit) == fine else "≥ ") + limit
     # the recording is too short for it, or lacks what it needs

@@ -25,8 +25,9 @@ class Progress(Protocol):
     """Progress callback of a run with several stages, which `stage_name` lists.
 
     Besides these there are "sampling" of a posterior, whose total is a maximum, and "prior
-    simulations". "draws" belong to "rejection"; "workers" is reported while a cluster has no
-    workers or does not answer. The steps of the "whole run" of a fit are seconds.
+    simulations"; "repair" and "resuming" are notes, whose message is the news. "draws" belong to
+    "rejection"; "workers" is reported while a cluster has no workers or does not answer. The steps
+    of the "whole run" of a fit are seconds.
     """
 
     def __call__(self, stage: str, done: int, total: int, message: str) -> None:
@@ -195,7 +196,7 @@ class ProgressLines:
                 self._bars.reset(task.id, first=done, message=message)
                 self._said.pop(stage, None)
             self._bars.update(task.id, completed=done, total=total, message=message)
-            if done == total == 1 and message:  # a note, such as what a resumed study holds
+            if stage in ("repair", "resuming"):  # notes
                 self._say(f"{task.description}: {message}")
             elif task.finished and self._said.pop(stage, None) is not None:
                 self._say(_line(task))

@@ -386,6 +386,7 @@ def parameter_name(name: str) -> str:
     titles = {
         "cv": "Purkinje conduction velocity",
         "root_time": "delay between the roots",
+        "his_time": "time from the His bundle to the first root",
         "alpha": "conduction velocity constant α",
         "fibre_speed": "conduction velocity along fibres",
     }

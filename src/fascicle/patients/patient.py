@@ -229,8 +229,8 @@ class Patient:
             manifest = HEART_FILES["manifest"]
             if self.heart not in PACKAGED and not (Path(self.heart) / manifest).is_file():
                 raise FileError(
-                    f"{self.heart}: not a heart folder (no {manifest}); make one with "
-                    "'fascicle heart build'"
+                    f"{self.heart}: not a heart folder (no {manifest}); make one with 'fascicle "
+                    f"heart build', or give one of the package ({', '.join(PACKAGED)})"
                 )
             existing_file(self.recording)
             if self.scenario is not None and not self.scenario.is_file():

@@ -78,7 +78,7 @@ class Predicted:
         return pd.DataFrame(dict(self.indices)).rename(columns=columns).rename_axis("network")
 
     def percentile_networks(self) -> dict[str, int]:
-        """Networks at three percentiles of the total activation time, the ends of the 90 %."""
+        """Networks at the 5th, 50th and 95th percentile of the total activation time."""
         order = np.argsort(self.indices["total_activation_time"], kind="stable")
         shares = {"5th percentile": 0.05, "median": 0.5, "95th percentile": 0.95}
         return {name: int(order[round(q * (len(order) - 1))]) for name, q in shares.items()}

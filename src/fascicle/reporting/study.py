@@ -155,12 +155,12 @@ def emulator_figure(report: Mapping[str, float]) -> Figure:
     figure = new_figure(6.0, 2.6)
     axes = figure.subplots()
     kinds = {"error": ("prior", Colour.GREY), "error_of_posterior": ("posterior", Colour.ORANGE)}
-    for k, (kind, (label, colour)) in enumerate(kinds.items()):
+    shown = {kind: looks for kind, looks in kinds.items() if kind in report}
+    for k, (kind, (label, colour)) in enumerate(shown.items()):
         leads = {"all": kind} | {lead: f"{kind}_{lead}" for lead in INDEPENDENT_LEADS}
         heights = [100 * report[key] for key in leads.values() if key in report]
-        if not heights:  # an emulator that was not refined
-            continue
-        axes.bar(np.arange(len(heights)) + 0.4 * (k - 0.5), heights, 0.4, color=colour, label=label)
+        places = np.arange(len(heights)) + 0.4 * (k - (len(shown) - 1) / 2)
+        axes.bar(places, heights, 0.4, color=colour, label=label)
     axes.set_xticks(range(len(leads)), list(leads))
     axes.set_xlabel("lead")
     axes.set_ylabel("error of the emulator (%)")

@@ -176,6 +176,8 @@ def fit_inputs(
     gc.collect()  # an earlier study and its statements hold each other, and gigabytes
     problem = InverseProblem.of(inputs, pool, progress, backend)
     run = None if progress is None else WholeRun(progress)
+    if run is not None and (folder / StudyFile.CONFIGURATION).exists():
+        run("resuming", 1, 1, "what is stored is not simulated again")
     if run is not None and inputs.config.method == "posterior":
         run.expect((*SHARED_STAGES, *STATE_STAGES), RESULTS)
     if inputs.config.states:
@@ -255,9 +257,6 @@ def fit_states(problem: InverseProblem, folder: Path, run: WholeRun | None) -> F
 def begin(inputs: Inputs, folder: Path, progress: Progress | None) -> Study:
     """Create or resume a study in its folder, with copies of the heart and the recordings."""
     study = Study.create_or_resume(folder, inputs.config, progress)
-    is_state = folder.parent.name == StudyFile.STATES
-    if progress is not None and not is_state and (count := len(study.records())):
-        progress("resuming", 1, 1, f"{count} evaluations are stored")
     heart_folder = folder / StudyFile.HEART
     try:
         stored = load_heart(heart_folder).digest

@@ -149,15 +149,17 @@ class ParameterStatement:
         if self.along_fibre is not None:
             speed = "{:.2f} m/s ({:.2f}–{:.2f}) along the fibre, ".format(*self.along_fibre)
         how = "constrained by the ECG" if self.constrained else "not identifiable from the ECG"
-        how = self.caution or how
         # decimals of two digits of the interval's width; with other draws further digits change
-        decimals = max(0, 1 - math.floor(math.log10(max(self.upper - self.lower, 1e-9))))
-        bounds = (f"{value:z.{decimals}f}" for value in (self.median, self.lower, self.upper))
-        median, lower, upper = bounds
-        to = " to " if self.lower < 0 else "–"
+        width = max(self.upper - self.lower, 0.01 * abs(self.median), 1e-9)
+        decimals = max(0, 1 - math.floor(math.log10(width)))
+
+        def span(low: float, high: float) -> str:
+            return f"{low:z.{decimals}f}{' to ' if low < 0 else '–'}{high:z.{decimals}f}"
+
+        median, interval = f"{self.median:z.{decimals}f}{unit}", span(self.lower, self.upper)
         if self.prior_interval is not None:
-            how = "{:.{d}f}–{:.{d}f} without the ECG".format(*self.prior_interval, d=decimals)
-        return f"{median}{unit} (90 % CrI {lower}{to}{upper}{alone}), {speed}{how}"
+            return f"{median} (90 % CrI {interval}; before the ECG {span(*self.prior_interval)})"
+        return f"{median} (90 % CrI {interval}{alone}), {speed}{self.caution or how}"
 
 
 @dataclass(frozen=True)
