@@ -258,6 +258,9 @@ def ptbxl(half: str) -> None:
         blocked = sum(max(a, key=a.__getitem__) != next(iter(a)) for _, a in normal)
         print(f"{name}: a state is named of {len(named)} of {len(answers)}")
         print(f"  of {len(normal)} normal recordings with a state {blocked} are called a block")
+        for code in (code for codes in BUNDLE_BRANCH.values() for code in codes):
+            called = Counter(max(a, key=a.__getitem__) for c, a in named if code in c)
+            print(f"  {code}: {dict(called)}")
         sides = [
             (codes, {side: of_side(answer, side) for side in BUNDLE_BRANCH})
             for codes, answer in answers
