@@ -167,7 +167,10 @@ def test_hearts_that_the_ecg_tells_apart_are_told_so():
     volume = on_atlas([4, 5, 5, 6], share=0.9).hearts[0]
     assert (volume.name, volume.unit) == HEART_MEASURES["lv_volume"]
     assert volume.constrained
-    assert not on_atlas([4, 5, 5, 6]).hearts[0].constrained  # a poor fit
+    assert str(volume).endswith("; before the ECG 52.6–144.9)")  # by the weights of the hearts
+    poor = on_atlas([4, 5, 5, 6]).hearts[0]
+    assert not poor.constrained
+    assert str(poor).endswith("), poor fit")
     assert volume.median == pytest.approx(MEASURES["lv_volume"][5])
     assert not on_atlas(range(COUNT), share=0.9).hearts[0].constrained
     assert on_atlas([4, 5], converged=False).hearts == ()

@@ -158,7 +158,10 @@ class ParameterStatement:
 
         median, interval = f"{self.median:z.{decimals}f}{unit}", span(self.lower, self.upper)
         if self.prior_interval is not None:
-            return f"{median} (90 % CrI {interval}; before the ECG {span(*self.prior_interval)})"
+            before = f"before the ECG {span(*self.prior_interval)}"
+            return f"{median} (90 % CrI {interval}; {before})" + f", {self.caution}" * bool(
+                self.caution
+            )
         return f"{median} (90 % CrI {interval}{alone}), {speed}{self.caution or how}"
 
 
