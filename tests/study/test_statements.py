@@ -1,8 +1,8 @@
 """What a result says of itself."""
 
+import re
 from types import SimpleNamespace
 
-import re
 import numpy as np
 import pytest
 
