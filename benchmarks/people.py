@@ -176,7 +176,7 @@ def subject() -> None:
 
 
 def print_subject(heart: fascicle.Heart, analysis: Analysis) -> None:
-    """Print the fit on a heart; of no heart here are there packaged emulators."""
+    """Print the fit on a heart, by an emulator of its own."""
     with tempfile.TemporaryDirectory() as folder:
         fitted = fascicle.fit(
             heart, analysis.target, folder, parameters={"conduction": "normal"},

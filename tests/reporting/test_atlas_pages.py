@@ -216,7 +216,7 @@ def test_files_of_predictions(fitted, predicted, tmp_path):
     assert note.endswith("on the template")
     for which, k in predicted["intrinsic"].percentile_networks().items():
         own, heart = (
-            pv.read(folder / f"activation-{which.replace(' ', '-')}.vtu"),
+            pv.read(folder / f"activation-{which}.vtu".replace(" ", "-")),
             fitted.heart_of(k),
         )
         np.testing.assert_array_equal(own.points, heart.vertices)

@@ -87,7 +87,7 @@ def ended_promptly() -> Iterator[Interruption]:
 
 @contextmanager
 def resumable(out: Path) -> Iterator[None]:
-    """On Ctrl-C or SIGTERM, report that the evaluations are in `out`, and how to go on."""
+    """On Ctrl-C or SIGTERM, report that simulations are in `out`, and how to go on."""
     Interruption.advice = (
         f"interrupted; simulations are stored in {out}; run the same command again to resume\n"
     )

@@ -376,6 +376,9 @@ def torso_values(values: Mapping[str, float]) -> dict[str, float]:
     return {n: values[n] for n in named if values[n] != QUANTITIES[n].default}
 
 
+SHOWN_UNITS = {"mm/ms": "m/s"}  # for readers, in place of a quantity's own
+
+
 def parameter_name(name: str) -> str:
     """Name of a quantity of the model for readers, such as ``LV fascicle 1 length``."""
     match = re.fullmatch(r"(lv|rv)_(initial|fascicle)_(length|angle|direction)(?:_(\d+))?", name)

@@ -32,6 +32,7 @@ from fascicle.core.parameters import (
 )
 from fascicle.core.progress import ProgressLines
 from fascicle.core.quantities import (
+    SHOWN_UNITS,
     SPEED,
     TORSO_QUANTITIES,
     checked,
@@ -341,7 +342,7 @@ class Session:
         drawn = None
         if name in values and len(values[name]):
             drawn = np.histogram(values[name], bins=30, range=(low, high))[0].tolist()
-        unit = {"1": "", "mm/ms": "m/s"}.get(parameter.unit, parameter.unit)
+        unit = {"1": "", **SHOWN_UNITS}.get(parameter.unit, parameter.unit)
         along, across = self.model.conduction.speeds
         # where a state does not name the quantity; None for those that it must name
         numbers = {**self.model.rules.numbers, **vars(self.model.conduction)}

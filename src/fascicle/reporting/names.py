@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
-from fascicle.core.quantities import in_words, parameter_name
+from fascicle.core.quantities import SHOWN_UNITS, in_words, parameter_name
 from fascicle.forward.scenario_files import library
 from fascicle.heart.heart import Heart
 from fascicle.prediction.index_names import INDICES
@@ -28,7 +28,7 @@ MEASURES = {
 
 def parameter_label(name: str, unit: str) -> str:
     """Name and unit of a quantity of the model, for an axis."""
-    return _with_unit(parameter_name(name), {"mm/ms": "m/s"}.get(unit, unit))
+    return _with_unit(parameter_name(name), SHOWN_UNITS.get(unit, unit))
 
 
 def index_name(index: str) -> str:

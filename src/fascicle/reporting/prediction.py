@@ -60,11 +60,10 @@ def write_prediction(
 
     The folder holds ``indices.csv`` (every index of every scenario and network), ``summary.json``,
     ``indices.png``, and a folder for each scenario: ``ecgs.nc``, ``ecg.png``, ``activation.vtu``
-    (of the networks with the median total activation time and at the ends of its 90 % range; mean,
-    standard deviation, and how probably each vertex is in the latest-activated 20 %),
-    ``activation.png`` and ``activation-spread.png``. Of an atlas, ``activation-median.vtu`` and so
-    on have these networks on their own hearts. Pictures are of one of the `KINDS`; None: there are
-    none.
+    (of `Predicted.percentile_networks`; mean, standard deviation, and how probably each vertex is
+    in the latest-activated 20 %), ``activation.png`` and ``activation-spread.png``. Of an atlas,
+    ``activation-median.vtu`` and so on have these networks on their own hearts. Pictures are of one
+    of the `KINDS`; None: there are none.
     """
     report = stage_progress(progress, "pictures")
     heart, caution = fitted.simulator.model.heart, fitted.statements.caution_text

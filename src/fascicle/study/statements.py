@@ -15,7 +15,7 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.conduction_states import CONDUCTION_STATES, FASCICULAR_BLOCKS, NORMAL
 from fascicle.core.parameters import Parameter
-from fascicle.core.quantities import parameter_name, region_labels
+from fascicle.core.quantities import SHOWN_UNITS, parameter_name, region_labels
 from fascicle.emulation.predictive import Checks
 from fascicle.inference.evaluation import Evaluation
 from fascicle.inference.tempered_sampling import EVIDENCE_APART, MEANS_APART
@@ -141,7 +141,7 @@ class ParameterStatement:
         return self.contraction >= 0.5 and not self.caution
 
     def __str__(self) -> str:
-        unit = {"1": "", "mm/ms": " m/s"}.get(self.unit, f" {self.unit}")
+        unit = "" if self.unit == "1" else f" {SHOWN_UNITS.get(self.unit, self.unit)}"
         alone = ""
         if self.first_alone is not None:
             alone = f"; first recording alone ±{self.first_alone:.2g}{unit}"
@@ -224,15 +224,12 @@ class Statements:
             prior_variance = np.average((values - mean) ** 2, weights=atlas.weights)
             contraction = 1 - min(float(values[numbers].var() / prior_variance), 1.0)
             interval = _median_and_interval(values[numbers])
-            quantiles = np.percentile(
-                values, INTERVAL, weights=atlas.weights, method="inverted_cdf"
-            )
-            statements.append(
-                ParameterStatement(
-                    title, unit, *interval, contraction, caution=self._caution_brief,
-                    prior_interval=(float(quantiles[0]), float(quantiles[1])),
-                )
+            before = np.percentile(values, INTERVAL, weights=atlas.weights, method="inverted_cdf")
+            statement = ParameterStatement(
+                title, unit, *interval, contraction, caution=self._caution_brief,
+                prior_interval=(float(before[0]), float(before[1])),
             )  # fmt: skip
+            statements.append(statement)
         return tuple(statements)
 
     @property

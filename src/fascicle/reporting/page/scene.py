@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS
-from fascicle.core.quantities import parameter_name, quantity
+from fascicle.core.quantities import SHOWN_UNITS, parameter_name, quantity
 from fascicle.forward.activation_sequence import since_first
 from fascicle.forward.beat import Beat
 from fascicle.forward.electrocardiogram import first_sample
@@ -273,7 +273,7 @@ def _orders(
         values = np.array([point[name] for point in points], dtype=float)
         if len(np.unique(values)) > 1:
             parameter, label = quantity(name), parameter_name(name)
-            orders.append((label, {"mm/ms": "m/s"}.get(parameter.unit, parameter.unit), values))
+            orders.append((label, SHOWN_UNITS.get(parameter.unit, parameter.unit), values))
             words[label] = parameter.choices
     return [
         {
